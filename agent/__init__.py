@@ -1,0 +1,1 @@
+"""The calibration agent: plans, engine, journal, run, publication, reports and the command line."""

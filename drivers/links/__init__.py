@@ -1,0 +1,1 @@
+"""Thin wrappers around transport libraries; the only place where those libraries are imported."""

@@ -1,0 +1,80 @@
+"""Plugins by entry point: a name, a settings model, a factory.
+
+A third party ships a package with an entry point of the group ``volcal.drivers`` that points at a
+`DriverPlugin`; nothing here changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from drivers.clock import Clock
+from drivers.errors import ConfigurationError
+from drivers.roles import Device
+
+GROUP = "volcal.drivers"
+
+
+@dataclass(frozen=True)
+class DeviceContext:
+    """What a driver is given: its name in the configuration, its clock, and where relative paths start."""
+
+    name: str
+    clock: Clock
+    base_path: Path
+
+
+@dataclass(frozen=True)
+class DriverPlugin:
+    """`create(settings, context)` builds a device that is not yet open.
+
+    The device plays every role whose Protocol in `drivers.roles` it implements.
+    """
+
+    name: str
+    settings: type[BaseModel]
+    create: Callable[[Any, DeviceContext], Device]
+
+
+def installed_plugins() -> dict[str, DriverPlugin]:
+    """Every plugin that is installed, by name. Raises ConfigurationError for one that cannot be loaded."""
+    plugins: dict[str, DriverPlugin] = {}
+    for entry in entry_points(group=GROUP):
+        try:
+            plugin = entry.load()
+        except ImportError as error:
+            raise ConfigurationError(
+                f"driver plugin {entry.name!r} cannot be imported: {error}",
+                hint=f"reinstall the package that provides it ({entry.value})",
+            ) from error
+        if not isinstance(plugin, DriverPlugin):
+            raise ConfigurationError(
+                f"entry point {entry.name!r} is not a DriverPlugin", hint=f"it points at {entry.value}"
+            )
+        plugins[entry.name] = plugin
+    return plugins
+
+
+def create_device(driver: str, options: Mapping[str, object], context: DeviceContext) -> Device:
+    """Validate `options` with the plugin's own settings model (unknown key = error) and build the device."""
+    plugins = installed_plugins()
+    if driver not in plugins:
+        raise ConfigurationError(
+            f"unknown driver {driver!r}",
+            key=f"devices.{context.name}.driver",
+            hint=f"installed drivers: {', '.join(sorted(plugins))}",
+        )
+    plugin = plugins[driver]
+    try:
+        settings = plugin.settings.model_validate(dict(options))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(["devices", context.name, *(str(part) for part in first["loc"])])
+        raise ConfigurationError(first["msg"], key=key, hint=f"settings of driver {driver}") from error
+    return plugin.create(settings, context)

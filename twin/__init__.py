@@ -1,0 +1,1 @@
+"""The mathematics of the digital twin: pure functions and frozen values, numpy and scipy only."""
