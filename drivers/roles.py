@@ -206,6 +206,29 @@ class Thermometer(Protocol):
         """Named temperatures: at least ``artefact``; usually ``ambient`` and ``machine`` too."""
 
 
+class OperatorTask(Enum):
+    """What a person at the machine can be asked for."""
+
+    MOVE_ARTEFACT = "move the artefact and its mount to a station"
+    CONSENT = "consent"
+
+
+@dataclass(frozen=True)
+class OperatorRequest:
+    """A question with one answer: done / yes, or no. `station` counts from 1 where the task needs one."""
+
+    task: OperatorTask
+    text: str
+    station: int | None = None
+
+
+@runtime_checkable
+class Operator(Protocol):
+    """The person at the machine, by whatever they are reached: a console, a panel, a simulated hand."""
+
+    def ask(self, request: OperatorRequest) -> bool: ...
+
+
 @dataclass(frozen=True)
 class Finding:
     """One line of a device's self-diagnosis (`volcal doctor`)."""
