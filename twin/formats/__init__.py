@@ -1,0 +1,1 @@
+"""Neutral files: text to values and back. Reading and writing of the files themselves is the caller's."""

@@ -1,0 +1,95 @@
+"""TOML text to a validated pydantic value; every mistake named by file and key path."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Sequence
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from twin.errors import FormatError
+
+
+class Strict(BaseModel):
+    """Base of everything read from a file: unknown keys, NaN and infinity are errors; values are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Section = TypeVar("Section", bound=BaseModel)
+
+
+def read_toml(text: str, source: str, kind: type[Section]) -> Section:
+    """Value of `kind` from TOML text. `source` names the file in a FormatError."""
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        hint = "Text stands in quotes, a list in brackets, a section name in brackets on its own line"
+        raise FormatError(f"this is not valid TOML: {error}", hint=hint, file=source) from None
+    return validated(document, source, kind)
+
+
+def validated(document: dict[str, Any], source: str, kind: type[Section]) -> Section:
+    """Value of `kind` from a parsed document; FormatError with file, key path and hint otherwise."""
+    try:
+        return kind.model_validate(document)
+    except ValidationError as error:
+        raise _explained(error, source, kind) from None
+
+
+def key_path(location: Sequence[str | int]) -> str:
+    """`("axes", "X", "range_mm", 0)` as `axes.X.range_mm[0]`."""
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _explained(error: ValidationError, source: str, kind: type[BaseModel]) -> FormatError:
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    location = [part for part in first["loc"] if not _is_union_label(part)]
+    message, hint = _in_words(first["type"], first["msg"], first.get("input"), location, kind)
+    if len(problems) > 1:
+        message = f"{message}; {len(problems) - 1} more problem(s) in this file"
+    return FormatError(message, hint=hint, file=source, key=key_path(location) or "(whole file)")
+
+
+def _in_words(
+    problem: str, text: str, value: object, location: list[str | int], kind: type[BaseModel]
+) -> tuple[str, str]:
+    known = _known_keys(kind, location[:-1])
+    name = str(location[-1]) if location else ""
+    if problem == "extra_forbidden":
+        close = difflib.get_close_matches(name, known, n=1)
+        return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _listing(known)
+    if problem == "missing":
+        return f"key '{name}' is missing", _listing(known)
+    return f"{text[:1].lower()}{text[1:].removeprefix('alue error, ')}, found {value!r:.80}", ""
+
+
+def _listing(known: list[str]) -> str:
+    return f"Known keys here: {', '.join(known)}" if known else ""
+
+
+def _known_keys(kind: type[BaseModel], location: list[str | int]) -> list[str]:
+    current: type[BaseModel] | None = kind
+    for part in location:
+        if current is None:
+            return []
+        if isinstance(part, str) and part in current.model_fields:
+            current = _model_inside(current.model_fields[part].annotation)
+    return sorted(current.model_fields) if current else []
+
+
+def _model_inside(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := _model_inside(part))), None)
+
+
+def _is_union_label(part: str | int) -> bool:
+    """Pydantic names the tried branch of a union (`list[float]`); a person looks for the key alone."""
+    return isinstance(part, str) and ("[" in part or part in {"float", "int", "bool", "str"})
