@@ -1,0 +1,123 @@
+"""What a run has measured: where the machine stood when the stylus centre coincided with each ball centre."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.errors import DataError
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Ball centres found, one row each (n rows).
+
+    `position` (n,) pose of the artefact, counted from 0; `ball` (n,) index into the artefact's list; `tool` (n,) index
+    into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm machine coordinates, no tool offset added;
+    `covariance` (n, 3, 3) mm² of one fitted centre; `temperature_c` (n,) of the artefact; `elevation_rad` (n,) of
+    the mount. Raises DataError naming the row (from 0) when a value cannot be used.
+    """
+
+    position: np.ndarray[Any, np.dtype[np.int64]]
+    ball: np.ndarray[Any, np.dtype[np.int64]]
+    tool: np.ndarray[Any, np.dtype[np.int64]]
+    axis_positions: Array
+    covariance: Array
+    temperature_c: Array
+    elevation_rad: Array
+    tool_offsets: Array
+
+    def __post_init__(self) -> None:
+        for name in ("position", "ball", "tool"):
+            object.__setattr__(self, name, _whole_numbers(name, getattr(self, name)))
+        for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad", "tool_offsets"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
+        self._check_shapes()
+        self._check_values()
+        self._check_covariance()
+        self._check_duplicates()
+        for field in fields(self):
+            getattr(self, field.name).setflags(write=False)
+
+    @property
+    def size(self) -> int:
+        return len(self.ball)
+
+    def where(self, mask: np.ndarray[Any, Any]) -> Observations:
+        """The rows that `mask` (n,) bool or index selects."""
+        rows = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "tool_offsets"}
+        return Observations(**rows, tool_offsets=self.tool_offsets)
+
+    def _check_shapes(self) -> None:
+        n = len(self.ball)
+        wanted = {
+            "position": (n,),
+            "tool": (n,),
+            "axis_positions": (n, 3),
+            "covariance": (n, 3, 3),
+            "temperature_c": (n,),
+            "elevation_rad": (n,),
+        }
+        for name, shape in wanted.items():
+            found = getattr(self, name).shape
+            if found != shape:
+                raise DataError(f"{name} has the shape {found}, expected {shape}", column=name)
+        if self.tool_offsets.ndim != 2 or self.tool_offsets.shape[1] != 3:
+            raise DataError(f"tool_offsets has the shape {self.tool_offsets.shape}, expected (T, 3)")
+        if n == 0:
+            raise DataError("no ball centre at all", hint="measure at least two positions")
+
+    def _check_values(self) -> None:
+        for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad"):
+            finite = np.isfinite(getattr(self, name)).reshape(self.size, -1).all(axis=1)
+            _refuse_rows(~finite, f"{name} is not a finite number", name)
+        if not np.isfinite(self.tool_offsets).all():
+            raise DataError("a tool offset is not a finite number")
+        for name in ("position", "ball"):
+            _refuse_rows(getattr(self, name) < 0, f"{name} is negative", name)
+        unknown = (self.tool < 0) | (self.tool >= len(self.tool_offsets))
+        _refuse_rows(unknown, f"unknown tool; there are {len(self.tool_offsets)} tool offsets", "tool")
+
+    def _check_covariance(self) -> None:
+        asymmetry = np.abs(self.covariance - self.covariance.transpose(0, 2, 1)).max(axis=(1, 2))
+        scale = np.abs(self.covariance).max(axis=(1, 2))
+        _refuse_rows(asymmetry > 1e-9 * scale, "the covariance is not symmetric", "covariance")
+        _refuse_rows(~_positive_definite(self.covariance), "the covariance is not positive definite", "covariance")
+
+    def _check_duplicates(self) -> None:
+        seen: dict[tuple[int, int, int], int] = {}
+        keys = zip(self.position.tolist(), self.tool.tolist(), self.ball.tolist(), strict=True)
+        for row, key in enumerate(keys):
+            first = seen.setdefault(key, row)
+            if first != row:
+                raise DataError(
+                    f"ball {key[2]} of position {key[0]} was already given in row {first}",
+                    row=row,
+                    hint="keep one centre per position, tool and ball",
+                )
+
+
+def _whole_numbers(name: str, values: Any) -> np.ndarray[Any, np.dtype[np.int64]]:
+    given = np.asarray(values)
+    if given.ndim != 1 or not (np.issubdtype(given.dtype, np.integer) or given.size == 0):
+        raise DataError(f"{name} must be a list of whole numbers", column=name)
+    return given.astype(np.int64)
+
+
+def _positive_definite(covariance: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """(n,) bool by the leading minors (Sylvester) of the correlation matrix."""
+    diagonal = np.einsum("nii->ni", covariance)
+    positive = (diagonal > 0.0).all(axis=1)
+    deviation = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    c = covariance / (deviation[:, :, None] * deviation[:, None, :])
+    a, b, d = c[:, 0, 1], c[:, 0, 2], c[:, 1, 2]
+    determinant = 1.0 + 2.0 * a * b * d - a * a - b * b - d * d
+    return np.asarray(positive & (a * a < 1.0) & (determinant > 1e-12))
+
+
+def _refuse_rows(bad: np.ndarray[Any, Any], message: str, column: str) -> None:
+    if bad.any():
+        raise DataError(message, row=int(np.argmax(bad)), column=column)
