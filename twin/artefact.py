@@ -1,0 +1,146 @@
+"""A ball artefact: calibrated ball centres, what temperature and gravity make of them.
+
+Artefact frame: origin in the middle of the bar on its axis, bar axis +X, holders (posts) along -Y, Z upwards
+at elevation 0. Any other ball artefact (plate, tetrahedron, cross) is just another list of centres.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.arrays import Array, as_points
+from twin.errors import DataError
+
+STEEL_CTE_PER_K = 11.5e-6
+REFERENCE_TEMPERATURE_C = 20.0
+"""ISO 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Artefact:
+    """`balls` (N, 3) mm at the reference temperature and free of gravity; `covariance` (3N, 3N) mm², ball by
+    ball. `sag_mm`: how far the ends hang below the middle when the bar lies level."""
+
+    name: str
+    certificate: str
+    balls: Array = field(repr=False)
+    ball_diameter_mm: float
+    reference_temperature_c: float
+    cte_per_k: float
+    cte_standard_uncertainty_per_k: float
+    covariance: Array = field(repr=False)
+    holder_length_mm: float = 0.0
+    sag_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        balls = as_points(self.balls, "balls of the artefact")
+        if len(balls) < 2:
+            raise DataError("an artefact needs at least two balls", artefact=self.name)
+        if not self.ball_diameter_mm > 0.0:
+            raise DataError(
+                f"ball diameter must be positive, got {self.ball_diameter_mm}", artefact=self.name
+            )
+        _refuse_overlap(balls, self.ball_diameter_mm, self.name)
+        _refuse_bad_covariance(self.covariance, 3 * len(balls), self.name)
+
+    @property
+    def count(self) -> int:
+        return len(self.balls)
+
+    @property
+    def ball_radius_mm(self) -> float:
+        return 0.5 * self.ball_diameter_mm
+
+    @property
+    def half_length_mm(self) -> float:
+        """Largest distance of a ball from the middle along the bar."""
+        return float(np.abs(self.balls[:, 0]).max())
+
+    def at(self, temperature_c: float, elevation_rad: float) -> Array:
+        """Ball centres (N, 3) mm in the artefact frame, expanded and bent by gravity."""
+        stretched = self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c))
+        if self.sag_mm:
+            along = np.abs(self.balls[:, 0]) / max(self.half_length_mm, 1e-9)
+            stretched[:, 2] -= self.sag_mm * math.cos(elevation_rad) * _droop(along)
+        return stretched
+
+
+def ball_bar(
+    name: str,
+    *,
+    balls: int,
+    length_mm: float,
+    tilt_rad: float,
+    holder_length_mm: float,
+    ball_diameter_mm: float,
+    standard_uncertainty_mm: float = 0.0,
+    certificate: str = "nominal",
+    reference_temperature_c: float = REFERENCE_TEMPERATURE_C,
+    cte_per_k: float = STEEL_CTE_PER_K,
+    cte_standard_uncertainty_per_k: float = 0.0,
+    sag_mm: float = 0.0,
+) -> Artefact:
+    """Bar of equally pitched balls; the length between the end balls does not depend on their number."""
+    return Artefact(
+        name=name,
+        certificate=certificate,
+        balls=bar_balls(balls, length_mm, tilt_rad, holder_length_mm),
+        ball_diameter_mm=ball_diameter_mm,
+        reference_temperature_c=reference_temperature_c,
+        cte_per_k=cte_per_k,
+        cte_standard_uncertainty_per_k=cte_standard_uncertainty_per_k,
+        covariance=np.eye(3 * balls) * standard_uncertainty_mm**2,
+        holder_length_mm=holder_length_mm,
+        sag_mm=sag_mm,
+    )
+
+
+def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: float) -> Array:
+    """(balls, 3) mm: ball i stands a holder's length off the bar axis.
+
+    Tilting holders by θ sets the balls off by holder·sin θ, in turn up (+Z), out (-Y), down (-Z) and in (+Y).
+    """
+    if balls < 2:
+        raise DataError(f"a ball bar needs at least two balls, got {balls}")
+    centres = np.zeros((balls, 3))
+    centres[:, 0] = np.linspace(-0.5 * length_mm, 0.5 * length_mm, balls)
+    centres[:, 1] = -holder_length_mm
+    offset = holder_length_mm * math.sin(tilt_rad)
+    centres[0::4, 2] += offset
+    centres[1::4, 1] -= offset
+    centres[2::4, 2] -= offset
+    centres[3::4, 1] += offset
+    return centres
+
+
+def _droop(along: Array) -> Array:
+    """Shape of a uniformly loaded cantilever from the middle support (0) to its end (1), 1 at the end."""
+    return along**2 * (6.0 - 4.0 * along + along**2) / 3.0
+
+
+def _refuse_overlap(balls: Array, diameter_mm: float, name: str) -> None:
+    distance = np.linalg.norm(balls[:, None] - balls[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    if distance.min() < diameter_mm:
+        first, second = (int(index) for index in np.unravel_index(np.argmin(distance), distance.shape))
+        raise DataError(
+            f"balls {first} and {second} are {distance.min():.3f} mm apart, less than their diameter",
+            hint="Centres are in mm; is one listed twice?",
+            artefact=name,
+        )
+
+
+def _refuse_bad_covariance(covariance: Array, size: int, name: str) -> None:
+    if covariance.shape != (size, size) or not np.isfinite(covariance).all():
+        raise DataError(
+            f"covariance of the ball centres has shape {covariance.shape}, expected finite ({size}, {size})",
+            artefact=name,
+        )
+    scale = max(float(np.abs(covariance).max()), 1e-300)
+    if not np.allclose(covariance, covariance.T, rtol=0.0, atol=1e-9 * scale):
+        raise DataError("covariance of the ball centres is not symmetric", artefact=name)
+    if np.linalg.eigvalsh(covariance)[0] < -1e-9 * scale:
+        raise DataError("covariance of the ball centres is not positive semi-definite", artefact=name)

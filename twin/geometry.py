@@ -1,0 +1,237 @@
+"""Capsules and boxes: how far apart they are, and when one that moves in a straight line meets another.
+
+Points are (x, y, z) in mm. The distance between two convex bodies is a convex function of a translation of one,
+so the tangent of the distance lies below it: walking to the root of the tangent never passes the first
+contact, and converges to it quadratically. That is why `swept_contact` is exact and needs few evaluations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.errors import DataError
+
+Point = tuple[float, float, float]
+Separation = tuple[float, Point]
+"""Distance between two surfaces (negative inside) and the unit vector from the second body to the first."""
+
+CONTACT_TOLERANCE_MM = 1e-6
+_MOST_TANGENTS = 60
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points within `radius` of the segment a-b; a sphere where a = b."""
+
+    a: Point
+    b: Point
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not (self.radius >= 0.0 and all(math.isfinite(value) for value in (*self.a, *self.b))):
+            raise DataError(f"a capsule needs finite ends and a radius of at least 0, got {self}")
+
+    @property
+    def lower(self) -> Point:
+        return point(min(p, q) - self.radius for p, q in zip(self.a, self.b, strict=True))
+
+    @property
+    def upper(self) -> Point:
+        return point(max(p, q) + self.radius for p, q in zip(self.a, self.b, strict=True))
+
+    def moved(self, by: Point) -> Capsule:
+        return Capsule(added(self.a, by), added(self.b, by), self.radius)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Axis-parallel box from `lower` to `upper`."""
+
+    lower: Point
+    upper: Point
+
+    def __post_init__(self) -> None:
+        if not all(low <= high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise DataError(f"a box needs lower <= upper on every axis, got {self}")
+
+    def moved(self, by: Point) -> Box:
+        return Box(added(self.lower, by), added(self.upper, by))
+
+
+Shape = Capsule | Box
+
+
+def sphere(centre: Point, radius: float) -> Capsule:
+    return Capsule(centre, centre, radius)
+
+
+def point(values: Iterable[float]) -> Point:
+    """Three plain floats from an array, a list or a generator."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def added(p: Point, q: Point) -> Point:
+    return p[0] + q[0], p[1] + q[1], p[2] + q[2]
+
+
+def capsule_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
+    """Distance between the axes a0-a1 and b0-b1, vectorised: (..., 3) mm each, broadcast; (...) mm.
+
+    Subtract both radii for the distance of the surfaces. Ericson, Real-Time Collision Detection, 5.1.9.
+    """
+    d1, d2, r = a1 - a0, b1 - b0, a0 - b0
+    a, e, f = _dot(d1, d1), _dot(d2, d2), _dot(d2, r)
+    b, c = _dot(d1, d2), _dot(d1, r)
+    denominator = a * e - b * b
+    parallel = denominator <= _TINY * a * e
+    s = np.where(
+        parallel, 0.0, np.clip(_ratio(b * f - c * e, np.where(parallel, 1.0, denominator)), 0.0, 1.0)
+    )
+    t = np.clip(_ratio(b * s + f, e), 0.0, 1.0)
+    s = np.clip(_ratio(b * t - c, a), 0.0, 1.0)
+    gap = r + s[..., None] * d1 - t[..., None] * d2
+    return np.sqrt(_dot(gap, gap))
+
+
+def separation(first: Shape, second: Shape) -> Separation:
+    """Distance of the surfaces in mm and the unit vector from the second body to the first."""
+    if isinstance(first, Capsule):
+        if isinstance(second, Capsule):
+            return _between_capsules(first, second)
+        return _capsule_from_box(first, second)
+    if isinstance(second, Capsule):
+        distance, (x, y, z) = _capsule_from_box(second, first)
+        return distance, (-x, -y, -z)
+    return _between_boxes(first, second)
+
+
+def swept_contact(
+    moving: Shape, obstacle: Shape, displacement: Point, clearance_mm: float = 0.0
+) -> float | None:
+    """Fraction of `displacement` (0..1) at which the bodies come within `clearance_mm`, or None.
+
+    Bodies that already are within it at the start count only where the motion brings them closer.
+    """
+    fraction = 0.0
+    for _ in range(_MOST_TANGENTS):
+        here = moving.moved(
+            (displacement[0] * fraction, displacement[1] * fraction, displacement[2] * fraction)
+        )
+        distance, (nx, ny, nz) = separation(here, obstacle)
+        slope = nx * displacement[0] + ny * displacement[1] + nz * displacement[2]
+        if slope >= 0.0:
+            return None
+        gap = distance - clearance_mm
+        if gap <= CONTACT_TOLERANCE_MM:
+            return fraction
+        fraction -= gap / slope
+        if fraction > 1.0:
+            return None
+    return fraction
+
+
+def _between_capsules(first: Capsule, second: Capsule) -> Separation:
+    near, far = _closest_on_segments(first.a, first.b, second.a, second.b)
+    distance, normal = _direction(far, near)
+    return distance - first.radius - second.radius, normal
+
+
+def _closest_on_segments(a0: Point, a1: Point, b0: Point, b1: Point) -> tuple[Point, Point]:
+    """Closest points of two segments in plain floats, ten times as fast as arrays of three."""
+    d1x, d1y, d1z = a1[0] - a0[0], a1[1] - a0[1], a1[2] - a0[2]
+    d2x, d2y, d2z = b1[0] - b0[0], b1[1] - b0[1], b1[2] - b0[2]
+    rx, ry, rz = a0[0] - b0[0], a0[1] - b0[1], a0[2] - b0[2]
+    a = d1x * d1x + d1y * d1y + d1z * d1z
+    e = d2x * d2x + d2y * d2y + d2z * d2z
+    f = d2x * rx + d2y * ry + d2z * rz
+    c = d1x * rx + d1y * ry + d1z * rz
+    b = d1x * d2x + d1y * d2y + d1z * d2z
+    denominator = a * e - b * b
+    s = _clamped((b * f - c * e) / denominator) if denominator > _TINY * a * e else 0.0
+    t = _clamped((b * s + f) / e) if e > _TINY else 0.0
+    s = _clamped((b * t - c) / a) if a > _TINY else 0.0
+    return (
+        (a0[0] + s * d1x, a0[1] + s * d1y, a0[2] + s * d1z),
+        (b0[0] + t * d2x, b0[1] + t * d2y, b0[2] + t * d2z),
+    )
+
+
+def _capsule_from_box(capsule: Capsule, box: Box) -> Separation:
+    near = _closest_on_segment_to_box(capsule.a, capsule.b, box)
+    distance, normal = _direction(_clamped_into(near, box), near)
+    return distance - capsule.radius, normal
+
+
+def _closest_on_segment_to_box(a: Point, b: Point, box: Box) -> Point:
+    """The squared distance along a segment is convex, with kinks where it crosses a face's plane."""
+    d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    kinks = [0.0, 1.0]
+    for start, step, low, high in zip(a, d, box.lower, box.upper, strict=True):
+        if abs(step) > _TINY:
+            kinks += [s for s in ((low - start) / step, (high - start) / step) if 0.0 < s < 1.0]
+    kinks.sort()
+    previous, slope_before = 0.0, _slope_to_box(a, d, 0.0, box)
+    if slope_before >= 0.0:
+        return a
+    for kink in kinks[1:]:
+        slope = _slope_to_box(a, d, kink, box)
+        if slope >= 0.0:
+            s = previous - slope_before * (kink - previous) / (slope - slope_before)
+            return a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2]
+        previous, slope_before = kink, slope
+    return b
+
+
+def _slope_to_box(a: Point, d: Point, s: float, box: Box) -> float:
+    """Half the derivative of the squared distance at a + s·d; linear between two kinks."""
+    here = (a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2])
+    inside = _clamped_into(here, box)
+    return sum((p - q) * step for p, q, step in zip(here, inside, d, strict=True))
+
+
+def _between_boxes(first: Box, second: Box) -> Separation:
+    gap = [
+        fl - su if fl > su else fu - sl if fu < sl else 0.0
+        for fl, fu, sl, su in zip(first.lower, first.upper, second.lower, second.upper, strict=True)
+    ]
+    return _direction((0.0, 0.0, 0.0), (gap[0], gap[1], gap[2]))
+
+
+def _direction(origin: Point, target: Point) -> Separation:
+    """Distance and unit vector from `origin` to `target`; where they coincide no motion counts as away."""
+    x, y, z = target[0] - origin[0], target[1] - origin[1], target[2] - origin[2]
+    distance = math.sqrt(x * x + y * y + z * z)
+    if distance < _TINY:
+        return 0.0, (math.nan, math.nan, math.nan)
+    return distance, (x / distance, y / distance, z / distance)
+
+
+def _clamped_into(p: Point, box: Box) -> Point:
+    lower, upper = box.lower, box.upper
+    return (
+        min(max(p[0], lower[0]), upper[0]),
+        min(max(p[1], lower[1]), upper[1]),
+        min(max(p[2], lower[2]), upper[2]),
+    )
+
+
+def _clamped(value: float) -> float:
+    return 0.0 if value < 0.0 else 1.0 if value > 1.0 else value
+
+
+def _dot(u: Array, v: Array) -> Array:
+    product: Array = np.einsum("...i,...i->...", u, v)
+    return product
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """0 where a segment is a point and the parameter on it means nothing."""
+    safe = np.where(denominator > _TINY, denominator, 1.0)
+    return np.where(denominator > _TINY, numerator / safe, 0.0)

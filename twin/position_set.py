@@ -1,0 +1,130 @@
+"""Where the artefact is put: position sets, the mount that holds it, what the travel can reach.
+
+Azimuth is about Z from +X, elevation from the XY plane, both those of the mount. At (0, 0) the bar lies along
+X and its holders point along -Y, against the approaching probe.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.errors import DataError, TwinError
+
+SPACE_DIAGONAL_DEG = 35.264
+"""Elevation of a cube's diagonal, atan(1/√2)."""
+
+SETS: dict[str, tuple[tuple[float, float], ...]] = {
+    "S1": ((0.0, 0.0), (90.0, 0.0), (0.0, 90.0)),
+    "S2": tuple((az, el) for el in (SPACE_DIAGONAL_DEG, -SPACE_DIAGONAL_DEG) for az in (45.0, -45.0)),
+    "S3": ((45.0, 0.0), (-45.0, 0.0), (0.0, 45.0), (0.0, -45.0), (90.0, 45.0), (90.0, -45.0)),
+}
+"""(azimuth, elevation) in degrees: along the axes; along space diagonals; crossed in the XY, ZX, YZ planes."""
+
+
+@dataclass(frozen=True)
+class Position:
+    """One orientation of the artefact at one station (counted from 1)."""
+
+    station: int
+    azimuth_deg: float
+    elevation_deg: float
+
+    def __post_init__(self) -> None:
+        if self.station < 1:
+            raise DataError(f"stations count from 1, got {self.station}")
+        if not (abs(self.azimuth_deg) <= 180.0 and abs(self.elevation_deg) <= 90.0):
+            raise DataError(
+                f"azimuth {self.azimuth_deg} / elevation {self.elevation_deg} is outside ±180° / ±90°",
+                station=self.station,
+            )
+
+
+@dataclass(frozen=True)
+class MountGeometry:
+    """The mount and what it holds, for placing the bar and for collisions; mm.
+
+    `shaft_mm`: from the vertical azimuth axis to the middle of the bar axis, along the holders. The pedestal
+    stands under the azimuth axis from the table (`table_z_mm`, workpiece frame) to `head_mm` above the place.
+    """
+
+    shaft_mm: float = 120.0
+    shaft_radius_mm: float = 20.0
+    bar_radius_mm: float = 15.0
+    bar_overhang_mm: float = 15.0
+    post_radius_mm: float = 4.0
+    pedestal_radius_mm: float = 50.0
+    head_mm: float = 30.0
+    table_z_mm: float = -150.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name != "table_z_mm" and not value >= 0.0:
+                raise DataError(f"{name} must be at least 0, got {value}", key=f"mount.{name}")
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Maps the artefact frame to the workpiece frame: p = centre + rotation @ b. mm."""
+
+    centre: Array
+    rotation: Array
+
+    def applied(self, points: Array) -> Array:
+        """(n, 3) in the artefact frame -> (n, 3) in the workpiece frame."""
+        return self.centre + points @ self.rotation.T
+
+
+def positions_of(expression: str, stations: int) -> tuple[Position, ...]:
+    """Positions of `S1`, `S1+S3`, … at stations 1…n: all of station 1 first. TwinError for unknown names."""
+    if stations < 1:
+        raise DataError(f"at least one station is needed, got {stations}")
+    orientations = [pair for name in expression.split("+") for pair in _named_set(name, expression)]
+    unique = list(dict.fromkeys(orientations))
+    return tuple(Position(station, az, el) for station in range(1, stations + 1) for az, el in unique)
+
+
+def mount_pose(place_mm: Array, geometry: MountGeometry, azimuth_rad: float, elevation_rad: float) -> Pose:
+    """Pose of the bar: axis along (cos az cos el, sin az cos el, sin el), holders along Rz(az)·(0, -1, 0).
+
+    `place_mm` (3,): the point of the azimuth axis at the height of the bar's middle.
+    """
+    ca, sa = math.cos(azimuth_rad), math.sin(azimuth_rad)
+    ce, se = math.cos(elevation_rad), math.sin(elevation_rad)
+    rotation = np.array([[ca * ce, -sa, -ca * se], [sa * ce, ca, -sa * se], [se, 0.0, ce]])
+    outward = np.array([sa, -ca, 0.0])
+    return Pose(np.asarray(place_mm, dtype=np.float64) + geometry.shaft_mm * outward, rotation)
+
+
+def station_places(
+    count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float
+) -> Array:
+    """(count, 3) mm: places along X, evenly spaced, the outer ones `half_span_mm` inside the travel."""
+    low, high = x_range[0] + half_span_mm, x_range[1] - half_span_mm
+    if count < 1 or high < low:
+        raise DataError(
+            f"{count} station(s) of half span {half_span_mm} mm do not fit into X {x_range[0]}…{x_range[1]} mm"
+        )
+    x = np.linspace(low, high, count) if count > 1 else np.array([0.5 * (low + high)])
+    return np.column_stack([x, np.full(count, y_mm), np.full(count, z_mm)])
+
+
+def reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_mm: Array) -> NDArray[np.bool_]:
+    """(n,) bool: axis positions (n, 3) of balls that keep `margin_mm` (3,) (approach, retract) from the ends."""
+    inside = (ball_axis_positions >= lower + margin_mm) & (ball_axis_positions <= upper - margin_mm)
+    mask: NDArray[np.bool_] = inside.all(axis=1)
+    return mask
+
+
+def _named_set(name: str, expression: str) -> tuple[tuple[float, float], ...]:
+    found = SETS.get(name.strip().upper())
+    if found is None:
+        raise TwinError(
+            f"unknown position set '{name.strip()}' in '{expression}'",
+            hint=f"Known sets: {', '.join(SETS)}; combine them as in S1+S3",
+        )
+    return found
