@@ -1,0 +1,163 @@
+"""Volumetric error: the rms length of the deviation over a grid, as it is and after the best rigid motion.
+
+A rigid motion of the whole workspace is no fault of a machine and is not seen by any free artefact, so every
+volumetric error is given twice. For a field linear in its parameters the mean square is the quadratic form
+E^T (B^T B / n) E: the grid is evaluated once and never again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points, as_vector
+from twin.error_model import ErrorModel, Ranges
+from twin.errors import DataError, ModelError
+from twin.machine_model import deviation_basis
+
+_CHUNK = 2000  # grid points whose basis is held at a time
+
+
+@dataclass(frozen=True)
+class Volumetric:
+    """Rms deviation in mm: `raw_mm` as defined, `aligned_mm` after the best rigid motion of the workspace."""
+
+    raw_mm: float
+    aligned_mm: float
+
+    @property
+    def raw_um(self) -> float:
+        return 1e3 * self.raw_mm
+
+    @property
+    def aligned_um(self) -> float:
+        return 1e3 * self.aligned_mm
+
+
+def evaluation_grid(ranges_mm: Ranges, shape: tuple[int, int, int] = (60, 20, 20)) -> Array:
+    """Axis positions (n, 3) of a regular grid over the ranges, ends included; x slowest, z fastest."""
+    nodes = [np.linspace(low, high, count) for (low, high), count in zip(ranges_mm, shape, strict=True)]
+    return np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def rms(deviation: Array) -> float:
+    """Root of the mean squared length of deviations (n, 3)."""
+    return float(np.sqrt(np.mean(np.einsum("ij,ij->i", deviation, deviation))))
+
+
+def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
+    """What is left (n, 3) of `deviation` (n, 3) at tool points (n, 3) after the best small rigid motion.
+
+    Translation and small rotation by least squares, equal weights. Where the tool points are few or in line
+    the rotation that is not determined is not used.
+    """
+    field = as_points(deviation, "deviation")
+    motions = _rigid_motions(as_points(points, "points"))
+    flat = field.reshape(-1)
+    return field - (motions @ (motions.T @ flat)).reshape(-1, 3)
+
+
+def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> Volumetric:
+    """Raw and aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
+    field = as_points(deviation, "deviation")
+    return Volumetric(rms(field), rms(align_rigidly(points, field)))
+
+
+@dataclass(frozen=True)
+class QuadraticForm:
+    """Mean square of the linear field (+ a fixed field) over a grid as a function of the parameters.
+
+    `raw`, `aligned` (p, p) in mm² per unit of parameters; `raw_linear`, `aligned_linear` (p,) and
+    `raw_constant`, `aligned_constant` belong to the fixed field and are zero without one.
+    """
+
+    model: ErrorModel
+    axis_positions: Array
+    tool_offset: Array
+    raw: Array
+    aligned: Array
+    raw_linear: Array
+    aligned_linear: Array
+    raw_constant: float = 0.0
+    aligned_constant: float = 0.0
+
+    @classmethod
+    def build(cls, model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> QuadraticForm:
+        """Form for grid positions (n, 3) and tool offset (3,)."""
+        points = as_points(axis_positions, "axis positions")
+        offset = as_vector(tool_offset, 3, "tool offset")
+        motions = _rigid_motions(points + offset)
+        gram, shared = np.zeros((model.size, model.size)), np.zeros((motions.shape[1], model.size))
+        for chunk, basis in _basis_chunks(model, points, offset):
+            gram += basis.T @ basis
+            shared += motions[chunk].T @ basis
+        raw, aligned = gram / len(points), (gram - shared.T @ shared) / len(points)
+        return cls(model, points, offset, raw, aligned, np.zeros(model.size), np.zeros(model.size))
+
+    def with_field(self, field: ArrayLike) -> QuadraticForm:
+        """The form of the linear field plus a fixed `field` (n, 3) in mm on the same grid."""
+        fixed = as_points(field, "field")
+        if fixed.shape != self.axis_positions.shape:
+            raise DataError(f"the field has {len(fixed)} points, the grid {len(self.axis_positions)}")
+        left = align_rigidly(self.axis_positions + self.tool_offset, fixed)
+        sums = np.zeros((2, self.model.size))
+        for chunk, basis in _basis_chunks(self.model, self.axis_positions, self.tool_offset):
+            sums += np.stack((fixed.reshape(-1)[chunk], left.reshape(-1)[chunk])) @ basis
+        raw_linear, aligned_linear = sums / len(fixed)
+        return replace(
+            self,
+            raw_linear=raw_linear,
+            aligned_linear=aligned_linear,
+            raw_constant=rms(fixed) ** 2,
+            aligned_constant=rms(left) ** 2,
+        )
+
+    def values(self, parameters: ArrayLike) -> tuple[Array, Array]:
+        """Raw and aligned rms (m,) in mm of m machines, parameters (m, p)."""
+        vectors = np.asarray(parameters, dtype=np.float64)
+        if vectors.ndim != 2 or vectors.shape[1] != self.model.size:
+            raise ModelError(f"parameters have shape {vectors.shape}, expected (m, {self.model.size})")
+        raw = _mean_squares(vectors, self.raw, self.raw_linear, self.raw_constant)
+        aligned = _mean_squares(vectors, self.aligned, self.aligned_linear, self.aligned_constant)
+        return np.sqrt(raw), np.sqrt(aligned)
+
+    def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> Volumetric:
+        """Volumetric error of one machine (p,). For many machines with one field use `with_field` once."""
+        form = self if field is None else self.with_field(field)
+        raw, aligned = form.values(as_vector(parameters, self.model.size, "parameters")[None, :])
+        return Volumetric(float(raw[0]), float(aligned[0]))
+
+    def expected(self, covariance: Array) -> Volumetric:
+        """sqrt(trace(Q P) + fixed field): root of the expected mean square for a covariance P (p, p)."""
+        raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
+        aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant
+        return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
+
+
+def _mean_squares(vectors: Array, form: Array, linear: Array, constant: float) -> Array:
+    quadratic = np.einsum("ij,ij->i", vectors @ form, vectors)
+    mean_squares: Array = np.maximum(quadratic + 2.0 * (vectors @ linear) + constant, 0.0)
+    return mean_squares
+
+
+def _basis_chunks(model: ErrorModel, points: Array, offset: Array) -> Iterator[tuple[slice, Array]]:
+    """Rows (of the flattened field) and basis (rows, p) of one part of the grid after the other."""
+    for start in range(0, len(points), _CHUNK):
+        chunk = points[start : start + _CHUNK]
+        basis = deviation_basis(model, chunk, offset).reshape(-1, model.size)
+        yield slice(3 * start, 3 * (start + len(chunk))), basis
+
+
+def _rigid_motions(points: Array) -> Array:
+    """Orthonormal basis (3n, r) of the small rigid motions of points (n, 3); r = 6 unless in line."""
+    centred = points - points.mean(axis=0)
+    size = max(float(np.sqrt(np.mean(centred**2))), 1e-12)
+    motions = np.zeros((len(points), 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    motions[:, :, 3:] = np.cross(np.eye(3)[None, :, :], centred[:, None, :] / size).transpose(0, 2, 1)
+    left, weights, _ = np.linalg.svd(motions.reshape(-1, 6), full_matrices=False)
+    used: Array = left[:, weights > 1e-9 * weights[0]]
+    return used
