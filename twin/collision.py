@@ -1,0 +1,81 @@
+"""What the probe and ram hit on a straight move: a broad search by boxes, then exact distances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.bodies import Body
+from twin.geometry import Point, separation, swept_contact
+
+
+@dataclass(frozen=True)
+class Hit:
+    """The first contact of a move: how far along it (0..1), and which two bodies."""
+
+    fraction: float
+    moving: str
+    obstacle: str
+
+
+class Scene:
+    """Moving bodies (relative to the tip centre) among standing ones. Immutable; build anew when they move."""
+
+    def __init__(self, moving: Sequence[Body], obstacles: Sequence[Body]) -> None:
+        self.moving = tuple(moving)
+        self.obstacles = tuple(obstacles)
+        self._moving_lower, self._moving_upper = _bounds(self.moving)
+        self._lower, self._upper = _bounds(self.obstacles)
+
+    def first_hit(
+        self,
+        start: Point,
+        end: Point,
+        *,
+        clearance_mm: float = 0.0,
+        ignored: Collection[tuple[str, str]] = (),
+    ) -> Hit | None:
+        """First contact (within `clearance_mm`) when the tip centre goes straight from `start` to `end`.
+
+        `ignored` holds (moving, obstacle) names that are meant to touch. Exact for translation; mm.
+        """
+        displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
+        first: Hit | None = None
+        for i, j in self._candidates(start, end, clearance_mm):
+            body, obstacle = self.moving[i], self.obstacles[j]
+            if (body.name, obstacle.name) in ignored:
+                continue
+            fraction = swept_contact(body.shape.moved(start), obstacle.shape, displacement, clearance_mm)
+            if fraction is not None and (first is None or fraction < first.fraction):
+                first = Hit(fraction, body.name, obstacle.name)
+        return first
+
+    def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = ()) -> float:
+        """Smallest distance in mm of any two bodies with the tip centre at `tip`; infinite with nothing near."""
+        return min(
+            (
+                separation(body.shape.moved(tip), obstacle.shape)[0]
+                for body, obstacle in product(self.moving, self.obstacles)
+                if (body.name, obstacle.name) not in ignored
+            ),
+            default=math.inf,
+        )
+
+    def _candidates(self, start: Point, end: Point, clearance_mm: float) -> Iterator[tuple[int, int]]:
+        """Pairs whose boxes, swept along the move, meet."""
+        travel = np.array((start, end))
+        lower = self._moving_lower + (travel.min(axis=0) - clearance_mm)
+        upper = self._moving_upper + (travel.max(axis=0) + clearance_mm)
+        meet = (lower[:, None] <= self._upper) & (upper[:, None] >= self._lower)
+        return zip(*(index.tolist() for index in meet.all(axis=2).nonzero()), strict=True)
+
+
+def _bounds(bodies: Sequence[Body]) -> tuple[Array, Array]:
+    lower = np.array([body.shape.lower for body in bodies], dtype=np.float64).reshape(-1, 3)
+    upper = np.array([body.shape.upper for body in bodies], dtype=np.float64).reshape(-1, 3)
+    return lower, upper
