@@ -7,6 +7,7 @@ machine axes only translate, so they never turn. The standing ones are in the wo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 from twin.arrays import Array
 from twin.artefact import Artefact
@@ -29,7 +30,7 @@ class Body:
 class ProbeGeometry:
     """Lengths along the tool from the tip centre back to the ram's face; mm.
 
-    `reach_mm` is the whole length (the tool offset along Y); what is not stem is probe body. The ram is square.
+    `reach_mm` is the whole length (the tool offset along Y); what is not stem is probe body. Square ram.
     """
 
     tip_radius_mm: float = 3.0
@@ -102,10 +103,7 @@ def _bar_pieces(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> list
     stops[0] -= geometry.bar_overhang_mm
     stops[-1] += geometry.bar_overhang_mm
     ends = [_on_bar(pose, stop) for stop in stops]
-    return [
-        Body("bar", Capsule(start, end, geometry.bar_radius_mm))
-        for start, end in zip(ends[:-1], ends[1:], strict=True)
-    ]
+    return [Body("bar", Capsule(start, end, geometry.bar_radius_mm)) for start, end in pairwise(ends)]
 
 
 def _on_bar(pose: Pose, along_mm: float) -> Point:

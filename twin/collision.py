@@ -24,7 +24,7 @@ class Hit:
 
 
 class Scene:
-    """Moving bodies (relative to the tip centre) among standing ones. Immutable; build anew when they move."""
+    """Moving bodies (relative to the tip centre) among standing ones; build anew when those move."""
 
     def __init__(self, moving: Sequence[Body], obstacles: Sequence[Body]) -> None:
         self.moving = tuple(moving)
@@ -56,7 +56,7 @@ class Scene:
         return first
 
     def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = ()) -> float:
-        """Smallest distance in mm of any two bodies with the tip centre at `tip`; infinite with nothing near."""
+        """Smallest distance in mm of any two bodies with the tip centre at `tip`."""
         return min(
             (
                 separation(body.shape.moved(tip), obstacle.shape)[0]

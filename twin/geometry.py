@@ -1,6 +1,6 @@
 """Capsules and boxes: how far apart they are, and when one that moves in a straight line meets another.
 
-Points are (x, y, z) in mm. The distance between two convex bodies is a convex function of a translation of one,
+Points are (x, y, z) in mm. The distance between two convex bodies is convex in a translation of one of them,
 so the tangent of the distance lies below it: walking to the root of the tangent never passes the first
 contact, and converges to it quadratically. That is why `swept_contact` is exact and needs few evaluations.
 """

@@ -23,7 +23,7 @@ SETS: dict[str, tuple[tuple[float, float], ...]] = {
     "S2": tuple((az, el) for el in (SPACE_DIAGONAL_DEG, -SPACE_DIAGONAL_DEG) for az in (45.0, -45.0)),
     "S3": ((45.0, 0.0), (-45.0, 0.0), (0.0, 45.0), (0.0, -45.0), (90.0, 45.0), (90.0, -45.0)),
 }
-"""(azimuth, elevation) in degrees: along the axes; along space diagonals; crossed in the XY, ZX, YZ planes."""
+"""(azimuth, elevation) in degrees: along the axes; along space diagonals; crossed in XY, ZX and YZ."""
 
 
 @dataclass(frozen=True)
@@ -107,17 +107,16 @@ def station_places(
     low, high = x_range[0] + half_span_mm, x_range[1] - half_span_mm
     if count < 1 or high < low:
         raise DataError(
-            f"{count} station(s) of half span {half_span_mm} mm do not fit into X {x_range[0]}…{x_range[1]} mm"
+            f"{count} station(s) of half span {half_span_mm} mm do not fit into X {x_range[0]}…{x_range[1]}"
         )
     x = np.linspace(low, high, count) if count > 1 else np.array([0.5 * (low + high)])
     return np.column_stack([x, np.full(count, y_mm), np.full(count, z_mm)])
 
 
 def reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_mm: Array) -> NDArray[np.bool_]:
-    """(n,) bool: axis positions (n, 3) of balls that keep `margin_mm` (3,) (approach, retract) from the ends."""
+    """(n,) bool: which axis positions (n, 3) keep `margin_mm` (3,) (approach, retract) from the ends."""
     inside = (ball_axis_positions >= lower + margin_mm) & (ball_axis_positions <= upper - margin_mm)
-    mask: NDArray[np.bool_] = inside.all(axis=1)
-    return mask
+    return np.asarray(inside.all(axis=1), dtype=np.bool_)
 
 
 def _named_set(name: str, expression: str) -> tuple[tuple[float, float], ...]:
