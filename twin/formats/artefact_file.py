@@ -1,0 +1,123 @@
+"""Artefact file (TOML): the certificate of a ball artefact, as the laboratory wrote it.
+
+Centres are listed (`balls = [[x, y, z], …]`) or, for a bar without a certificate, described by `[bar]`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from twin.arrays import Array
+from twin.artefact import REFERENCE_TEMPERATURE_C, Artefact, bar_balls
+from twin.errors import DataError, FormatError
+from twin.formats.toml_reading import Strict, read_toml
+
+ReadText = Callable[[str], str]
+"""Gives the text of a file named in another one; the caller knows what relative paths are relative to."""
+
+Coordinates = tuple[float, float, float]
+
+
+class BarSection(Strict):
+    """Equally pitched balls on a straight bar; see `twin.artefact.bar_balls`."""
+
+    balls: Annotated[int, Field(ge=2, le=99)]
+    length_mm: Annotated[float, Field(gt=0.0)]
+    tilt_deg: Annotated[float, Field(ge=0.0, lt=90.0)] = 0.0
+    holder_length_mm: Annotated[float, Field(ge=0.0)] = 0.0
+
+
+class ArtefactDocument(Strict):
+    """Keys of an artefact file. Uncertainties are standard uncertainties (k = 1)."""
+
+    name: Annotated[str, Field(min_length=1)]
+    certificate: str = "nominal, not calibrated"
+    reference_temperature_c: float = REFERENCE_TEMPERATURE_C
+    cte_per_k: Annotated[float, Field(ge=-1e-4, le=1e-4)]
+    cte_standard_uncertainty_per_k: Annotated[float, Field(ge=0.0, le=1e-4)]
+    ball_diameter_mm: Annotated[float, Field(gt=0.0)]
+    balls: Annotated[list[Coordinates], Field(min_length=2)] | None = None
+    bar: BarSection | None = None
+    standard_uncertainty_um: Annotated[float, Field(ge=0.0)] | None = None
+    covariance_file: str | None = None
+    holder_length_mm: Annotated[float, Field(ge=0.0)] | None = None
+    sag_um: Annotated[float, Field(ge=0.0)] = 0.0
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Self:
+        if (self.balls is None) == (self.bar is None):
+            raise ValueError("give the balls either as 'balls = [[x, y, z], ...]' or by a [bar] section")
+        if (self.standard_uncertainty_um is None) == (self.covariance_file is None):
+            raise ValueError("give either 'standard_uncertainty_um' or 'covariance_file'")
+        return self
+
+
+def parse_artefact(text: str, source: str, read_text: ReadText | None = None) -> Artefact:
+    """Artefact from TOML text. FormatError names `source` and the key; DataError what cannot be."""
+    document = read_toml(text, source, ArtefactDocument)
+    balls, holder = _balls(document)
+    try:
+        return Artefact(
+            name=document.name,
+            certificate=document.certificate,
+            balls=balls,
+            ball_diameter_mm=document.ball_diameter_mm,
+            reference_temperature_c=document.reference_temperature_c,
+            cte_per_k=document.cte_per_k,
+            cte_standard_uncertainty_per_k=document.cte_standard_uncertainty_per_k,
+            covariance=_covariance(document, len(balls), source, read_text),
+            holder_length_mm=holder,
+            sag_mm=document.sag_um * 1e-3,
+        )
+    except DataError as error:
+        raise error.at(file=source) from None
+
+
+def _balls(document: ArtefactDocument) -> tuple[Array, float]:
+    if document.bar is not None:
+        bar = document.bar
+        centres = bar_balls(bar.balls, bar.length_mm, math.radians(bar.tilt_deg), bar.holder_length_mm)
+        return centres, bar.holder_length_mm
+    centres = np.array(document.balls, dtype=np.float64)
+    stated = document.holder_length_mm
+    return centres, float(np.hypot(centres[:, 1], centres[:, 2]).max()) if stated is None else stated
+
+
+def _covariance(document: ArtefactDocument, count: int, source: str, read_text: ReadText | None) -> Array:
+    if document.standard_uncertainty_um is not None:
+        return np.eye(3 * count) * (document.standard_uncertainty_um * 1e-3) ** 2
+    name = document.covariance_file or ""
+    if read_text is None:
+        raise FormatError("a covariance file cannot be read here", file=source, key="covariance_file")
+    return _parse_covariance(read_text(name), name, 3 * count) * 1e-6
+
+
+def _parse_covariance(text: str, source: str, size: int) -> Array:
+    """(size, size) µm² from CSV without header: one row per coordinate, ball by ball, x y z."""
+    rows = [row for row in csv.reader(io.StringIO(text)) if row]
+    if len(rows) != size:
+        raise FormatError(f"{len(rows)} rows, expected {size} (3 per ball)", file=source)
+    values = np.empty((size, size))
+    for number, row in enumerate(rows):
+        if len(row) != size:
+            raise FormatError(f"{len(row)} columns, expected {size}", file=source, row=number + 1)
+        for column, cell in enumerate(row):
+            values[number, column] = _number(cell, source, number + 1, column + 1)
+    return values
+
+
+def _number(cell: str, source: str, row: int, column: int) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise FormatError(f"'{cell}' is not a finite number", file=source, row=row, column=column)
+    return value

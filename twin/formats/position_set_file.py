@@ -1,0 +1,68 @@
+"""Position set file: CSV `station,azimuth_deg,elevation_deg`, in the order in which they are measured."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable
+
+from twin.errors import DataError, FormatError
+from twin.position_set import Position
+
+COLUMNS = ("station", "azimuth_deg", "elevation_deg")
+
+
+def parse_positions(text: str, source: str) -> tuple[Position, ...]:
+    """Positions from CSV text. FormatError names `source`, row (the header is row 1) and column."""
+    reader = csv.reader(io.StringIO(text))
+    header = [name.strip() for name in next(reader, [])]
+    if sorted(header) != sorted(COLUMNS):
+        hint = f"The first line must be {','.join(COLUMNS)}"
+        raise FormatError(f"columns are {','.join(header) or 'missing'}", hint=hint, file=source, row=1)
+    positions: list[Position] = []
+    for row, cells in enumerate(reader, start=2):
+        if any(cell.strip() for cell in cells):
+            positions.append(_position(dict(zip(header, cells, strict=False)), source, row))
+    _refuse_none_or_twice(positions, source)
+    return tuple(positions)
+
+
+def format_positions(positions: Iterable[Position]) -> str:
+    """CSV text of `positions`, as `parse_positions` reads it."""
+    lines = [f"{p.station},{p.azimuth_deg:.10g},{p.elevation_deg:.10g}" for p in positions]
+    return "\n".join([",".join(COLUMNS), *lines, ""])
+
+
+def _position(cells: dict[str, str], source: str, row: int) -> Position:
+    station = _number(cells, "station", source, row)
+    if station != int(station):
+        raise FormatError(f"station {station} is no whole number", file=source, row=row, column="station")
+    angles = (_number(cells, name, source, row) for name in COLUMNS[1:])
+    try:
+        return Position(int(station), *angles)
+    except DataError as error:
+        raise FormatError(error.message, hint=error.hint, file=source, row=row) from None
+
+
+def _number(cells: dict[str, str], column: str, source: str, row: int) -> float:
+    text = cells.get(column, "").strip()
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise FormatError(f"'{text}' is not a finite number", file=source, row=row, column=column)
+    return value
+
+
+def _refuse_none_or_twice(positions: list[Position], source: str) -> None:
+    if not positions:
+        raise FormatError("no position is listed", hint="One line per position", file=source)
+    seen: dict[Position, int] = {}
+    for row, position in enumerate(positions, start=2):
+        if position in seen:
+            raise FormatError(
+                f"this position already stands as number {seen[position]}", file=source, row=row
+            )
+        seen[position] = row - 1
