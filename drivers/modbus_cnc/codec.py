@@ -1,0 +1,102 @@
+"""Blocks of registers to values and back: one `struct` call a block, whatever number type and word order."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Kind = Literal["u16", "u32", "i32", "number"]
+WordOrder = Literal["high-first", "low-first"]
+
+_REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
+
+
+@dataclass(frozen=True)
+class NumberFormat:
+    """How the map's f64 travel: as float64, or as int32 in units of `scale` in the first two of four registers."""
+
+    kind: Literal["float64", "int32"] = "float64"
+    scale: float = 1e-5
+    word_order: WordOrder = "high-first"
+
+
+@dataclass(frozen=True)
+class Register:
+    """One name of a block: a scalar where `count` is 1, else a tuple of `count` values."""
+
+    name: str
+    kind: Kind
+    count: int = 1
+
+
+class Layout:
+    """The registers of one block, in order."""
+
+    def __init__(self, registers: Sequence[Register], numbers: NumberFormat) -> None:
+        self._registers = tuple(registers)
+        self._numbers = numbers
+        codes = {"u16": "H", "u32": "I", "i32": "i", "number": "d" if numbers.kind == "float64" else "i4x"}
+        # Each item is repeated rather than counted: "3d" would do, "3i4x" would not.
+        self._struct = struct.Struct(">" + "".join(codes[kind] for kind in self._kinds()))
+        self._order = tuple(self._swapped_bytes()) if numbers.word_order == "low-first" else None
+        scaled = numbers.kind == "int32"
+        self._scaled = tuple(index for index, kind in enumerate(self._kinds()) if scaled and kind == "number")
+
+    @property
+    def size(self) -> int:
+        """Registers."""
+        return self._struct.size // 2
+
+    def offset(self, name: str) -> int:
+        """Of the first register of `name` from the start of the block."""
+        offset = 0
+        for register in self._registers:
+            if register.name == name:
+                return offset
+            offset += _REGISTERS[register.kind] * register.count
+        raise KeyError(name)
+
+    def unpack(self, data: bytes) -> Iterator[Any]:
+        """One int, float or tuple of them per register name, in order."""
+        flat: Sequence[Any] = self._struct.unpack(self._reordered(data))
+        if self._scaled:
+            values = list(flat)
+            for index in self._scaled:
+                values[index] *= self._numbers.scale
+            flat = values
+        at = 0
+        for register in self._registers:
+            yield flat[at] if register.count == 1 else tuple(flat[at : at + register.count])
+            at += register.count
+
+    def pack(self, values: Sequence[Any]) -> bytes:
+        """The inverse of `unpack`. Raises ValueError for what an int32 number cannot hold."""
+        flat: list[Any] = []
+        for register, value in zip(self._registers, values, strict=True):
+            flat.extend((value,) if register.count == 1 else value)
+        for index in self._scaled:
+            flat[index] = round(flat[index] / self._numbers.scale)
+        try:
+            return self._reordered(self._struct.pack(*flat))
+        except struct.error as error:
+            raise ValueError(str(error)) from error
+
+    def _kinds(self) -> Iterator[Kind]:
+        for register in self._registers:
+            yield from (register.kind,) * register.count
+
+    def _reordered(self, data: bytes) -> bytes:
+        # Reversing the registers of a value is its own inverse.
+        return data if self._order is None else bytes([data[index] for index in self._order])
+
+    def _swapped_bytes(self) -> Iterator[int]:
+        at = 0
+        for kind in self._kinds():
+            registers = _REGISTERS[kind]
+            valued = 2 if kind == "number" and self._numbers.kind == "int32" else registers
+            words = [*range(valued - 1, -1, -1), *range(valued, registers)]
+            for word in words:
+                yield from (at + 2 * word, at + 2 * word + 1)
+            at += 2 * registers

@@ -1,0 +1,111 @@
+"""What the configuration of a `modbus-cnc` device may say. Defaults are those of the documented register map."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+STATUS_REGISTERS = 70
+LIMITS_REGISTERS = 63
+READ_WINDOW_REGISTERS = 122
+COMMAND_REGISTERS = 23
+DESCRIPTOR_REGISTERS = 34
+DATA_WINDOW_REGISTERS = 121
+READ_SELECTOR_REGISTERS = 2
+
+Address = Annotated[int, Field(ge=0, le=65535)]
+Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
+
+
+class Blocks(BaseModel):
+    """First register of each block, as it goes over the wire (0-based)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    status: Address = 1000
+    limits: Address = 1100
+    read_window: Address = 1200
+    command: Address = 2000
+    descriptor: Address = 2100
+    data_window: Address = 2200
+    read_selector: Address = 2400
+
+    def ranges(self) -> dict[str, range]:
+        sizes = {
+            "status": STATUS_REGISTERS,
+            "limits": LIMITS_REGISTERS,
+            "read_window": READ_WINDOW_REGISTERS,
+            "command": COMMAND_REGISTERS,
+            "descriptor": DESCRIPTOR_REGISTERS,
+            "data_window": DATA_WINDOW_REGISTERS,
+            "read_selector": READ_SELECTOR_REGISTERS,
+        }
+        return {name: range(first, first + sizes[name]) for name, first in self}
+
+    def writable(self) -> tuple[range, ...]:
+        """The allow-list: nothing else is ever written."""
+        ranges = self.ranges()
+        return tuple(ranges[name] for name in ("command", "descriptor", "data_window", "read_selector"))
+
+    @model_validator(mode="after")
+    def _apart(self) -> Self:
+        ordered = sorted(self.ranges().items(), key=lambda item: item[1].start)
+        for (name, block), (other, following) in pairwise(ordered):
+            if block.stop > following.start:
+                raise ValueError(
+                    f"blocks {name} ({block.start} … {block.stop - 1}) and {other} "
+                    f"({following.start} … {following.stop - 1}) overlap"
+                )
+        if ordered[-1][1].stop > 65536:
+            raise ValueError(f"block {ordered[-1][0]} does not end before register 65536")
+        return self
+
+
+class ModbusCncSettings(BaseModel):
+    """Settings of driver `modbus-cnc`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = Field(min_length=1, description="host name or address of the controller")
+    port: int = Field(default=502, ge=1, le=65535)
+    unit: int = Field(default=1, ge=0, le=255, description="Modbus unit id")
+    timeout_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.5
+    retries: int = Field(default=2, ge=0, le=10, description="for requests that may be sent again")
+    combined_function: bool = Field(default=True, description="use function 23 (write and read in one)")
+
+    blocks: Blocks = Blocks()
+    number: Literal["float64", "int32"] = "float64"
+    number_scale: float = Field(default=1e-5, gt=0.0, description="unit of an int32 number")
+    word_order: Literal["high-first", "low-first"] = "high-first"
+
+    poll_interval_s: float = Field(
+        default=0.4, gt=0.0, le=0.5, description="between two status reads while something moves"
+    )
+    touch_poll_interval_s: float = Field(
+        default=0.2, gt=0.0, le=0.5, description="the same during a touch, whose end cannot be predicted"
+    )
+    fine_poll_interval_s: float = Field(default=0.01, gt=0.0, le=0.5, description="near the end of a wait")
+    acknowledge_within_s: Seconds = 1.0
+    heartbeat_lost_after_s: Seconds = 1.0
+    motion_margin_s: Seconds = Field(default=5.0, description="beyond 1.5 times the predicted duration")
+    held_at_most_s: Seconds = Field(
+        default=600.0, description="how long a feed hold at the panel is waited for"
+    )
+    table_within_s: Seconds = Field(default=10.0, description="for one step of a table transfer")
+    latch_tolerance_mm: float = Field(
+        default=1.0, gt=0.0, description="largest distance of a latched position from the commanded path"
+    )
+    temperatures: tuple[str, ...] = Field(
+        default=("artefact", "ambient", "machine"),
+        max_length=8,
+        description="names in the order of the registers; an empty name is a sensor that is not used",
+    )
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        names = [name for name in self.temperatures if name]
+        if len(set(names)) != len(names):
+            raise ValueError("temperatures: a name occurs twice")
+        return self
