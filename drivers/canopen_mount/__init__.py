@@ -1,0 +1,1 @@
+"""Rotary mount of two CiA 402 drives on a CAN bus."""

@@ -1,0 +1,277 @@
+"""One axis of the mount: a CiA 402 drive in profile position and homing mode.
+
+The statusword is polled by SDO. No PDO is used: their positions lag a cycle, and a poll under the clock
+handed in behaves the same in virtual and in real time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import structlog
+
+from drivers.canopen_mount import objects, states
+from drivers.canopen_mount.emergency import emergency_text
+from drivers.canopen_mount.node import DriveNode, NodeWatch
+from drivers.canopen_mount.scale import turn_duration_s
+from drivers.canopen_mount.settings import AxisSettings, HomingSettings
+from drivers.canopen_mount.states import CLIMB, DriveState, Step, drive_state
+from drivers.clock import Clock, Deadline
+from drivers.errors import CommandRejected, DeadlineExpired, MotionFault, ProtocolError
+
+POLL_S = 0.02
+"""Between two looks at a state that is due."""
+HANDSHAKE_S = 1.0
+"""For the set-point acknowledge and the mode display."""
+CLIMB_STEPS = 8
+"""From the worst state it takes seven; one more says that the drive goes in circles."""
+
+_log = structlog.get_logger("canopen_mount")
+
+
+class Drive:
+    """Angles in degrees of the mount. Every wait is bounded; nobody here stops the drive on an exception,
+    the mount does, because both axes must stop."""
+
+    def __init__(
+        self,
+        node: DriveNode,
+        settings: AxisSettings,
+        clock: Clock,
+        *,
+        heartbeat_ms: int,
+        heartbeat_timeout_s: float,
+    ) -> None:
+        self.node = node
+        self.settings = settings
+        self._heartbeat_ms = heartbeat_ms
+        self._watch = NodeWatch(node, clock, timeout_s=heartbeat_timeout_s if heartbeat_ms else None)
+        self._clock = clock
+        self._scale = settings.scale
+        self._mode: int | None = None
+        self._homed = settings.homing is None
+        self._prepared = False
+
+    def prove_identity(self) -> None:
+        """Raises ProtocolError when the node is not the drive that the settings describe."""
+        kind = self.node.read(objects.DEVICE_TYPE) & 0xFFFF
+        if kind != objects.CIA_402:
+            raise ProtocolError(
+                f"the node is no CiA 402 drive, its device profile is {kind}",
+                hint="check the node id: another device answers there",
+                **self.node.where,
+            )
+        for entry, expected in (
+            (objects.VENDOR_ID, self.settings.vendor_id),
+            (objects.PRODUCT_CODE, self.settings.product_code),
+        ):
+            if expected is not None and (found := self.node.read(entry)) != expected:
+                raise ProtocolError(
+                    f"{entry} is 0x{found:X}, expected 0x{expected:X}",
+                    hint="check the node id and that azimuth and elevation are not exchanged",
+                    **self.node.where,
+                )
+        self._require_modes()
+
+    def _require_modes(self) -> None:
+        supported = self.node.read(objects.SUPPORTED_MODES)
+        needed = {objects.PROFILE_POSITION: "profile position"}
+        if self.settings.homing is not None:
+            needed[objects.HOMING] = "homing"
+        for mode, name in needed.items():
+            if not supported & objects.mode_bit(mode):
+                raise ProtocolError(f"the drive does not support the {name} mode (0x6502)", **self.node.where)
+
+    def angle_deg(self) -> float:
+        return self._scale.angle_deg(self.node.read(objects.POSITION))
+
+    def state(self) -> DriveState:
+        return self._state_of(self.node.read(objects.STATUSWORD))
+
+    def require_within_limits(self, angle_deg: float) -> None:
+        """Raises CommandRejected; nothing has been sent then."""
+        lower, upper = self.settings.lower_deg, self.settings.upper_deg
+        if not lower <= angle_deg <= upper:
+            raise CommandRejected(
+                f"{self.node.axis} {angle_deg:g} degrees is outside the limits {lower:g} ... {upper:g}",
+                hint="choose a position set within the limits of the mount, or correct them in its settings",
+                **self.node.where,
+            )
+
+    def require_homed(self) -> None:
+        if not self._homed:
+            raise CommandRejected(
+                f"{self.node.axis} has not been homed since it was switched on or opened",
+                hint="home the mount first",
+                **self.node.where,
+            )
+
+    def prepare(self) -> None:
+        """NMT start and heartbeat; moves nothing. Done at opening and after a restart."""
+        self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)
+        self.node.start()
+        self._mode = None
+        self._prepared = True
+        self._watch.arm()
+
+    def enable(self) -> None:
+        """Climb the state table to *operation enabled*. A fault found on the way is reset once."""
+        self.check()
+        if not self._prepared:
+            self.prepare()
+        for _ in range(CLIMB_STEPS):
+            state = self.state()
+            if state is DriveState.OPERATION_ENABLED:
+                return
+            if state is DriveState.FAULT:
+                self._reset_fault()
+            else:
+                self._take(CLIMB[state])
+        raise MotionFault(
+            "the drive does not reach operation enabled", hint="check its enable inputs", **self.node.where
+        )
+
+    def _reset_fault(self) -> None:
+        _log.warning("fault reset", text=self.fault_text(), **self.node.where)
+        try:
+            self._take(CLIMB[DriveState.FAULT])
+        except DeadlineExpired as error:
+            raise self._fault("the fault of the drive cannot be reset") from error
+
+    def start_turn(self, angle_deg: float) -> float:
+        """Hand over a set-point; returns the predicted duration in s. The caller has checked the limits."""
+        self._enter_profile_position()
+        start_deg = self.angle_deg()
+        self.node.write(objects.TARGET_POSITION, self._scale.counts(angle_deg))
+        self.node.write(objects.CONTROLWORD, states.NEW_SET_POINT)
+        self._await(
+            "the set-point to be acknowledged (statusword bit 12)",
+            lambda: bool(self._statusword_in_motion() & states.SET_POINT_ACKNOWLEDGE),
+            HANDSHAKE_S,
+        )
+        self.node.write(objects.CONTROLWORD, states.ENABLE_OPERATION)
+        return turn_duration_s(
+            angle_deg - start_deg, self.settings.speed_deg_per_s, self.settings.acceleration_deg_per_s2
+        )
+
+    def turn_ended(self) -> bool:
+        """One look. Raises MotionFault for a fault, a following error, a drive that left operation."""
+        return bool(self._statusword_in_motion() & states.TARGET_REACHED)
+
+    def start_homing(self, homing: HomingSettings) -> None:
+        self._homed = False
+        self._enter_mode(objects.HOMING)
+        self.node.write(objects.HOMING_METHOD, homing.method)
+        self.node.write(objects.HOMING_SEARCH_SPEED, self._scale.rate(homing.search_speed_deg_per_s))
+        self.node.write(objects.HOMING_LATCH_SPEED, self._scale.rate(homing.latch_speed_deg_per_s))
+        self.node.write(objects.HOMING_ACCELERATION, self._scale.rate(homing.acceleration_deg_per_s2))
+        self.node.write(objects.CONTROLWORD, states.START_HOMING)
+
+    def homing_ended(self) -> bool:
+        """One look: homing attained (bit 12) and at rest (bit 10). Raises MotionFault for a homing error."""
+        status = self._statusword_in_motion()
+        done = bool(status & states.SET_POINT_ACKNOWLEDGE and status & states.TARGET_REACHED)
+        if done:
+            self.node.write(objects.CONTROLWORD, states.ENABLE_OPERATION)
+            self._homed = True
+        return done
+
+    def quick_stop(self) -> None:
+        """Stop now. Never sleeps: it also runs when the wait it ends was aborted by the clock."""
+        for _ in range(2):
+            self.node.write(objects.CONTROLWORD, states.QUICK_STOP)
+            if drive_state(self.node.read(objects.STATUSWORD)) is not DriveState.OPERATION_ENABLED:
+                return
+        raise MotionFault(
+            "the drive ignores the quick stop", hint="use the emergency stop", **self.node.where
+        )
+
+    def release(self) -> None:
+        """Take the power off the motor; its brake or gear holds the mount."""
+        self.node.write(objects.CONTROLWORD, states.DISABLE_VOLTAGE)
+
+    def fault_text(self) -> str:
+        """What 0x603F says, for a diagnosis."""
+        return emergency_text(self.node.read(objects.ERROR_CODE))
+
+    def check(self) -> None:
+        """Raises when the node has restarted (MotionFault) or is silent (LinkTimeout, LinkLost)."""
+        try:
+            self._watch.check()
+        except MotionFault:
+            self._prepared = False
+            self._homed = self.settings.homing is None
+            raise
+
+    def _statusword_in_motion(self) -> int:
+        status = self.node.read(objects.STATUSWORD)
+        self.check()
+        state = self._state_of(status)
+        if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            raise self._fault("the drive went into fault")
+        if state is not DriveState.OPERATION_ENABLED:
+            raise MotionFault(
+                f"the drive left operation enabled, it is in {state.value}",
+                hint="a stop, an enable input or another master took it away",
+                **self.node.where,
+            )
+        if status & states.FOLLOWING_ERROR:
+            what = "homing error" if self._mode == objects.HOMING else "following error"
+            raise self._fault(f"{what} (statusword bit 13)")
+        return status
+
+    def _state_of(self, statusword: int) -> DriveState:
+        state = drive_state(statusword)
+        if state is None:
+            raise ProtocolError(f"statusword 0x{statusword:04X} is no state of CiA 402", **self.node.where)
+        return state
+
+    def _fault(self, what: str) -> MotionFault:
+        return MotionFault(
+            f"{what}: {self.fault_text()}",
+            hint="remove the cause; the fault is reset when the mount is next turned or homed",
+            **self.node.where,
+        )
+
+    def _take(self, step: Step) -> None:
+        for controlword in step.controlwords:
+            self.node.write(objects.CONTROLWORD, controlword)
+        self._await(
+            f"the drive to be {step.arrives.value}", lambda: self._arrived(step.arrives), step.within_s
+        )
+
+    def _arrived(self, awaited: DriveState) -> bool:
+        state = self.state()
+        if state in (DriveState.FAULT, DriveState.FAULT_REACTION) and awaited not in (
+            DriveState.FAULT,
+            DriveState.SWITCH_ON_DISABLED,
+        ):
+            raise self._fault("the drive went into fault while it was enabled")
+        return state is awaited
+
+    def _enter_profile_position(self) -> None:
+        if self._mode == objects.PROFILE_POSITION:
+            return
+        self._enter_mode(objects.PROFILE_POSITION)
+        self.node.write(objects.PROFILE_VELOCITY, self._scale.rate(self.settings.speed_deg_per_s))
+        ramp = self._scale.rate(self.settings.acceleration_deg_per_s2)
+        self.node.write(objects.PROFILE_ACCELERATION, ramp)
+        self.node.write(objects.PROFILE_DECELERATION, ramp)
+
+    def _enter_mode(self, mode: int) -> None:
+        self._mode = None
+        self.node.write(objects.MODE, mode)
+        self._await(
+            f"mode of operation {mode} (0x6061)",
+            lambda: self.node.read(objects.MODE_DISPLAY) == mode,
+            HANDSHAKE_S,
+        )
+        self._mode = mode
+
+    def _await(self, awaited: str, arrived: Callable[[], bool], within_s: float) -> None:
+        deadline = Deadline.after(self._clock, within_s)
+        while not arrived():
+            deadline.require(
+                awaited, hint="check the drive's enable inputs and its display", **self.node.where
+            )
+            self._clock.sleep(POLL_S)

@@ -1,0 +1,214 @@
+"""The rotary mount: two drives that turn together, stop together and answer in degrees."""
+
+from __future__ import annotations
+
+import structlog
+
+from drivers.canopen_mount.description import load_description
+from drivers.canopen_mount.diagnosis import examine
+from drivers.canopen_mount.drive import POLL_S, Drive
+from drivers.canopen_mount.node import DriveNode
+from drivers.canopen_mount.settings import CanopenMountSettings
+from drivers.clock import Clock, Deadline
+from drivers.errors import DeviceError, LinkLost
+from drivers.links.can_bus import PROCESS_NETWORKS, CanAddress, CanLink, CanNetworks
+from drivers.registry import DeviceContext
+from drivers.roles import Finding, Orientation
+
+WATCH_S = 0.4
+"""Longest sleep between two looks at a turning drive."""
+
+_log = structlog.get_logger("canopen_mount")
+
+
+class CanopenMount:
+    """Plays RotaryMount and Device. `stop` may be called from another thread than the one that waits."""
+
+    def __init__(
+        self, settings: CanopenMountSettings, context: DeviceContext, networks: CanNetworks = PROCESS_NETWORKS
+    ) -> None:
+        self._settings = settings
+        self._context = context
+        self._clock: Clock = context.clock
+        self._networks = networks
+        self._address = CanAddress.of(settings.interface, settings.channel, settings.options)
+        self._link: CanLink | None = None
+        self._drives: tuple[Drive, ...] = ()
+
+    def open(self) -> None:
+        """Connect, prove the identity of both drives, start them and their heartbeats; moves nothing."""
+        if self._link is not None:
+            return
+        self._connect()
+        try:
+            for drive in self._drives:
+                drive.prove_identity()
+                drive.prepare()
+        except BaseException:
+            self._disconnect()
+            raise
+
+    def close(self) -> None:
+        """Take the power off both motors and give the bus back. A drive that cannot be reached is logged."""
+        for drive in self._drives:
+            try:
+                drive.release()
+            except DeviceError as error:
+                _log.warning("drive not released", error=str(error))
+        self._disconnect()
+
+    def stop(self) -> None:
+        """Quick stop of both drives; idempotent. When one fails, the other is stopped all the same."""
+        failures: list[DeviceError] = []
+        for drive in self._drives:
+            try:
+                drive.quick_stop()
+            except DeviceError as error:
+                failures.append(error)
+        if failures:
+            raise failures[0].at(device=self._context.name)
+
+    def home(self) -> None:
+        """Reference the drives that need it, one after the other; an absolute encoder is only enabled."""
+        try:
+            for drive in self._opened():
+                drive.enable()
+                self._home_one(drive)
+        except BaseException as error:
+            self._abandon(error)
+            raise
+
+    def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
+        """Turn both axes at once, wait until they are in position and settled; what the encoders say then.
+
+        Raises CommandRejected (limits, not homed: nothing was sent), MotionFault, DeadlineExpired, LinkError.
+        Whatever ends the wait early, both drives have been quick-stopped before it travels on.
+        """
+        drives = self._opened()
+        targets = (azimuth_deg, elevation_deg)
+        for drive, target in zip(drives, targets, strict=True):
+            drive.require_within_limits(target)
+            drive.require_homed()
+        try:
+            for drive in drives:
+                drive.enable()
+            durations = [drive.start_turn(target) for drive, target in zip(drives, targets, strict=True)]
+            self._await_end_of_turn(max(durations))
+            self._clock.sleep(self._settings.settle_s)
+            return self._settled(targets)
+        except BaseException as error:
+            self._abandon(error)
+            raise
+
+    def orientation(self) -> Orientation:
+        azimuth, elevation = self._opened()
+        return Orientation(azimuth.angle_deg(), elevation.angle_deg())
+
+    def diagnose(self) -> list[Finding]:
+        """Reads only. A mount that is not open is connected for the time of the diagnosis."""
+        was_open = self._link is not None
+        try:
+            if not was_open:
+                self._connect()
+            return [finding for drive in self._drives for finding in examine(drive)]
+        except DeviceError as error:
+            return [Finding(self._address.name, ok=False, text=str(error))]
+        finally:
+            if not was_open:
+                self._disconnect()
+
+    def _connect(self) -> None:
+        self._link = link = self._networks.acquire(self._address)
+        drives: list[Drive] = []
+        try:
+            for axis in ("azimuth", "elevation"):
+                drives.append(self._drive(link, axis))
+        except BaseException:
+            self._disconnect()
+            raise
+        self._drives = tuple(drives)
+
+    def _drive(self, link: CanLink, axis: str) -> Drive:
+        settings = self._settings.azimuth if axis == "azimuth" else self._settings.elevation
+        description = load_description(settings, self._context.base_path)
+        node = DriveNode(
+            link, settings.node_id, axis, description.dictionary, sdo_timeout_s=self._settings.sdo_timeout_s
+        )
+        return Drive(
+            node,
+            description.completed(settings),
+            self._clock,
+            heartbeat_ms=self._settings.heartbeat_ms,
+            heartbeat_timeout_s=self._settings.heartbeat_timeout_s,
+        )
+
+    def _disconnect(self) -> None:
+        self._drives = ()
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _opened(self) -> tuple[Drive, Drive]:
+        if len(self._drives) != 2:
+            raise LinkLost("the mount is not open", device=self._context.name, hint="open the device first")
+        azimuth, elevation = self._drives
+        return azimuth, elevation
+
+    def _home_one(self, drive: Drive) -> None:
+        homing = drive.settings.homing
+        if homing is None:
+            return
+        drive.start_homing(homing)
+        deadline = Deadline.after(self._clock, homing.timeout_s)
+        while not drive.homing_ended():
+            deadline.require(
+                "homing to end", hint="check the reference switch and its cable", **drive.node.where
+            )
+            self._clock.sleep(POLL_S)
+
+    def _await_end_of_turn(self, predicted_s: float) -> None:
+        """Sleep towards the predicted end in slices, then look every 20 ms until both targets are reached."""
+        predicted = Deadline.after(self._clock, predicted_s)
+        deadline = Deadline.after(self._clock, 1.5 * predicted_s + self._settings.turn_margin_s)
+        turning = list(self._drives)
+        while turning:
+            self._clock.sleep(max(POLL_S, min(WATCH_S, predicted.remaining_s)))
+            turning = [drive for drive in turning if not drive.turn_ended()]
+            if turning:
+                deadline.require(
+                    f"{turning[0].node.axis} to reach its target (statusword bit 10)",
+                    hint="check that the mount is free to turn, its brake is open and nothing is jammed",
+                    **turning[0].node.where,
+                )
+
+    def _settled(self, targets: tuple[float, float]) -> Orientation:
+        deadline = Deadline.after(self._clock, self._settings.in_position_timeout_s)
+        while True:
+            angles = [drive.angle_deg() for drive in self._drives]
+            astray = [
+                (drive, angle - target)
+                for drive, angle, target in zip(self._drives, angles, targets, strict=True)
+                if abs(angle - target) > drive.settings.in_position_deg
+            ]
+            if not astray:
+                return Orientation(*angles)
+            drive, error_deg = astray[0]
+            deadline.require(
+                f"{drive.node.axis} to come to rest within {drive.settings.in_position_deg:g} degrees"
+                f" (it is {error_deg:+.4f} degrees off)",
+                hint="check the load, the controller gains and the window in_position_deg",
+                **drive.node.where,
+            )
+            self._clock.sleep(POLL_S)
+            for other in self._drives:
+                other.check()
+
+    def _abandon(self, error: BaseException) -> None:
+        """Stop both drives before `error` travels on; a stop that fails is added to it."""
+        if isinstance(error, DeviceError):
+            error.at(device=self._context.name)
+        try:
+            self.stop()
+        except DeviceError as failure:
+            _log.error("quick stop failed", error=str(failure))
+            error.add_note(f"quick stop failed too: {failure}")

@@ -1,0 +1,65 @@
+"""The objects of CiA 301 and CiA 402 that the mount uses, with their data types."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DriveObject:
+    """`code` is the `struct` letter of the little-endian data type: B/b 8, H/h 16, I/i 32 bits."""
+
+    index: int
+    subindex: int
+    code: str
+    name: str
+
+    @property
+    def size(self) -> int:
+        return struct.calcsize("<" + self.code)
+
+    def pack(self, value: int) -> bytes:
+        return struct.pack("<" + self.code, value)
+
+    def unpack(self, data: bytes) -> int:
+        return int(struct.unpack("<" + self.code, data)[0])
+
+    def __str__(self) -> str:
+        return f"0x{self.index:04X}:{self.subindex:02X} {self.name}"
+
+
+DEVICE_TYPE = DriveObject(0x1000, 0, "I", "device type")
+ERROR_REGISTER = DriveObject(0x1001, 0, "B", "error register")
+HEARTBEAT_TIME = DriveObject(0x1017, 0, "H", "producer heartbeat time")
+VENDOR_ID = DriveObject(0x1018, 1, "I", "vendor id")
+PRODUCT_CODE = DriveObject(0x1018, 2, "I", "product code")
+ERROR_CODE = DriveObject(0x603F, 0, "H", "error code")
+CONTROLWORD = DriveObject(0x6040, 0, "H", "controlword")
+STATUSWORD = DriveObject(0x6041, 0, "H", "statusword")
+MODE = DriveObject(0x6060, 0, "b", "modes of operation")
+MODE_DISPLAY = DriveObject(0x6061, 0, "b", "modes of operation display")
+POSITION = DriveObject(0x6064, 0, "i", "position actual value")
+TARGET_POSITION = DriveObject(0x607A, 0, "i", "target position")
+PROFILE_VELOCITY = DriveObject(0x6081, 0, "I", "profile velocity")
+PROFILE_ACCELERATION = DriveObject(0x6083, 0, "I", "profile acceleration")
+PROFILE_DECELERATION = DriveObject(0x6084, 0, "I", "profile deceleration")
+HOMING_METHOD = DriveObject(0x6098, 0, "b", "homing method")
+HOMING_SEARCH_SPEED = DriveObject(0x6099, 1, "I", "homing speed, search for switch")
+HOMING_LATCH_SPEED = DriveObject(0x6099, 2, "I", "homing speed, search for zero")
+HOMING_ACCELERATION = DriveObject(0x609A, 0, "I", "homing acceleration")
+SUPPORTED_MODES = DriveObject(0x6502, 0, "I", "supported drive modes")
+
+PROFILE_POSITION = 1
+HOMING = 6
+
+NEEDED = (CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY, POSITION, TARGET_POSITION, PROFILE_VELOCITY)
+"""What an EDS must list for the drive to be usable here; the ramps are optional in CiA 402."""
+
+CIA_402 = 402
+"""Low half of the device type (0x1000) of a drive."""
+
+
+def mode_bit(mode: int) -> int:
+    """Where 0x6502 says that a mode is supported: bit 0 for mode 1, bit 5 for mode 6."""
+    return 1 << (mode - 1)

@@ -1,0 +1,105 @@
+"""What a user states about a CANopen rotary mount. Unknown keys are errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from drivers.canopen_mount.scale import INT32_MAX, AxisScale
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class HomingSettings(_Strict):
+    """CiA 402 homing mode, for encoders that forget their place."""
+
+    method: int = Field(ge=1, le=127, description="object 0x6098, for example 37: here is zero")
+    search_speed_deg_per_s: float = Field(default=5.0, gt=0.0, le=360.0, description="0x6099:01")
+    latch_speed_deg_per_s: float = Field(default=1.0, gt=0.0, le=360.0, description="0x6099:02")
+    acceleration_deg_per_s2: float = Field(default=20.0, gt=0.0, le=10_000.0, description="0x609A")
+    timeout_s: float = Field(default=120.0, gt=0.0, le=3600.0)
+
+
+class AxisSettings(_Strict):
+    """One drive and the gear between its motor and the mount."""
+
+    node_id: int = Field(ge=1, le=127)
+    encoder_counts_per_revolution: int = Field(gt=0, description="increments per turn of the motor")
+    gear_motor_revolutions: int = Field(default=1, gt=0, description="motor turns, as 0x6091:01 ...")
+    gear_shaft_revolutions: int = Field(
+        default=1, gt=0, description="... per so many turns of the mount, 0x6091:02"
+    )
+    direction: Literal[1, -1] = Field(default=1, description="-1 where counts grow as the angle falls")
+    offset_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="mount angle at zero counts")
+    lower_deg: float = Field(ge=-3600.0, le=3600.0)
+    upper_deg: float = Field(ge=-3600.0, le=3600.0)
+    speed_deg_per_s: float = Field(gt=0.0, le=360.0)
+    acceleration_deg_per_s2: float = Field(gt=0.0, le=10_000.0)
+    in_position_deg: float = Field(
+        default=0.005, gt=0.0, le=1.0, description="largest distance from target, settled"
+    )
+    homing: HomingSettings | None = Field(default=None, description="none: the encoder is absolute")
+    eds: Path | None = Field(
+        default=None, description="EDS file of the drive; its identity and objects are checked"
+    )
+    vendor_id: int | None = Field(default=None, ge=0, description="expected 0x1018:01")
+    product_code: int | None = Field(default=None, ge=0, description="expected 0x1018:02")
+
+    @property
+    def scale(self) -> AxisScale:
+        return AxisScale.of(
+            counts_per_revolution=self.encoder_counts_per_revolution,
+            motor_revolutions=self.gear_motor_revolutions,
+            shaft_revolutions=self.gear_shaft_revolutions,
+            direction=self.direction,
+            offset_deg=self.offset_deg,
+        )
+
+    @model_validator(mode="after")
+    def _limits_fit(self) -> Self:
+        if not self.lower_deg < self.upper_deg:
+            raise ValueError(f"lower_deg {self.lower_deg} is not below upper_deg {self.upper_deg}")
+        furthest = max(abs(self.scale.counts(angle)) for angle in (self.lower_deg, self.upper_deg))
+        if furthest > INT32_MAX:
+            raise ValueError(f"the limits need {furthest} counts, object 0x607A holds {INT32_MAX}")
+        return self
+
+
+class CanopenMountSettings(_Strict):
+    """Bus, drives and time-outs."""
+
+    interface: str = Field(
+        min_length=1, description="python-can interface: socketcan, slcan, socketcand, ..."
+    )
+    channel: str = Field(min_length=1, description="can0, a serial port, a multicast group, ...")
+    options: dict[str, str | int | float | bool] = Field(
+        default_factory=dict, description="further python-can options: bitrate, host, port, ..."
+    )
+    azimuth: AxisSettings
+    elevation: AxisSettings
+    settle_s: float = Field(default=0.5, ge=0.0, le=60.0, description="rest after both axes are in position")
+    in_position_timeout_s: float = Field(
+        default=3.0, gt=0.0, le=60.0, description="to come to rest in the window"
+    )
+    turn_margin_s: float = Field(
+        default=5.0, gt=0.0, le=600.0, description="beyond 1.5 times the predicted turn"
+    )
+    sdo_timeout_s: float = Field(default=0.3, ge=0.01, le=5.0, description="wall time for one SDO answer")
+    heartbeat_ms: int = Field(
+        default=500, ge=0, le=32_000, description="0x1017 of the drives; 0: not watched"
+    )
+    heartbeat_timeout_s: float = Field(default=2.0, gt=0.0, le=120.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.azimuth.node_id == self.elevation.node_id:
+            raise ValueError(f"azimuth and elevation both have node id {self.azimuth.node_id}")
+        if self.heartbeat_ms and self.heartbeat_timeout_s < 2e-3 * self.heartbeat_ms:
+            raise ValueError(
+                f"heartbeat_timeout_s {self.heartbeat_timeout_s} is less than two of {self.heartbeat_ms} ms"
+            )
+        return self

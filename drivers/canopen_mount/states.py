@@ -1,0 +1,81 @@
+"""The power drive state machine of CiA 402 as a table.
+
+The statusword tells the state (bits 0-3, 5, 6). `CLIMB` says, for each state, which controlword leads one
+step nearer to *operation enabled*, where that step must arrive, and how long it may take. A step without a
+controlword is one that the drive takes by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class DriveState(Enum):
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    OPERATION_ENABLED = "operation enabled"
+    QUICK_STOP_ACTIVE = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+
+
+_PATTERNS = (
+    (0x4F, 0x00, DriveState.NOT_READY),
+    (0x4F, 0x40, DriveState.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, DriveState.READY),
+    (0x6F, 0x23, DriveState.SWITCHED_ON),
+    (0x6F, 0x27, DriveState.OPERATION_ENABLED),
+    (0x6F, 0x07, DriveState.QUICK_STOP_ACTIVE),
+    (0x4F, 0x0F, DriveState.FAULT_REACTION),
+    (0x4F, 0x08, DriveState.FAULT),
+)
+
+TARGET_REACHED = 1 << 10
+INTERNAL_LIMIT = 1 << 11
+SET_POINT_ACKNOWLEDGE = 1 << 12
+"""In homing mode: homing attained."""
+FOLLOWING_ERROR = 1 << 13
+"""In homing mode: homing error."""
+
+DISABLE_VOLTAGE = 0x0000
+QUICK_STOP = 0x0002
+SHUTDOWN = 0x0006
+SWITCH_ON = 0x0007
+ENABLE_OPERATION = 0x000F
+FAULT_RESET = 0x0080
+"""Acts on its rising edge: something with bit 7 clear is written before."""
+NEW_SET_POINT = ENABLE_OPERATION | 0x0030
+"""Bit 4 new set-point, bit 5 change set immediately, bit 6 clear: absolute."""
+START_HOMING = ENABLE_OPERATION | 0x0010
+
+
+@dataclass(frozen=True)
+class Step:
+    """`controlwords` are written in order, then `arrives` is awaited for `within_s` of machine time."""
+
+    controlwords: tuple[int, ...]
+    arrives: DriveState
+    within_s: float
+
+
+CLIMB: dict[DriveState, Step] = {
+    DriveState.NOT_READY: Step((), DriveState.SWITCH_ON_DISABLED, 10.0),
+    DriveState.FAULT_REACTION: Step((), DriveState.FAULT, 5.0),
+    DriveState.FAULT: Step((DISABLE_VOLTAGE, FAULT_RESET), DriveState.SWITCH_ON_DISABLED, 2.0),
+    DriveState.QUICK_STOP_ACTIVE: Step((DISABLE_VOLTAGE,), DriveState.SWITCH_ON_DISABLED, 5.0),
+    DriveState.SWITCH_ON_DISABLED: Step((SHUTDOWN,), DriveState.READY, 1.0),
+    DriveState.READY: Step((SWITCH_ON,), DriveState.SWITCHED_ON, 3.0),
+    DriveState.SWITCHED_ON: Step((ENABLE_OPERATION,), DriveState.OPERATION_ENABLED, 3.0),
+}
+"""CiA 402 transitions 1, 14, 15, 12, 2, 3, 4. Time-outs: power stages and brakes take the seconds."""
+
+
+def drive_state(statusword: int) -> DriveState | None:
+    """The state that a statusword tells; None for a pattern that CiA 402 does not define."""
+    for mask, pattern, state in _PATTERNS:
+        if statusword & mask == pattern:
+            return state
+    return None
