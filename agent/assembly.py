@@ -1,0 +1,106 @@
+"""From settings to open-able devices: clocks, plugins, roles. The only place where names become objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from agent.execution.steps import Point
+from agent.job import Job
+from agent.rig import Rig, in_role
+from agent.settings import ClockSettings, Settings
+from drivers.clock import Clock, LockstepClock, RealClock, ScaledClock, VirtualClock
+from drivers.errors import ConfigurationError
+from drivers.registry import DeviceContext, create_device
+from drivers.roles import (
+    CompensationStore,
+    Device,
+    Machine,
+    Operator,
+    Probe,
+    RotaryMount,
+    Thermometer,
+)
+
+LOCKSTEP_SLICE_S = 0.5
+"""Against a lockstep simulator a wait is cut only this fine: there machine time passes in jumps anyway."""
+
+
+def make_clock(settings: ClockSettings) -> Clock:
+    match settings.kind:
+        case "real":
+            return RealClock()
+        case "scaled":
+            return ScaledClock(settings.factor)
+        case "lockstep":
+            try:
+                return LockstepClock(settings.host, settings.port)
+            except OSError as error:
+                raise ConfigurationError(
+                    f"no simulator keeps time at {settings.host}:{settings.port}: {error.strerror or error}",
+                    key="clock",
+                    hint="start `volcal simulate --clock lockstep` first, or use kind = 'real'",
+                ) from error
+
+
+def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
+    """The rig of a real or simulated machine; nothing is opened yet. `base`: where relative paths start."""
+    devices = {
+        name: create_device(device.driver, device.options, DeviceContext(name, clock, base))
+        for name, device in settings.devices.items()
+    }
+    roles = settings.roles
+    return Rig(
+        devices=devices,
+        machine=in_role(devices, roles.machine, Machine, "roles.machine"),
+        probe=in_role(devices, roles.probe, Probe, "roles.probe"),
+        mounts=_mounts(devices, settings),
+        store=in_role(devices, roles.store, CompensationStore, "roles.store"),
+        thermometer=in_role(devices, roles.thermometer, Thermometer, "roles.thermometer"),
+        operator=in_role(devices, roles.operator, Operator, "roles.operator"),
+        clock=clock,
+    )
+
+
+def assemble_rehearsal(job: Job, clock: VirtualClock, start_mm: Point | None) -> Rig:
+    """The rig of the dry run: one device of the plugin that `preflight.driver` names plays every role.
+
+    It is given the machine's own files and geometry, and no errors: what is rehearsed is the procedure.
+    """
+    settings = job.settings
+    options: dict[str, object] = {
+        "machine": str(settings.machine),
+        "artefact": str(settings.artefact),
+        "tool": settings.tool,
+        "mount": vars(settings.mount),
+        "probe": vars(settings.probe),
+        "stations": [list(place) for place in settings.stations.places_mm],
+        "standing_at": settings.stations.standing_at,
+        "start_mm": None if start_mm is None else list(start_mm),
+        "ideal": True,
+    }
+    context = DeviceContext("preflight", clock, settings.machine.parent)
+    device = create_device(settings.preflight.driver, options, context)
+    devices = {"preflight": device}
+    mount = in_role(devices, "preflight", RotaryMount, "preflight.driver")
+    return Rig(
+        devices=devices,
+        machine=in_role(devices, "preflight", Machine, "preflight.driver"),
+        probe=in_role(devices, "preflight", Probe, "preflight.driver"),
+        mounts=dict.fromkeys(range(1, len(settings.stations.places_mm) + 1), mount),
+        store=in_role(devices, "preflight", CompensationStore, "preflight.driver"),
+        thermometer=in_role(devices, "preflight", Thermometer, "preflight.driver"),
+        operator=in_role(devices, "preflight", Operator, "preflight.driver"),
+        clock=clock,
+    )
+
+
+def _mounts(devices: Mapping[str, Device], settings: Settings) -> dict[int, RotaryMount]:
+    stations = range(1, len(settings.stations.places_mm) + 1)
+    named = settings.roles.mount
+    if isinstance(named, str):
+        return dict.fromkeys(stations, in_role(devices, named, RotaryMount, "roles.mount"))
+    missing = [station for station in stations if station not in named]
+    if missing:
+        raise ConfigurationError(f"station {missing[0]} has no mount", key=f"roles.mount.{missing[0]}")
+    return {n: in_role(devices, named[n], RotaryMount, f"roles.mount.{n}") for n in stations}

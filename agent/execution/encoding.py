@@ -1,0 +1,57 @@
+"""Steps and results as JSON for the journal; numbers keep every bit (repr of a float64 round-trips)."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import fields
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from agent.execution.steps import Step
+from drivers.roles import Miss, Orientation, TableImage, Touch
+
+
+def encode_step(step: Step) -> str:
+    """The step's fields but for its key."""
+    return to_json({f.name: getattr(step, f.name) for f in fields(step) if f.name != "key"})
+
+
+def encode_result(result: object) -> str | None:
+    return None if result is None else to_json(result)
+
+
+def to_json(value: object) -> str:
+    return json.dumps(value, default=_plain, separators=(",", ":"), allow_nan=False)
+
+
+def table_digest(table: TableImage) -> int:
+    """CRC-32 over the counts, big-endian, x slowest, dx dy dz innermost: the same bytes the link carries."""
+    return zlib.crc32(table.counts.astype(">i4").tobytes())
+
+
+def _plain(value: object) -> Any:  # noqa: PLR0911  one line a type
+    match value:
+        case Touch():
+            return {"touch": list(value.position_mm)}
+        case Miss():
+            return {"miss": list(value.position_mm)}
+        case Orientation():
+            return {"azimuth_deg": value.azimuth_deg, "elevation_deg": value.elevation_deg}
+        case TableImage():
+            return {"shape": value.shape, "crc32": table_digest(value)}
+        case np.ndarray():
+            return value.tolist()
+        case np.generic():
+            return value.item()
+        case Enum():
+            return value.value
+        case tuple():
+            return list(value)
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: getattr(value, name) for name in value.__dataclass_fields__}
+    if hasattr(value, "items"):
+        return dict(value.items())
+    raise TypeError(f"{type(value).__name__} cannot be written to the journal")

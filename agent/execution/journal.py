@@ -1,0 +1,209 @@
+"""The journal: one SQLite database under the state directory, the only truth about runs.
+
+WAL with ``synchronous=FULL``: a commit has reached the disk when it returns (with NORMAL a power cut loses
+commits while the integrity check still says ok). A step that moves or changes something is durable before it
+begins; its result is durable before the next step is asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
+from agent.execution.states import RunState
+from agent.execution.steps import ReadTemperatures, Record, Step
+from drivers.clock import Clock, utc_timestamp
+from drivers.errors import Busy, ConfigurationError
+from drivers.roles import TableImage
+
+FILE_NAME = "journal.sqlite"
+
+
+class Journal:
+    """Opens or creates the database; one writer at a time, readers (page, reports) unhindered by WAL."""
+
+    def __init__(self, directory: Path) -> None:
+        self.path = directory / FILE_NAME
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=2.0)
+            self._connection.execute("PRAGMA journal_mode=WAL")
+            self._connection.execute("PRAGMA synchronous=FULL")
+            self._connection.executescript((files(__package__) / "journal_schema.sql").read_text())
+        except (OSError, sqlite3.Error) as error:
+            raise ConfigurationError(
+                f"the journal cannot be opened: {error}",
+                file=str(self.path),
+                hint="check `state_directory`, its owner and the free space",
+            ) from error
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def start_run(
+        self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock
+    ) -> RunJournal:
+        """A new run in state idle. Raises Busy when the identity is taken."""
+        try:
+            cursor = self._connection.execute(
+                "INSERT INTO runs (run_id, kind, started, state, software, settings) VALUES (?,?,?,?,?,?)",
+                (run_id, kind, utc_timestamp(), RunState.IDLE.value, software, to_json(settings)),
+            )
+        except sqlite3.IntegrityError as error:
+            raise Busy(f"run {run_id} exists already", file=str(self.path)) from error
+        assert cursor.lastrowid is not None  # noqa: S101  an INSERT has one
+        return RunJournal(self._connection, cursor.lastrowid, clock)
+
+    def read_balls(self, run_id: str) -> list[dict[str, Any]]:
+        """The ball records of a run in the order measured, whether or not the run came to an end."""
+        rows = self._connection.execute(
+            "SELECT balls.record FROM balls JOIN runs USING (run) WHERE run_id = ? ORDER BY ordinal",
+            (run_id,),
+        )
+        return [json.loads(record) for (record,) in rows]
+
+    def run_summary(self, run_id: str) -> RunSummary | None:
+        row = self._connection.execute(
+            "SELECT run_id, kind, started, ended, state, reason FROM runs WHERE run_id = ?", (run_id,)
+        ).fetchone()
+        return None if row is None else RunSummary(*row)
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    run_id: str
+    kind: str
+    started: str
+    ended: str | None
+    state: str
+    reason: str | None
+
+
+class RunJournal:
+    """What one run writes. Implements the engine's `StepJournal`."""
+
+    def __init__(self, connection: sqlite3.Connection, run: int, clock: Clock) -> None:
+        self._connection = connection
+        self._run = run
+        self._clock = clock
+        self._ordinal = 0
+
+    def begin(self, step: Step) -> None:
+        self._ordinal += 1
+        self._connection.execute(
+            "INSERT INTO steps (run, ordinal, key, kind, detail, begun) VALUES (?,?,?,?,?,?)",
+            (self._run, self._ordinal, step.key, type(step).__name__, encode_step(step), self._clock.now()),
+        )
+
+    def finish(self, step: Step, result: object, *, begun: bool) -> None:
+        if begun:
+            self._connection.execute(
+                "UPDATE steps SET finished = ?, result = ? WHERE run = ? AND ordinal = ?",
+                (self._clock.now(), encode_result(result), self._run, self._ordinal),
+            )
+            return
+        self._ordinal += 1
+        with self._transaction():
+            if isinstance(step, Record):
+                self._write_record(step)
+            else:
+                self._write_reading(step, result)
+
+    def fail(self, step: Step, error: BaseException) -> None:
+        with self._transaction():
+            self._connection.execute(
+                "UPDATE steps SET error = ? WHERE run = ? AND ordinal = ? AND key = ?",
+                (str(error), self._run, self._ordinal, step.key),
+            )
+            self._insert_event("fault", {"step": step.key, "error": str(error), "type": type(error).__name__})
+
+    def event(self, kind: str, record: Mapping[str, Any]) -> None:
+        self._insert_event(kind, record)
+
+    def decision(self, kind: str, record: Mapping[str, Any]) -> None:
+        self._connection.execute(
+            "INSERT INTO decisions VALUES (?,?,?,?)", (self._run, utc_timestamp(), kind, to_json(record))
+        )
+
+    def estimate(self, record: str) -> None:
+        """`record` is the estimate file's JSON text."""
+        self._connection.execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
+
+    def table(self, role: str, bank: int, image: TableImage | None) -> None:
+        """Keep a whole table: ``backup`` before anything is written, ``staged``, ``restored``."""
+        values: tuple[object, ...] = (None,) * 6
+        if image is not None:
+            values = (
+                table_digest(image),
+                to_json(image.origin_mm),
+                to_json(image.step_mm),
+                image.resolution_mm,
+                to_json(image.shape),
+                image.counts.astype(">i4").tobytes(),
+            )
+        self._connection.execute(
+            "INSERT INTO tables VALUES (?,?,?,?,?,?,?,?,?,?)",
+            (self._run, utc_timestamp(), role, bank, *values),
+        )
+
+    def state(self, state: RunState, reason: str = "", *, final: bool = False) -> None:
+        with self._transaction():
+            self._connection.execute(
+                "UPDATE runs SET state = ?, reason = ?, ended = ? WHERE run = ?",
+                (state.value, reason or None, utc_timestamp() if final else None, self._run),
+            )
+            self._insert_event("state", {"state": state.value, "reason": reason})
+
+    def _write_record(self, step: Record) -> None:
+        if step.kind == "ball":
+            self._insert_keyed("balls", step.key, step.payload)
+        elif step.kind == "decision":
+            self.decision(step.key, step.payload)
+        else:
+            self._insert_event(step.kind, {"step": step.key, **step.payload})
+
+    def _write_reading(self, step: Step, result: object) -> None:
+        now = self._clock.now()
+        self._connection.execute(
+            "INSERT INTO steps VALUES (?,?,?,?,?,?,?,?,NULL)",
+            (
+                self._run,
+                self._ordinal,
+                step.key,
+                type(step).__name__,
+                encode_step(step),
+                now,
+                now,
+                encode_result(result),
+            ),
+        )
+        if isinstance(step, ReadTemperatures) and isinstance(result, Mapping):
+            self._insert_keyed("temperatures", step.key, result)
+
+    def _insert_keyed(self, table: str, key: str, record: Mapping[str, Any]) -> None:
+        self._connection.execute(
+            f"INSERT INTO {table} VALUES (?,?,?,?)",  # noqa: S608  table is one of our own two names
+            (self._run, self._ordinal, key, to_json(record)),
+        )
+
+    def _insert_event(self, kind: str, record: Mapping[str, Any]) -> None:
+        self._connection.execute(
+            "INSERT INTO events VALUES (?,?,?,?)", (self._run, utc_timestamp(), kind, to_json(record))
+        )
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        self._connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+        except BaseException:
+            self._connection.execute("ROLLBACK")
+            raise
+        self._connection.execute("COMMIT")

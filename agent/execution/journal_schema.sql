@@ -1,0 +1,69 @@
+CREATE TABLE IF NOT EXISTS runs (
+    run INTEGER PRIMARY KEY,
+    run_id TEXT NOT NULL UNIQUE,
+    kind TEXT NOT NULL,
+    started TEXT NOT NULL,
+    ended TEXT,
+    state TEXT NOT NULL,
+    reason TEXT,
+    software TEXT NOT NULL,
+    settings TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS steps (
+    run INTEGER NOT NULL REFERENCES runs,
+    ordinal INTEGER NOT NULL,
+    key TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    detail TEXT NOT NULL,
+    begun REAL,
+    finished REAL,
+    result TEXT,
+    error TEXT,
+    PRIMARY KEY (run, ordinal)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS balls (
+    run INTEGER NOT NULL REFERENCES runs,
+    ordinal INTEGER NOT NULL,
+    key TEXT NOT NULL,
+    record TEXT NOT NULL,
+    PRIMARY KEY (run, ordinal)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS temperatures (
+    run INTEGER NOT NULL REFERENCES runs,
+    ordinal INTEGER NOT NULL,
+    key TEXT NOT NULL,
+    record TEXT NOT NULL,
+    PRIMARY KEY (run, ordinal)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS events (
+    run INTEGER NOT NULL REFERENCES runs,
+    at TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    record TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS decisions (
+    run INTEGER NOT NULL REFERENCES runs,
+    at TEXT NOT NULL,
+    kind TEXT NOT NULL,
+    record TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS estimates (
+    run INTEGER NOT NULL REFERENCES runs,
+    at TEXT NOT NULL,
+    record TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS tables (
+    run INTEGER NOT NULL REFERENCES runs,
+    at TEXT NOT NULL,
+    role TEXT NOT NULL,
+    bank INTEGER NOT NULL,
+    crc32 INTEGER,
+    origin_mm TEXT,
+    step_mm TEXT,
+    resolution_mm REAL,
+    shape TEXT,
+    counts BLOB
+);
+CREATE VIEW IF NOT EXISTS touches AS
+    SELECT run, ordinal, key, detail, finished AS at, result
+    FROM steps WHERE kind = 'TouchTowards' AND result IS NOT NULL;

@@ -1,0 +1,34 @@
+"""One run at a time: an advisory lock on a file under the state directory, released by the kernel at any exit."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from drivers.errors import Busy
+
+FILE_NAME = "run.lock"
+
+
+@contextmanager
+def run_lock(directory: Path, run_id: str) -> Iterator[None]:
+    """Own the machine for `run_id`; Busy names the run that owns it already."""
+    directory.mkdir(parents=True, exist_ok=True)
+    with (directory / FILE_NAME).open("a+", encoding="utf-8") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            handle.seek(0)
+            owner = handle.read().strip() or "another process"
+            raise Busy(
+                f"the machine is owned by run {owner}",
+                hint="wait for it or abort it; two masters never move one machine",
+                file=str(directory / FILE_NAME),
+            ) from None
+        handle.truncate(0)
+        handle.write(run_id)
+        handle.flush()
+        yield
+        handle.truncate(0)

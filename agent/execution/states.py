@@ -1,0 +1,64 @@
+"""The states of a run as data. PackML (ISA-TR88.00.02) names stand beside ours for panels and gateways."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class RunState(Enum):
+    IDLE = "idle"
+    PREFLIGHT = "preflight"
+    MEASURING = "measuring"
+    HELD = "held"
+    IDENTIFYING = "identifying"
+    STAGING = "staging"
+    ACTIVATING = "activating"
+    VERIFYING = "verifying"
+    RESTORING = "restoring"
+    COMPLETE = "complete"
+    REFUSED = "refused"
+    ABORTING = "aborting"
+    ABORTED = "aborted"
+    FAULTED = "faulted"
+
+
+S = RunState
+
+PACKML = {
+    S.IDLE: "Idle",
+    S.PREFLIGHT: "Starting",
+    S.MEASURING: "Execute",
+    S.HELD: "Held",
+    S.IDENTIFYING: "Execute",
+    S.STAGING: "Execute",
+    S.ACTIVATING: "Execute",
+    S.VERIFYING: "Execute",
+    S.RESTORING: "Completing",
+    S.COMPLETE: "Complete",
+    S.REFUSED: "Complete",
+    S.ABORTING: "Aborting",
+    S.ABORTED: "Aborted",
+    S.FAULTED: "Aborted",
+}
+
+FORWARD: dict[RunState, frozenset[RunState]] = {
+    S.IDLE: frozenset({S.PREFLIGHT}),
+    S.PREFLIGHT: frozenset({S.MEASURING, S.REFUSED}),
+    S.MEASURING: frozenset({S.IDENTIFYING, S.HELD}),
+    S.HELD: frozenset({S.MEASURING, S.VERIFYING}),
+    S.IDENTIFYING: frozenset({S.STAGING, S.REFUSED}),
+    S.STAGING: frozenset({S.ACTIVATING}),
+    S.ACTIVATING: frozenset({S.VERIFYING}),
+    S.VERIFYING: frozenset({S.COMPLETE, S.RESTORING, S.HELD}),
+    S.RESTORING: frozenset({S.COMPLETE}),
+    S.ABORTING: frozenset({S.ABORTED, S.FAULTED}),
+}
+
+FINAL = frozenset({S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED})
+
+
+def may_follow(now: RunState, after: RunState) -> bool:
+    """Whether `after` may follow `now`: forward as tabled, to aborting and faulted from wherever it runs."""
+    if now in FINAL:
+        return False
+    return after in FORWARD[now] or after in (S.ABORTING, S.FAULTED)

@@ -1,0 +1,217 @@
+"""From settings and the files they name to everything a run needs to know. Reads files, touches no device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from agent.files import load_artefact, load_machine, load_positions, read_text, translated
+from agent.gates import GateLimits
+from agent.plans.measure import FEWEST_BALLS, Layout, MeasuringOrder, by_station
+from agent.plans.position import Course, PositionRules
+from agent.plans.probing import BallLimits, Probing, Search, approach_directions
+from agent.settings import Settings, parse_settings
+from drivers.errors import ConfigurationError
+from twin.artefact import Artefact
+from twin.machine_description import MachineDescription
+from twin.position_set import Position, positions_of
+
+STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
+"""The probe geometry describes probes that point along +Y, as the ram of the case study does."""
+
+MM_PER_UM = 1e-3
+
+
+@dataclass(frozen=True)
+class Job:
+    """A calibration that can be listed, rehearsed and carried out. `held_out` is never used for the estimate."""
+
+    settings: Settings
+    machine: MachineDescription
+    artefact: Artefact
+    positions: tuple[Position, ...]
+    held_out: tuple[Position, ...]
+    stations: tuple[int, ...]
+    verified_stations: tuple[int, ...]
+    layout: Layout
+    rules: PositionRules
+    gate_limits: GateLimits
+
+    @property
+    def tool_offset_mm(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        return np.asarray(self.machine.tools[self.settings.tool], dtype=np.float64)
+
+    @property
+    def measuring(self) -> MeasuringOrder:
+        """The set, and at the verified stations the held-out positions as they are before."""
+        both = (*self.positions, *self.held_out)
+        return MeasuringOrder("measure", by_station(both, self.stations), self.settings.stations.standing_at)
+
+    def verifying(self, standing_at: int | None) -> MeasuringOrder:
+        """The held-out positions again, beginning where the artefact stands."""
+        order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
+        return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
+
+
+def load_settings(path: Path) -> Settings:
+    """Settings of a file with every path in it made absolute. Raises ConfigurationError."""
+    text = read_text(path, error=ConfigurationError)
+    with translated(ConfigurationError, file=str(path)):
+        return parse_settings(text, str(path)).resolved(path.resolve().parent)
+
+
+def prepare_job(settings: Settings, base: Path) -> Job:
+    """Load what the settings name and check that it fits together. Raises ConfigurationError.
+
+    `base`: where a relative path of a position file starts.
+    """
+    machine = load_machine(settings.machine)
+    artefact = load_artefact(settings.artefact)
+    if settings.tool not in machine.tools:
+        raise ConfigurationError(
+            f"the machine has no tool {settings.tool!r}",
+            key="tool",
+            hint=f"tools of {settings.machine.name}: {', '.join(sorted(machine.tools))}",
+        )
+    stations = tuple(settings.procedure.stations or range(1, len(settings.stations.places_mm) + 1))
+    positions = _positions(settings, stations, base)
+    verified = tuple(settings.verification.stations or stations)
+    held_out = tuple(
+        Position(station, azimuth, elevation)
+        for station in verified
+        for azimuth, elevation in settings.verification.positions_deg
+    )
+    _refuse_overlap(positions, held_out)
+    used = tuple(dict.fromkeys((*stations, *(p.station for p in positions), *verified)))
+    probing = _probing(settings, artefact)
+    job = Job(
+        settings=settings,
+        machine=machine,
+        artefact=artefact,
+        positions=positions,
+        held_out=held_out,
+        stations=used,
+        verified_stations=verified,
+        layout=_layout(settings, machine, artefact, probing),
+        rules=PositionRules(
+            probing, _course(settings, machine), settings.procedure.drift_limit_um * MM_PER_UM
+        ),
+        gate_limits=GateLimits(**settings.gates.model_dump()),
+    )
+    _refuse_nothing_reachable(job)
+    return job
+
+
+def with_overrides(
+    settings: Settings,
+    *,
+    position_set: str | None = None,
+    stations: Sequence[int] | None = None,
+    formulation: str | None = None,
+) -> Settings:
+    """Settings with what the command line says instead; validated again."""
+    document = settings.model_dump()
+    if position_set is not None:
+        document["procedure"]["position_set"] = position_set
+    if stations:
+        document["procedure"]["stations"] = list(stations)
+        document["verification"]["stations"] = [
+            s for s in settings.verification.stations or stations if s in stations
+        ] or list(stations)
+    if formulation is not None:
+        document["identification"]["formulation"] = formulation
+    return Settings.model_validate(document)
+
+
+def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple[Position, ...]:
+    """Named sets, or a file of positions."""
+    name = settings.procedure.position_set
+    if name.endswith((".csv", ".toml")):
+        listed = load_positions(base / name)
+        unknown = sorted({p.station for p in listed} - set(range(1, len(settings.stations.places_mm) + 1)))
+        if unknown:
+            raise ConfigurationError(
+                f"the position file names station {unknown[0]}, which has no place",
+                file=name,
+                key="stations.places_mm",
+            )
+        return listed
+    with translated(ConfigurationError, key="procedure.position_set"):
+        everywhere = positions_of(name, len(settings.stations.places_mm))
+    return tuple(p for p in everywhere if p.station in stations)
+
+
+def _refuse_overlap(positions: Sequence[Position], held_out: Sequence[Position]) -> None:
+    common = set(positions) & set(held_out)
+    if common:
+        first = min(common, key=lambda p: p.station)
+        raise ConfigurationError(
+            f"position az {first.azimuth_deg:g}° el {first.elevation_deg:g}° is measured for the estimate, "
+            "so it cannot prove it",
+            key="verification.positions_deg",
+            hint="choose orientations that the position set does not contain",
+        )
+
+
+def _probing(settings: Settings, artefact: Artefact) -> Probing:
+    chosen = settings.procedure
+    return Probing(
+        directions=approach_directions(chosen.touches_per_ball, STYLUS_AXIS),
+        stylus_axis=STYLUS_AXIS,
+        ball_radius_mm=artefact.ball_radius_mm,
+        tip_radius_mm=settings.probe.tip_radius_mm,
+        narrow=Search(chosen.approach_mm, chosen.search_mm),
+        wide=Search(chosen.wide_approach_mm, chosen.wide_search_mm),
+        feed_mm_per_s=chosen.touch_feed_mm_per_min / 60.0,
+        retract_mm=chosen.retract_mm,
+        touch_sigma_mm=chosen.touch_sigma_um * MM_PER_UM,
+        limits=BallLimits(chosen.radius_limit_um * MM_PER_UM, chosen.form_limit_um * MM_PER_UM),
+        recentre_mm=chosen.recentre_mm,
+        repeats=chosen.repeats,
+        stop_on_failure=chosen.on_failure == "stop",
+    )
+
+
+def _layout(settings: Settings, machine: MachineDescription, artefact: Artefact, probing: Probing) -> Layout:
+    ranges = np.array(machine.model.ranges_mm)
+    reach = probing.contact_mm + probing.wide.approach_mm
+    return Layout(
+        mount=settings.mount,
+        places_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
+        balls_mm=artefact.balls,
+        tool_offset_mm=np.asarray(machine.tools[settings.tool], dtype=np.float64),
+        lower_mm=ranges[:, 0],
+        upper_mm=ranges[:, 1],
+        margin_mm=np.full(3, reach),
+    )
+
+
+def _course(settings: Settings, machine: MachineDescription) -> Course:
+    """Park to the side that the travel allows, the farther from the middle the station the more so."""
+    (x_low, x_high), (y_low, _), _ = machine.model.ranges_mm
+    park = {}
+    for number, (x, _, _) in enumerate(settings.stations.places_mm, start=1):
+        away = settings.stations.park_distance_mm
+        target = x + away if x + away <= x_high else x - away
+        if not x_low <= target <= x_high:
+            raise ConfigurationError(
+                f"there is no room to park {away:g} mm beside station {number}",
+                key="stations.park_distance_mm",
+            )
+        park[number] = target
+    return Course(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park)
+
+
+def _refuse_nothing_reachable(job: Job) -> None:
+    for position in job.positions:
+        mask = job.layout.reachable(job.layout.predicted(position, np.zeros(3)))
+        if mask.sum() >= FEWEST_BALLS:
+            return
+    raise ConfigurationError(
+        "no position has three balls within the travel",
+        key="stations.places_mm",
+        hint="check the stations' places, the mount's shaft and the tool offset",
+    )

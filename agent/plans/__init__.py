@@ -1,0 +1,1 @@
+"""Plans: generators of frozen steps. No hardware, no clock, no randomness, no I/O."""

@@ -1,0 +1,147 @@
+"""All positions of a run, station by station: predict, measure, learn where the artefact really stands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import (
+    AskOperator,
+    CheckPermissions,
+    CheckProbe,
+    Plan,
+    ReadPosition,
+    Record,
+)
+from agent.plans.position import MeasuredPosition, PositionRules, PositionTask, measure_position
+from drivers.roles import OperatorRequest, OperatorTask
+from twin.position_set import MountGeometry, Position, mount_pose, reachable
+
+Array = NDArray[np.float64]
+
+FEWEST_BALLS = 3
+"""A position with fewer says nothing: its pose takes six unknowns."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the artefact can stand and which axis positions the machine can take.
+
+    `places_mm`: station number → (3,) foot of the mount in the workpiece frame. `balls_mm` (N, 3) in the
+    artefact frame. `lower_mm`, `upper_mm`, `margin_mm` (3,): travel and what approach and search need of it.
+    """
+
+    mount: MountGeometry
+    places_mm: Mapping[int, Array]
+    balls_mm: Array
+    tool_offset_mm: Array
+    lower_mm: Array
+    upper_mm: Array
+    margin_mm: Array
+
+    def predicted(self, position: Position, correction: Array) -> Array:
+        """Axis positions (N, 3) of all balls of `position` when the mount stands `correction` off its place."""
+        pose = mount_pose(
+            self.places_mm[position.station] + correction,
+            self.mount,
+            math.radians(position.azimuth_deg),
+            math.radians(position.elevation_deg),
+        )
+        return pose.centre + self.balls_mm @ pose.rotation.T - self.tool_offset_mm
+
+    def reachable(self, predicted: Array) -> NDArray[np.bool_]:
+        return reachable(predicted, self.lower_mm, self.upper_mm, self.margin_mm)
+
+
+@dataclass(frozen=True)
+class MeasuringOrder:
+    """What is to be measured: `prefix` begins every key; positions in order, stations contiguous.
+
+    `standing_at` is the station where the artefact stands when the plan begins; None when nobody knows.
+    """
+
+    prefix: str
+    positions: tuple[Position, ...]
+    standing_at: int | None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """`positions[i]` belongs to index `indices[i]` of the order; left-out positions have none."""
+
+    positions: tuple[MeasuredPosition, ...]
+    left_out: tuple[str, ...]
+    unreachable_balls: int
+    standing_at: int | None
+    corrections: Mapping[int, Array]
+
+    @property
+    def touches(self) -> int:
+        return sum(p.touches for p in self.positions)
+
+    @property
+    def lost(self) -> int:
+        return sum(p.lost for p in self.positions)
+
+
+def measure_positions(
+    order: MeasuringOrder,
+    layout: Layout,
+    rules: PositionRules,
+    known: Mapping[int, Array] | None = None,
+) -> Plan[Measured]:
+    """Measure every position of `order`. `known`: corrections of station places found earlier in this run."""
+    yield CheckPermissions(f"{order.prefix}/permissions")
+    yield CheckProbe(f"{order.prefix}/probe")
+    here = np.array((yield ReadPosition(f"{order.prefix}/here")))
+    corrections: dict[int, Array] = dict(known or {})
+    standing = order.standing_at
+    done: list[MeasuredPosition] = []
+    left_out: list[str] = []
+    unreachable = 0
+    for index, position in enumerate(order.positions):
+        if position.station != standing:
+            standing = yield from _carry_to(order.prefix, position.station, index)
+            corrections.pop(position.station, None)
+        correction = corrections.get(position.station, np.zeros(3))
+        predicted = layout.predicted(position, correction)
+        mask = layout.reachable(predicted)
+        unreachable += int(mask.size - mask.sum())
+        key = f"{order.prefix}/{position_key(position)}"
+        if mask.sum() < FEWEST_BALLS:
+            left_out.append(position_key(position))
+            yield Record(f"{key}/left-out", "event", {"reachable_balls": int(mask.sum())})
+            continue
+        task = PositionTask(
+            key, index, position.station, position.azimuth_deg, position.elevation_deg, predicted, mask
+        )
+        measured = yield from measure_position(task, here, rules)
+        corrections[position.station] = correction + measured.offset_mm
+        here = np.array((yield ReadPosition(f"{key}/here")))
+        done.append(measured)
+    return Measured(tuple(done), tuple(left_out), unreachable, standing, corrections)
+
+
+def position_key(position: Position) -> str:
+    """``station-1/az090-el-45``."""
+    return f"station-{position.station}/az{position.azimuth_deg:g}-el{position.elevation_deg:g}"
+
+
+def by_station(positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
+    """Positions in the order of `stations`, their own order kept within each."""
+    return tuple(p for station in stations for p in positions if p.station == station)
+
+
+def _carry_to(prefix: str, station: int, index: int) -> Plan[int]:
+    request = OperatorRequest(
+        OperatorTask.MOVE_ARTEFACT,
+        f"Put the artefact and its mount at station {station}, clamp it, clear the workspace, close the doors.",
+        station,
+    )
+    yield AskOperator(f"{prefix}/carry-{index}-to-station-{station}", request)
+    yield CheckPermissions(f"{prefix}/carry-{index}/permissions")
+    return station

@@ -1,0 +1,200 @@
+"""One position of the artefact: park, turn the mount, find both ends, align, measure the rest, end where begun."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import MoveTo, OrientTo, Plan, ReadTemperatures, Record
+from agent.plans.ball import BallFound, BallLost, measure_ball, point
+from agent.plans.probing import Probing, Search
+from drivers.errors import MeasurementFault
+from twin.alignment import align_to_ends
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PositionTask:
+    """One position to be measured. `predicted_mm` (N, 3): axis positions of all balls; `reachable` (N,)."""
+
+    key: str
+    index: int
+    station: int
+    azimuth_deg: float
+    elevation_deg: float
+    predicted_mm: Array
+    reachable: NDArray[np.bool_]
+
+    @property
+    def balls(self) -> list[int]:
+        return [int(i) for i in np.flatnonzero(self.reachable)]
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where it is safe to be: the way between positions.
+
+    `retreat_axis` is the axis the stylus points along, `retreat_mm` the axis position on it that no part of
+    artefact or mount reaches; `park_mm` the X position at each station's mount, clear of the turning artefact.
+    """
+
+    retreat_axis: int
+    retreat_mm: float
+    station_axis: int
+    park_mm: Mapping[int, float]
+
+    def retreated(self, position: Array) -> Array:
+        out = position.copy()
+        out[self.retreat_axis] = self.retreat_mm
+        return out
+
+    def parked(self, position: Array, station: int) -> Array:
+        out = self.retreated(position)
+        out[self.station_axis] = self.park_mm[station]
+        return out
+
+
+@dataclass(frozen=True)
+class MeasuredBall:
+    """One ball centre in one position, ready for identification."""
+
+    position: int
+    station: int
+    azimuth_deg: float
+    elevation_deg: float
+    ball: int
+    found: BallFound
+    temperature_c: float
+
+    def record(self, key: str) -> dict[str, object]:
+        return {
+            "key": key,
+            "position": self.position,
+            "station": self.station,
+            "azimuth_deg": self.azimuth_deg,
+            "elevation_deg": self.elevation_deg,
+            "ball": self.ball,
+            "centre_mm": self.found.centre_mm,
+            "covariance_mm2": self.found.covariance_mm2,
+            "radius_mm": self.found.radius_mm,
+            "form_mm": self.found.form_mm,
+            "temperature_c": self.temperature_c,
+        }
+
+
+@dataclass(frozen=True)
+class MeasuredPosition:
+    """`offset_mm` (3,): how far the artefact stood from its prediction; `drift_mm` (3,): first ball again."""
+
+    balls: tuple[MeasuredBall, ...]
+    lost: int
+    touches: int
+    offset_mm: Array
+    drift_mm: Array
+
+
+@dataclass(frozen=True)
+class PositionRules:
+    probing: Probing
+    course: Course
+    drift_limit_mm: float
+
+
+def measure_position(task: PositionTask, here: Array, rules: PositionRules) -> Plan[MeasuredPosition]:
+    """Measure every reachable ball of `task`; begins and ends at the retreat plane.
+
+    `here` (3,): the axis positions at which the machine stands when the plan begins. Both end balls come first
+    (wide search), the rest is aligned to them; the first ball is measured again last, for drift.
+    """
+    probing, course = rules.probing, rules.course
+    yield MoveTo(f"{task.key}/retreat", point(course.retreated(here)))
+    yield MoveTo(f"{task.key}/park", point(course.parked(here, task.station)))
+    yield OrientTo(f"{task.key}/orient", task.station, task.azimuth_deg, task.elevation_deg)
+    temperatures = yield ReadTemperatures(f"{task.key}/temperatures")
+    measuring = _Measuring(task, probing, temperatures["artefact"])
+    first, *between, last = task.balls
+    yield MoveTo(f"{task.key}/enter", point(course.retreated(above(task.predicted_mm[first], probing))))
+    found_first = yield from measuring.end_ball(first)
+    found_last = yield from measuring.end_ball(last)
+    aligned = align_to_ends(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
+    for ball in reversed(between):
+        yield from measuring.ball(ball, aligned[ball])
+    drift = yield from measuring.drift(first, found_first, rules.drift_limit_mm)
+    yield MoveTo(f"{task.key}/leave", point(course.retreated(above(found_first.centre_mm, probing))))
+    ends = np.array([found_first.centre_mm, found_last.centre_mm])
+    offset = (ends - task.predicted_mm[[first, last]]).mean(axis=0)
+    return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, offset, drift)
+
+
+def above(centre: Array, probing: Probing) -> Array:
+    """Where the tip clears the balls beside, back from a ball along the stylus."""
+    return centre - probing.stylus_axis * (probing.contact_mm + probing.retract_mm)
+
+
+class _Measuring:
+    """Measures balls of one position and keeps what was found, lost and touched."""
+
+    def __init__(self, task: PositionTask, probing: Probing, temperature_c: float) -> None:
+        self._task = task
+        self._probing = probing
+        self._temperature_c = temperature_c
+        self.found: list[MeasuredBall] = []
+        self.lost = 0
+        self.touches = 0
+
+    def end_ball(self, ball: int) -> Plan[BallFound]:
+        """Both ends must be found: without them nothing is known about where the artefact stands."""
+        result = yield from self.ball(ball, self._task.predicted_mm[ball], self._probing.wide)
+        if isinstance(result, BallLost):
+            raise MeasurementFault(
+                f"end ball {ball} was not found where it was expected: {result.reason}",
+                hint="check the station's place in the settings, the mount's zero and the artefact's seat",
+                step=f"{self._task.key}/ball-{ball:02d}",
+            )
+        return result
+
+    def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[BallFound | BallLost]:
+        """One ball for the record; journaled as soon as it is known."""
+        key = f"{self._task.key}/ball-{ball:02d}"
+        result = yield from self._approach_and_measure(key, predicted, search or self._probing.narrow)
+        if isinstance(result, BallLost):
+            self.lost += 1
+            yield Record(f"{key}/lost", "event", {"ball": ball, "reason": result.reason})
+            return result
+        task = self._task
+        measured = MeasuredBall(
+            task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, result, self._temperature_c
+        )
+        self.found.append(measured)
+        yield Record(f"{key}/centre", "ball", measured.record(key))
+        return result
+
+    def drift(self, first: int, found: BallFound, limit_mm: float) -> Plan[Array]:
+        """The first ball again: (3,) mm by which it seems to have moved; NaN where it was lost."""
+        key = f"{self._task.key}/ball-{first:02d}/again"
+        again = yield from self._approach_and_measure(key, found.centre_mm, self._probing.narrow)
+        if isinstance(again, BallLost):
+            yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})
+            return np.full(3, np.nan)
+        drift = again.centre_mm - found.centre_mm
+        yield Record(f"{key}/drift", "event", {"drift_um": drift * 1e3, "limit_um": limit_mm * 1e3})
+        if float(np.linalg.norm(drift)) > limit_mm:
+            raise MeasurementFault(
+                f"the first ball moved by {np.linalg.norm(drift) * 1e3:.1f} µm within the position, "
+                f"allowed {limit_mm * 1e3:.1f} µm",
+                hint="let machine and artefact settle, check that the mount is clamped",
+                step=key,
+            )
+        return drift
+
+    def _approach_and_measure(self, key: str, predicted: Array, search: Search) -> Plan[BallFound | BallLost]:
+        yield MoveTo(f"{key}/approach", point(above(predicted, self._probing)))
+        result = yield from measure_ball(key, predicted, self._probing, search)
+        self.touches += result.touches
+        at = result.centre_mm if isinstance(result, BallFound) else predicted
+        yield MoveTo(f"{key}/withdraw", point(above(at, self._probing)))
+        return result

@@ -1,0 +1,62 @@
+"""Writing a table: back up, stage into the inactive bank, read back, compare, activate, read back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agent.execution.encoding import table_digest
+from agent.execution.steps import ActivateBank, Plan, ReadActiveBank, ReadTable, Record, StageTable
+from drivers.errors import ReadBackMismatch, StoreError
+from drivers.roles import TableImage
+
+
+@dataclass(frozen=True)
+class FoundState:
+    """The compensation as it was found: which bank acts, and what is in it (None: no compensation)."""
+
+    bank: int
+    table: TableImage | None
+
+
+def read_state(prefix: str) -> Plan[FoundState]:
+    """What acts now, completely read. This is what every way out restores."""
+    bank = yield ReadActiveBank(f"{prefix}/active-bank")
+    table = (yield ReadTable(f"{prefix}/active-table", bank)) if bank else None
+    if bank and table is None:
+        raise StoreError(f"bank {bank} is active but holds no table", hint="look at the controller's banks")
+    return FoundState(bank, table)
+
+
+def choose_bank(banks: tuple[int, ...], active: int) -> int:
+    """The bank to write: one that does not act now. Bank 0 means no compensation and is never written."""
+    free = [bank for bank in banks if bank not in (0, active)]
+    if not free:
+        raise StoreError(
+            f"no inactive bank to write: the controller has {list(banks)}, bank {active} is active",
+            hint="a store needs two banks so that the old table stays until the new one is proved",
+        )
+    return free[0]
+
+
+def stage_table(bank: int, table: TableImage) -> Plan[None]:
+    """Write the inactive bank and compare every value that is read back."""
+    yield StageTable("publish/stage", bank, table)
+    back = yield ReadTable("publish/read-back", bank)
+    if back is None or not back.same_as(table):
+        raise ReadBackMismatch(
+            f"bank {bank} reads back differently from what was written",
+            hint="the bank is not activated; run `volcal doctor` on the link",
+        )
+    yield Record("publish/staged", "decision", {"bank": bank, "crc32": table_digest(table)})
+
+
+def activate(prefix: str, bank: int) -> Plan[None]:
+    """Activate `bank` and read back that it acts; also the way a former bank is restored."""
+    yield ActivateBank(f"{prefix}/activate", bank)
+    active = yield ReadActiveBank(f"{prefix}/active-bank")
+    if active != bank:
+        raise ReadBackMismatch(
+            f"bank {bank} was activated, but the controller says that bank {active} is active",
+            hint="look at the controller before measuring or machining",
+        )
+    yield Record(f"{prefix}/activated", "decision", {"bank": bank})

@@ -1,0 +1,176 @@
+"""The settings of an agent: one TOML file, every key bounded, unknown keys refused, paths relative to the file.
+
+Units are in the key where they are not mm. The JSON schema of this module is committed under ``config/schema``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import BeforeValidator, Field, PositiveFloat, PositiveInt, model_validator
+
+from twin.bodies import ProbeGeometry
+from twin.formats.toml_reading import Strict, read_toml
+from twin.position_set import MountGeometry
+
+Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
+Coordinates = tuple[float, float, float]
+Value = TypeVar("Value")
+
+
+def _refuse_unknown(kind: type) -> BeforeValidator:
+    """Pydantic reads frozen values of the mathematics but lets unknown keys of theirs pass; we do not."""
+    known = {field.name for field in dataclasses.fields(kind)}
+
+    def check(value: object) -> object:
+        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
+        if unknown:
+            raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
+        return value
+
+    return BeforeValidator(check)
+
+
+class ClockSettings(Strict):
+    """`real` on a machine; `scaled` and `lockstep` against simulators."""
+
+    kind: Literal["real", "scaled", "lockstep"] = "real"
+    factor: PositiveFloat = 1.0
+    host: str = "127.0.0.1"
+    port: int = Field(default=0, ge=0, le=65535)
+
+
+class DeviceSettings(Strict):
+    """One device: which plugin drives it, and the options that this plugin validates."""
+
+    driver: Name
+    options: dict[str, Any] = {}
+
+
+class RoleSettings(Strict):
+    """Which device plays which role. `mount`: one device for every station, or one for each."""
+
+    machine: Name
+    probe: Name
+    store: Name
+    thermometer: Name
+    operator: Name
+    mount: Name | dict[PositiveInt, Name]
+
+
+class StationSettings(Strict):
+    """`places_mm`: foot of the mount at each station (counted from 1), workpiece frame."""
+
+    places_mm: list[Coordinates] = Field(min_length=1)
+    standing_at: PositiveInt | None = None
+    park_distance_mm: PositiveFloat = 1000.0
+
+
+class ProcedureSettings(Strict):
+    """What is measured and how. `position_set`: names joined by + (S1+S3), or the path of a position file."""
+
+    position_set: str = "S3"
+    stations: list[PositiveInt] | None = None
+    touches_per_ball: Literal[5, 9, 13, 25] = 5
+    touch_feed_mm_per_min: PositiveFloat = Field(default=300.0, le=3000.0)
+    approach_mm: PositiveFloat = Field(default=3.0, le=50.0)
+    search_mm: PositiveFloat = Field(default=3.0, le=10.0)
+    wide_approach_mm: PositiveFloat = Field(default=8.0, le=50.0)
+    wide_search_mm: PositiveFloat = Field(default=8.0, le=20.0)
+    recentre_mm: PositiveFloat = 0.3
+    retract_mm: PositiveFloat = 45.0
+    touch_sigma_um: PositiveFloat = 1.1
+    radius_limit_um: PositiveFloat = 20.0
+    form_limit_um: PositiveFloat = 10.0
+    drift_limit_um: PositiveFloat = 10.0
+    repeats: int = Field(default=2, ge=0, le=5)
+    on_failure: Literal["stop", "skip"] = "skip"
+
+
+class IdentificationSettings(Strict):
+    formulation: Literal["centres", "distances"] = "centres"
+    prior: bool = True
+    weights: Literal["full", "unit"] = "full"
+
+
+class TableSettings(Strict):
+    """Grid and anchor of the compensation table. `anchor_mm`: where the correction is zero (axis positions)."""
+
+    step_mm: Coordinates = (100.0, 100.0, 100.0)
+    anchor_mm: Coordinates | None = None
+
+
+class GateSettings(Strict):
+    largest_chi2: PositiveFloat = 2.0
+    smallest_freedom: PositiveInt = 30
+    largest_remaining_share: float = Field(default=0.5, gt=0.0, le=1.0)
+    largest_correction_um: PositiveFloat = 300.0
+    largest_slope_um_per_mm: PositiveFloat = 0.5
+    allow_extrapolation: bool = False
+
+
+class VerificationSettings(Strict):
+    """Held-out positions: measured before and after at these stations, never used for the estimate."""
+
+    positions_deg: list[tuple[float, float]] = Field(default=[(20.0, 25.0), (-20.0, -25.0)], min_length=1)
+    stations: list[PositiveInt] | None = None
+    largest_chi2: PositiveFloat = 2.0
+    largest_share: float = Field(default=0.8, gt=0.0, le=1.0)
+
+
+class PreflightSettings(Strict):
+    """The plugin that plays the machine in the dry run."""
+
+    driver: Name = "simulated"
+
+
+class Settings(Strict):
+    """Everything about one machine and its procedure."""
+
+    machine: Path
+    artefact: Path
+    tool: Name = "probe"
+    state_directory: Path = Path("state")
+    clock: ClockSettings = ClockSettings()
+    devices: dict[Name, DeviceSettings]
+    roles: RoleSettings
+    mount: Annotated[MountGeometry, _refuse_unknown(MountGeometry)] = MountGeometry()
+    probe: Annotated[ProbeGeometry, _refuse_unknown(ProbeGeometry)] = ProbeGeometry()
+    stations: StationSettings
+    procedure: ProcedureSettings = ProcedureSettings()
+    identification: IdentificationSettings = IdentificationSettings()
+    table: TableSettings = TableSettings()
+    gates: GateSettings = GateSettings()
+    verification: VerificationSettings = VerificationSettings()
+    preflight: PreflightSettings = PreflightSettings()
+
+    @model_validator(mode="after")
+    def _stations_exist(self) -> Self:
+        count = len(self.stations.places_mm)
+        named = {
+            "stations.standing_at": [self.stations.standing_at] if self.stations.standing_at else [],
+            "procedure.stations": self.procedure.stations or [],
+            "verification.stations": self.verification.stations or [],
+        }
+        for key, numbers in named.items():
+            for number in numbers:
+                if number > count:
+                    raise ValueError(f"{key} names station {number}, but stations.places_mm has {count}")
+        return self
+
+    def resolved(self, base: Path) -> Settings:
+        """The same with every path made absolute, starting from `base`."""
+        return self.model_copy(
+            update={
+                name: (base / getattr(self, name)).resolve()
+                for name in ("machine", "artefact", "state_directory")
+            }
+        )
+
+
+def parse_settings(text: str, source: str) -> Settings:
+    """Settings from TOML text; FormatError names file, key and what is known there."""
+    return read_toml(text, source, Settings)

@@ -1,0 +1,35 @@
+"""Aligning a predicted pose to the two balls that were found first."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+def align_to_ends(predicted: Array, first: int, last: int, found_first: Array, found_last: Array) -> Array:
+    """Move `predicted` (N, 3) rigidly so that balls `first` and `last` come to where they were found.
+
+    The middle of the two is matched and the line through them turned by the smallest rotation that makes it
+    parallel to the line found (Rodrigues); a rotation about that line cannot be seen from two balls and stays
+    as predicted. Units: mm in, mm out. Raises DataError where the two predicted or found balls coincide.
+    """
+    line, found_line = predicted[last] - predicted[first], found_last - found_first
+    length, found_length = np.linalg.norm(line), np.linalg.norm(found_line)
+    if length < 1e-9 or found_length < 1e-9:
+        raise DataError("the two end balls coincide", hint="an alignment needs two different balls")
+    rotation = _smallest_rotation(line / length, found_line / found_length)
+    middle = 0.5 * (predicted[first] + predicted[last])
+    found_middle = 0.5 * (found_first + found_last)
+    return (predicted - middle) @ rotation.T + found_middle
+
+
+def _smallest_rotation(source: Array, target: Array) -> Array:
+    """Rotation about source × target, (3, 3); unit vectors that are not opposite."""
+    v = np.cross(source, target)
+    cosine = float(source @ target)
+    k = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.eye(3) + k + k @ k / (1.0 + cosine)
