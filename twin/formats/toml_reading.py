@@ -50,11 +50,12 @@ def key_path(location: Sequence[str | int]) -> str:
 def _explained(error: ValidationError, source: str, kind: type[BaseModel]) -> FormatError:
     problems = error.errors(include_url=False)
     first = problems[0]
-    location = [part for part in first["loc"] if not _is_union_label(part)]
+    location = _without_union_labels(first["loc"])
     message, hint = _in_words(first["type"], first["msg"], first.get("input"), location, kind)
-    if len(problems) > 1:
-        message = f"{message}; {len(problems) - 1} more problem(s) in this file"
-    return FormatError(message, hint=hint, file=source, key=key_path(location) or "(whole file)")
+    others = {_place(problem["loc"]) for problem in problems} - {_place(first["loc"])}
+    if others:
+        message = f"{message}; also wrong in this file: {', '.join(sorted(others))}"
+    return FormatError(message, hint=hint, file=source, key=_place(first["loc"]))
 
 
 def _in_words(
@@ -90,6 +91,11 @@ def _model_inside(annotation: object) -> type[BaseModel] | None:
     return next((found for part in get_args(annotation) if (found := _model_inside(part))), None)
 
 
-def _is_union_label(part: str | int) -> bool:
+def _place(location: Sequence[str | int]) -> str:
+    return key_path(_without_union_labels(location)) or "(whole file)"
+
+
+def _without_union_labels(location: Sequence[str | int]) -> list[str | int]:
     """Pydantic names the tried branch of a union (`list[float]`); a person looks for the key alone."""
-    return isinstance(part, str) and ("[" in part or part in {"float", "int", "bool", "str"})
+    labels = {"float", "int", "bool", "str"}
+    return [part for part in location if isinstance(part, int) or not ("[" in part or part in labels)]

@@ -1,0 +1,108 @@
+"""Deflection grid as CSV: `x_mm,y_mm,z_mm,ux_um,uy_um,uz_um`, a line per node, columns in any order."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.chain import AXES
+from twin.deflection import DeflectionGrid
+from twin.errors import FormatError, ModelError
+
+COLUMNS = ("x_mm", "y_mm", "z_mm", "ux_um", "uy_um", "uz_um")
+_SAME_NODE_DIGITS = (
+    6  # coordinates that agree to a nanometre are one node: exports differ in their last digits
+)
+
+
+def parse_deflection(text: str, source: str) -> DeflectionGrid:
+    """Grid from CSV text; FormatError names `source`, row (the header is row 1) and column."""
+    table, rows = _numbers(text, source)
+    nodes, places = [], []
+    for axis in range(3):
+        unique, inverse = np.unique(np.round(table[:, axis], _SAME_NODE_DIGITS), return_inverse=True)
+        nodes.append(unique)
+        places.append(inverse.reshape(-1))
+    flat = np.ravel_multi_index(tuple(places), tuple(n.size for n in nodes))
+    _check_complete(flat, nodes, rows, source)
+    values = np.empty_like(table[:, 3:])
+    values[flat] = 1e-3 * table[:, 3:]
+    try:
+        return DeflectionGrid(nodes[0], nodes[1], nodes[2], values.reshape(*(n.size for n in nodes), 3))
+    except ModelError as error:
+        raise FormatError(error.message, hint=error.hint, file=source, **error.where) from None
+
+
+def format_deflection(grid: DeflectionGrid) -> str:
+    """CSV text of a grid: x slowest, z fastest, displacements rounded to 0.1 nm."""
+    x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
+    lines = [",".join(COLUMNS)]
+    for place, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):
+        coordinates = [f"{round(float(value), _SAME_NODE_DIGITS):.10g}" for value in place]
+        lines.append(",".join(coordinates + [f"{1e3 * float(value) + 0.0:.4f}" for value in displacement]))
+    return "\n".join(lines).replace("-0.0000", "0.0000") + "\n"
+
+
+def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
+    """Values (n, 6) in the order of COLUMNS and the file row of each."""
+    lines = csv.reader(text.removeprefix("\ufeff").splitlines())
+    header = [name.strip() for name in next(lines, [])]
+    _check_header(header, source)
+    order = [header.index(name) for name in COLUMNS]
+    table, rows = [], []
+    for cells in lines:
+        if not any(cell.strip() for cell in cells):
+            continue
+        if len(cells) != len(header):
+            message = f"{len(cells)} values where the header names {len(header)}"
+            raise FormatError(message, file=source, row=lines.line_num)
+        table.append([_number(cells[k], header[k], lines.line_num, source) for k in order])
+        rows.append(lines.line_num)
+    if not table:
+        raise FormatError("no node follows the header", file=source)
+    return np.array(table), rows
+
+
+def _check_header(header: list[str], source: str) -> None:
+    hint = f"The first line is {','.join(COLUMNS)}"
+    for name in COLUMNS:
+        if header.count(name) != 1:
+            problem = "is missing" if name not in header else "stands twice"
+            raise FormatError(f"column '{name}' {problem}", hint=hint, file=source, row=1)
+    for name in header:
+        if name not in COLUMNS:
+            raise FormatError(f"unknown column '{name}'", hint=hint, file=source, row=1)
+
+
+def _number(cell: str, column: str, row: int, source: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        raise FormatError(f"'{cell.strip()}' is no number", file=source, row=row, column=column) from None
+    if not math.isfinite(value):
+        raise FormatError(f"'{cell.strip()}' is not finite", file=source, row=row, column=column)
+    return value
+
+
+def _check_complete(flat: NDArray[np.intp], nodes: list[Array], rows: list[int], source: str) -> None:
+    first_seen: dict[int, int] = {}
+    for place, row in zip(flat.tolist(), rows, strict=True):
+        if place in first_seen:
+            raise FormatError(f"the same node as in row {first_seen[place]}", file=source, row=row)
+        first_seen[place] = row
+    shape = tuple(n.size for n in nodes)
+    count = math.prod(shape)
+    if len(first_seen) == count:
+        return
+    missing = next(place for place in range(count) if place not in first_seen)
+    index = np.unravel_index(missing, shape)
+    where = ", ".join(f"{axis} {n[k]:g}" for axis, n, k in zip(AXES, nodes, index, strict=True))
+    sizes = " x ".join(str(size) for size in shape)
+    message = (
+        f"{count - len(first_seen)} of {count} nodes of the {sizes} grid are missing, the first at {where}"
+    )
+    raise FormatError(message, hint="A grid needs a line for every combination of x, y and z", file=source)

@@ -1,0 +1,172 @@
+"""Machine file (TOML) to a MachineDescription."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from twin.chain import AXES, parse_chain
+from twin.deflection import DeflectionGrid
+from twin.error_model import CROSS_TERMS, DEFAULT_CROSS_EFFECT, ERROR_MOTIONS, ErrorModel, Ranges
+from twin.errors import FormatError, TwinError
+from twin.family import DEFAULT_DECAY, family_from_amplitudes
+from twin.formats.deflection_file import parse_deflection
+from twin.formats.toml_reading import Strict, read_toml
+from twin.machine_description import MachineDescription, Triple
+
+DEFAULT_ORDER = 5
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Order = Annotated[int, Field(ge=1, le=15)]
+HalfWidths = Annotated[tuple[NotNegative, ...], Field(min_length=1)] | NotNegative
+CrossTerm = Literal["b0", "b1", "b2", "c0", "c1"]
+
+
+class AxisSection(Strict):
+    """`range_mm`: where the error model is valid; `travel_mm`: soft limits, the same where left out."""
+
+    range_mm: tuple[float, float]
+    travel_mm: tuple[float, float] | None = None
+    rapid_mm_per_min: Positive
+    feed_mm_per_min: Positive = 3000.0
+    acceleration_mm_per_s2: Positive
+
+
+class AxesSection(Strict):
+    X: AxisSection
+    Y: AxisSection
+    Z: AxisSection
+
+
+class ToolSection(Strict):
+    offset_mm: tuple[float, float, float]
+
+
+class FamilySection(Strict):
+    """Half-widths per kind of error; per Legendre order where a list, lowest order of that kind first.
+
+    The defaults are the amplitudes of the case study.
+    """
+
+    positioning_um: HalfWidths = (8.0, 5.0, 3.0, 1.8, 1.1)
+    straightness_um: HalfWidths = (5.5, 3.3, 2.0, 1.2)
+    rotation_urad: HalfWidths = (4.6, 2.8, 1.7, 1.0, 0.6)
+    squareness_urad: NotNegative = 9.0
+    cross_displacement_um: NotNegative = 4.5
+    cross_rotation_urad: NotNegative = 3.0
+    decay: Annotated[float, Field(ge=0.0, le=1.0)] = DEFAULT_DECAY
+
+
+class ModelSection(Strict):
+    """`order`: one for all, or a table per error motion (those left out have order 5)."""
+
+    order: Order | dict[str, Order] = DEFAULT_ORDER
+    cross_effect: bool | tuple[CrossTerm, ...] = True
+    family: FamilySection = FamilySection()
+
+
+class DeflectionSection(Strict):
+    """`grid`: CSV file, its path relative to the machine file."""
+
+    grid: Annotated[str, Field(min_length=1)]
+
+
+class MachineSection(Strict):
+    """The whole machine file."""
+
+    name: Annotated[str, Field(min_length=1)]
+    chain: str
+    axes: AxesSection
+    tools: Annotated[dict[str, ToolSection], Field(min_length=1)]
+    model: ModelSection = ModelSection()
+    deflection: DeflectionSection | None = None
+
+
+def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> MachineDescription:
+    """Machine from TOML text. `source` names the file in errors.
+
+    `read_text` gives the text of a file whose path is written in it, relative to the machine file.
+    FormatError names file, key and what to do.
+    """
+    section = read_toml(text, source, MachineSection)
+    axes = (section.axes.X, section.axes.Y, section.axes.Z)
+    for letter, axis in zip(AXES, axes, strict=True):
+        _check_interval(axis.range_mm, f"axes.{letter}.range_mm", source)
+        _check_interval(axis.travel_mm or axis.range_mm, f"axes.{letter}.travel_mm", source)
+    try:
+        return _described(section, source, axes, read_text)
+    except FormatError:
+        raise
+    except TwinError as error:
+        raise FormatError(error.message, hint=error.hint, file=source, **error.where) from None
+
+
+def _described(
+    section: MachineSection, source: str, axes: Sequence[AxisSection], read_text: Callable[[str], str]
+) -> MachineDescription:
+    ranges = _triple_of_pairs([axis.range_mm for axis in axes])
+    model = ErrorModel(
+        parse_chain(section.chain), ranges, _orders(section.model, source), _cross_effect(section.model)
+    )
+    amplitudes = section.model.family.model_dump()
+    return MachineDescription(
+        name=section.name,
+        model=model,
+        limits=_triple_of_pairs([axis.travel_mm or axis.range_mm for axis in axes]),
+        rapid_mm_per_min=_triple([axis.rapid_mm_per_min for axis in axes]),
+        feed_mm_per_min=_triple([axis.feed_mm_per_min for axis in axes]),
+        acceleration_mm_per_s2=_triple([axis.acceleration_mm_per_s2 for axis in axes]),
+        tools={name: np.array(tool.offset_mm) for name, tool in section.tools.items()},
+        family=family_from_amplitudes(model, amplitudes),
+        amplitudes=amplitudes,
+        deflection=_deflection(section.deflection, source, read_text),
+    )
+
+
+def _orders(model: ModelSection, source: str) -> dict[str, int]:
+    if isinstance(model.order, int):
+        return dict.fromkeys(ERROR_MOTIONS, model.order)
+    for error in model.order:
+        if error not in ERROR_MOTIONS:
+            hint = f"The 18 error motions are {', '.join(ERROR_MOTIONS)}"
+            raise FormatError("not an error motion", hint=hint, file=source, key=f"model.order.{error}")
+    return {error: model.order.get(error, DEFAULT_ORDER) for error in ERROR_MOTIONS}
+
+
+def _cross_effect(model: ModelSection) -> tuple[str, ...]:
+    if isinstance(model.cross_effect, bool):
+        return DEFAULT_CROSS_EFFECT if model.cross_effect else ()
+    return tuple(term for term in CROSS_TERMS if term in model.cross_effect)
+
+
+def _deflection(
+    section: DeflectionSection | None, source: str, read_text: Callable[[str], str]
+) -> DeflectionGrid | None:
+    if section is None:
+        return None
+    try:
+        text = read_text(section.grid)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        hint = "The path is relative to the machine file"
+        message = f"the deflection grid '{section.grid}' cannot be read: {reason}"
+        raise FormatError(message, hint=hint, file=source, key="deflection.grid") from None
+    return parse_deflection(text, section.grid)
+
+
+def _check_interval(interval: tuple[float, float], key: str, source: str) -> None:
+    if not interval[0] < interval[1]:
+        message = f"range [{interval[0]:g}, {interval[1]:g}] is empty or reversed"
+        raise FormatError(message, hint="Write the lower limit first, in mm", file=source, key=key)
+
+
+def _triple(values: list[float]) -> Triple:
+    return values[0], values[1], values[2]
+
+
+def _triple_of_pairs(values: list[tuple[float, float]]) -> Ranges:
+    return values[0], values[1], values[2]

@@ -1,0 +1,60 @@
+"""What a machine file means: a machine as the twin, the planner and the simulator see it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from twin.arrays import Array, as_vector
+from twin.chain import AXES
+from twin.deflection import DeflectionGrid
+from twin.error_model import ErrorModel, Ranges
+from twin.errors import ModelError
+from twin.family import Family
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class MachineDescription:
+    """`model` holds chain and axis ranges; `limits` (mm) are the travel limits, which contain the ranges.
+
+    `tools` are tool offsets (3,) in mm from the ram reference to the stylus centre. `amplitudes` are the
+    family's half-widths as written in the file, so that a machine of another order can be drawn from it.
+    """
+
+    name: str
+    model: ErrorModel
+    limits: Ranges
+    rapid_mm_per_min: Triple
+    feed_mm_per_min: Triple
+    acceleration_mm_per_s2: Triple
+    tools: Mapping[str, Array] = field(hash=False)
+    family: Family
+    amplitudes: Mapping[str, float | Sequence[float]] = field(hash=False)
+    deflection: DeflectionGrid | None
+
+    def __post_init__(self) -> None:
+        for axis, (low, high), travel in zip(AXES, self.model.ranges_mm, self.limits, strict=True):
+            if not travel[0] <= low < high <= travel[1]:
+                message = f"range [{low:g}, {high:g}] leaves the travel [{travel[0]:g}, {travel[1]:g}]"
+                raise ModelError(message, axis=axis)
+        if not self.tools:
+            raise ModelError("the machine has no tool", hint="Give at least one, such as [tools.probe]")
+        for name, offset in self.tools.items():
+            as_vector(offset, 3, f"offset of tool {name}")
+        if self.deflection is not None and not self.deflection.covers(self.limits):
+            spans = ", ".join(
+                f"{axis} {nodes[0]:g} to {nodes[-1]:g}"
+                for axis, nodes in zip(AXES, self.deflection.nodes, strict=True)
+            )
+            hint = "Outside a grid nothing is extrapolated: export it over the whole travel"
+            raise ModelError(f"the deflection grid ({spans} mm) does not cover the travel", hint=hint)
+
+    def tool(self, name: str) -> Array:
+        """Offset (3,) of the tool called `name`; ModelError names the known ones."""
+        if name not in self.tools:
+            raise ModelError(
+                f"the machine has no tool '{name}'", hint=f"Known tools: {', '.join(self.tools)}"
+            )
+        return self.tools[name]
