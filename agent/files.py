@@ -1,0 +1,141 @@
+"""Files in and out: clear words for what cannot be read, durable and complete for what is written.
+
+`twin.formats` turns text into values; here is the only place where the agent reads and writes such text, and
+where the mathematics' errors become errors of the one tree with the same message, places and hint.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from drivers.errors import ConfigurationError, InputError, UserError
+from twin.artefact import Artefact
+from twin.errors import TwinError
+from twin.formats.artefact_file import parse_artefact
+from twin.formats.ball_file import BallFile, parse_balls
+from twin.formats.machine_file import parse_machine
+from twin.formats.position_set_file import parse_positions
+from twin.machine_description import MachineDescription
+from twin.position_set import Position
+
+FILE_MODE = 0o644
+"""Results are read by other people and programs; `mkstemp` alone would keep them to the owner."""
+
+
+def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
+    """The file's text. Raises `error` for whatever keeps it from being read as UTF-8."""
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise error("there is no such file", hint="check the path", file=str(path)) from None
+    except IsADirectoryError:
+        raise error("this is a directory, a file is needed", file=str(path)) from None
+    except UnicodeDecodeError as cause:
+        line = cause.object.count(b"\n", 0, cause.start) + 1
+        hint = "save it as plain UTF-8 text (from a spreadsheet: CSV UTF-8)"
+        raise error("the file is no UTF-8 text", hint=hint, file=str(path), line=line) from None
+    except OSError as cause:
+        raise error(f"the file cannot be read: {_reason(cause)}", file=str(path)) from None
+
+
+@contextmanager
+def translated(error: type[UserError] = InputError, **where: str | int) -> Iterator[None]:
+    """Turn a `TwinError` into `error`, keeping message, places and hint; `where` adds what is not named yet."""
+    try:
+        yield
+    except TwinError as cause:
+        raise error(cause.message, hint=cause.hint, **cause.where).at(**where) from cause
+
+
+def load_machine(path: Path) -> MachineDescription:
+    """The machine file and the deflection grid that it names (relative to the machine file)."""
+    text = read_text(path, error=ConfigurationError)
+
+    def read_neighbour(name: str) -> str:
+        return read_text(path.parent / name, error=ConfigurationError)
+
+    with translated(ConfigurationError, file=str(path)):
+        return parse_machine(text, str(path), read_neighbour)
+
+
+def load_artefact(path: Path) -> Artefact:
+    text = read_text(path, error=ConfigurationError)
+    with translated(ConfigurationError, file=str(path)):
+        return parse_artefact(text, str(path))
+
+
+def load_positions(path: Path) -> tuple[Position, ...]:
+    text = read_text(path)
+    with translated(InputError, file=str(path)):
+        return parse_positions(text, str(path))
+
+
+def load_balls(path: Path, machine: MachineDescription) -> BallFile:
+    """Ball centres of a CSV file; the tools they name are those of `machine`."""
+    text = read_text(path)
+    with translated(InputError, file=str(path)):
+        return parse_balls(text, str(path), machine.tools)
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write so that after any interruption `path` holds its old text or the new one, complete and durable."""
+    write_all_atomically(path.parent, {path.name: text})
+
+
+def write_all_atomically(directory: Path, texts: Mapping[str, str]) -> None:
+    """Write several files of one directory (made if missing); nothing appears unless all could be written.
+
+    Every file is complete on the disk under a temporary name before the first is given its own.
+    """
+    staged: dict[Path, Path] = {}
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            target = directory / name
+            if target.is_dir():
+                raise InputError("a directory stands where a file is to be written", file=str(target))
+            staged[target] = _stage(directory, name, text)
+        for target, temporary in staged.items():
+            temporary.replace(target)
+        _sync_directory(directory)
+    except (FileExistsError, NotADirectoryError):
+        hint = "choose another output directory"
+        raise InputError("this is a file, a directory is needed", hint=hint, file=str(directory)) from None
+    except OSError as cause:
+        hint = "check the permissions and the free space"
+        message = f"results cannot be written: {_reason(cause)}"
+        raise InputError(message, hint=hint, directory=str(directory)) from None
+    finally:
+        for temporary in staged.values():
+            temporary.unlink(missing_ok=True)
+
+
+def _stage(directory: Path, name: str, text: str) -> Path:
+    handle, temporary = tempfile.mkstemp(dir=directory, prefix=f".{name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(text.encode())
+            file.flush()
+            os.fchmod(file.fileno(), FILE_MODE)
+            os.fsync(file.fileno())
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    return Path(temporary)
+
+
+def _sync_directory(directory: Path) -> None:
+    """Without this a rename may be lost with the power although the file's own data is on the disk."""
+    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _reason(cause: OSError) -> str:
+    return (cause.strerror or str(cause)).lower()

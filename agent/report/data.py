@@ -1,0 +1,127 @@
+"""What a report is made of.
+
+An offline identification fills the first block only; a run on a machine adds what it decided, verified and
+noticed. Sections whose value is None or empty are left out of the page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.artefact import Artefact
+from twin.identification import Estimate
+from twin.machine_description import MachineDescription
+from twin.observations import Observations
+from twin.position_set import Position
+from twin.table import CompensationTable
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A length in µm with its standard uncertainty (None: not known)."""
+
+    value_um: float
+    standard_uncertainty_um: float | None = None
+
+
+@dataclass(frozen=True)
+class Header:
+    """Who, what and when. `timestamp` is ISO 8601 UTC; `state` one of the run states."""
+
+    title: str
+    run_id: str
+    timestamp: str
+    software_version: str
+    state: str
+    position_set: str
+    settings: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class GateLine:
+    """A criterion that the result was held against. `passed` None: stated for information only."""
+
+    name: str
+    value: str
+    limit: str
+    passed: bool | None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class VerifiedPosition:
+    """A held-out position: rms of its ball deviations, and the standard uncertainty predicted for that rms."""
+
+    label: str
+    before_um: float | None
+    after_um: float
+    predicted_um: float
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Fresh measurements with the new table active."""
+
+    accepted: bool
+    verdict: str
+    before: Quantity | None
+    after: Quantity
+    predicted_um: float
+    positions: tuple[VerifiedPosition, ...] = ()
+
+
+@dataclass(frozen=True)
+class TemperatureTrace:
+    """One sensor over the run: (n,) minutes since its start and (n,) °C."""
+
+    name: str
+    minutes: Array
+    temperature_c: Array
+
+
+@dataclass(frozen=True)
+class EventLine:
+    timestamp: str
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What only a run on a machine knows."""
+
+    touches: int | None = None
+    machine_minutes: float | None = None
+    table_bank: str | None = None
+    verification: Verification | None = None
+    temperatures: tuple[TemperatureTrace, ...] = ()
+    events: tuple[EventLine, ...] = ()
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything a page is drawn from. `positions` are the poses that `observations.position` counts."""
+
+    header: Header
+    machine: MachineDescription
+    artefact: Artefact
+    observations: Observations
+    estimate: Estimate
+    positions: tuple[Position, ...]
+    tool_name: str
+    table: CompensationTable | None = None
+    table_crc32: int | None = None
+    gates: tuple[GateLine, ...] = ()
+    warnings: tuple[str, ...] = ()
+    run: RunFacts = RunFacts()
+
+    @property
+    def tool_offset(self) -> Array:
+        """(3,) mm: the offset that the table and every stated volumetric error belong to."""
+        return np.asarray(self.machine.tools[self.tool_name], dtype=np.float64)

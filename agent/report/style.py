@@ -1,0 +1,125 @@
+"""How figures look: one place for colours, and figures that follow the page's light or dark theme.
+
+Figures are drawn with stand-in colours that the finished SVG exchanges for CSS variables of the page, so one
+drawing serves a light screen, a dark one and paper. The series colours are Okabe and Ito's, which people with
+any of the common colour deficiencies tell apart; the map colours (viridis) grow evenly in lightness.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import Literal
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+INK = "#010101"
+"""Text, axes and zero lines; `currentColor` of the page."""
+GRID = "#020202"
+BLUE = "#030303"
+ORANGE = "#040404"
+GREEN = "#050505"
+PURPLE = "#060606"
+
+MAP_COLOURS = "viridis"
+BAND_OPACITY = 0.22
+
+PAGE_VARIABLES = {
+    INK: "currentColor",
+    GRID: "var(--grid)",
+    BLUE: "var(--blue)",
+    ORANGE: "var(--orange)",
+    GREEN: "var(--green)",
+    PURPLE: "var(--purple)",
+}
+
+_SETTINGS = {
+    "svg.fonttype": "none",
+    "svg.image_inline": True,
+    "font.family": "sans-serif",
+    "font.size": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "savefig.dpi": 110,
+}
+
+
+class Drawing:
+    """A figure under the house style: `with Drawing("name", width, height) as figure: …` then `.svg()`."""
+
+    def __init__(self, name: str, width_in: float, height_in: float, *, fitted: bool = True) -> None:
+        """`fitted`: margins are found from what is drawn (costs time with many panels), otherwise set by hand."""
+        self.name = name
+        self._layout: Literal["constrained", "none"] = "constrained" if fitted else "none"
+        self._size = (width_in, height_in)
+        self._context = mpl.rc_context(_SETTINGS)
+        self._svg = ""
+
+    def __enter__(self) -> Figure:
+        self._context.__enter__()
+        mpl.rcParams["svg.hashsalt"] = self.name
+        self._figure = Figure(figsize=self._size, layout=self._layout)
+        self._figure.patch.set_alpha(0.0)
+        return self._figure
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        try:
+            if kind is None:
+                self._svg = _themed(_raw_svg(self._figure), self.name)
+        finally:
+            self._context.__exit__(None, None, None)
+
+    def svg(self) -> str:
+        """The `<svg>` element, ready to stand in a page."""
+        return self._svg
+
+
+def transparent(axes: Axes) -> None:
+    axes.patch.set_alpha(0.0)
+
+
+def _raw_svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    for axes in figure.axes:
+        transparent(axes)
+    unstamped = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    FigureCanvasSVG(figure).print_svg(buffer, metadata=unstamped)
+    return buffer.getvalue()
+
+
+def _themed(svg: str, name: str) -> str:
+    """Drop what belongs to a file of its own, let the page colour it and keep its ids apart from others'."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'<svg [^>]*?(viewBox="[^"]*")[^>]*>', rf'<svg {_NAMESPACES} \1 data-figure="{name}">', svg, count=1)
+    svg = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
+    for stand_in, variable in PAGE_VARIABLES.items():
+        svg = svg.replace(stand_in, variable)
+    return re.sub(r"font: ([^;\"]*?)px [^;\"]*", r"font: \1px var(--figure-font)", svg)
+
+
+_NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
