@@ -38,7 +38,7 @@ class MachineDescription:
         for axis, (low, high), travel in zip(AXES, self.model.ranges_mm, self.limits, strict=True):
             if not travel[0] <= low < high <= travel[1]:
                 message = f"range [{low:g}, {high:g}] leaves the travel [{travel[0]:g}, {travel[1]:g}]"
-                raise ModelError(message, axis=axis)
+                raise ModelError(message, key=f"axes.{axis}.travel_mm")
         if not self.tools:
             raise ModelError("the machine has no tool", hint="Give at least one, such as [tools.probe]")
         for name, offset in self.tools.items():
@@ -49,7 +49,8 @@ class MachineDescription:
                 for axis, nodes in zip(AXES, self.deflection.nodes, strict=True)
             )
             hint = "Outside a grid nothing is extrapolated: export it over the whole travel"
-            raise ModelError(f"the deflection grid ({spans} mm) does not cover the travel", hint=hint)
+            message = f"the deflection grid ({spans} mm) does not cover the travel"
+            raise ModelError(message, hint=hint, key="deflection.grid")
 
     def tool(self, name: str) -> Array:
         """Offset (3,) of the tool called `name`; ModelError names the known ones."""

@@ -102,6 +102,7 @@ def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> Ma
     except FormatError:
         raise
     except TwinError as error:
+        error.at(key="chain" if "chain" in error.where else "model")
         raise FormatError(error.message, hint=error.hint, file=source, **error.where) from None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Sequence
 from typing import Any, TypeVar, get_args
@@ -17,6 +18,8 @@ class Strict(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+
+_UNION_LABEL = re.compile(r"(float|int|bool|str|constrained-\w+)$|.*\[")
 
 Section = TypeVar("Section", bound=BaseModel)
 
@@ -48,25 +51,33 @@ def key_path(location: Sequence[str | int]) -> str:
 
 
 def _explained(error: ValidationError, source: str, kind: type[BaseModel]) -> FormatError:
-    problems = error.errors(include_url=False)
-    first = problems[0]
-    location = _without_union_labels(first["loc"])
-    message, hint = _in_words(first["type"], first["msg"], first.get("input"), location, kind)
-    others = {_place(problem["loc"]) for problem in problems} - {_place(first["loc"])}
+    problems = sorted(
+        error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden"
+    )
+    start = _place(problems[0]["loc"])
+    same = [problem for problem in problems if _place(problem["loc"]).startswith(start)]
+    worst = max(same, key=lambda problem: len(_without_union_labels(problem["loc"])))
+    place = _place(worst["loc"])
+    message, hint = _in_words(worst["type"], worst["msg"], worst.get("input"), worst["loc"], kind)
+    others = {_place(problem["loc"]) for problem in problems}
+    others = {other for other in others if not (place.startswith(other) or other.startswith(place))}
     if others:
         message = f"{message}; also wrong in this file: {', '.join(sorted(others))}"
-    return FormatError(message, hint=hint, file=source, key=_place(first["loc"]))
+    return FormatError(message, hint=hint, file=source, key=place)
 
 
 def _in_words(
-    problem: str, text: str, value: object, location: list[str | int], kind: type[BaseModel]
+    problem: str, text: str, value: object, place: Sequence[str | int], kind: type[BaseModel]
 ) -> tuple[str, str]:
+    location = _without_union_labels(place)
     known = _known_keys(kind, location[:-1])
     name = str(location[-1]) if location else ""
     if problem == "extra_forbidden":
         close = difflib.get_close_matches(name, known, n=1)
         return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _listing(known)
     if problem == "missing":
+        if location and isinstance(location[-1], int):
+            return f"the list is too short, it has no value number {location[-1] + 1}", ""
         return f"key '{name}' is missing", _listing(known)
     return f"{text[:1].lower()}{text[1:].removeprefix('alue error, ')}, found {value!r:.80}", ""
 
@@ -97,5 +108,4 @@ def _place(location: Sequence[str | int]) -> str:
 
 def _without_union_labels(location: Sequence[str | int]) -> list[str | int]:
     """Pydantic names the tried branch of a union (`list[float]`); a person looks for the key alone."""
-    labels = {"float", "int", "bool", "str"}
-    return [part for part in location if isinstance(part, int) or not ("[" in part or part in labels)]
+    return [part for part in location if isinstance(part, int) or not _UNION_LABEL.match(part)]
