@@ -1,0 +1,182 @@
+"""The register map as the controller sees it: blocks, codes, and the layout of each block.
+
+Source: docs/reference/modbus-register-map.md, sections 2 to 5, 8 and 9. Written from that page, not from the
+agent's driver: a shared map would hide a swapped word.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+PROTOCOL: Final = 0x5643
+VERSION: Final = 0x0100
+NO_BANK_PENDING: Final = 0xFFFF
+NO_SUCH_BLOCK: Final = 0xFFFF
+NO_TEMPERATURE: Final = -0x80000000
+TEMPERATURE_PLACES: Final = 8
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive holding registers; a request must stay inside one block."""
+
+    address: int
+    registers: int
+    writable: bool
+
+    def holds(self, address: int, count: int) -> bool:
+        return self.address <= address and address + count <= self.address + self.registers
+
+    def slice_of(self, address: int, count: int) -> slice:
+        """The bytes of `count` registers from `address` within this block's image."""
+        start = 2 * (address - self.address)
+        return slice(start, start + 2 * count)
+
+
+STATUS = Block(1000, 70, writable=False)
+LIMITS = Block(1100, 63, writable=False)
+READ_WINDOW = Block(1200, 122, writable=False)
+COMMAND = Block(2000, 23, writable=True)
+DESCRIPTOR = Block(2100, 34, writable=True)
+DATA_WINDOW = Block(2200, 121, writable=True)
+READ_SELECTOR = Block(2400, 2, writable=True)
+
+SEQUENCE_REGISTER: Final = 2022
+BLOCK_NUMBER_REGISTER: Final = 2320
+
+
+class ExceptionCode(IntEnum):
+    """Exceptions the page allows (section 1)."""
+
+    FUNCTION_NOT_OFFERED = 1
+    ILLEGAL_ADDRESS = 2
+    WRONG_COUNT = 3
+    CANNOT_ANSWER = 4
+
+
+class CommandCode(IntEnum):
+    """Section 5."""
+
+    MOVE_RAPID = 11
+    MOVE_FEED = 12
+    GUARDED_RAPID = 13
+    GUARDED_FEED = 14
+    TOUCH = 15
+    HOLD = 21
+    RESUME = 22
+    STOP = 23
+    RESET = 24
+    TABLE_BEGIN = 31
+    TABLE_COMMIT = 32
+    TABLE_ARM = 33
+    TABLE_ACTIVATE = 34
+
+
+MOTION_COMMANDS: Final = frozenset(
+    {
+        CommandCode.MOVE_RAPID,
+        CommandCode.MOVE_FEED,
+        CommandCode.GUARDED_RAPID,
+        CommandCode.GUARDED_FEED,
+        CommandCode.TOUCH,
+    }
+)
+
+
+class State(IntEnum):
+    """Register 1004."""
+
+    IDLE = 0
+    MOVING = 1
+    HELD = 2
+    FAULT = 3
+
+
+class FaultCode(IntEnum):
+    """Table 9.1."""
+
+    NONE = 0
+    EMERGENCY_STOP = 1
+    END_OF_TRAVEL = 2
+    FOLLOWING_ERROR = 3
+    DRIVE = 4
+    PROBE_TRIPPED = 5
+    HEARTBEAT_LOST = 6
+    DOOR_OPENED = 7
+    PERMISSION_LOST = 8
+    PROBE_LOST = 9
+    COLLISION = 10
+    OTHER = 99
+
+
+class ResultCode(IntEnum):
+    """Table 9.2."""
+
+    NONE_YET = 0
+    ACCEPTED = 1
+    UNKNOWN_COMMAND = 2
+    NOT_IN_THIS_STATE = 3
+    PERMISSION_MISSING = 4
+    OUTSIDE_TRAVEL = 5
+    ILLEGAL_FEED = 6
+    ILLEGAL_VALUE = 7
+    NO_PROBE = 8
+    CAUSE_PRESENT = 9
+    PROBE_DEFLECTED = 10
+    NO_SUCH_BANK = 20
+    BANK_IN_USE = 21
+    DESCRIPTOR_NOT_ALLOWED = 22
+    BLOCKS_MISSING = 23
+    CRC_DIFFERS = 24
+    NOT_ARMED = 25
+    NOT_COMPLETE = 26
+    NO_TRANSFER = 27
+
+
+class Outcome(IntEnum):
+    """Table 9.3."""
+
+    NONE = 0
+    UNDER_WAY = 1
+    IN_POSITION = 2
+    TRIPPED = 3
+    MISSED = 4
+    GUARD_TRIPPED = 5
+    STOPPED = 6
+    HEARTBEAT_LOST = 7
+    FAULT = 8
+
+
+class LatchResult(IntEnum):
+    """Register 1025."""
+
+    NONE = 0
+    TRIPPED = 1
+    MISSED = 2
+
+
+class BankState(IntEnum):
+    """Registers 1046 and 1047."""
+
+    EMPTY = 0
+    BEING_WRITTEN = 1
+    COMPLETE = 2
+    DAMAGED = 3
+
+
+STATUS_LAYOUT = struct.Struct(">12H 24s 2H 24s 10H 2I H 8i H")
+"""1000–1011, actual position, latch sequence and result, latched position, 1038–1047, both CRC, temperature
+count, temperatures, heartbeat copy."""
+
+LIMITS_LAYOUT = struct.Struct(">96s 4H I 16s H")
+"""Travel, rapid and acceleration (12 numbers), banks and most nodes, most nodes in all, resolution and largest
+correction (2 numbers), activation."""
+
+COMMAND_LAYOUT = struct.Struct(">4H I 24s 8s H")
+"""Agent heartbeat, command, bank, nonce, CRC, target, feed, sequence."""
+
+DESCRIPTOR_LAYOUT = struct.Struct(">4H 56s I")
+"""Bank, nx, ny, nz, origin and step and resolution (7 numbers), CRC."""

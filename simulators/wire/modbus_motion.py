@@ -1,0 +1,315 @@
+"""Motion as the registers tell it: commands, outcome, latch, the fault codes, and the heartbeat watch.
+
+Source: docs/reference/modbus-register-map.md, 3, 5, 7 and 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Final, Protocol
+
+import numpy as np
+
+from drivers.roles import AxisLimits, MotionState, Permission, Vector
+from simulators.wire.modbus_map import CommandCode, FaultCode, LatchResult, Outcome, ResultCode, State
+
+HEARTBEAT_WITHIN_S: Final = 1.0
+TRAVEL_TOLERANCE_MM: Final = 1e-9
+
+PERMISSION_BITS: Final = (
+    Permission.AUTOMATIC,
+    Permission.DOORS_CLOSED,
+    Permission.SPINDLE_STOPPED,
+    Permission.PROGRAM_IDLE,
+    Permission.REFERENCED,
+    Permission.NO_FAULT,
+    Permission.CONSENT,
+)
+
+STATE_OF: Final = {
+    MotionState.IDLE: State.IDLE,
+    MotionState.MOVING: State.MOVING,
+    MotionState.HELD: State.HELD,
+    MotionState.FAULT: State.FAULT,
+}
+
+
+class Latch(Protocol):
+    @property
+    def sequence(self) -> int: ...
+
+    @property
+    def position(self) -> Vector: ...
+
+
+class MovingMachine(Protocol):
+    """What the registers need of the controller's physics."""
+
+    @property
+    def motion(self) -> MotionState: ...
+
+    @property
+    def fault(self) -> str: ...
+
+    @property
+    def latch(self) -> Latch | None: ...
+
+    @property
+    def probe_deflected(self) -> bool: ...
+
+    @property
+    def probe_loaded(self) -> bool: ...
+
+    @property
+    def probe_healthy(self) -> bool: ...
+
+    @property
+    def permissions(self) -> Mapping[Permission, bool]: ...
+
+    def limits(self) -> AxisLimits: ...
+
+    def displayed_position(self) -> Vector: ...
+
+    def begin_move(self, target: Vector, feed_mm_per_s: float | None, guarded: bool) -> None: ...
+
+    def begin_touch(self, target: Vector, feed_mm_per_s: float) -> None: ...
+
+    def hold(self) -> None: ...
+
+    def resume(self) -> None: ...
+
+    def halt(self) -> None: ...
+
+    def reset(self) -> None: ...
+
+
+def fault_code(fault: str) -> FaultCode:
+    """The code of a fault the physics names in words; 99 for one the table has no code for."""
+    words = fault.lower()
+    for marker, code in _FAULT_WORDS:
+        if marker in words:
+            return code
+    return FaultCode.OTHER
+
+
+_FAULT_WORDS: Final = (
+    ("collision", FaultCode.COLLISION),
+    ("overload", FaultCode.COLLISION),
+    ("probe tripped", FaultCode.PROBE_TRIPPED),
+    ("emergency", FaultCode.EMERGENCY_STOP),
+    ("travel", FaultCode.END_OF_TRAVEL),
+    ("following", FaultCode.FOLLOWING_ERROR),
+    ("drive", FaultCode.DRIVE),
+)
+
+
+@dataclass(frozen=True)
+class MotionOrder:
+    """A motion command with the fields that it uses."""
+
+    code: CommandCode
+    target_mm: tuple[float, ...]
+    feed_mm_per_s: float
+
+    @property
+    def rapid(self) -> bool:
+        return self.code in (CommandCode.MOVE_RAPID, CommandCode.GUARDED_RAPID)
+
+    @property
+    def touch(self) -> bool:
+        return self.code is CommandCode.TOUCH
+
+    @property
+    def probing(self) -> bool:
+        return self.code in (CommandCode.GUARDED_RAPID, CommandCode.GUARDED_FEED, CommandCode.TOUCH)
+
+
+class MotionRegisters:
+    """Registers 1004 … 1037 and what stands behind them.
+
+    Faults that the physics does not know (heartbeat lost, permission or probe lost while moving) are kept
+    here, on top of the machine's own.
+    """
+
+    def __init__(self, machine: MovingMachine, now: Callable[[], float]) -> None:
+        self._machine = machine
+        self._now = now
+        self._limits = machine.limits()
+        self._fault = FaultCode.NONE
+        self._order: MotionOrder | None = None
+        self._latch_before = 0
+        self._watched_since_s = 0.0
+        self.sequence = 0
+        self.outcome = Outcome.NONE
+        self.latch_sequence = 0
+        self.latch_result = LatchResult.NONE
+        self.latched_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def state(self) -> State:
+        return State.FAULT if self._fault else STATE_OF[self._machine.motion]
+
+    @property
+    def fault(self) -> FaultCode:
+        if self._fault:
+            return self._fault
+        if self._machine.motion is MotionState.FAULT:
+            return fault_code(self._machine.fault)
+        return FaultCode.NONE
+
+    @property
+    def permissions(self) -> int:
+        """Register 1006."""
+        given = self._machine.permissions
+        bits = sum(1 << bit for bit, name in enumerate(PERMISSION_BITS) if given[name])
+        return bits & ~(1 << PERMISSION_BITS.index(Permission.NO_FAULT)) if self._fault else bits
+
+    @property
+    def probe(self) -> int:
+        """Register 1007."""
+        machine = self._machine
+        return machine.probe_loaded | machine.probe_healthy << 1 | machine.probe_deflected << 2
+
+    def position_mm(self) -> tuple[float, float, float]:
+        x, y, z = self._machine.displayed_position()
+        return float(x), float(y), float(z)
+
+    def heartbeat_changed(self) -> None:
+        self._watched_since_s = self._now()
+
+    def wakes_at(self) -> float | None:
+        """When the watch of register 2000 expires; None while nothing moves."""
+        if self._fault or self._machine.motion is not MotionState.MOVING:
+            return None
+        return self._watched_since_s + HEARTBEAT_WITHIN_S
+
+    def observe(self) -> None:
+        """Look at the machine at this instant: end what must end, and settle the outcome of what has ended."""
+        if self.outcome is not Outcome.UNDER_WAY:
+            return
+        if self._machine.motion is MotionState.MOVING:
+            self._watch()
+        elif self._machine.motion is not MotionState.HELD:
+            self._settle()
+
+    def _watch(self) -> None:
+        lost = self._lost_while_moving()
+        if lost is not FaultCode.NONE:
+            self._machine.halt()
+            self._fault = lost
+            self.outcome = Outcome.HEARTBEAT_LOST if lost is FaultCode.HEARTBEAT_LOST else Outcome.FAULT
+
+    def _lost_while_moving(self) -> FaultCode:
+        given = self._machine.permissions
+        if not given[Permission.DOORS_CLOSED]:
+            return FaultCode.DOOR_OPENED
+        if not all(given.values()):
+            return FaultCode.PERMISSION_LOST
+        if self._order is not None and self._order.probing and not self._probe_ready():
+            return FaultCode.PROBE_LOST
+        expires_s = self._watched_since_s + HEARTBEAT_WITHIN_S
+        return FaultCode.HEARTBEAT_LOST if self._now() >= expires_s else FaultCode.NONE
+
+    def _settle(self) -> None:
+        if self._machine.motion is MotionState.FAULT:
+            guard = self.fault is FaultCode.PROBE_TRIPPED
+            self.outcome = Outcome.GUARD_TRIPPED if guard else Outcome.FAULT
+        elif self._order is not None and self._order.touch:
+            self._settle_touch()
+        else:
+            self.outcome = Outcome.IN_POSITION
+
+    def _settle_touch(self) -> None:
+        latch = self._machine.latch
+        tripped = latch is not None and latch.sequence != self._latch_before
+        x, y, z = latch.position if latch is not None and tripped else self._machine.displayed_position()
+        self.latch_sequence = self.sequence
+        self.latch_result = LatchResult.TRIPPED if tripped else LatchResult.MISSED
+        self.latched_mm = (float(x), float(y), float(z))
+        self.outcome = Outcome.TRIPPED if tripped else Outcome.MISSED
+
+    def start(self, order: MotionOrder, sequence: int) -> ResultCode:
+        refusal = self._refusal(order)
+        if refusal is not None:
+            return refusal
+        target = np.array(order.target_mm)
+        latch = self._machine.latch
+        self._latch_before = latch.sequence if latch is not None else 0
+        if order.touch:
+            self._machine.begin_touch(target, order.feed_mm_per_s)
+        else:
+            self._machine.begin_move(target, None if order.rapid else order.feed_mm_per_s, order.probing)
+        self._order = order
+        self.sequence, self.outcome = sequence, Outcome.UNDER_WAY
+        self._watched_since_s = self._now()
+        return ResultCode.ACCEPTED
+
+    def _refusal(self, order: MotionOrder) -> ResultCode | None:
+        if self.state is not State.IDLE:
+            return ResultCode.NOT_IN_THIS_STATE
+        if not all(self._machine.permissions.values()):
+            return ResultCode.PERMISSION_MISSING
+        return self._illegal_number(order) or self._probe_not_ready(order)
+
+    def _illegal_number(self, order: MotionOrder) -> ResultCode | None:
+        if not all(map(isfinite, (*order.target_mm, order.feed_mm_per_s))):
+            return ResultCode.ILLEGAL_VALUE
+        travel = zip(self._limits.lower_mm, order.target_mm, self._limits.upper_mm, strict=True)
+        tolerance = TRAVEL_TOLERANCE_MM
+        if not all(low - tolerance <= x <= high + tolerance for low, x, high in travel):
+            return ResultCode.OUTSIDE_TRAVEL
+        if not order.rapid and not 0.0 < order.feed_mm_per_s <= max(self._limits.rapid_mm_per_s):
+            return ResultCode.ILLEGAL_FEED
+        return None
+
+    def _probe_not_ready(self, order: MotionOrder) -> ResultCode | None:
+        if order.probing and not self._probe_ready():
+            return ResultCode.NO_PROBE
+        return ResultCode.PROBE_DEFLECTED if order.touch and self._machine.probe_deflected else None
+
+    def hold(self) -> ResultCode:
+        if self.state is State.FAULT:
+            return ResultCode.NOT_IN_THIS_STATE
+        if self.state is State.MOVING:
+            self._machine.hold()
+        return ResultCode.ACCEPTED
+
+    def resume(self) -> ResultCode:
+        if self.state is State.FAULT:
+            return ResultCode.NOT_IN_THIS_STATE
+        if self.state is State.HELD:
+            self._machine.resume()
+            self._watched_since_s = self._now()
+        return ResultCode.ACCEPTED
+
+    def stop(self) -> ResultCode:
+        """Always accepted."""
+        if self.state in (State.MOVING, State.HELD):
+            self._machine.halt()
+            self.outcome = Outcome.STOPPED
+        return ResultCode.ACCEPTED
+
+    def reset(self) -> ResultCode:
+        if self.state in (State.MOVING, State.HELD):
+            return ResultCode.NOT_IN_THIS_STATE
+        if self._cause_present():
+            return ResultCode.CAUSE_PRESENT
+        if self._machine.motion is MotionState.FAULT:
+            self._machine.reset()
+        self._fault = FaultCode.NONE
+        return ResultCode.ACCEPTED
+
+    def _cause_present(self) -> bool:
+        given = self._machine.permissions
+        if self._fault is FaultCode.DOOR_OPENED:
+            return not given[Permission.DOORS_CLOSED]
+        if self._fault is FaultCode.PERMISSION_LOST:
+            return not all(given.values())
+        if self._fault is FaultCode.PROBE_LOST:
+            return not self._probe_ready()
+        return False
+
+    def _probe_ready(self) -> bool:
+        return self._machine.probe_loaded and self._machine.probe_healthy

@@ -1,0 +1,44 @@
+"""How a number fills four registers: float64, or a scaled int32 for controllers without float64.
+
+Source: docs/reference/modbus-register-map.md, 1.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Protocol
+
+BYTES_PER_NUMBER = 8
+
+
+class NumberFormat(Protocol):
+    """Packs and unpacks the page's ``f64``: four registers, eight bytes, high word first."""
+
+    def pack(self, *values: float) -> bytes: ...
+
+    def unpack(self, data: bytes) -> tuple[float, ...]: ...
+
+
+class Float64Numbers:
+    """IEEE 754 binary64."""
+
+    def pack(self, *values: float) -> bytes:
+        return struct.pack(f">{len(values)}d", *values)
+
+    def unpack(self, data: bytes) -> tuple[float, ...]:
+        return struct.unpack(f">{len(data) // BYTES_PER_NUMBER}d", data)
+
+
+@dataclass(frozen=True)
+class ScaledInt32Numbers:
+    """Counts of `scale` in the first two of the four registers, the other two 0."""
+
+    scale: float = 1e-5
+
+    def pack(self, *values: float) -> bytes:
+        return struct.pack(">" + "i4x" * len(values), *(round(value / self.scale) for value in values))
+
+    def unpack(self, data: bytes) -> tuple[float, ...]:
+        counts = struct.unpack(">" + "i4x" * (len(data) // BYTES_PER_NUMBER), data)
+        return tuple(count * self.scale for count in counts)

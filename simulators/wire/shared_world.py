@@ -1,0 +1,76 @@
+"""One world, one lock, and everything on the wire that must move along with its time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+
+class MovedByTime(Protocol):
+    """What is shared: anything with a machine time that somebody moves on."""
+
+    @property
+    def now(self) -> float: ...
+
+    def advance_to(self, instant_s: float) -> None: ...
+
+
+W_co = TypeVar("W_co", bound=MovedByTime, covariant=True)
+
+
+@dataclass(frozen=True)
+class _Companion:
+    moved_to: Callable[[float], None]
+    wakes_at: Callable[[], float | None] | None
+
+
+class SharedWorld(Generic[W_co]):
+    """Serialises every access to `world`: hold `lock` (re-entrant) around any look at it or command to it.
+
+    Companions (a heartbeat watch, CAN nodes) are called after each advance, under the lock. One that must act
+    at an instant of its own names it with `wakes_at`; a longer advance then halts there on its way, so a
+    watch of one second expires after one second however far the clock jumps.
+    """
+
+    def __init__(self, world: W_co) -> None:
+        self._world = world
+        self.lock = threading.RLock()
+        self._companions: list[_Companion] = []
+
+    @property
+    def world(self) -> W_co:
+        return self._world
+
+    @property
+    def now(self) -> float:
+        """Machine time, s."""
+        return self._world.now
+
+    def subscribe(
+        self, moved_to: Callable[[float], None], *, wakes_at: Callable[[], float | None] | None = None
+    ) -> None:
+        """`moved_to(now_s)` is called after each advance; `wakes_at()` says when it must be, None for never."""
+        with self.lock:
+            self._companions.append(_Companion(moved_to, wakes_at))
+
+    def advance_to(self, instant_s: float) -> None:
+        """Move the world and its companions to `instant_s`; an instant that has passed changes nothing."""
+        with self.lock:
+            while self._world.now < instant_s:
+                self._step_to(min(instant_s, self._next_wake(instant_s)))
+
+    def _next_wake(self, latest_s: float) -> float:
+        """The first instant a companion asked for that still lies ahead."""
+        first = latest_s
+        for companion in self._companions:
+            instant = companion.wakes_at() if companion.wakes_at is not None else None
+            if instant is not None and self._world.now < instant < first:
+                first = instant
+        return first
+
+    def _step_to(self, instant_s: float) -> None:
+        self._world.advance_to(instant_s)
+        for companion in self._companions:
+            companion.moved_to(instant_s)

@@ -1,0 +1,107 @@
+"""A TCP server in threads of its own: the part that Modbus, control channel and time server share."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable
+
+import structlog
+
+from drivers.errors import ConfigurationError
+
+LONGEST_LINE = 65536
+log = structlog.get_logger()
+
+
+class TcpServer:
+    """Listens at once, serves each connection with `serve(connection)` until that returns.
+
+    With `one_client` the connections are served one after the other: the next one waits until the present one
+    has gone, as at a PLC with a single Modbus socket. `serve` may let an OSError out: the peer has gone.
+    Raises ConfigurationError where the address cannot be had.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        address: tuple[str, int],
+        serve: Callable[[socket.socket], None],
+        *,
+        one_client: bool = False,
+    ) -> None:
+        self._name = name
+        self._serve = serve
+        self._one_client = one_client
+        self._connections: set[socket.socket] = set()
+        self._guard = threading.Lock()
+        self._closed = False
+        try:
+            self._listener = socket.create_server(address)
+        except (OSError, OverflowError) as error:
+            raise ConfigurationError(
+                f"cannot listen for {name} on {address[0]}:{address[1]}: {error}",
+                hint="choose a free port, or 0 for any, and an address of this computer",
+            ) from error
+        self._thread = threading.Thread(target=self._accept_forever, name=name, daemon=True)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port actually listened on."""
+        host, port = self._listener.getsockname()[:2]
+        return str(host), int(port)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop listening and hang up on everybody; returns once no further connection can be served."""
+        with self._guard:
+            self._closed = True
+            for connection in (self._listener, *self._connections):
+                with contextlib.suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
+        if self._thread.ident is not None:
+            self._thread.join(timeout=5.0)
+        self._listener.close()
+
+    def _accept_forever(self) -> None:
+        while not self._closed:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return  # the listener was shut down
+            if self._one_client:
+                self._attend(connection)
+            else:
+                threading.Thread(
+                    target=self._attend, args=(connection,), name=f"{self._name} client", daemon=True
+                ).start()
+
+    def _attend(self, connection: socket.socket) -> None:
+        with connection:
+            with self._guard:
+                if self._closed:
+                    return
+                self._connections.add(connection)
+            try:
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._serve(connection)
+            except OSError as error:
+                log.info("client gone", server=self._name, reason=str(error))
+            finally:
+                with self._guard:
+                    self._connections.discard(connection)
+
+
+def serve_lines(connection: socket.socket, answer: Callable[[bytes], bytes]) -> None:
+    """Answer each line with one line until the peer hangs up; a line without end hangs up on the peer."""
+    buffer = b""
+    while chunk := connection.recv(LONGEST_LINE):
+        *lines, buffer = (buffer + chunk).split(b"\n")
+        for line in lines:
+            connection.sendall(answer(line) + b"\n")
+        if len(buffer) > LONGEST_LINE:
+            log.warning("client hung up on", reason="line too long", limit=LONGEST_LINE)
+            return

@@ -1,0 +1,76 @@
+"""Where machine time comes from when the simulators are a process of their own.
+
+Lockstep: the agent leads (`drivers.clock.LockstepClock`); the line ``advance SECONDS`` moves the world and is
+answered with ``ok`` once it is there. Otherwise a ticker moves the world along with the wall clock.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+
+from drivers.clock import Clock
+from simulators.wire.shared_world import MovedByTime, SharedWorld
+from simulators.wire.tcp_server import TcpServer, serve_lines
+
+TICK_S = 0.002
+"""Wall time between two advances: a tenth of the fastest cyclic message (20 ms) on the simulated links."""
+
+
+class TimeServer:
+    """Lockstep over TCP. Each client's seconds count from the machine time at which it connected, because its
+    clock starts at zero: a second agent after the first one's night does not stand still."""
+
+    def __init__(self, shared: SharedWorld[MovedByTime], address: tuple[str, int]) -> None:
+        self._shared = shared
+        self._server = TcpServer("time", address, self._serve)
+        self.address = self._server.address
+        self.start = self._server.start
+        self.close = self._server.close
+
+    def _serve(self, connection: socket.socket) -> None:
+        origin_s = self._shared.now
+
+        def answer(line: bytes) -> bytes:
+            instant_s = _parse_advance(line)
+            if instant_s is None:
+                return b"error expected: advance SECONDS"
+            self._shared.advance_to(origin_s + instant_s)
+            return b"ok"
+
+        serve_lines(connection, answer)
+
+
+def _parse_advance(line: bytes) -> float | None:
+    words = line.split()
+    if len(words) != 2 or words[0] != b"advance":
+        return None
+    try:
+        instant_s = float(words[1])
+    except ValueError:
+        return None
+    return instant_s if math.isfinite(instant_s) else None
+
+
+class Ticker:
+    """Moves the world along with `clock` (real or scaled) in small steps, in a thread of its own."""
+
+    def __init__(self, shared: SharedWorld[MovedByTime], clock: Clock) -> None:
+        self._shared = shared
+        self._clock = clock
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="ticker", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        origin_s = self._shared.now - self._clock.now()
+        while not self._stop.wait(TICK_S):
+            self._shared.advance_to(origin_s + self._clock.now())
