@@ -15,7 +15,7 @@ _REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """How the map's f64 travel: as float64, or as int32 in units of `scale` in the first two of four registers."""
+    """How the map's f64 travel: as float64, or int32 × `scale` in the first two of their four registers."""
 
     kind: Literal["float64", "int32"] = "float64"
     scale: float = 1e-5

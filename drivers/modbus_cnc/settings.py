@@ -1,4 +1,4 @@
-"""What the configuration of a `modbus-cnc` device may say. Defaults are those of the documented register map."""
+"""What the configuration of a `modbus-cnc` device may say; defaults are those of the register map."""
 
 from __future__ import annotations
 
@@ -90,9 +90,7 @@ class ModbusCncSettings(BaseModel):
     acknowledge_within_s: Seconds = 1.0
     heartbeat_lost_after_s: Seconds = 1.0
     motion_margin_s: Seconds = Field(default=5.0, description="beyond 1.5 times the predicted duration")
-    held_at_most_s: Seconds = Field(
-        default=600.0, description="how long a feed hold at the panel is waited for"
-    )
+    held_at_most_s: Seconds = Field(default=600.0, description="how long a feed hold at the panel is waited for")
     table_within_s: Seconds = Field(default=10.0, description="for one step of a table transfer")
     latch_tolerance_mm: float = Field(
         default=1.0, gt=0.0, description="largest distance of a latched position from the commanded path"

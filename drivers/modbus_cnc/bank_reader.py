@@ -1,0 +1,64 @@
+"""Reads a bank back through the read window."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.clock import Deadline
+from drivers.errors import ChecksumMismatch, ProtocolError
+from drivers.modbus_cnc.codes import NO_BLOCK
+from drivers.modbus_cnc.registers import Descriptor
+from drivers.modbus_cnc.session import Session
+from drivers.modbus_cnc.settings import READ_WINDOW_REGISTERS
+from drivers.modbus_cnc.table import block_count, crc32, table_of
+from drivers.roles import TableImage
+
+
+class BankReader:
+    """Reads complete banks; block 0 of a bank is its descriptor."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def read(self, bank: int) -> tuple[TableImage, Descriptor]:
+        """The table of a complete bank, its CRC-32 computed here and compared with the controller's."""
+        layout = self._session.layouts.descriptor
+        descriptor = Descriptor(*layout.unpack(self._read_block(bank, 0)[: 2 * layout.size]))
+        self._require_sound(bank, descriptor)
+        nx, ny, nz = descriptor.nodes
+        blocks = [self._read_block(bank, number + 1) for number in range(block_count(descriptor.nodes))]
+        data = b"".join(blocks)[: nx * ny * nz * 12]
+        if crc32(data) != descriptor.crc:
+            raise ChecksumMismatch(
+                f"bank {bank}: CRC-32 of what was read is {crc32(data):08X}, "
+                f"the controller states {descriptor.crc:08X}",
+                hint="read again; if it stays, stage the table again",
+                bank=bank,
+                **self._session.where,
+            )
+        return table_of(descriptor, data), descriptor
+
+    def _read_block(self, bank: int, number: int) -> bytes:
+        """240 bytes of the read window, once it shows `bank` and `number`."""
+        blocks, clock = self._session.settings.blocks, self._session.clock
+        wanted = bank.to_bytes(2, "big") + number.to_bytes(2, "big")
+        deadline = Deadline.after(clock, self._session.settings.table_within_s)
+        while True:
+            window = self._session.link.exchange(
+                blocks.read_selector, wanted, blocks.read_window, READ_WINDOW_REGISTERS, idempotent=True
+            )
+            if window[:4] == wanted:
+                return window[4:]
+            if int.from_bytes(window[2:4], "big") == NO_BLOCK:
+                raise self._protocol_error(f"controller has no block {number} of bank {bank}")
+            deadline.require(f"block {number} of bank {bank} in the read window", **self._session.where)
+            clock.sleep(self._session.settings.fine_poll_interval_s)
+
+    def _require_sound(self, bank: int, descriptor: Descriptor) -> None:
+        numbers = (*descriptor.origin, *descriptor.step, descriptor.resolution)
+        sound = all(map(math.isfinite, numbers)) and min(descriptor.nodes) >= 1
+        if descriptor.bank != bank or not sound:
+            raise self._protocol_error(f"descriptor of bank {bank} is not sound: {descriptor}")
+
+    def _protocol_error(self, text: str) -> ProtocolError:
+        return ProtocolError(text, hint="the controller does not follow the register map", **self._session.where)

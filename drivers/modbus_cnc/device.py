@@ -1,0 +1,151 @@
+"""The device: one controller that plays Machine, Probe, CompensationStore and Thermometer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.clock import Clock
+from drivers.errors import LinkLost, ProtocolError
+from drivers.links.modbus import Endpoint, ModbusLink
+from drivers.modbus_cnc.codes import ACTIVATIONS, NO_TEMPERATURE, Code, fault_text
+from drivers.modbus_cnc.diagnosis import diagnose
+from drivers.modbus_cnc.motion import Motion
+from drivers.modbus_cnc.probing import Probing
+from drivers.modbus_cnc.registers import Limits
+from drivers.modbus_cnc.session import Session
+from drivers.modbus_cnc.settings import ModbusCncSettings
+from drivers.modbus_cnc.store import Store
+from drivers.roles import (
+    AxisLimits,
+    Finding,
+    MachineStatus,
+    Miss,
+    ProbeStatus,
+    StoreLimits,
+    TableImage,
+    Touch,
+    Vector,
+)
+
+
+class ModbusCnc:
+    """Composes motion, probing and store over one shared session; they exist while the device is open."""
+
+    def __init__(self, settings: ModbusCncSettings, clock: Clock, name: str) -> None:
+        link = ModbusLink(
+            Endpoint(settings.host, settings.port, settings.unit),
+            writable=settings.blocks.writable(),
+            timeout_s=settings.timeout_s,
+            retries=settings.retries,
+            combined=settings.combined_function,
+            device=name,
+        )
+        self._session = Session(link, clock, settings)
+        self._parts: _Parts | None = None
+
+    def open(self) -> None:
+        self._session.open()
+        limits = self._session.read_limits()
+        self._require_sound(limits)
+        self._parts = _Parts(self._session, limits)
+
+    def close(self) -> None:
+        self._parts = None
+        self._session.close()
+
+    def diagnose(self) -> list[Finding]:
+        return diagnose(self._session)
+
+    def limits(self) -> AxisLimits:
+        return self._open.axis_limits
+
+    def status(self) -> MachineStatus:
+        status = self._session.status()
+        return MachineStatus(status.state, status.permissions, fault_text(status.fault_code))
+
+    def position(self) -> Vector:
+        return np.array(self._session.status().position)
+
+    def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
+        if feed_mm_per_s is None:
+            code = Code.GUARDED_RAPID if guarded else Code.MOVE_RAPID
+        else:
+            code = Code.GUARDED_FEED if guarded else Code.MOVE_FEED
+        self._open.motion.run(code, [float(value) for value in target_mm], feed_mm_per_s)
+
+    def hold(self) -> None:
+        self._session.urgent(Code.HOLD)
+
+    def resume(self) -> None:
+        self._session.urgent(Code.RESUME)
+
+    def stop(self) -> None:
+        """STOP; reconnects for it when the connection was lost. Does nothing on a device that is closed."""
+        if self._parts is None:
+            return
+        if not self._session.link.connected:
+            self._session.open()
+        self._session.urgent(Code.STOP)
+
+    def probe_status(self) -> ProbeStatus:
+        return self._open.probing.status()
+
+    def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
+        return self._open.probing.touch_towards(target_mm, feed_mm_per_s)
+
+    def store_limits(self) -> StoreLimits:
+        return self._open.store.limits
+
+    def active_bank(self) -> int:
+        return self._open.store.active_bank()
+
+    def read_table(self, bank: int) -> TableImage | None:
+        return self._open.store.read_table(bank)
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        self._open.store.stage(bank, table)
+
+    def activate(self, bank: int) -> None:
+        self._open.store.activate(bank)
+
+    def temperatures_c(self) -> Mapping[str, float]:
+        status = self._session.status()
+        readings = zip(self._session.settings.temperatures, status.temperatures, strict=False)
+        named = list(readings)[: status.temperature_count]
+        return {name: value / 1000.0 for name, value in named if name and value != NO_TEMPERATURE}
+
+    @property
+    def _open(self) -> _Parts:
+        if self._parts is None:
+            raise LinkLost("device is not open", hint="open it first", **self._session.where)
+        return self._parts
+
+    def _require_sound(self, limits: Limits) -> None:
+        numbers = (*limits.lower, *limits.upper, limits.resolution, limits.max_correction)
+        sound = (
+            all(map(math.isfinite, numbers))
+            and all(low < high for low, high in zip(limits.lower, limits.upper, strict=True))
+            and all(0.0 < value < math.inf for value in (*limits.rapid, *limits.acceleration))
+            and (limits.banks == 0 or limits.resolution > 0.0)
+            and limits.activation in ACTIVATIONS
+        )
+        if not sound:
+            raise ProtocolError(
+                f"limits of the controller make no sense: {limits}",
+                hint="compare number type, word order and addresses in the configuration with the controller",
+                register=self._session.settings.blocks.limits,
+                **self._session.where,
+            )
+
+
+class _Parts:
+    """What can be built only once the controller has stated its limits."""
+
+    def __init__(self, session: Session, limits: Limits) -> None:
+        self.axis_limits = AxisLimits(limits.lower, limits.upper, limits.rapid, limits.acceleration)
+        self.motion = Motion(session, self.axis_limits)
+        self.probing = Probing(session, self.motion)
+        self.store = Store(session, limits)

@@ -1,0 +1,36 @@
+"""The controller's heartbeat, watched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from drivers.clock import Clock
+from drivers.errors import LinkLost
+
+
+class PeerHeartbeat:
+    """Raises LinkLost when the controller's heartbeat stands still for `lost_after_s` while it is watched.
+
+    A pause between two observations that is itself longer proves nothing, so watching starts anew after it.
+    """
+
+    def __init__(self, clock: Clock, lost_after_s: float, where: Mapping[str, str]) -> None:
+        self._clock = clock
+        self._lost_after_s = lost_after_s
+        self._where = where
+        self._value = -1
+        self._changed_s = 0.0
+        self._observed_s = float("-inf")
+
+    def observe(self, value: int) -> None:
+        now_s = self._clock.now()
+        watching = now_s - self._observed_s <= self._lost_after_s
+        self._observed_s = now_s
+        if value != self._value or not watching:
+            self._value, self._changed_s = value, now_s
+        elif now_s - self._changed_s > self._lost_after_s:
+            raise LinkLost(
+                f"the controller's heartbeat has stood at {value} for {now_s - self._changed_s:.1f} s",
+                hint="its Modbus server answers, but its program does not run; see the controller",
+                **self._where,
+            )

@@ -1,0 +1,166 @@
+"""One motion command from acceptance to outcome."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from drivers.clock import Deadline
+from drivers.errors import (
+    CommandRejected,
+    DeviceError,
+    GuardTripped,
+    MotionFault,
+    PermissionMissing,
+    ProtocolError,
+)
+from drivers.modbus_cnc.codes import (
+    FAULT_GUARD_TRIPPED,
+    PERMISSION_FAULTS,
+    Code,
+    Outcome,
+    fault_text,
+)
+from drivers.modbus_cnc.prediction import move_duration_s
+from drivers.modbus_cnc.registers import Command, Status, Triple
+from drivers.modbus_cnc.session import Session
+from drivers.roles import AxisLimits, MotionState
+
+COARSEST_FINE_POLL_S = 0.1
+JUST_AFTER_S = 0.001
+"""A poll aimed at the very end would come too early half the time."""
+
+DURATION_FACTOR = 1.5
+"""A motion may take this many times its predicted duration (feed override, look-ahead), plus the margin."""
+
+
+class Motion:
+    """Starts motions, keeps the heartbeat going while they last, and says how they ended.
+
+    Whatever exception leaves a wait, STOP is sent before it travels on.
+    """
+
+    def __init__(self, session: Session, limits: AxisLimits) -> None:
+        self._session = session
+        self._limits = limits
+
+    def run(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Status:
+        """Returns the status image that shows the outcome of this motion: in position, tripped or missed."""
+        session = self._session
+        target = self._proved(code, target_mm, feed_mm_per_s)
+        try:
+            sequence, status = session.start(Command(code, target=target, feed=feed_mm_per_s or 0.0))
+            status = self._wait(code, target, feed_mm_per_s, status)
+        except BaseException as error:
+            self._stop_because_of(error)
+            raise
+        if status.motion_sequence != sequence:
+            raise self._protocol_error(f"asked for motion {sequence}, saw motion {status.motion_sequence} end")
+        return self._succeeded(code, status)
+
+    def _proved(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
+        x, y, z = (float(value) for value in target_mm)
+        feed_ok = feed_mm_per_s is None or (math.isfinite(feed_mm_per_s) and feed_mm_per_s > 0.0)
+        if not all(map(math.isfinite, (x, y, z))) or not feed_ok:
+            raise CommandRejected(
+                f"{code.label} to ({x}, {y}, {z}) with feed {feed_mm_per_s}: not a motion",
+                **self._session.where,
+            )
+        return x, y, z
+
+    def _wait(self, code: Code, target: Triple, feed_mm_per_s: float | None, status: Status) -> Status:
+        session, clock, settings = self._session, self._session.clock, self._session.settings
+        predicted_s = self._predicted_s(status.position, target, feed_mm_per_s)
+        slice_s = settings.touch_poll_interval_s if code is Code.TOUCH else settings.poll_interval_s
+        end_s = clock.now() + predicted_s + JUST_AFTER_S
+        allowed_s = DURATION_FACTOR * predicted_s + settings.motion_margin_s
+        deadline = Deadline.after(clock, allowed_s)
+        held_deadline: Deadline | None = None
+        fine_s = settings.fine_poll_interval_s
+        while _under_way(status):
+            if status.state is MotionState.HELD:
+                held_deadline = held_deadline or Deadline.after(clock, settings.held_at_most_s)
+                self._require_resumed(held_deadline)
+                deadline = Deadline.after(clock, allowed_s)
+                pause_s = slice_s
+            else:
+                held_deadline = None
+                deadline.require(f"the end of {code.label}", hint="see the controller", **session.where)
+                pause_s = _share(end_s - clock.now(), slice_s)
+                if pause_s < fine_s:
+                    pause_s, fine_s = fine_s, min(1.5 * fine_s, COARSEST_FINE_POLL_S, slice_s)
+            clock.sleep(pause_s)
+            status = session.poll()
+        return status
+
+    def _predicted_s(self, start: Triple, target: Triple, feed_mm_per_s: float | None) -> float:
+        return move_duration_s(
+            start,
+            target,
+            feed_mm_per_s=feed_mm_per_s,
+            rapid_mm_per_s=self._limits.rapid_mm_per_s,
+            acceleration_mm_per_s2=self._limits.acceleration_mm_per_s2,
+        )
+
+    def _require_resumed(self, held_deadline: Deadline) -> None:
+        if held_deadline.expired:
+            raise MotionFault(
+                f"motion held at the machine for more than {self._session.settings.held_at_most_s:g} s",
+                hint="release the feed hold and start the run again",
+                **self._session.where,
+            )
+
+    def _stop_because_of(self, error: BaseException) -> None:
+        try:
+            if self._session.link.connected:
+                self._session.urgent(Code.STOP)
+        except DeviceError as failure:
+            error.add_note(f"STOP after this failed: {failure}")
+
+    def _succeeded(self, code: Code, status: Status) -> Status:
+        expected = (Outcome.TRIPPED, Outcome.MISSED) if code is Code.TOUCH else (Outcome.IN_POSITION,)
+        if status.outcome in expected:
+            return status
+        raise self._failure(code, status)
+
+    def _failure(self, code: Code, status: Status) -> DeviceError:
+        where = self._session.where
+        if status.outcome is Outcome.GUARD_TRIPPED:
+            return self._guard_tripped(status)
+        if status.outcome is Outcome.STOPPED:
+            return MotionFault(f"{code.label} was stopped at the machine", hint="start the run again", **where)
+        if status.state is MotionState.FAULT:
+            missing = [name.value for name, given in status.permissions.items() if not given]
+            text = f"{code.label} ended in a fault: {fault_text(status.fault_code) or 'no fault code'}"
+            if status.fault_code in PERMISSION_FAULTS:
+                lost = ", ".join(missing) or "permissions are back"
+                return PermissionMissing(f"{text}; missing: {lost}", hint="make the machine ready", **where)
+            return MotionFault(text, hint="clear the cause and reset the controller", **where)
+        return self._protocol_error(f"{code.label} ended with outcome {status.outcome.name}")
+
+    def _guard_tripped(self, status: Status) -> GuardTripped:
+        """The trip is reported by the error, so its fault is cleared here: the way back must be open."""
+        x, y, z = status.position
+        error = GuardTripped(
+            f"probe tripped in a move that was no touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
+            hint="something stands in the way, or mount and artefact are not where the plan has them",
+            **self._session.where,
+        )
+        if status.fault_code == FAULT_GUARD_TRIPPED:
+            try:
+                self._session.command(Command(Code.RESET))
+            except DeviceError as failure:
+                error.add_note(f"RESET after this failed: {failure}")
+        return error
+
+    def _protocol_error(self, text: str) -> ProtocolError:
+        return ProtocolError(text, hint="the controller does not follow the register map", **self._session.where)
+
+
+def _under_way(status: Status) -> bool:
+    return status.outcome is Outcome.UNDER_WAY and status.state is not MotionState.FAULT
+
+
+def _share(remaining_s: float, slice_s: float) -> float:
+    """The remaining time in equal parts of at most a slice, so that the last part ends with the motion."""
+    return remaining_s / math.ceil(remaining_s / slice_s) if remaining_s > 0.0 else 0.0

@@ -1,0 +1,33 @@
+"""How long a straight move will take, so that a wait can sleep until just before its end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+
+def move_duration_s(
+    start_mm: Sequence[float],
+    target_mm: Sequence[float],
+    *,
+    feed_mm_per_s: float | None,
+    rapid_mm_per_s: Sequence[float],
+    acceleration_mm_per_s2: Sequence[float],
+) -> float:
+    """Trapezoidal (or triangular) velocity along the line; no axis above its own speed and acceleration."""
+    deltas = [abs(end - begin) for begin, end in zip(start_mm, target_mm, strict=True)]
+    length_mm = math.sqrt(sum(delta * delta for delta in deltas))
+    if length_mm == 0.0:
+        return 0.0
+    shares = [delta / length_mm for delta in deltas]
+    speed = _along_path(shares, rapid_mm_per_s)
+    acceleration = _along_path(shares, acceleration_mm_per_s2)
+    if feed_mm_per_s is not None:
+        speed = min(speed, feed_mm_per_s)
+    if length_mm < speed * speed / acceleration:
+        return 2.0 * math.sqrt(length_mm / acceleration)
+    return length_mm / speed + speed / acceleration
+
+
+def _along_path(shares: Sequence[float], per_axis: Sequence[float]) -> float:
+    return min(limit / share for share, limit in zip(shares, per_axis, strict=True) if share > 0.0)

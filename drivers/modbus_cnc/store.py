@@ -1,0 +1,182 @@
+"""Two banks of compensation tables: staged through the data window, activated in two steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.clock import Deadline
+from drivers.errors import (
+    ChecksumMismatch,
+    CommandRejected,
+    ProtocolError,
+    ReadBackMismatch,
+    StoreError,
+)
+from drivers.modbus_cnc.bank_reader import BankReader
+from drivers.modbus_cnc.codes import (
+    ACCEPTED,
+    ACTIVATIONS,
+    CRC_DIFFERS,
+    BankState,
+    Code,
+    result_text,
+)
+from drivers.modbus_cnc.registers import Command, Descriptor, Limits, Status
+from drivers.modbus_cnc.session import Session
+from drivers.modbus_cnc.table import crc32, data_blocks, descriptor_of, stage_objection, table_bytes
+from drivers.roles import Activation, StoreLimits, TableImage
+
+COARSEST_POLL_S = 0.1
+
+
+class Store:
+    """Plays CompensationStore for the session's controller."""
+
+    def __init__(self, session: Session, limits: Limits) -> None:
+        self._session = session
+        self._reader = BankReader(session)
+        self._limits = StoreLimits(
+            banks=tuple(range(1, limits.banks + 1)),
+            max_nodes=limits.max_nodes,
+            max_total_nodes=limits.max_total_nodes,
+            resolution_mm=limits.resolution,
+            max_correction_mm=limits.max_correction,
+            activation=ACTIVATIONS[limits.activation],
+        )
+
+    @property
+    def limits(self) -> StoreLimits:
+        return self._limits
+
+    def active_bank(self) -> int:
+        return self._session.status().active_bank
+
+    def read_table(self, bank: int) -> TableImage | None:
+        """None for bank 0 and for a bank without a complete table; StoreError if that is the active one."""
+        if bank == 0:
+            return None
+        self._require_known(bank)
+        status = self._session.status()
+        if status.bank_state(bank) is not BankState.COMPLETE:
+            if bank == status.active_bank:
+                raise self._error(f"active bank {bank} holds no complete table")
+            return None
+        return self._reader.read(bank)[0]
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        """Transfer, commit, read back. Raises ChecksumMismatch, ReadBackMismatch; the active bank is safe."""
+        self._require_stageable(bank, table)
+        data = table_bytes(table)
+        crc = crc32(data)
+        descriptor = self._packed(descriptor_of(bank, table, crc))
+        settings = self._session.settings
+        self._session.link.write(settings.blocks.descriptor, descriptor, idempotent=True)
+        self._table_command(Command(Code.TABLE_BEGIN, bank=bank))
+        for number, block in enumerate(data_blocks(data), start=1):
+            self._write_block(number, block)
+        self._commit(bank, crc)
+        self._prove(bank, descriptor, data)
+
+    def activate(self, bank: int) -> None:
+        """Arm with the CRC-32 of the table just read, confirm with the nonce, wait until the bank is shown.
+
+        Where activation is not immediate the bank is shown as pending when this returns.
+        """
+        crc = 0
+        if bank != 0:
+            self._require_known(bank)
+            if self._session.status().bank_state(bank) is not BankState.COMPLETE:
+                raise self._error(f"bank {bank} holds no complete table", hint="stage it first")
+            crc = crc32(table_bytes(self._reader.read(bank)[0]))
+        status = self._table_command(Command(Code.TABLE_ARM, bank=bank, crc=crc))
+        if status.armed_bank != bank or status.armed_nonce == 0:
+            raise self._protocol_error(
+                f"armed bank {bank}, controller shows bank {status.armed_bank} nonce {status.armed_nonce}"
+            )
+        status = self._table_command(Command(Code.TABLE_ACTIVATE, bank=bank, nonce=status.armed_nonce))
+        immediate = self._limits.activation is Activation.IMMEDIATE
+        self._await(
+            status,
+            lambda image: (image.active_bank if immediate else image.pending_bank) == bank,
+            f"bank {bank} to become {'active' if immediate else 'pending'}",
+        )
+
+    def _write_block(self, number: int, block: bytes) -> None:
+        session = self._session
+        status = session.write_and_status(
+            session.settings.blocks.data_window, block + number.to_bytes(2, "big"), idempotent=True
+        )
+        self._await(status, lambda image: self._block_taken(number, image), f"data block {number} to be taken")
+
+    def _block_taken(self, number: int, status: Status) -> bool:
+        if status.block_acknowledge == number:
+            return True
+        if status.block_result not in (0, ACCEPTED):
+            raise self._error(f"data block {number} refused: {result_text(status.block_result)}")
+        if status.block_acknowledge != number - 1:
+            raise self._protocol_error(f"wrote data block {number}, controller acknowledges {status.block_acknowledge}")
+        return False
+
+    def _commit(self, bank: int, crc: int) -> None:
+        status = self._table_command(Command(Code.TABLE_COMMIT, bank=bank, crc=crc))
+        if status.staged_bank != bank or status.bank_state(bank) is not BankState.COMPLETE:
+            raise self._protocol_error(
+                f"committed bank {bank}, controller shows staged bank {status.staged_bank}, "
+                f"state {status.bank_state(bank).name.lower()}"
+            )
+
+    def _prove(self, bank: int, descriptor: bytes, data: bytes) -> None:
+        table, seen = self._reader.read(bank)
+        if self._packed(seen) != descriptor or table_bytes(table) != data:
+            raise ReadBackMismatch(
+                f"bank {bank} reads back differently from what was written",
+                hint="do not activate it; stage it again",
+                bank=bank,
+                **self._session.where,
+            )
+
+    def _table_command(self, command: Command) -> Status:
+        try:
+            return self._session.command(command, within_s=self._session.settings.table_within_s)
+        except CommandRejected as refusal:
+            kind = ChecksumMismatch if refusal.where.get("result") == str(CRC_DIFFERS) else StoreError
+            raise kind(
+                refusal.message,
+                hint="the active bank is unchanged; see the event log of the controller",
+                bank=command.bank,
+                **self._session.where,
+            ) from refusal
+
+    def _await(self, status: Status, reached: Callable[[Status], bool], awaited: str) -> None:
+        clock, settings = self._session.clock, self._session.settings
+        deadline = Deadline.after(clock, settings.table_within_s)
+        pause_s = settings.fine_poll_interval_s
+        while not reached(status):
+            deadline.require(awaited, **self._session.where)
+            clock.sleep(pause_s)
+            pause_s = min(2.0 * pause_s, COARSEST_POLL_S)
+            status = self._session.status()
+
+    def _packed(self, descriptor: Descriptor) -> bytes:
+        try:
+            return self._session.layouts.descriptor.pack(descriptor)
+        except ValueError as error:
+            raise self._error(f"table does not fit the controller's registers: {error}") from error
+
+    def _require_known(self, bank: int) -> None:
+        if bank not in self._limits.banks:
+            raise self._error(f"no bank {bank}; the controller has {self._limits.banks}")
+
+    def _require_stageable(self, bank: int, table: TableImage) -> None:
+        self._require_known(bank)
+        if bank == self._session.status().active_bank:
+            raise self._error(f"bank {bank} is active and cannot be written", hint="stage into another bank")
+        objection = stage_objection(self._limits, table)
+        if objection:
+            raise self._error(objection)
+
+    def _error(self, text: str, hint: str = "") -> StoreError:
+        return StoreError(text, hint=hint, **self._session.where)
+
+    def _protocol_error(self, text: str) -> ProtocolError:
+        return ProtocolError(text, hint="the controller does not follow the register map", **self._session.where)
