@@ -1,0 +1,77 @@
+"""Formulation `centres`: ball centres with a free pose per position, eliminated by projection.
+
+The covariance of each centre whitens its three equations; what the six pose increments of a position can do to its
+whitened equations is an orthonormal basis of 3·balls × 6, so that projecting them out is one small product per position
+(variable projection; Golub and Pereyra 1973).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.identification.poses import PoseProjector, Poses
+from twin.identification.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class CentreEquations:
+    """`white` (K, 3 width, P) whitened equations; `parts` (K·6, P) their projections on the pose increments."""
+
+    problem: Problem
+    whitening: Array
+    projector: PoseProjector
+    white: Array
+    parts: Array
+    matrix: Array
+    rows: int
+
+    @classmethod
+    def build(cls, problem: Problem, unit_weights: bool) -> CentreEquations:
+        layout = problem.layout
+        whitening = _whitening(problem.observations.covariance, unit_weights)
+        projector = PoseProjector.of(layout, problem.poses, problem.local, problem.arms, whitening)
+        white = layout.pad(whitening @ problem.design).reshape(layout.positions, -1, problem.blocks.size)
+        parts = projector.parts(white).reshape(-1, problem.blocks.size)
+        flat = white.reshape(-1, problem.blocks.size)
+        return cls(
+            problem=problem,
+            whitening=whitening,
+            projector=projector,
+            white=white,
+            parts=parts,
+            matrix=flat.T @ flat - parts.T @ parts,
+            rows=3 * problem.observations.size - projector.seen,
+        )
+
+    def right_side(self, z: Array, poses: Poses) -> tuple[Array, float, Poses]:
+        """Aᵀy (P,) and |y|² for the exact residuals at z and at the poses that fit best there."""
+        left, local = self.problem.sides(z)
+        white = self._whitened(left - poses.place(self.problem.layout, local))
+        poses = poses.moved(self.projector.increments(white), self.problem.arms)
+        white = self._whitened(left - poses.place(self.problem.layout, local))
+        target = self.white @ z - white
+        parts = self.projector.parts(target[:, :, None]).reshape(-1)
+        flat = target.reshape(-1)
+        right = self.white.reshape(-1, len(z)).T @ flat - self.parts.T @ parts
+        return right, float(flat @ flat - parts @ parts), poses
+
+    def remaining(self, z: Array, poses: Poses) -> Array:
+        """Whitened residuals (K, 3 width) at z without what the pose increments can take."""
+        left, local = self.problem.sides(z)
+        white = self._whitened(left - poses.place(self.problem.layout, local))
+        return self.projector.remove(white[:, :, None])[:, :, 0]
+
+    def _whitened(self, residuals: Array) -> Array:
+        layout = self.problem.layout
+        return layout.pad((self.whitening @ residuals[:, :, None])[:, :, 0]).reshape(layout.positions, -1)
+
+
+def _whitening(covariance: Array, unit_weights: bool) -> Array:
+    """(n, 3, 3) W with WᵀW = covariance⁻¹; with unit weights the same multiple of 1 for all rows."""
+    if unit_weights:
+        variance = float(np.median(np.einsum("nii->n", covariance)) / 3.0)
+        return np.broadcast_to(np.eye(3) / np.sqrt(variance), covariance.shape)
+    return np.linalg.inv(np.linalg.cholesky(covariance))

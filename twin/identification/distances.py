@@ -1,0 +1,107 @@
+"""Formulation `distances`, the published method: all distances between balls of a position against the calibrated ones.
+
+    |p_i - p_j| = |b_i(T) - b_j(T)|,   p = X + t + d(X; E)
+
+Distances that share a ball are correlated, and there are more of them than independent ones: with full weights each
+position's distances are whitened with the pseudo-inverse of their covariance (generalised least squares); with unit
+weights all count alike, as published.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.errors import SingularSet
+from twin.identification.poses import Poses
+from twin.identification.problem import Problem, tool_points
+
+_DEPENDENT = 1e-8  # eigenvalue of the distances' correlation below which a combination tells nothing of its own
+
+
+@dataclass(frozen=True, eq=False)
+class PositionPairs:
+    """Pairs of one position: sorted rows `first`, `second` (m,); `whitening` (r, m)."""
+
+    first: Array
+    second: Array
+    whitening: Array
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceEquations:
+    """`white` (M, P) whitened equations of all distances, `noise` (M, M blocks) kept per position for the sandwich."""
+
+    problem: Problem
+    pairs: tuple[PositionPairs, ...]
+    white: Array
+    noise: tuple[Array, ...]
+    matrix: Array
+    rows: int
+
+    @classmethod
+    def build(cls, problem: Problem, unit_weights: bool) -> DistanceEquations:
+        points = tool_points(problem.observations)
+        unit = _unit_deviation(problem) if unit_weights else None
+        pairs, white, noise = [], [], []
+        ends = np.cumsum(problem.layout.counts).tolist()
+        for start, end in zip([0, *ends[:-1]], ends, strict=True):
+            if end - start < 2:
+                continue
+            one, rows, covariance = _position(problem, points, start, end, unit)
+            pairs.append(one)
+            white.append(rows)
+            noise.append(covariance)
+        if not white:
+            raise SingularSet("no position holds two balls, so there is no distance at all")
+        stacked = np.concatenate(white)
+        return cls(problem, tuple(pairs), stacked, tuple(noise), stacked.T @ stacked, len(stacked))
+
+    def right_side(self, z: Array, poses: Poses) -> tuple[Array, float, Poses]:
+        """Aᵀy (P,), |y|² for the exact distances at z; poses play no part."""
+        target = self.white @ z - self._remaining(z)
+        return self.white.T @ target, float(target @ target), poses
+
+    def _remaining(self, z: Array) -> Array:
+        """Whitened exact distance errors (M,), as found less as calibrated."""
+        left, local = self.problem.sides(z)
+        errors = []
+        for pair in self.pairs:
+            found = np.linalg.norm(left[pair.first] - left[pair.second], axis=1)
+            calibrated = np.linalg.norm(local[pair.first] - local[pair.second], axis=1)
+            errors.append(pair.whitening @ (found - calibrated))
+        return np.concatenate(errors)
+
+
+def _position(
+    problem: Problem, points: Array, start: int, end: int, unit: float | None
+) -> tuple[PositionPairs, Array, Array]:
+    """Pairs, whitened rows and their noise covariance for sorted rows start ... end."""
+    first, second = (index + start for index in np.triu_indices(end - start, k=1))
+    line = points[first] - points[second]
+    line /= np.linalg.norm(line, axis=1)[:, None]
+    pick = np.zeros((len(first), end - start, 3))
+    pair = np.arange(len(first))
+    pick[pair, first - start], pick[pair, second - start] = line, -line
+    covariance = problem.observations.covariance[start:end]
+    weighted = np.einsum("mic,icd->mid", pick, covariance).reshape(len(first), -1)
+    pick = pick.reshape(len(first), -1)
+    spread = weighted @ pick.T
+    whitening = _whitening(spread) if unit is None else np.eye(len(first)) / unit
+    rows = whitening @ (pick @ problem.design[start:end].reshape(3 * (end - start), -1))
+    return PositionPairs(first, second, whitening), rows, whitening @ spread @ whitening.T
+
+
+def _whitening(covariance: Array) -> Array:
+    """(r, m) W with WᵀW the pseudo-inverse of a covariance (m, m) of rank r."""
+    values, vectors = np.linalg.eigh(covariance)
+    used = values > _DEPENDENT * values[-1]
+    return np.asarray((vectors[:, used] / np.sqrt(values[used])).T)
+
+
+def _unit_deviation(problem: Problem) -> float:
+    """One standard deviation for all distances: that of the difference of two typical coordinates."""
+    variances = np.einsum("nii->n", problem.observations.covariance) / 3.0
+    return float(np.sqrt(2.0 * np.median(variances)))

@@ -1,0 +1,110 @@
+"""Scales of touch noise, prior and misfit by maximum marginal likelihood (empirical Bayes).
+
+With the poses projected out and z integrated out, twice the negative log marginal likelihood is
+
+    rows ln σ² + |y|²/σ² - rᵀ H⁻¹ r/σ⁴ + ln det H - ln det D,   H = N/σ² + D
+
+(MacKay 1992; Rasmussen and Williams 2006, 5.4). The gradient needs only the diagonal of H⁻¹. Each log scale has a weak
+normal prior and bounds, so that a small set cannot make it run away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from twin.arrays import Array
+from twin.identification.normal import Normal, Posterior, Precision, Scales
+
+
+@dataclass(frozen=True)
+class ScalePrior:
+    """Log-normal prior of a scale: median 1, `factor` one standard deviation, within `low` ... `high`."""
+
+    factor: float
+    low: float
+    high: float
+
+    @property
+    def log_deviation(self) -> float:
+        return math.log(self.factor)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        return math.log(self.low), math.log(self.high)
+
+
+NOISE = ScalePrior(3.0, 0.3, 10.0)
+PRIOR = ScalePrior(1.5, 0.3, 3.0)
+MISFIT = ScalePrior(3.0, 0.1, 10.0)
+_ACCURACY = 1e-3  # of a log scale: far below what any set can tell
+
+
+def likely_scales(normal: Normal, precision: Precision, start: Scales) -> Scales:
+    """Scales at the maximum of the marginal likelihood times their own priors."""
+    free = _free_scales(precision)
+    log_start = np.log([start.noise, start.prior, start.misfit])[free]
+    cost = _cost(normal, precision, free)
+    bounds = [prior.bounds for prior, used in zip((NOISE, PRIOR, MISFIT), free, strict=True) if used]
+    options = {"maxiter": 40, "gtol": _ACCURACY * normal.rows, "ftol": 1e-9}
+    found = minimize(cost, log_start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return _scales(found.x, free)
+
+
+def _free_scales(precision: Precision) -> list[bool]:
+    blocks = precision.blocks
+    return [True, precision.parameters is None, blocks.misfit.stop > blocks.misfit.start]
+
+
+def _scales(logs: Array, free: list[bool]) -> Scales:
+    values = np.ones(3)
+    values[free] = np.exp(logs)
+    noise, prior, misfit = values.tolist()
+    return Scales(noise, prior, misfit)
+
+
+def _cost(normal: Normal, precision: Precision, free: list[bool]) -> Callable[[Array], tuple[float, Array]]:
+    deviations = np.array([prior.log_deviation for prior in (NOISE, PRIOR, MISFIT)])[free]
+
+    def cost(logs: Array) -> tuple[float, Array]:
+        scales = _scales(logs, free)
+        value, gradient = negative_log_likelihood(normal, precision, scales)
+        value += float(((logs / deviations) ** 2).sum())
+        return value, gradient[free] + 2.0 * logs / deviations**2
+
+    return cost
+
+
+def negative_log_likelihood(normal: Normal, precision: Precision, scales: Scales) -> tuple[float, Array]:
+    """Twice the negative log marginal likelihood, but for a constant, and its derivatives (3,) by the log scales."""
+    blocks, variance = precision.blocks, scales.noise**2
+    posterior = Posterior.of(normal.matrix, precision, scales)
+    z = posterior.solve(normal.right / variance)
+    prior = precision.matrix(scales) if precision.parameters is not None else None
+    weighted_z = prior @ z if prior is not None else precision.diagonal(scales) * z
+    covariance = posterior.covariance()
+    taken = np.diagonal(covariance) * precision.diagonal(scales)
+    trace = float(np.einsum("ij,ji->", prior, covariance)) if prior is not None else float(taken.sum())
+    value = normal.rows * math.log(variance) + normal.square / variance - float(normal.right @ z) / variance
+    value += posterior.log_determinant() - _log_determinant(precision, scales)
+    noise = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
+    pulls = [2.0 * _pull(block, taken, weighted_z, z) for block in (blocks.parameters, blocks.misfit)]
+    return value, np.array([noise, *pulls])
+
+
+def _pull(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
+    """Derivative by ln of the variance scale of a block: unknowns - trace of their share - weighted square."""
+    size = block.stop - block.start
+    return float(size - taken[block].sum() - weighted_z[block] @ z[block])
+
+
+def _log_determinant(precision: Precision, scales: Scales) -> float:
+    """ln det of the prior precision, but for the constant part of a given parameter precision."""
+    diagonal = np.log(precision.diagonal(scales))
+    if precision.parameters is not None:
+        diagonal[precision.blocks.parameters] = 0.0
+    return float(diagonal.sum())

@@ -1,0 +1,105 @@
+"""The equations reduced to the few shared unknowns: normal equations with the poses already projected out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
+
+from twin.arrays import Array
+from twin.errors import SingularSet
+from twin.identification.poses import Poses
+from twin.identification.problem import Blocks
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Σ|A z - y|² over `rows` independent equations of unit noise: `matrix` AᵀA (P, P), `right` Aᵀy (P,), `square` |y|²."""
+
+    matrix: Array
+    right: Array
+    square: float
+    rows: int
+
+    def misfit_square(self, z: Array) -> float:
+        """|A z - y|²."""
+        return max(0.0, self.square - 2.0 * float(self.right @ z) + float(z @ self.matrix @ z))
+
+
+class Equations(Protocol):
+    """A formulation: how ball centres become whitened equations."""
+
+    @property
+    def matrix(self) -> Array:
+        """AᵀA (P, P)."""
+        ...
+
+    @property
+    def rows(self) -> int: ...
+
+    def right_side(self, z: Array, poses: Poses) -> tuple[Array, float, Poses]:
+        """Aᵀy (P,), |y|² linearised about z and poses, and the poses improved for this z."""
+        ...
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Factors on the standard deviations of touch noise, parameter prior and misfit."""
+
+    noise: float = 1.0
+    prior: float = 1.0
+    misfit: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Precision:
+    """Prior precision of z at scale 1: `parameters` (p, p) or None for the unit matrix; all else is the unit matrix."""
+
+    blocks: Blocks
+    parameters: Array | None = None
+
+    def matrix(self, scales: Scales) -> Array:
+        """(P, P)."""
+        full = np.diag(self.diagonal(scales))
+        if self.parameters is not None:
+            full[self.blocks.parameters, self.blocks.parameters] = self.parameters
+        return full
+
+    def diagonal(self, scales: Scales) -> Array:
+        """(P,) of the unit-matrix form."""
+        diagonal = np.ones(self.blocks.size)
+        diagonal[self.blocks.parameters] = scales.prior**-2
+        diagonal[self.blocks.misfit] = scales.misfit**-2
+        return diagonal
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Lower Cholesky `factor` (P, P) of the posterior precision of z."""
+
+    factor: Array
+
+    @classmethod
+    def of(cls, matrix: Array, precision: Precision, scales: Scales) -> Posterior:
+        weighted = matrix / scales.noise**2
+        if precision.parameters is None:
+            np.einsum("ii->i", weighted)[:] += precision.diagonal(scales)
+        else:
+            weighted += precision.matrix(scales)
+        factor, info = dpotrf(weighted, lower=1, overwrite_a=0)
+        if info != 0:
+            raise SingularSet("the measurements do not determine the model", hint="switch the prior on")
+        return cls(factor)
+
+    def solve(self, right: Array) -> Array:
+        return np.asarray(dpotrs(self.factor, right, lower=1)[0])
+
+    def covariance(self) -> Array:
+        """(P, P)."""
+        inverse = np.tril(dpotri(self.factor, lower=1)[0])
+        return np.asarray(inverse + np.tril(inverse, -1).T)
+
+    def log_determinant(self) -> float:
+        return 2.0 * float(np.log(np.diagonal(self.factor)).sum())

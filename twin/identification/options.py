@@ -1,0 +1,58 @@
+"""How an identification is to be done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from twin.arrays import Array
+from twin.errors import DataError
+
+Formulation = Literal["centres", "distances"]
+Weights = Literal["full", "unit"]
+OutlierPolicy = Literal["reject", "none"]
+
+
+@dataclass(frozen=True, eq=False)
+class Options:
+    """Choices of an identification; the defaults are those of a production run.
+
+    `formulation`: ball centres with free poses, or pairwise distances (the published method).
+    `use_prior`: the family as Gaussian prior; off, directions that the data leave open stay zero.
+    `prior_standard_deviation` (p,) mm or rad instead of the family's. `prior_mean` (p,) and `prior_covariance` (p, p)
+    carry over an earlier estimate, `prior_covariance` taking the place of the standard deviations.
+    `weights`: the observations' covariances, or all coordinates or distances alike (then without nuisance blocks).
+    `estimate_scales`: scales of touch noise, prior and misfit by maximum marginal likelihood; off, all are 1.
+    `outliers`: reject and refit by studentised residuals, or keep all.
+    `false_alarm`: chance that a set without outliers loses a ball.
+    `misfit_mm`: prior rms, over the workspace, of what the model cannot represent; 0 switches it off.
+    `temperature_standard_uncertainty_k`: of the artefact's thermometer, common to all rows.
+    """
+
+    formulation: Formulation = "centres"
+    use_prior: bool = True
+    prior_standard_deviation: Array | None = None
+    prior_mean: Array | None = None
+    prior_covariance: Array | None = None
+    weights: Weights = "full"
+    estimate_scales: bool = True
+    outliers: OutlierPolicy = "reject"
+    false_alarm: float = 0.01
+    misfit_mm: float = 0.001
+    temperature_standard_uncertainty_k: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_word("formulation", self.formulation, ("centres", "distances"))
+        _check_word("weights", self.weights, ("full", "unit"))
+        _check_word("outliers", self.outliers, ("reject", "none"))
+        if not 0.0 < self.false_alarm < 1.0:
+            raise DataError(f"false_alarm must lie between 0 and 1, not {self.false_alarm}")
+        if not self.misfit_mm >= 0.0:
+            raise DataError(f"misfit_mm must not be negative, not {self.misfit_mm}")
+        if not self.temperature_standard_uncertainty_k >= 0.0:
+            raise DataError("temperature_standard_uncertainty_k must not be negative")
+
+
+def _check_word(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise DataError(f"unknown {name} '{value}'", hint=f"Known: {', '.join(known)}")

@@ -1,0 +1,188 @@
+"""Poses of the artefact: rigid fit per position, small increments, and their projection out of the equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Array
+
+_NO_ROLL = 1e-9  # second over first singular value of the moments: off-axis below 3e-5 of the length
+_UNSEEN = 1e-10  # eigenvalue of the scaled 6x6 normal equations below which an increment is not seen
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Rows sorted by position and laid out as (positions, width) with empty places at the end of short ones.
+
+    `order` (n,) brings the given rows into position order; `counts` (K,) balls of each position.
+    """
+
+    order: np.ndarray[Any, np.dtype[np.int64]]
+    counts: np.ndarray[Any, np.dtype[np.int64]]
+
+    @classmethod
+    def of(cls, position: np.ndarray[Any, np.dtype[np.int64]]) -> Layout:
+        order = np.argsort(position, kind="stable")
+        return cls(order, np.unique(position, return_counts=True)[1])
+
+    @property
+    def positions(self) -> int:
+        return len(self.counts)
+
+    @property
+    def width(self) -> int:
+        return int(self.counts.max())
+
+    @cached_property
+    def full(self) -> bool:
+        """No empty places."""
+        return bool((self.counts == self.counts[0]).all())
+
+    @cached_property
+    def present(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(K, width)."""
+        return np.asarray(np.arange(self.width) < self.counts[:, None])
+
+    @cached_property
+    def index(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """(n,) position of each sorted row, 0 ... K-1."""
+        return np.repeat(np.arange(self.positions), self.counts)
+
+    def pad(self, rows: Array) -> Array:
+        """(K, width, ...) from sorted rows (n, ...), zeros in the empty places."""
+        shape = (self.positions, self.width, *rows.shape[1:])
+        if self.full:
+            return rows.reshape(shape)
+        padded = np.zeros(shape)
+        padded[self.present] = rows
+        return padded
+
+    def unpad(self, padded: Array) -> Array:
+        """Sorted rows (n, ...) from (K, width, ...)."""
+        return padded.reshape(-1, *padded.shape[2:]) if self.full else padded[self.present]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Rotation (K, 3, 3) and translation (K, 3) mm from the artefact's frame to the workpiece's: p = t + R b."""
+
+    rotation: Array
+    translation: Array
+
+    def place(self, layout: Layout, local: Array) -> Array:
+        """Workpiece coordinates (n, 3) of artefact points (n, 3), rows sorted by position."""
+        rotation = self.rotation[layout.index]
+        return (rotation @ local[:, :, None])[:, :, 0] + self.translation[layout.index]
+
+    def moved(self, increments: Array, arms: PoseArms) -> Poses:
+        """Poses after increments (K, 6): shift (mm) of the position's centroid, turn about it in rad times the arm."""
+        turn = _rotations(increments[:, 3:] / arms.length[:, None])
+        rotation = turn @ self.rotation
+        centroid = self.translation + (self.rotation @ arms.middle[:, :, None])[:, :, 0]
+        moved = centroid + increments[:, :3]
+        return Poses(rotation, moved - (rotation @ arms.middle[:, :, None])[:, :, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class PoseArms:
+    """Middle of the balls of each position (K, 3) in the artefact's frame, and half their extent (K,) mm."""
+
+    middle: Array
+    length: Array
+
+    @classmethod
+    def of(cls, layout: Layout, local: Array) -> PoseArms:
+        padded = layout.pad(local)
+        middle = padded.sum(axis=1) / layout.counts[:, None]
+        offset = (padded - middle[:, None, :]) * layout.present[:, :, None]
+        length = np.sqrt(np.einsum("kij,kij->ki", offset, offset).max(axis=1))
+        return cls(middle, np.where(length > 0.0, length, 1.0))
+
+
+def rigid_poses(layout: Layout, local: Array, found: Array) -> Poses:
+    """Best rigid pose of each position by Kabsch's method: artefact points (n, 3) onto found points (n, 3).
+
+    Where the balls of a position stand in one line their roll is not seen: the roll of the mount is taken, which
+    keeps the artefact's Y axis horizontal.
+    """
+    counts = layout.counts[:, None]
+    here, there = layout.pad(local), layout.pad(found)
+    middle, found_middle = here.sum(axis=1) / counts, there.sum(axis=1) / counts
+    present = layout.present[:, :, None]
+    offset = (here - middle[:, None, :]) * present
+    found_offset = (there - found_middle[:, None, :]) * present
+    left, weights, right = np.linalg.svd(offset.transpose(0, 2, 1) @ found_offset)
+    handedness = np.sign(np.linalg.det(left) * np.linalg.det(right))
+    rotation = _recompose(left, right, handedness)
+    for k in np.flatnonzero(weights[:, 1] <= _NO_ROLL * weights[:, 0]):
+        rotation[k] = _upright_frame(right[k, 0]) @ _upright_frame(left[k, :, 0]).T
+    return Poses(rotation, found_middle - (rotation @ middle[:, :, None])[:, :, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class PoseProjector:
+    """Orthonormal basis `q` (K, 3 width, 6) of what pose increments can do to the whitened equations.
+
+    `back` (K, 6, 6) turns the projections Qᵀ r into increments; `seen` is the number of increments that are seen.
+    """
+
+    q: Array
+    back: Array
+    seen: int
+
+    @classmethod
+    def of(cls, layout: Layout, poses: Poses, local: Array, arms: PoseArms, whitening: Array) -> PoseProjector:
+        """`whitening` (n, 3, 3): W with WᵀW the weight of a row."""
+        lever = poses.rotation[layout.index] @ (local - arms.middle[layout.index])[:, :, None]
+        lever = lever[:, :, 0] / arms.length[layout.index, None]
+        jacobian = np.zeros((len(local), 3, 6))
+        jacobian[:, [0, 1, 2], [0, 1, 2]] = 1.0
+        jacobian[:, [0, 1, 2], [4, 5, 3]] = lever[:, [2, 0, 1]]
+        jacobian[:, [0, 1, 2], [5, 3, 4]] = -lever[:, [1, 2, 0]]
+        white = layout.pad(whitening @ jacobian).reshape(layout.positions, -1, 6)
+        values, vectors = np.linalg.eigh(white.transpose(0, 2, 1) @ white)
+        seen = values > _UNSEEN * values[:, -1:]
+        inverse_root = np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
+        back = vectors * inverse_root[:, None, :]
+        return cls(white @ back, back, int(seen.sum()))
+
+    def parts(self, white: Array) -> Array:
+        """Qᵀ A: (K, 6, m) from whitened equations (K, 3 width, m)."""
+        return self.q.transpose(0, 2, 1) @ white
+
+    def increments(self, white: Array) -> Array:
+        """Least-squares pose increments (K, 6) for whitened right-hand sides (K, 3 width)."""
+        return (self.back @ self.parts(white[:, :, None]))[:, :, 0]
+
+    def remove(self, white: Array) -> Array:
+        """(I - Q Qᵀ) A for whitened equations (K, 3 width, m)."""
+        return white - self.q @ self.parts(white)
+
+
+def _recompose(left: Array, right: Array, handedness: Array) -> Array:
+    signed = right.transpose(0, 2, 1).copy()
+    signed[:, :, 2] *= handedness[:, None]
+    return signed @ left.transpose(0, 2, 1)
+
+
+def _upright_frame(axis: Array) -> Array:
+    """(3, 3) whose first column is `axis` and whose second is horizontal; the Y axis where `axis` is vertical."""
+    azimuth = np.arctan2(axis[1], axis[0]) if np.hypot(axis[0], axis[1]) > 1e-9 else 0.0
+    lateral = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return np.column_stack((axis, lateral, np.cross(axis, lateral)))
+
+
+def _rotations(turns: Array) -> Array:
+    """Rotation matrices (K, 3, 3) of rotation vectors (K, 3) in rad (Rodrigues)."""
+    angle = np.sqrt(np.einsum("ki,ki->k", turns, turns))
+    cross = np.zeros((len(turns), 3, 3))
+    cross[:, [2, 0, 1], [1, 2, 0]] = turns
+    cross[:, [1, 2, 0], [2, 0, 1]] = -turns
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    rotation: Array = np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
+    return rotation

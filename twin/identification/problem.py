@@ -1,0 +1,242 @@
+"""The linearised equations of a set of ball centres, in unit-prior coordinates.
+
+For row i of position k, with ball b and tool offset t,
+
+    X_i + t + d(X_i; E) + misfit(X_i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
+
+and every unknown but the poses is a vector z of unit-normal prior: parameters E, certificate errors δb, thermal strain
+δs (CTE and thermometer), misfit modes. Rows are kept sorted by position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.artefact import Artefact
+from twin.error_model import ErrorModel
+from twin.errors import DataError
+from twin.identification.misfit import MisfitModes, misfit_modes
+from twin.identification.options import Options
+from twin.identification.poses import Layout, PoseArms, Poses, rigid_poses
+from twin.identification.prior import ParameterPrior, symmetric_factor
+from twin.machine_model import deviation_basis, exact_deviation
+from twin.observations import Observations
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisance:
+    """Unknowns of the artefact. `balls` (N, 3) mm; `certificate` (3N, m) factor of the certificate's covariance (m = 0
+    for a perfect one); `strain_rows` (n, s) strain of each row per unit of each thermal unknown."""
+
+    balls: Array
+    certificate: Array
+    strain_rows: Array
+
+    def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
+        """Change (n, 3) of the artefact's points in its own frame."""
+        change = (self.certificate @ z_certificate).reshape(-1, 3)[ball]
+        return np.asarray(change + self.balls[ball] * (self.strain_rows @ z_strain)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Where each kind of unknown stands in z."""
+
+    parameters: slice
+    certificate: slice
+    strain: slice
+    misfit: slice
+
+    @property
+    def size(self) -> int:
+        return int(self.misfit.stop)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Everything that does not change while the poses and z are improved. Rows (n) sorted by position.
+
+    `local` (n, 3) mm: nominal artefact points at the rows' temperature and elevation; `design` (n, 3, P): derivative of
+    the left side less the right side with respect to z, at `poses`.
+    """
+
+    model: ErrorModel
+    prior: ParameterPrior
+    nuisance: Nuisance
+    modes: MisfitModes | None
+    blocks: Blocks
+    observations: Observations
+    layout: Layout
+    local: Array
+    arms: PoseArms
+    poses: Poses
+    design: Array
+
+    def sides(self, z: Array) -> tuple[Array, Array]:
+        """Both sides of the exact equations: workpiece points (n, 3) and artefact points (n, 3) mm, the latter yet to
+        be placed by a pose."""
+        seen, blocks = self.observations, self.blocks
+        left = tool_points(seen) + self.deviation(z)
+        if self.modes is not None:
+            left += self.design[:, :, blocks.misfit] @ z[blocks.misfit]
+        change = self.nuisance.displacement(seen.ball, z[blocks.certificate], z[blocks.strain])
+        return left, self.local + change
+
+    def deviation(self, z: Array) -> Array:
+        """Exact model deviation (n, 3) mm at the rows."""
+        seen, parameters = self.observations, self.prior.parameters(z[self.blocks.parameters])
+        deviation = np.empty_like(seen.axis_positions)
+        for tool in np.unique(seen.tool):
+            rows = seen.tool == tool
+            offset = seen.tool_offsets[tool]
+            deviation[rows] = exact_deviation(self.model, seen.axis_positions[rows], offset, parameters)
+        return deviation
+
+    def without(self, kept: np.ndarray[Any, Any]) -> Problem:
+        """The problem with only the rows that `kept` (n,) bool selects."""
+        layout = Layout.of(self.observations.position[kept])
+        local = self.local[kept]
+        seen = self.observations.where(kept)
+        nuisance = replace(self.nuisance, strain_rows=self.nuisance.strain_rows[kept])
+        used = np.unique(self.observations.position, return_inverse=True)[1][kept]
+        alive = np.unique(used)
+        poses = Poses(self.poses.rotation[alive], self.poses.translation[alive])
+        return replace(
+            self,
+            observations=seen,
+            layout=layout,
+            local=local,
+            arms=PoseArms.of(layout, local),
+            nuisance=nuisance,
+            poses=poses,
+            design=self.design[kept],
+        )
+
+
+def build_problem(
+    model: ErrorModel, observations: Observations, artefact: Artefact, prior: ParameterPrior, options: Options
+) -> Problem:
+    """Problem at the rigid poses of the measured points. DataError for a ball that the artefact does not have."""
+    _check_balls(observations, artefact)
+    layout = Layout.of(observations.position)
+    seen = observations if _is_sorted(layout.order) else observations.where(layout.order)
+    local = _artefact_points(artefact, seen)
+    poses = rigid_poses(layout, local, tool_points(seen))
+    nuisance = _nuisance(artefact, seen, options)
+    modes = _modes(model, seen) if options.misfit_mm > 0.0 else None
+    blocks = _blocks(model.size, nuisance, modes)
+    design = np.zeros((seen.size, 3, blocks.size))
+    _fill_field(design, blocks, model, prior, modes, options.misfit_mm, seen)
+    _fill_artefact(design, blocks, nuisance, seen.ball, poses.rotation[layout.index])
+    return Problem(
+        model=model,
+        prior=prior,
+        nuisance=nuisance,
+        modes=modes,
+        blocks=blocks,
+        observations=seen,
+        layout=layout,
+        local=local,
+        arms=PoseArms.of(layout, local),
+        poses=poses,
+        design=design,
+    )
+
+
+def tool_points(observations: Observations) -> Array:
+    """Nominal tool points (n, 3) mm: axis positions + tool offset."""
+    return observations.axis_positions + observations.tool_offsets[observations.tool]
+
+
+def _check_balls(observations: Observations, artefact: Artefact) -> None:
+    unknown = observations.ball >= artefact.count
+    if unknown.any():
+        row = int(np.argmax(unknown))
+        raise DataError(
+            f"ball {observations.ball[row]} is not on the artefact '{artefact.name}' with {artefact.count} balls",
+            row=row,
+            column="ball",
+            hint="balls count from 0 in the artefact's list",
+        )
+
+
+def _is_sorted(order: np.ndarray[Any, Any]) -> bool:
+    return bool((order[1:] > order[:-1]).all())
+
+
+def _artefact_points(artefact: Artefact, seen: Observations) -> Array:
+    """(n, 3) mm in the artefact frame at the temperature and elevation of each row."""
+    strain = artefact.cte_per_k * (seen.temperature_c - artefact.reference_temperature_c)
+    points = artefact.balls[seen.ball] * strain[:, None]
+    elevations, group = np.unique(seen.elevation_rad, return_inverse=True)
+    bent = np.stack([artefact.at(artefact.reference_temperature_c, float(angle)) for angle in elevations])
+    return np.asarray(points + bent[group, seen.ball])
+
+
+def _nuisance(artefact: Artefact, seen: Observations, options: Options) -> Nuisance:
+    difference = seen.temperature_c - artefact.reference_temperature_c
+    columns = []
+    if artefact.cte_standard_uncertainty_per_k > 0.0 and difference.any():
+        columns.append(artefact.cte_standard_uncertainty_per_k * difference)
+    if options.temperature_standard_uncertainty_k > 0.0:
+        strain = artefact.cte_per_k * options.temperature_standard_uncertainty_k
+        columns.append(np.full(seen.size, strain))
+    strain_rows = np.stack(columns, axis=1) if columns else np.zeros((seen.size, 0))
+    return Nuisance(artefact.balls, _certificate_factor(artefact.covariance), strain_rows)
+
+
+def _certificate_factor(covariance: Array) -> Array:
+    diagonal = np.diagonal(covariance)
+    if np.count_nonzero(covariance) == np.count_nonzero(diagonal):
+        factor = np.diag(np.sqrt(diagonal))
+    else:
+        factor = symmetric_factor(covariance, "the covariance of the certificate")
+    return factor[:, np.abs(factor).max(axis=0) > 0.0]
+
+
+def _modes(model: ErrorModel, seen: Observations) -> MisfitModes:
+    x, y, z = seen.tool_offsets[_main_tool(seen)].tolist()
+    return misfit_modes(model, (x, y, z))
+
+
+def _main_tool(seen: Observations) -> int:
+    return int(np.bincount(seen.tool).argmax())
+
+
+def _blocks(parameters: int, nuisance: Nuisance, modes: MisfitModes | None) -> Blocks:
+    ends = np.cumsum(
+        [parameters, nuisance.certificate.shape[1], nuisance.strain_rows.shape[1], modes.size if modes else 0]
+    ).tolist()
+    starts = [0, *ends[:-1]]
+    return Blocks(*(slice(start, end) for start, end in zip(starts, ends, strict=True)))
+
+
+def _fill_field(
+    design: Array,
+    blocks: Blocks,
+    model: ErrorModel,
+    prior: ParameterPrior,
+    modes: MisfitModes | None,
+    misfit_mm: float,
+    seen: Observations,
+) -> None:
+    for tool in np.unique(seen.tool):
+        rows = seen.tool == tool
+        basis = deviation_basis(model, seen.axis_positions[rows], seen.tool_offsets[tool])
+        design[rows, :, blocks.parameters] = prior.columns(basis)
+        if modes is not None:
+            at_hand = basis if (seen.tool_offsets[tool] == modes.tool_offset).all() else None
+            design[rows, :, blocks.misfit] = misfit_mm * modes.at(seen.axis_positions[rows], at_hand)
+
+
+def _fill_artefact(
+    design: Array, blocks: Blocks, nuisance: Nuisance, ball: np.ndarray[Any, Any], rotation: Array
+) -> None:
+    certificate = nuisance.certificate.reshape(len(nuisance.balls), 3, -1)
+    design[:, :, blocks.certificate] = -(rotation @ certificate[ball])
+    stretched = (rotation @ nuisance.balls[ball][:, :, None])[:, :, 0]
+    design[:, :, blocks.strain] = -stretched[:, :, None] * nuisance.strain_rows[:, None, :]
