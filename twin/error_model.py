@@ -44,9 +44,7 @@ SQUARENESS = ("A0Z", "B0Z", "C0Y")
 CROSS_TERMS = ("b0", "b1", "b2", "c0", "c1")
 DEFAULT_CROSS_EFFECT = ("b1", "b2", "c1")
 
-Kind = Literal[
-    "positioning", "straightness", "rotation", "squareness", "cross_displacement", "cross_rotation"
-]
+Kind = Literal["positioning", "straightness", "rotation", "squareness", "cross_displacement", "cross_rotation"]
 Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 
@@ -89,9 +87,7 @@ class ErrorModel:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, in the order of every parameter vector (p,) and of every basis column."""
-        series = [
-            _term(error, k) for error in ERROR_MOTIONS for k in series_orders(error, self.orders[error])
-        ]
+        series = [_term(error, k) for error in ERROR_MOTIONS for k in series_orders(error, self.orders[error])]
         squareness = [Parameter(name, name, 0, "rad", "squareness") for name in SQUARENESS]
         return (*series, *squareness, *(_cross_term(term) for term in self.cross_effect))
 
@@ -107,9 +103,7 @@ class ErrorModel:
         """Place of the parameter called `name`; ModelError when the model has none."""
         place = self._places.get(name)
         if place is None:
-            raise ModelError(
-                f"the model has no parameter '{name}'", hint="Names are such as EYX[2], A0Z, CROSS[b1]"
-            )
+            raise ModelError(f"the model has no parameter '{name}'", hint="Names are such as EYX[2], A0Z, CROSS[b1]")
         return place
 
     @cached_property
@@ -133,8 +127,8 @@ class ErrorModel:
         return highest[0], highest[1], highest[2]
 
     def coefficients(self, axis: int, values: Array) -> Array:
-        """(6, order + 1) Legendre coefficients of the error motions of one axis out of a parameter vector."""
-        table = np.zeros((6, self.highest_order[axis] + 1))
+        """(6, highest order + 1) Legendre coefficients of the error motions of one axis."""
+        table = np.zeros((6, max(self.highest_order) + 1))
         for row, direction in enumerate(DIRECTIONS):
             error = f"E{direction}{AXES[axis]}"
             orders = series_orders(error, self.orders[error])
@@ -149,9 +143,7 @@ class ErrorModel:
     def cross_terms(self, values: Array) -> Mapping[str, float]:
         """b0, b1, b2 (mm) and c0, c1 (rad), those not in use as zero."""
         terms = dict.fromkeys(CROSS_TERMS, 0.0)
-        terms.update(
-            zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True)
-        )
+        terms.update(zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True))
         return terms
 
 

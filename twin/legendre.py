@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
+from numpy.polynomial.legendre import leg2poly
 
 from twin.arrays import Array
 
@@ -14,8 +17,8 @@ def normalised(positions: Array, axis_range: tuple[float, float]) -> Array:
 
 
 def legendre_values(argument: Array, order: int) -> Array:
-    """P_0 ... P_order at `argument` (n,) as rows: (order + 1, n). Bonnet's recurrence (DLMF 18.9.1)."""
-    values = np.empty((order + 1, argument.size))
+    """P_0 ... P_order at `argument` of any shape: (order + 1, *shape). Bonnet's recurrence (DLMF 18.9.1)."""
+    values = np.empty((order + 1, *argument.shape))
     values[0] = 1.0
     if order > 0:
         values[1] = argument
@@ -25,3 +28,19 @@ def legendre_values(argument: Array, order: int) -> Array:
         row *= (2.0 * k + 1.0) / (k + 1.0)
         row -= (k / (k + 1.0)) * values[k - 1]
     return values
+
+
+def as_power_series(coefficients: Array) -> Array:
+    """The same series (m, order + 1) in powers of the argument instead of Legendre polynomials.
+
+    Powers cost one product each to evaluate. On [-1, 1] the digits lost are those of the largest power
+    coefficient (8 at order 5, 1e5 at order 15), of errors that are tens of micrometres: under 1e-12 mm.
+    """
+    series: Array = coefficients @ _to_powers(coefficients.shape[-1])
+    return series
+
+
+@lru_cache(maxsize=16)
+def _to_powers(size: int) -> Array:
+    rows = [np.pad(leg2poly(row[: k + 1]), (0, size - 1 - k)) for k, row in enumerate(np.eye(size))]
+    return np.array(rows)

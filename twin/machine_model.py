@@ -12,6 +12,7 @@ tool relative to the workpiece, and act in a frame that travels with the carriag
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,21 +20,46 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
 from twin.chain import AXES
-from twin.error_model import DIRECTIONS, ErrorModel, series_orders
-from twin.legendre import legendre_values, normalised
+from twin.error_model import ErrorModel
+from twin.legendre import as_power_series
+from twin.linear_field import cross_arguments, deviation_basis, linear_deviation
+
+__all__ = ["deviation_basis", "exact_deviation", "linear_deviation"]
 
 _CHUNK = 4096  # points whose intermediate rows stay in the second-level cache
-_SMALL_ANGLE_RAD = 0.01  # below it four series terms give sine and cosine to the last bit
+_SMALL_ANGLE_RAD = 2e-4  # below it the first term left out is under 7e-17, half a unit in the last place of cos
 _Y, _Z = 1, 2
+
+Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class _Numbers:
-    """A parameter vector unpacked: series per axis, travel directions less the nominal ones, cross terms."""
+    """A parameter vector unpacked.
 
-    series: tuple[Array, Array, Array]
-    travel: tuple[Array, Array, Array]
+    `series` (3, 6, order + 1): coefficients of powers per axis and error motion; `travel`: directions of travel
+    less the nominal ones; `cross`: b0, b1, b2, c0, c1.
+    """
+
+    series: Array
+    travel: tuple[Triple, Triple, Triple]
     cross: tuple[float, ...]
+
+
+class _Workspace:
+    """Rows for `count` points, filled anew for every chunk: fresh pages cost more than the arithmetic."""
+
+    def __init__(self, count: int, terms: int) -> None:
+        self.positions = np.empty((3, count))
+        self.powers = np.empty((3, terms, count))
+        self.motions = np.empty((3, 6, count))
+        self.sines = np.empty((3, 3, count))
+        self.less_one = np.empty((3, 3, count))
+        self.arm = np.empty((3, count))
+        self.deviation = np.empty((3, count))
+        self.point = np.empty((3, count))
+        self.changes = np.empty((6, count))
+        self.product = np.empty(count)
 
 
 def exact_deviation(
@@ -47,166 +73,109 @@ def exact_deviation(
     offset = as_vector(tool_offset, 3, "tool offset")
     numbers = _unpack(model, as_vector(parameters, model.size, "parameters"))
     deviation = np.empty_like(points)
+    size = min(len(points), _CHUNK)
+    rows = _Workspace(size, numbers.series.shape[2])
     for start in range(0, len(points), _CHUNK):
-        chunk = slice(start, start + _CHUNK)
-        deviation[chunk] = _chain_deviation(model, np.ascontiguousarray(points[chunk].T), offset, numbers).T
-    return deviation
-
-
-def deviation_basis(model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> Array:
-    """Derivative (n, 3, p) of the deviation with respect to the parameters at zero; C-contiguous."""
-    points = as_points(axis_positions, "axis positions")
-    arms = _nominal_arms(model, points, as_vector(tool_offset, 3, "tool offset"))
-    basis = np.zeros((len(points), 3, model.size))
-    for axis in range(3):
-        _fill_series(basis, model, axis, points[:, axis], arms[axis])
-    _fill_squareness(basis, model, points)
-    _fill_cross_effect(basis, model, points, arms[_Z])
-    return basis
-
-
-def linear_deviation(
-    model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
-) -> Array:
-    """Deviation (n, 3) in mm to first order in the parameters (p,)."""
-    vector = as_vector(parameters, model.size, "parameters")
-    deviation: Array = deviation_basis(model, axis_positions, tool_offset) @ vector
+        chunk = slice(min(start, len(points) - size), start + size)  # the last one overlaps the one before
+        np.copyto(rows.positions, points[chunk].T)
+        _carry_tool_point(model, offset, numbers, rows)
+        deviation[chunk] = rows.deviation.T
     return deviation
 
 
 def _unpack(model: ErrorModel, values: Array) -> _Numbers:
     a, b, c = model.squareness(values)
-    sines, less_one = _sine_and_cosine_less_one(np.array([a, b, c]))
-    sin_a, sin_b, sin_c = sines.tolist()
-    cos_a1, cos_b1, cos_c1 = less_one.tolist()
-    y_travel = np.array([-sin_c, cos_c1, 0.0])
-    z_travel = np.array(
-        [sin_b * (cos_a1 + 1.0), -sin_a, cos_a1 + cos_b1 + cos_a1 * cos_b1]
-    )  # Ry(B0Z) Rx(A0Z) e_z
-    x, y, z = (model.coefficients(axis, values) for axis in range(3))
-    return _Numbers((x, y, z), (np.zeros(3), y_travel, z_travel), tuple(model.cross_terms(values).values()))
+    cos_a1, cos_b1, cos_c1 = (-2.0 * math.sin(0.5 * angle) ** 2 for angle in (a, b, c))
+    z_turned = (  # Ry(B0Z) Rx(A0Z) e_z - e_z
+        math.sin(b) * math.cos(a),
+        -math.sin(a),
+        cos_a1 + cos_b1 + cos_a1 * cos_b1,
+    )
+    series = np.stack([as_power_series(model.coefficients(axis, values)) for axis in range(3)])
+    travel = ((0.0, 0.0, 0.0), (-math.sin(c), cos_c1, 0.0), z_turned)
+    return _Numbers(series, travel, tuple(model.cross_terms(values).values()))
 
 
-def _chain_deviation(model: ErrorModel, travel: Array, tool_offset: Array, numbers: _Numbers) -> Array:
-    """(3, n) from axis positions (3, n): carries the tool point from frame to frame towards the workpiece."""
-    arm = np.repeat(tool_offset[:, None], travel.shape[1], axis=1)
-    deviation = np.zeros_like(arm)
+def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _Numbers, rows: _Workspace) -> None:
+    """Carry the tool point from frame to frame towards the workpiece; leaves the result in rows.deviation."""
+    _fill_error_motions(model, numbers, rows)
+    _fill_sines(rows)
+    rows.arm[:] = tool_offset[:, None]
+    rows.deviation[:] = 0.0
     for letter in model.chain.axes:
         axis = AXES.index(letter)
-        motions = _error_motions(model, axis, travel, numbers)
         if letter in model.chain.tool_side:
-            _rotate(arm, deviation, motions[3:])
-            _travel(arm, deviation, axis, travel, numbers)
+            _rotate(axis, rows)
+            _travel(axis, numbers, rows)
         else:
-            _travel(arm, deviation, axis, travel, numbers)
-            _rotate(arm, deviation, motions[3:])
-        deviation += motions[:3]
-    return deviation
+            _travel(axis, numbers, rows)
+            _rotate(axis, rows)
+        rows.deviation += rows.motions[axis, :3]
 
 
-def _error_motions(model: ErrorModel, axis: int, travel: Array, numbers: _Numbers) -> Array:
-    """EX, EY, EZ (mm), EA, EB, EC (rad) of one axis at axis positions (3, n): (6, n)."""
-    coefficients = numbers.series[axis]
-    argument = normalised(travel[axis], model.ranges_mm[axis])
-    motions: Array = coefficients @ legendre_values(argument, coefficients.shape[1] - 1)
-    if axis == _Z and model.cross_effect:
-        v, w = _cross_arguments(model, travel[_Y], travel[_Z])
+def _fill_error_motions(model: ErrorModel, numbers: _Numbers, rows: _Workspace) -> None:
+    """EX, EY, EZ (mm), EA, EB, EC (rad) of the three axes."""
+    low, high = np.array(model.ranges_mm).T[:, :, None]
+    powers = rows.powers
+    powers[:, 0] = 1.0
+    np.subtract(rows.positions, 0.5 * (low + high), out=powers[:, 1])
+    powers[:, 1] *= 2.0 / (high - low)
+    for k in range(2, powers.shape[1]):
+        np.multiply(powers[:, k - 1], powers[:, 1], out=powers[:, k])
+    np.matmul(numbers.series, powers, out=rows.motions)
+    if model.cross_effect:
+        v, w = cross_arguments(model, rows.positions[_Y], rows.positions[_Z])
         b0, b1, b2, c0, c1 = numbers.cross
-        motions[1] += ((b2 * w + b1) * w + b0) * v
-        motions[3] += (c1 * w + c0) * v
-    return motions
+        rows.motions[_Z, 1] += ((b2 * w + b1) * w + b0) * v
+        rows.motions[_Z, 3] += (c1 * w + c0) * v
 
 
-def _travel(arm: Array, deviation: Array, axis: int, travel: Array, numbers: _Numbers) -> None:
-    arm[axis] += travel[axis]
-    for component in np.flatnonzero(numbers.travel[axis]):
-        deviation[component] += numbers.travel[axis][component] * travel[axis]
-
-
-def _rotate(arm: Array, deviation: Array, angles: Array) -> None:
-    """Turn arm + deviation by Rz(c) Ry(b) Rx(a), booking the change as deviation."""
-    sines, less_one = _sine_and_cosine_less_one(angles)
-    point = arm + deviation
-    for about, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
-        sine, cosine_less_one = sines[about], less_one[about]
-        change_first = cosine_less_one * point[first] - sine * point[second]
-        change_second = sine * point[first] + cosine_less_one * point[second]
-        for component, change in ((first, change_first), (second, change_second)):
-            deviation[component] += change
-            point[component] += change
-
-
-def _sine_and_cosine_less_one(angles: Array) -> tuple[Array, Array]:
-    """sin and cos - 1 to double precision; the series of small angles is several times as fast."""
-    square = angles * angles
+def _fill_sines(rows: _Workspace) -> None:
+    """sin and cos - 1 to double precision; small angles by their series, several times as fast."""
+    angles = rows.motions[:, 3:]
+    square = np.multiply(angles, angles, out=rows.less_one)
     if square.max(initial=0.0) > _SMALL_ANGLE_RAD**2:
-        return np.sin(angles), -2.0 * np.sin(0.5 * angles) ** 2
-    sine = angles * _nested(square, (6.0, 20.0, 42.0))
-    less_one = -0.5 * square * _nested(square, (12.0, 30.0))
-    return sine, less_one
+        np.sin(angles, out=rows.sines)
+        rows.less_one[:] = -2.0 * np.sin(0.5 * angles) ** 2
+        return
+    np.multiply(square, -1.0 / 6.0, out=rows.sines)
+    rows.sines *= angles
+    rows.sines += angles
+    square *= -0.5
 
 
-def _nested(square: Array, divisors: tuple[float, ...]) -> Array:
-    """1 - s/d1 (1 - s/d2 (1 - ...)): the Taylor series of sine and cosine without their leading factor."""
-    value = 1.0 - square / divisors[-1]
-    for divisor in divisors[-2::-1]:
-        value *= square
-        value *= -1.0 / divisor
-        value += 1.0
-    return value
+def _travel(axis: int, numbers: _Numbers, rows: _Workspace) -> None:
+    rows.arm[axis] += rows.positions[axis]
+    for component, share in enumerate(numbers.travel[axis]):
+        if share != 0.0:
+            rows.deviation[component] += np.multiply(rows.positions[axis], share, out=rows.product)
 
 
-def _cross_arguments(model: ErrorModel, y: Array, z: Array) -> tuple[Array, Array]:
-    (y_low, y_high), (z_low, z_high) = model.ranges_mm[_Y], model.ranges_mm[_Z]
-    return (y - y_low) / (y_high - y_low), (z - z_low) / (z_high - z_low)
+def _rotate(axis: int, rows: _Workspace) -> None:
+    """Turn arm + deviation by Rz(EC) Ry(EB) Rx(EA) and book the change as deviation.
+
+    The cosines come less one, so that nothing is subtracted from the long arm.
+    """
+    x, y, z = np.add(rows.arm, rows.deviation, out=rows.point)
+    change_y, change_z, last_z, change_x, last_x, last_y = rows.changes
+    about_x, about_y, about_z = zip(rows.sines[axis], rows.less_one[axis], strict=True)
+    _turn((y, z), about_x, (change_y, change_z), rows.product)
+    y += change_y
+    z += change_z
+    _turn((z, x), about_y, (last_z, change_x), rows.product)
+    x += change_x
+    _turn((x, y), about_z, (last_x, last_y), rows.product)
+    for component, changes in enumerate(((change_x, last_x), (change_y, last_y), (change_z, last_z))):
+        for change in changes:
+            rows.deviation[component] += change
 
 
-def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple[Array, Array, Array]:
-    """Per axis X, Y, Z the nominal vector (n, 3) from the point its rotations act about to the tool point."""
-    arms = {}
-    arm = np.repeat(tool_offset[None, :], len(points), axis=0)
-    for letter in model.chain.axes:
-        axis = AXES.index(letter)
-        carried = arm.copy()
-        arm[:, axis] += points[:, axis]
-        arms[letter] = carried if letter in model.chain.tool_side else arm.copy()
-    return arms["X"], arms["Y"], arms["Z"]
-
-
-def _rotation_effects(arm: Array) -> tuple[tuple[tuple[int, Array], tuple[int, Array]], ...]:
-    """For a unit rotation about X, Y, Z the components that change and by how much: e x arm."""
-    x, y, z = arm.T
-    return ((1, -z), (2, y)), ((0, z), (2, -x)), ((0, -y), (1, x))
-
-
-def _fill_series(basis: Array, model: ErrorModel, axis: int, positions: Array, arm: Array) -> None:
-    argument = normalised(positions, model.ranges_mm[axis])
-    polynomials = np.ascontiguousarray(legendre_values(argument, model.highest_order[axis]).T)
-    rotation_effects = _rotation_effects(arm)
-    for row, direction in enumerate(DIRECTIONS):
-        error = f"E{direction}{AXES[axis]}"
-        orders = series_orders(error, model.orders[error])
-        terms = polynomials[:, orders.start : orders.stop]
-        if row < 3:
-            basis[:, row, model.block[error]] = terms
-            continue
-        for component, lever in rotation_effects[row - 3]:
-            basis[:, component, model.block[error]] = lever[:, None] * terms
-
-
-def _fill_squareness(basis: Array, model: ErrorModel, points: Array) -> None:
-    basis[:, 1, model.index("A0Z")] = -points[:, _Z]
-    basis[:, 0, model.index("B0Z")] = points[:, _Z]
-    basis[:, 0, model.index("C0Y")] = -points[:, _Y]
-
-
-def _fill_cross_effect(basis: Array, model: ErrorModel, points: Array, arm: Array) -> None:
-    v, w = _cross_arguments(model, points[:, _Y], points[:, _Z])
-    shapes = {"b0": v, "b1": w * v, "b2": w * w * v, "c0": v, "c1": w * v}
-    for term in model.cross_effect:
-        column = model.index(f"CROSS[{term}]")
-        if term[0] == "b":
-            basis[:, 1, column] = shapes[term]
-            continue
-        for component, lever in _rotation_effects(arm)[0]:
-            basis[:, component, column] = lever * shapes[term]
+def _turn(
+    components: tuple[Array, Array], angle: tuple[Array, Array], changes: tuple[Array, Array], product: Array
+) -> None:
+    """Changes of two components under the rotation (sine, cosine less one) of the first towards the second."""
+    (first, second), (sine, less_one) = components, angle
+    np.multiply(less_one, first, out=changes[0])
+    np.subtract(changes[0], np.multiply(sine, second, out=product), out=changes[0])
+    np.multiply(sine, first, out=changes[1])
+    np.add(changes[1], np.multiply(less_one, second, out=product), out=changes[1])
