@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,18 +43,16 @@ class DeflectionGrid:
         """Displacement (n, 3) in mm, trilinear; ModelError names the first point outside the grid."""
         points = as_points(axis_positions, "axis positions")
         self._check_inside(points)
-        cells, shares = zip(*(_cell(nodes, points[:, k]) for k, nodes in enumerate(self.nodes)), strict=True)
-        base = (cells[0] * self.y.size + cells[1]) * self.z.size + cells[2]
-        corners = self.values.reshape(-1, 3)[base[:, None] + self._corner_steps]
-        interpolated: Array = np.einsum("nc,nck->nk", _corner_weights(*shares), corners)
-        return interpolated
-
-    @cached_property
-    def _corner_steps(self) -> NDArray[np.intp]:
-        """Index steps to the eight corners of a cell in the flattened values; z changes fastest."""
-        x_step, y_step = self.y.size * self.z.size, self.z.size
-        steps = [i * x_step + j * y_step + k for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-        return np.array(steps, dtype=np.intp)
+        (i, u), (j, v), (k, w) = (_cell(nodes, points[:, axis]) for axis, nodes in enumerate(self.nodes))
+        base = (i * self.y.size + j) * self.z.size + k
+        flat = self.values.reshape(-1, 3)
+        displacement = np.zeros_like(points)
+        for step_x, share_x in ((0, 1.0 - u), (self.y.size * self.z.size, u)):
+            for step_y, share_y in ((0, 1.0 - v), (self.z.size, v)):
+                share, corner = share_x * share_y, base + (step_x + step_y)
+                displacement += (share * (1.0 - w))[:, None] * flat.take(corner, axis=0)
+                displacement += (share * w)[:, None] * flat.take(corner + 1, axis=0)
+        return displacement
 
     def covers(self, ranges_mm: tuple[tuple[float, float], ...]) -> bool:
         """Whether every axis range lies inside the grid."""
@@ -65,8 +62,11 @@ class DeflectionGrid:
         )
 
     def _check_inside(self, points: Array) -> None:
-        for axis, nodes, column in zip(AXES, self.nodes, points.T, strict=True):
-            outside = (column < nodes[0] - _ROUNDING_MM) | (column > nodes[-1] + _ROUNDING_MM)
+        low, high = np.array([(nodes[0] - _ROUNDING_MM, nodes[-1] + _ROUNDING_MM) for nodes in self.nodes]).T
+        if (points >= low).all() and (points <= high).all():
+            return
+        for axis, nodes, column, least, most in zip(AXES, self.nodes, points.T, low, high, strict=True):
+            outside = (column < least) | (column > most)
             if outside.any():
                 row = int(np.argmax(outside))
                 point = ", ".join(f"{value:.3f}" for value in points[row])
@@ -106,9 +106,7 @@ CASE_STUDY_NODES = (
 )
 
 
-def cantilever_deflection(
-    x: Array, y: Array, z: Array, structure: CantileverStructure | None = None
-) -> DeflectionGrid:
+def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStructure | None = None) -> DeflectionGrid:
     """Grid of plausible deflections of a cantilever moving-column machine, from Euler-Bernoulli beams.
 
     Column bent by the ram's moment (uy and a nod about X that grow with height: the cross-effect), ram bent
@@ -167,13 +165,7 @@ def _column_rail_wave(parts: CantileverStructure, z: Array, moment: Array) -> Ar
 
 def _cell(nodes: Array, positions: Array) -> tuple[NDArray[np.intp], Array]:
     """Index of the cell that holds each position and the share (0 ... 1) of the way through it."""
-    cell = np.clip(np.searchsorted(nodes, positions, side="right") - 1, 0, nodes.size - 2)
-    share = (positions - nodes[cell]) / (nodes[cell + 1] - nodes[cell])
-    return cell, np.clip(share, 0.0, 1.0)
-
-
-def _corner_weights(u: Array, v: Array, w: Array) -> Array:
-    """(n, 8) trilinear weights in the order of the corner steps."""
-    pairs = [np.stack((1.0 - share, share), axis=-1) for share in (u, v, w)]
-    weights: Array = np.einsum("ni,nj,nk->nijk", *pairs).reshape(-1, 8)
-    return weights
+    inside = np.minimum(np.maximum(positions, nodes[0]), nodes[-1])
+    cell = np.minimum(np.searchsorted(nodes, inside, side="right") - 1, nodes.size - 2)
+    low = nodes[cell]
+    return cell, (inside - low) / (nodes[cell + 1] - low)

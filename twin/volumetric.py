@@ -17,6 +17,7 @@ from twin.arrays import Array, as_points, as_vector
 from twin.error_model import ErrorModel, Ranges
 from twin.errors import DataError, ModelError
 from twin.machine_model import deviation_basis
+from twin.rigid_motion import rigid_fields
 
 _CHUNK = 2000  # grid points whose basis is held at a time
 
@@ -153,11 +154,9 @@ def _basis_chunks(model: ErrorModel, points: Array, offset: Array) -> Iterator[t
 
 def _rigid_motions(points: Array) -> Array:
     """Orthonormal basis (3n, r) of the small rigid motions of points (n, 3); r = 6 unless in line."""
-    centred = points - points.mean(axis=0)
-    size = max(float(np.sqrt(np.mean(centred**2))), 1e-12)
-    motions = np.zeros((len(points), 3, 6))
-    motions[:, :, :3] = np.eye(3)
-    motions[:, :, 3:] = np.cross(np.eye(3)[None, :, :], centred[:, None, :] / size).transpose(0, 2, 1)
-    left, weights, _ = np.linalg.svd(motions.reshape(-1, 6), full_matrices=False)
+    middle = points.mean(axis=0)
+    size = max(float(np.sqrt(np.mean((points - middle) ** 2))), 1e-12)
+    fields = rigid_fields(points, middle, size).reshape(-1, 6)
+    left, weights, _ = np.linalg.svd(fields, full_matrices=False)
     used: Array = left[:, weights > 1e-9 * weights[0]]
     return used
