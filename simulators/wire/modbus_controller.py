@@ -49,7 +49,7 @@ class ModbusController:
         return self.registers.motion.wakes_at()
 
     def _serve(self, connection: socket.socket) -> None:
-        log.info("modbus client connected", peer=str(connection.getpeername()))
+        log.debug("modbus client connected", peer=str(connection.getpeername()))
         buffer = bytearray()
         while chunk := connection.recv(RECEIVE_BYTES):
             buffer += chunk

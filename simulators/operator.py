@@ -1,0 +1,128 @@
+"""The simulated operator: a hand that moves the artefact of a simulated machine over its control channel."""
+
+from __future__ import annotations
+
+import json
+import socket
+from contextlib import suppress
+
+import structlog
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.errors import CommandRejected, LinkLost, LinkTimeout, ProtocolError
+from drivers.registry import DeviceContext, DriverPlugin
+from drivers.roles import Finding, OperatorRequest, OperatorTask
+
+LONGEST_ANSWER = 65536
+log = structlog.get_logger()
+
+
+class SimulatedOperatorSettings(BaseModel):
+    """Where `volcal simulate` listens for control requests (its ready line says so)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = "127.0.0.1"
+    port: int = Field(ge=1, le=65535)
+    answer_within_s: float = Field(default=5.0, gt=0.0, le=60.0)
+
+
+class SimulatedOperator:
+    """Plays `drivers.roles.Operator`: does what it is asked for at once and says that it is done."""
+
+    def __init__(self, settings: SimulatedOperatorSettings, name: str) -> None:
+        self._settings = settings
+        self._name = name
+        self._socket: socket.socket | None = None
+
+    def open(self) -> None:
+        self.close()
+        try:
+            self._socket = socket.create_connection(
+                (self._settings.host, self._settings.port), timeout=self._settings.answer_within_s
+            )
+        except OSError as error:
+            raise self._lost(f"nobody answers at {self._place}: {error}") from error
+        self._request({"do": "status"})
+
+    def close(self) -> None:
+        if self._socket is not None:
+            with suppress(OSError):
+                self._socket.close()
+            self._socket = None
+
+    def stop(self) -> None:
+        """Nothing of this device's doing goes on by itself."""
+
+    def diagnose(self) -> list[Finding]:
+        answer = self._request({"do": "status"})
+        text = f"simulated machine at {self._place}, machine time {answer.get('machine_time_s')} s"
+        return [Finding(self._name, ok=True, text=text)]
+
+    def ask(self, request: OperatorRequest) -> bool:
+        """True once the artefact stands at the station; consent is always given.
+
+        Raises CommandRejected where the simulator refuses, and LinkError where it does not answer.
+        """
+        if request.task is OperatorTask.MOVE_ARTEFACT:
+            if request.station is None:
+                raise CommandRejected("no station named for the artefact", device=self._name)
+            self._request({"do": "place_artefact", "station": request.station})
+        log.info("simulated operator has done it", task=request.task.value, station=request.station)
+        return True
+
+    def _request(self, request: dict[str, object]) -> dict[str, object]:
+        answer = self._exchange(json.dumps(request).encode() + b"\n")
+        if "error" in answer:
+            raise CommandRejected(f"the simulator refused: {answer['error']}", device=self._name)
+        return answer
+
+    def _exchange(self, line: bytes) -> dict[str, object]:
+        if self._socket is None:
+            raise self._lost("the control channel is not open")
+        try:
+            self._socket.sendall(line)
+            reply = self._receive_line(self._socket)
+        except TimeoutError as error:
+            self.close()
+            raise LinkTimeout(
+                f"no answer within {self._settings.answer_within_s:g} s", device=self._name, link=self._place
+            ) from error
+        except OSError as error:
+            self.close()
+            raise self._lost(str(error)) from error
+        return self._decode(reply)
+
+    def _receive_line(self, connection: socket.socket) -> bytes:
+        line = b""
+        while not line.endswith(b"\n"):
+            chunk = connection.recv(4096)
+            if not chunk or len(line) > LONGEST_ANSWER:
+                raise ConnectionResetError("the simulator has hung up")
+            line += chunk
+        return line
+
+    def _decode(self, reply: bytes) -> dict[str, object]:
+        try:
+            answer = json.loads(reply)
+        except ValueError as error:
+            raise ProtocolError("answer is not JSON", device=self._name, link=self._place) from error
+        if not isinstance(answer, dict):
+            raise ProtocolError("answer is not a JSON object", device=self._name, link=self._place)
+        return answer
+
+    @property
+    def _place(self) -> str:
+        return f"{self._settings.host}:{self._settings.port}"
+
+    def _lost(self, reason: str) -> LinkLost:
+        return LinkLost(
+            reason, device=self._name, link=self._place, hint="is `volcal simulate` running with --control?"
+        )
+
+
+def _create(settings: SimulatedOperatorSettings, context: DeviceContext) -> SimulatedOperator:
+    return SimulatedOperator(settings, context.name)
+
+
+PLUGIN = DriverPlugin("simulated-operator", SimulatedOperatorSettings, _create)

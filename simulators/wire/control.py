@@ -1,0 +1,173 @@
+"""The control channel: what a person beside the machine does and what only the simulator knows, over TCP.
+
+One JSON object a line, one JSON object back; bad input is answered with ``{"error": ...}``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import structlog
+
+from drivers.errors import InputError, VolcalError
+from drivers.roles import MotionState, Permission, TableImage, Vector
+from simulators.wire.shared_world import MovedByTime, SharedWorld
+from simulators.wire.tcp_server import TcpServer, serve_lines
+
+Answer = dict[str, Any]
+log = structlog.get_logger()
+
+
+class VolumetricTruth(Protocol):
+    def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
+        """(raw, rigidly aligned), µm, with the table of `bank`; None or 0: bare."""
+        ...
+
+
+class Bump(Protocol):
+    @property
+    def time_s(self) -> float: ...
+
+    @property
+    def body_a(self) -> str: ...
+
+    @property
+    def body_b(self) -> str: ...
+
+
+class VisibleController(Protocol):
+    @property
+    def motion(self) -> MotionState: ...
+
+    @property
+    def fault(self) -> str: ...
+
+    @property
+    def permissions(self) -> Mapping[Permission, bool]: ...
+
+    @property
+    def banks(self) -> Mapping[int, TableImage]: ...
+
+    @property
+    def active_bank(self) -> int: ...
+
+    def displayed_position(self) -> Vector: ...
+
+    def temperatures(self) -> Mapping[str, float]: ...
+
+
+class WorldInSight(MovedByTime, Protocol):
+    """What the control channel needs of the world."""
+
+    @property
+    def controller(self) -> VisibleController: ...
+
+    @property
+    def truth(self) -> VolumetricTruth: ...
+
+    @property
+    def collisions(self) -> Sequence[Bump]: ...
+
+    def place_artefact(self, station: int) -> None: ...
+
+
+class ControlServer:
+    """Serves any number of clients on `address`."""
+
+    def __init__(self, shared: SharedWorld[WorldInSight], address: tuple[str, int]) -> None:
+        self._shared = shared
+        self._actions: dict[str, Callable[[Answer], Answer]] = {
+            "place_artefact": self._place_artefact,
+            "truth": self._truth,
+            "collisions": self._collisions,
+            "status": self._status,
+        }
+        self._server = TcpServer("control", address, self._serve)
+        self.address = self._server.address
+        self.start = self._server.start
+        self.close = self._server.close
+
+    def _serve(self, connection: socket.socket) -> None:
+        serve_lines(connection, lambda line: json.dumps(self.answer(line)).encode())
+
+    def answer(self, line: bytes) -> Answer:
+        """The answer to one line; never raises for what a client sent."""
+        try:
+            request = _parse(line)
+            with self._shared.lock:
+                return self._action(request)(request)
+        except (VolcalError, ValueError) as error:
+            log.warning("control request refused", reason=str(error))
+            return {"error": str(error)}
+
+    def _action(self, request: Answer) -> Callable[[Answer], Answer]:
+        name = request.get("do")
+        if not isinstance(name, str) or name not in self._actions:
+            raise InputError(f"unknown request {name!r}", key="do", hint=f"one of {', '.join(self._actions)}")
+        unknown = sorted(set(request) - {"do", "station" if name == "place_artefact" else "do"})
+        if unknown:
+            raise InputError(f"unknown key {unknown[0]!r} in a request to {name}", key=unknown[0])
+        return self._actions[name]
+
+    def _place_artefact(self, request: Answer) -> Answer:
+        station = request.get("station")
+        if not isinstance(station, int) or isinstance(station, bool):
+            raise InputError(f"station must be a whole number, got {station!r}", key="station")
+        self._shared.world.place_artefact(station)
+        log.info("artefact placed", station=station, machine_time_s=self._shared.now)
+        return {"done": "place_artefact", "station": station}
+
+    def _truth(self, _: Answer) -> Answer:
+        """True volumetric error, µm: bare, with the bank now active, with each bank that holds a table."""
+        controller = self._shared.world.controller
+        banks = {bank: self._volumetric_error(bank) for bank in sorted(controller.banks) if bank}
+        bare = self._volumetric_error(None)
+        active = controller.active_bank
+        return {
+            "active_bank": active,
+            "bare": bare,
+            "active": banks[active] if active else bare,
+            "banks": {str(bank): error for bank, error in banks.items()},
+        }
+
+    def _volumetric_error(self, bank: int | None) -> Answer:
+        raw_um, aligned_um = self._shared.world.truth.true_volumetric_error(bank)
+        return {"raw_um": _finite(raw_um), "aligned_um": _finite(aligned_um)}
+
+    def _collisions(self, _: Answer) -> Answer:
+        bumps = self._shared.world.collisions
+        listed = [{"time_s": b.time_s, "body_a": b.body_a, "body_b": b.body_b} for b in bumps]
+        return {"count": len(listed), "collisions": listed}
+
+    def _status(self, _: Answer) -> Answer:
+        world = self._shared.world
+        controller = world.controller
+        return {
+            "machine_time_s": world.now,
+            "motion": controller.motion.value,
+            "fault": controller.fault,
+            "position_mm": [float(x) for x in controller.displayed_position()],
+            "missing_permissions": [p.value for p, given in controller.permissions.items() if not given],
+            "active_bank": controller.active_bank,
+            "temperatures_c": dict(controller.temperatures()),
+            "collisions": len(world.collisions),
+        }
+
+
+def _parse(line: bytes) -> Answer:
+    try:
+        request = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not JSON: {error}", hint='one object a line, as {"do": "status"}') from error
+    if not isinstance(request, dict):
+        raise InputError("not a JSON object", hint='one object a line, as {"do": "status"}')
+    return request
+
+
+def _finite(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return float(value) if math.isfinite(value) else None
