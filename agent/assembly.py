@@ -74,8 +74,9 @@ def assemble_rehearsal(job: Job, clock: VirtualClock, start_mm: Point | None) ->
         "tool": settings.tool,
         "mount": vars(settings.mount),
         "probe": vars(settings.probe),
-        "stations": [list(place) for place in settings.stations.places_mm],
-        "standing_at": settings.stations.standing_at,
+        "stations_mm": [list(place) for place in settings.stations.places_mm],
+        "standing_at": settings.stations.standing_at or 1,
+        "mount_behaviour": settings.timing.model_dump(),
         "start_mm": None if start_mm is None else list(start_mm),
         "ideal": True,
     }

@@ -16,6 +16,7 @@ from agent.plans.probing import BallLimits, Probing, Search, approach_directions
 from agent.settings import Settings, parse_settings
 from drivers.errors import ConfigurationError
 from twin.artefact import Artefact
+from twin.formats.toml_reading import validated
 from twin.machine_description import MachineDescription
 from twin.position_set import Position, positions_of
 
@@ -123,7 +124,8 @@ def with_overrides(
         ] or list(stations)
     if formulation is not None:
         document["identification"]["formulation"] = formulation
-    return Settings.model_validate(document)
+    with translated(ConfigurationError):
+        return validated(document, "command line", Settings)
 
 
 def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple[Position, ...]:
@@ -176,7 +178,7 @@ def _probing(settings: Settings, artefact: Artefact) -> Probing:
 
 
 def _layout(settings: Settings, machine: MachineDescription, artefact: Artefact, probing: Probing) -> Layout:
-    ranges = np.array(machine.model.ranges_mm)
+    ranges = np.array(machine.limits)
     reach = probing.contact_mm + probing.wide.approach_mm
     return Layout(
         mount=settings.mount,
@@ -191,7 +193,7 @@ def _layout(settings: Settings, machine: MachineDescription, artefact: Artefact,
 
 def _course(settings: Settings, machine: MachineDescription) -> Course:
     """Park to the side that the travel allows, the farther from the middle the station the more so."""
-    (x_low, x_high), (y_low, _), _ = machine.model.ranges_mm
+    (x_low, x_high), (y_low, _), _ = machine.limits
     park = {}
     for number, (x, _, _) in enumerate(settings.stations.places_mm, start=1):
         away = settings.stations.park_distance_mm

@@ -121,6 +121,13 @@ class VerificationSettings(Strict):
     largest_share: float = Field(default=0.8, gt=0.0, le=1.0)
 
 
+class TimingSettings(Strict):
+    """What the dry run must know of the mount to predict the machine time; the axes' figures are the machine file's."""
+
+    speed_deg_per_s: PositiveFloat = 20.0
+    acceleration_deg_per_s2: PositiveFloat = 40.0
+
+
 class PreflightSettings(Strict):
     """The plugin that plays the machine in the dry run."""
 
@@ -145,6 +152,7 @@ class Settings(Strict):
     table: TableSettings = TableSettings()
     gates: GateSettings = GateSettings()
     verification: VerificationSettings = VerificationSettings()
+    timing: TimingSettings = TimingSettings()
     preflight: PreflightSettings = PreflightSettings()
 
     @model_validator(mode="after")

@@ -128,15 +128,18 @@ class LockstepClock:
 
 
 class WatchedClock:
-    """A clock whose every sleep is sliced so that `check` runs at least each 50 ms of machine time.
+    """A clock whose every sleep is sliced so that `check` runs at least each `slice_s` of machine time.
 
     `check` raises to abort, or blocks while the run is held. Time spent held does not count: deadlines
     made from this clock do not expire during a hold.
     """
 
-    def __init__(self, inner: Clock, check: Callable[[], None]) -> None:
+    def __init__(
+        self, inner: Clock, check: Callable[[], None], slice_s: float = INTERRUPT_SLICE_S
+    ) -> None:
         self._inner = inner
         self._check = check
+        self._slice_s = slice_s
         self._held_s = 0.0
 
     def now(self) -> float:
@@ -146,7 +149,7 @@ class WatchedClock:
         self._run_check()
         left = duration_s
         while left > 0.0:
-            piece = min(left, INTERRUPT_SLICE_S)
+            piece = min(left, self._slice_s)
             self._inner.sleep(piece)
             left -= piece
             self._run_check()

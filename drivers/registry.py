@@ -62,19 +62,34 @@ def installed_plugins() -> dict[str, DriverPlugin]:
 
 
 def create_device(driver: str, options: Mapping[str, object], context: DeviceContext) -> Device:
-    """Validate `options` with the plugin's own settings model (unknown key = error) and build the device."""
+    """The device that plugin `driver` builds from `options`; not open yet."""
+    plugin = _plugin(driver, context.name)
+    return plugin.create(_validated(plugin, options, context.name), context)
+
+
+def check_options(driver: str, options: Mapping[str, object], name: str) -> None:
+    """Raise ConfigurationError for an unknown driver or options that its settings model refuses."""
+    _validated(_plugin(driver, name), options, name)
+
+
+def _plugin(driver: str, name: str) -> DriverPlugin:
     plugins = installed_plugins()
     if driver not in plugins:
         raise ConfigurationError(
             f"unknown driver {driver!r}",
-            key=f"devices.{context.name}.driver",
+            key=f"devices.{name}.driver",
             hint=f"installed drivers: {', '.join(sorted(plugins))}",
         )
-    plugin = plugins[driver]
+    return plugins[driver]
+
+
+def _validated(plugin: DriverPlugin, options: Mapping[str, object], name: str) -> BaseModel:
     try:
-        settings = plugin.settings.model_validate(dict(options))
+        return plugin.settings.model_validate(dict(options))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key = ".".join(["devices", context.name, *(str(part) for part in first["loc"])])
-        raise ConfigurationError(first["msg"], key=key, hint=f"settings of driver {driver}") from error
-    return plugin.create(settings, context)
+        key = ".".join(["devices", name, "options", *(str(part) for part in first["loc"])])
+        known = ", ".join(sorted(plugin.settings.model_fields))
+        raise ConfigurationError(
+            first["msg"], key=key, hint=f"options of driver {plugin.name}: {known}"
+        ) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.execution.steps import MoveTo, Plan, ReadPosition
+from agent.execution.steps import CheckPermissions, MoveTo, Plan, ReadPosition
 from agent.plans.ball import point
 from agent.plans.position import Course
 
@@ -16,8 +16,9 @@ def withdraw(course: Course, stylus_axis: NDArray[np.float64], distance_mm: floa
     """Back along the stylus by `distance_mm` slowly, then to the retreat plane; guarded all the way.
 
     A probe that is deflected at the start of a guarded move may leave its contact; that is what the slow
-    first part is for.
+    first part is for. A machine in fault does not move: a person looks first.
     """
+    yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))
     retreated = course.retreated(here)
     travel = abs(float((here - retreated)[course.retreat_axis]))

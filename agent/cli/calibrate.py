@@ -1,0 +1,148 @@
+"""`volcal calibrate`: a full calibration of the machine that the settings describe."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.cli.errors import fail, reported
+from agent.cli.watching import watching
+from agent.execution.states import RunState
+from agent.execution.supervisor import Supervisor
+from agent.job import load_settings, prepare_job, with_overrides
+from agent.outcome import Outcome
+from agent.session import Ended, Request, calibrate
+from agent.settings import Settings
+from drivers.errors import GateRefused
+
+NOT_IMPROVED = 4
+"""Exit code where the machine was left as it was found because the proof failed; see `drivers.errors`."""
+
+
+def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
+    """Options that every command with a procedure takes."""
+    for option in (
+        click.option("--formulation", type=click.Choice(["centres", "distances"])),
+        click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations to measure at."),
+        click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),
+        click.option(
+            "--config",
+            "config",
+            type=click.Path(path_type=Path),
+            default=Path("volcal.toml"),
+            show_default=True,
+            help="Settings of the agent.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+@click.command("calibrate")
+@procedure_options
+@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@reported
+def calibrate_command(
+    config: Path,
+    position_set: str | None,
+    stations: list[int] | None,
+    formulation: str | None,
+    as_json: bool,
+) -> None:
+    """Measure, identify, write the table, prove it, or restore what was there."""
+    settings = with_overrides(
+        load_settings(config), position_set=position_set, stations=stations, formulation=formulation
+    )
+    ended = run_calibration(settings, Path.cwd())
+    if as_json:
+        click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
+    else:
+        Console().print(summary_table(ended.outcome))
+    conclude(ended)
+
+
+def run_calibration(settings: Settings, base: Path) -> Ended:
+    """Prepare the job, run it with a progress bar on stderr; Ctrl-C and SIGTERM abort it."""
+    job = prepare_job(settings, base)
+    with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
+        return calibrate(Request(job, base, listener, interrupts.append))
+
+
+@contextmanager
+def interruptible() -> Iterator[list[Supervisor]]:
+    """While the block runs, Ctrl-C and SIGTERM ask the supervisors in the list to abort."""
+    supervisors: list[Supervisor] = []
+
+    def ask(number: int, _: FrameType | None) -> None:
+        for supervisor in supervisors:
+            supervisor.request_abort(signal.Signals(number).name)
+
+    former = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield supervisors
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
+def conclude(ended: Ended) -> None:
+    """Exit as the run ended: 0 only where the new table acts and was proved."""
+    if ended.error is not None:
+        raise fail(ended.error)
+    proof = ended.outcome.proof
+    if proof is None or not proof.accepted:
+        reason = "the new table did not prove better; the former one acts again"
+        raise fail(GateRefused(reason if proof is None else f"{reason}: {proof.reason}"))
+
+
+def summary_table(outcome: Outcome) -> Table:
+    """The result as people read it."""
+    table = Table(title=f"{outcome.run_id}: {outcome.state.value}", show_header=False)
+    for name, value in _rows(outcome):
+        table.add_row(name, value)
+    return table
+
+
+def _rows(outcome: Outcome) -> list[tuple[str, str]]:
+    rows = [
+        ("position set", f"{outcome.position_set}, {outcome.formulation}"),
+        ("measured", f"{outcome.balls} balls, {outcome.touches} touches"),
+        ("machine time", f"{outcome.machine_minutes:.1f} min (predicted {_number(outcome.predicted_minutes)})"),
+    ]
+    if outcome.estimated_ve_um is not None:
+        rows.append(("VE before, estimated", f"{outcome.estimated_ve_um:.2f} µm (aligned)"))
+        rows.append(("VCE predicted", f"{_number(outcome.predicted_vce_um)} µm (aligned)"))
+        rows.append(("rank", f"{outcome.rank} of {outcome.parameters} parameters"))
+    if outcome.proof is not None:
+        proof = outcome.proof
+        text = f"{proof.before_um:.2f} → {proof.after_um:.2f} µm, predicted {proof.predicted_um:.2f} µm"
+        rows.append(("held-out positions", text))
+        rows.append(("verdict", "accepted" if proof.accepted else f"restored: {proof.reason}"))
+    if outcome.state in (RunState.COMPLETE, RunState.REFUSED):
+        rows.append(("active bank", str(outcome.table_bank)))
+    rows.append(("report", str(outcome.report) if outcome.report else "none"))
+    return rows
+
+
+def _number(value: float | None) -> str:
+    return "?" if value is None else f"{value:.2f}"
+
+
+def _station_list(_: click.Context, __: click.Parameter, text: str | None) -> list[int] | None:
+    if text is None:
+        return None
+    try:
+        stations = [int(part) for part in text.split(",")]
+    except ValueError:
+        raise click.BadParameter("write station numbers separated by commas, such as 1,2") from None
+    if min(stations) < 1 or len(set(stations)) < len(stations):
+        raise click.BadParameter("stations count from 1 and are named once each")
+    return stations

@@ -1,0 +1,43 @@
+"""`volcal config check|schema`: is a settings file right, and what may stand in it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from agent.cli.errors import reported
+from agent.job import load_settings, prepare_job
+from agent.settings import Settings
+from drivers.registry import check_options
+
+
+@click.group("config")
+def config_group() -> None:
+    """Settings files."""
+
+
+@config_group.command("check")
+@click.argument("file", type=click.Path(path_type=Path))
+@reported
+def check(file: Path) -> None:
+    """Read the settings and every file they name; no device is touched."""
+    settings = load_settings(file)
+    for name, device in settings.devices.items():
+        check_options(device.driver, device.options, name)
+    job = prepare_job(settings, Path.cwd())
+    click.echo(
+        f"{file}: good. Machine {job.machine.name}, artefact {job.artefact.name}, "
+        f"{len(job.positions)} positions, {len(settings.devices)} devices."
+    )
+
+
+@config_group.command("schema")
+def schema() -> None:
+    """Print the JSON schema of the settings (config/schema/settings.json is this text)."""
+    click.echo(schema_text(), nl=False)
+
+
+def schema_text() -> str:
+    return json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False) + "\n"

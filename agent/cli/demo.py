@@ -1,0 +1,131 @@
+"""`volcal demo`: a whole simulated night over real links, and what only the simulator knows about it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+import agent
+from agent.cli.calibrate import conclude, run_calibration, summary_table
+from agent.cli.errors import reported
+from agent.files import translated
+from agent.job import load_settings, with_overrides
+from agent.session import Ended
+from agent.settings import Settings
+from agent.simulator_process import SimulatorProcess
+from drivers.errors import ConfigurationError, LinkError
+from twin.formats.toml_reading import validated
+
+SHIPPED = Path(agent.__file__).resolve().parents[1] / "config"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulator says of itself. µm, rigidly aligned; None where it could not be asked any more."""
+
+    before_um: float
+    after_um: float | None
+    collisions: int | None
+
+
+@click.command("demo")
+@click.option("--config", type=click.Path(path_type=Path), default=SHIPPED / "case-study.toml", help="Settings.")
+@click.option(
+    "--scenario",
+    type=click.Path(path_type=Path),
+    default=SHIPPED / "simulators" / "case-study.toml",
+    help="What is simulated.",
+)
+@click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
+@click.option("--formulation", type=click.Choice(["centres", "distances"]))
+@click.option(
+    "--can",
+    default="socketcand:127.0.0.1:0",
+    show_default=True,
+    help="CAN between the processes, as `volcal simulate --can` takes it.",
+)
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@reported
+def demo_command(
+    config: Path,
+    scenario: Path,
+    position_set: str | None,
+    formulation: str | None,
+    can: str,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Start the simulated machine as a process, calibrate it over TCP and CAN, compare with the truth."""
+    settings = with_overrides(load_settings(config), position_set=position_set, formulation=formulation)
+    with SimulatorProcess(scenario, can=can, log=out / "simulator.log") as simulator:
+        before = _aligned_um(simulator.ask("truth"), "active")
+        connected = connect(settings, simulator.ready, out)
+        click.echo(_introduction(simulator.ready), err=True)
+        ended = run_calibration(connected, Path.cwd())
+        truth = _truth_after(simulator, before)
+    if as_json:
+        click.echo(json.dumps(_document(ended, truth), allow_nan=False))
+    else:
+        _show(ended, truth)
+    conclude(ended)
+
+
+def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
+    """The settings with the addresses that the simulator got."""
+    document = settings.model_dump(mode="json")
+    devices = document["devices"]
+    roles = document["roles"]
+    devices[roles["machine"]]["options"] |= ready["modbus"]
+    devices[roles["mount"]]["options"] |= ready["can"]
+    devices[roles["operator"]]["options"] |= ready["control"]
+    document["clock"] = {"kind": "lockstep", **ready["time"]}
+    document["state_directory"] = str(out.resolve())
+    with translated(ConfigurationError):
+        return validated(document, "settings of the demonstration", Settings)
+
+
+def _truth_after(simulator: SimulatorProcess, before_um: float) -> Truth:
+    try:
+        after = _aligned_um(simulator.ask("truth"), "active")
+        return Truth(before_um, after, int(simulator.ask("collisions")["count"]))
+    except LinkError:
+        return Truth(before_um, None, None)
+
+
+def _aligned_um(truth: dict[str, Any], which: str) -> float:
+    return float(truth[which]["aligned_um"])
+
+
+def _introduction(ready: dict[str, Any]) -> str:
+    modbus, can = ready["modbus"], ready["can"]
+    return (
+        f"simulated machine in a process of its own: Modbus TCP {modbus['host']}:{modbus['port']}, "
+        f"CAN {can['interface']} {can['channel']} {can['options']}"
+    )
+
+
+def _document(ended: Ended, truth: Truth) -> dict[str, object]:
+    return {
+        **ended.outcome.as_json(),
+        "true_ve_before_um": truth.before_um,
+        "true_ve_after_um": truth.after_um,
+        "collisions": truth.collisions,
+    }
+
+
+def _show(ended: Ended, truth: Truth) -> None:
+    console = Console()
+    console.print(summary_table(ended.outcome))
+    table = Table("", "before", "after", title="true volumetric error (rigidly aligned), as only the simulator knows it")
+    after = "?" if truth.after_um is None else f"{truth.after_um:.2f} µm"
+    table.add_row("VE", f"{truth.before_um:.2f} µm", after)
+    table.add_row("collisions", "", "?" if truth.collisions is None else str(truth.collisions))
+    console.print(table)
+    console.print(f"report: {ended.outcome.report}", soft_wrap=True)

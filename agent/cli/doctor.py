@@ -1,0 +1,69 @@
+"""`volcal doctor`: reach every device, read, measure latency; nothing moves and nothing is written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.assembly import assemble, make_clock
+from agent.cli.errors import reported
+from agent.job import load_settings, prepare_job
+from agent.settings import Settings
+from drivers.clock import LockstepClock
+from drivers.errors import DeviceError
+from drivers.roles import Device, Finding
+
+
+@click.command("doctor")
+@click.option("--config", type=click.Path(path_type=Path), default=Path("volcal.toml"), show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@reported
+def doctor_command(config: Path, as_json: bool) -> None:
+    """Check settings, links and devices without moving anything."""
+    settings = load_settings(config)
+    prepare_job(settings, Path.cwd())
+    findings = examine(settings)
+    if as_json:
+        document = {name: [vars(f) for f in lines] for name, lines in findings.items()}
+        click.echo(json.dumps(document))
+    else:
+        Console().print(_table(findings))
+    if any(not finding.ok for lines in findings.values() for finding in lines):
+        raise SystemExit(DeviceError.exit_code)
+
+
+def examine(settings: Settings) -> dict[str, list[Finding]]:
+    """Findings of every device; one that cannot be opened is a finding too, and the others still follow."""
+    clock = make_clock(settings.clock)
+    try:
+        rig = assemble(settings, clock, Path.cwd())
+        return {name: _examined(device) for name, device in rig.devices.items()}
+    finally:
+        if isinstance(clock, LockstepClock):
+            clock.close()
+
+
+def _examined(device: Device) -> list[Finding]:
+    try:
+        device.open()
+    except DeviceError as error:
+        return [Finding("open", ok=False, text=str(error))]
+    try:
+        return device.diagnose()
+    except DeviceError as error:
+        return [Finding("diagnose", ok=False, text=str(error))]
+    finally:
+        device.close()
+
+
+def _table(findings: dict[str, list[Finding]]) -> Table:
+    table = Table("device", "subject", "", "finding")
+    for name, lines in findings.items():
+        for finding in lines:
+            mark = "[green]ok[/green]" if finding.ok else "[red]no[/red]"
+            table.add_row(name, finding.subject, mark, finding.text)
+    return table

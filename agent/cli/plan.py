@@ -1,0 +1,93 @@
+"""`volcal plan`: what a run would do, rehearsed on the simulated machine; no device is touched."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.cli.calibrate import procedure_options
+from agent.cli.errors import reported
+from agent.expectation import Expectation, expect
+from agent.job import Job, load_settings, prepare_job, with_overrides
+from agent.plans.measure import position_key
+from agent.rehearsal import Rehearsal, rehearse
+
+
+@click.command("plan")
+@procedure_options
+@click.option("--steps", is_flag=True, help="List every step with its machine time.")
+@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@reported
+def plan_command(
+    config: Path,
+    position_set: str | None,
+    stations: list[int] | None,
+    formulation: str | None,
+    steps: bool,
+    as_json: bool,
+) -> None:
+    """Rehearse the whole procedure: limits, collisions, minutes, and the VCE to expect."""
+    settings = with_overrides(
+        load_settings(config), position_set=position_set, stations=stations, formulation=formulation
+    )
+    job = prepare_job(settings, Path.cwd())
+    rehearsal = rehearse(job)
+    expectation = expect(job, rehearsal.measured)
+    if as_json:
+        click.echo(json.dumps(_document(job, rehearsal, expectation), allow_nan=False))
+        return
+    console = Console()
+    if steps:
+        for key, seconds in rehearsal.timeline.items():
+            click.echo(f"{seconds:10.2f} s  {key}")
+    console.print(_table(job, rehearsal, expectation))
+
+
+def _document(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> dict[str, object]:
+    balls = sum(len(p.balls) for p in rehearsal.measured.positions)
+    return {
+        "position_set": job.settings.procedure.position_set,
+        "formulation": job.settings.identification.formulation,
+        "positions": [position_key(p) for p in job.positions],
+        "held_out": [position_key(p) for p in job.held_out],
+        "left_out": list(rehearsal.measured.left_out),
+        "unreachable_balls": rehearsal.measured.unreachable_balls,
+        "balls": balls,
+        "touches": rehearsal.measured.touches + rehearsal.verified.touches,
+        "machine_minutes": round(rehearsal.machine_minutes, 3),
+        "steps": rehearsal.commands,
+        "rank": expectation.rank,
+        "parameters": expectation.parameters,
+        "predicted_vce_um": expectation.vce.aligned_um,
+        "predicted_vce_raw_um": expectation.vce.raw_um,
+        "wall_seconds": round(rehearsal.wall_seconds, 3),
+    }
+
+
+def _table(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> Table:
+    table = Table(title="rehearsed: no collision, no limit", show_header=False)
+    measured = rehearsal.measured
+    rows = [
+        ("machine", job.machine.name),
+        ("artefact", job.artefact.name),
+        ("position set", f"{job.settings.procedure.position_set} at stations {_listed(job.stations)}"),
+        ("positions", f"{len(job.positions)}, and {len(job.held_out)} held out for the proof"),
+        ("left out", ", ".join(measured.left_out) or "none"),
+        ("balls out of reach", str(measured.unreachable_balls)),
+        ("touches", str(measured.touches + rehearsal.verified.touches)),
+        ("machine time", f"{rehearsal.machine_minutes:.1f} min"),
+        ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
+        ("VCE to expect", f"{expectation.vce.aligned_um:.2f} µm aligned ({expectation.vce.raw_um:.2f} as defined)"),
+        ("rehearsal took", f"{rehearsal.wall_seconds:.2f} s for {rehearsal.commands} steps"),
+    ]
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _listed(numbers: tuple[int, ...]) -> str:
+    return ", ".join(str(number) for number in numbers)

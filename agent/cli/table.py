@@ -1,0 +1,105 @@
+"""`volcal table show|export`: the compensation tables that the controller holds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from agent.assembly import assemble, make_clock
+from agent.cli.errors import reported
+from agent.execution.encoding import table_digest
+from agent.files import write_all_atomically
+from agent.job import Job, load_settings, prepare_job
+from agent.rig import Rig
+from agent.table_image import table_of
+from drivers.clock import LockstepClock
+from drivers.errors import InputError
+from drivers.roles import TableImage
+from twin.formats.table_file import format_side_file, format_table
+
+CONFIG = click.option(
+    "--config", type=click.Path(path_type=Path), default=Path("volcal.toml"), show_default=True
+)
+
+
+@click.group("table")
+def table_group() -> None:
+    """Compensation tables in the controller."""
+
+
+@table_group.command("show")
+@CONFIG
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@reported
+def show(config: Path, as_json: bool) -> None:
+    """Every bank: which one acts, its grid, checksum and largest correction."""
+    with _connected(config) as (_, rig):
+        active = rig.store.active_bank()
+        banks = {bank: rig.store.read_table(bank) for bank in rig.store.store_limits().banks if bank}
+    if as_json:
+        document = {"active_bank": active, "banks": {str(n): _facts(t) for n, t in banks.items()}}
+        click.echo(json.dumps(document))
+        return
+    table = Table("bank", "state", "grid", "CRC-32", "largest correction")
+    table.add_row("0", "[bold]active[/bold]" if active == 0 else "", "no compensation", "", "")
+    for bank, image in banks.items():
+        facts = _facts(image)
+        state = "[bold]active[/bold]" if bank == active else "staged or former" if image else "empty"
+        grid = " × ".join(str(n) for n in image.shape) if image else ""
+        crc, largest = (facts["crc32"], f"{facts['largest_um']} µm") if facts else ("", "")
+        table.add_row(str(bank), state, grid, str(crc), largest)
+    Console().print(table)
+
+
+@table_group.command("export")
+@CONFIG
+@click.option("--bank", type=int, help="Which bank; the active one when not said.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="The CSV file to write.")
+@reported
+def export(config: Path, bank: int | None, out: Path) -> None:
+    """Read a bank from the controller and write it as a neutral table (CSV and JSON side file)."""
+    with _connected(config) as (job, rig):
+        chosen = rig.store.active_bank() if bank is None else bank
+        image = rig.store.read_table(chosen) if chosen else None
+        if image is None:
+            raise InputError(
+                f"bank {chosen} holds no table", hint="`volcal table show` lists the banks", key="--bank"
+            )
+        table = table_of(image, job.tool_offset_mm)
+    texts = {out.name: format_table(table), f"{out.stem}.json": format_side_file(table)}
+    write_all_atomically(out.parent, texts)
+    click.echo(f"bank {chosen} → {out}")
+
+
+def _facts(image: TableImage | None) -> dict[str, object] | None:
+    if image is None:
+        return None
+    return {
+        "shape": list(image.shape),
+        "origin_mm": list(image.origin_mm),
+        "step_mm": list(image.step_mm),
+        "crc32": f"{table_digest(image):08x}",
+        "largest_um": round(float(np.abs(image.counts).max()) * image.resolution_mm * 1e3, 3),
+    }
+
+
+@contextmanager
+def _connected(config: Path) -> Iterator[tuple[Job, Rig]]:
+    settings = load_settings(config)
+    job = prepare_job(settings, Path.cwd())
+    clock = make_clock(settings.clock)
+    rig = assemble(settings, clock, Path.cwd())
+    rig.open()
+    try:
+        yield job, rig
+    finally:
+        rig.close()
+        if isinstance(clock, LockstepClock):
+            clock.close()

@@ -1,0 +1,188 @@
+"""A calibration from permission to proof: measure, identify, gate, stage, activate, verify, accept or restore.
+
+The compensation that was found is restored on every way out but the accepted one, and read back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from agent.conduct import Conduct
+from agent.execution.engine import Engine
+from agent.execution.journal import RunJournal
+from agent.execution.states import RunState
+from agent.execution.steps import Plan
+from agent.execution.supervisor import Supervisor
+from agent.findings import Findings, identify_machine, prove
+from agent.gates import Gate, estimate_gates, require, table_gates
+from agent.job import Job
+from agent.outcome import Proof
+from agent.plans import publish
+from agent.plans.measure import Measured, measure_positions
+from agent.plans.position import MeasuredBall
+from agent.plans.recover import withdraw
+from agent.rig import Rig
+from agent.table_image import image_of, table_of
+from drivers.errors import Aborted, GateRefused, LinkError, VolcalError
+from twin.table import CompensationTable
+
+T = TypeVar("T")
+
+
+@dataclass
+class Progress:
+    """What has been reached so far; filled in as the run goes, so that a fault loses nothing."""
+
+    found: publish.FoundState | None = None
+    measured: Measured | None = None
+    findings: Findings | None = None
+    table: CompensationTable | None = None
+    gates: list[Gate] = field(default_factory=list)
+    verified: Measured | None = None
+    proof: Proof | None = None
+    active_bank: int | None = None
+    error: VolcalError | None = None
+
+
+class CalibrationRun:
+    """Carries out one `Job` on one open `Rig`."""
+
+    def __init__(
+        self,
+        job: Job,
+        rig: Rig,
+        engine: Engine,
+        journal: RunJournal,
+        conduct: Conduct,
+        supervisor: Supervisor,
+    ) -> None:
+        self._job = job
+        self._rig = rig
+        self._engine = engine
+        self._journal = journal
+        self._conduct = conduct
+        self._supervisor = supervisor
+        self.progress = Progress()
+
+    def carry_out(self) -> Progress:
+        """Run to a final state. Errors of the house end in `progress.error`, never in a traceback."""
+        try:
+            self._calibrate()
+        except GateRefused as refusal:
+            self.progress.error = refusal
+            self._journal.decision("refused", {"reason": str(refusal)})
+            self._conduct.enter(RunState.REFUSED, str(refusal))
+        except VolcalError as error:
+            self.progress.error = error
+            self._leave_safely(error)
+        return self.progress
+
+    def _calibrate(self) -> None:
+        progress, enter = self.progress, self._conduct.enter
+        enter(RunState.MEASURING)
+        progress.found = self._engine.run(publish.read_state("before"))
+        progress.active_bank = progress.found.bank
+        self._journal.table("backup", progress.found.bank, progress.found.table)
+        progress.measured = self._engine.run(
+            measure_positions(self._job.measuring, self._job.layout, self._job.rules)
+        )
+        enter(RunState.IDENTIFYING)
+        image = self._identify_and_gate(progress.measured, progress.found)
+        enter(RunState.STAGING)
+        bank = publish.choose_bank(self._rig.store.store_limits().banks, progress.found.bank)
+        self._engine.run(publish.stage_table(bank, image))
+        self._journal.table("staged", bank, image)
+        enter(RunState.ACTIVATING)
+        progress.active_bank = bank
+        self._engine.run(publish.activate("activate", bank))
+        enter(RunState.VERIFYING)
+        self._verify(progress.measured)
+
+    def _identify_and_gate(self, measured: Measured, found: publish.FoundState) -> publish.TableImage:
+        job, progress = self._job, self.progress
+        acting = table_of(found.table, job.tool_offset_mm) if found.table is not None else None
+        findings = identify_machine(job, self._balls(measured, held_out=False), acting)
+        progress.findings = findings
+        self._journal.estimate(findings.estimate_text)
+        progress.gates += estimate_gates(findings.estimate, findings.expected, findings.before, job.gate_limits)
+        limits = self._rig.store.store_limits()
+        progress.table = findings.table
+        progress.gates += table_gates(findings.table, limits, job.gate_limits)
+        for gate in progress.gates:
+            self._journal.decision("gate", vars(gate))
+        require(progress.gates)
+        return image_of(findings.table, limits)
+
+    def _verify(self, measured: Measured) -> None:
+        job, progress = self._job, self.progress
+        assert progress.findings is not None  # noqa: S101  identified before anything was staged
+        order = job.verifying(measured.standing_at)
+        progress.verified = self._engine.run(
+            measure_positions(order, job.layout, job.rules, measured.corrections)
+        )
+        before = self._balls(measured, held_out=True)
+        after = self._balls(progress.verified, held_out=True)
+        progress.proof = prove(job, progress.findings, before, after)
+        self._journal.decision("proof", vars(progress.proof))
+        if progress.proof.accepted:
+            self._conduct.enter(RunState.COMPLETE, progress.proof.reason)
+            return
+        self._conduct.enter(RunState.RESTORING, progress.proof.reason)
+        self._restore()
+        self._conduct.enter(RunState.COMPLETE, f"restored: {progress.proof.reason}")
+
+    def _balls(self, measured: Measured, *, held_out: bool) -> list[MeasuredBall]:
+        kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self._job.held_out}
+        return [
+            ball
+            for position in measured.positions
+            for ball in position.balls
+            if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
+        ]
+
+    def _leave_safely(self, error: VolcalError) -> None:
+        """Stop, withdraw, restore; whatever cannot be done is said beside the first cause."""
+        aborted = isinstance(error, Aborted)
+        self._supervisor.shield()
+        self._conduct.enter(RunState.ABORTING, str(error))
+        complaints = self._rig.stop()
+        if not isinstance(error, LinkError):
+            complaints += self._attempt("withdraw the probe", self._withdraw())
+        complaints += self._attempt_restore()
+        for complaint in complaints:
+            self._conduct.note(complaint)
+        clean = aborted and not complaints
+        reason = "; ".join([str(error), *complaints])
+        self._conduct.enter(RunState.ABORTED if clean or aborted else RunState.FAULTED, reason)
+
+    def _withdraw(self) -> Plan[None]:
+        probing = self._job.rules.probing
+        return withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm)
+
+    def _attempt_restore(self) -> list[str]:
+        found = self.progress.found
+        if found is None or self.progress.active_bank == found.bank:
+            return []
+        try:
+            self._restore()
+        except VolcalError as failure:
+            return [f"bank {found.bank} could not be made active again: {failure}"]
+        return []
+
+    def _restore(self) -> None:
+        found = self.progress.found
+        assert found is not None  # noqa: S101  read before anything is written
+        self._engine.run(publish.activate("restore", found.bank))
+        self.progress.active_bank = found.bank
+        self._journal.table("restored", found.bank, found.table)
+
+    def _attempt(self, what: str, plan: Plan[None]) -> Sequence[str]:
+        try:
+            self._engine.run(plan)
+        except VolcalError as failure:
+            return [f"could not {what}: {failure}"]
+        return []

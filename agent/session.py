@@ -1,0 +1,199 @@
+"""One run from settings to a closed journal: lock, devices, preflight, calibration, report."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from agent.assembly import LOCKSTEP_SLICE_S, assemble, make_clock
+from agent.conduct import Announcement, Conduct, Listener
+from agent.execution.engine import Engine
+from agent.execution.journal import Journal, RunJournal
+from agent.execution.run_lock import run_lock
+from agent.execution.states import RunState
+from agent.execution.steps import Point, Record, Step
+from agent.execution.supervisor import Supervisor
+from agent.job import Job
+from agent.outcome import Outcome
+from agent.rehearsal import Rehearsal, rehearse
+from agent.rig import Rig
+from agent.run import CalibrationRun, Progress
+from agent.settings import ClockSettings
+from agent.writing import write_results
+from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, WatchedClock, utc_timestamp, wall_seconds
+from drivers.errors import PlanRefused, VolcalError
+
+
+@dataclass(frozen=True)
+class Request:
+    """What somebody asked for. `interrupts` is handed the supervisor, so that signals can reach it."""
+
+    job: Job
+    base: Path
+    listener: Listener
+    interrupts: Callable[[Supervisor], None]
+
+
+@dataclass(frozen=True)
+class Ended:
+    """`error` is the first cause where the run did not complete."""
+
+    outcome: Outcome
+    error: VolcalError | None
+
+
+def calibrate(request: Request) -> Ended:
+    """Carry out a calibration. Raises before a run exists (lock, link, configuration); afterwards every end,
+    good or bad, is an `Ended` with the journal closed."""
+    began = wall_seconds()
+    settings = request.job.settings
+    run_id = new_run_id()
+    with (
+        run_lock(settings.state_directory, run_id),
+        _journal(settings.state_directory) as journal,
+        _clock(settings.clock) as outer,
+    ):
+        supervisor = Supervisor(outer)
+        request.interrupts(supervisor)
+        slice_s = LOCKSTEP_SLICE_S if isinstance(outer, LockstepClock) else INTERRUPT_SLICE_S
+        clock = WatchedClock(outer, supervisor.check, slice_s)
+        rig = assemble(settings, clock, request.base)
+        document = settings.model_dump(mode="json")
+        run_journal = journal.start_run(run_id, "calibrate", document, version("volcal"), clock)
+        conduct = Conduct(run_journal, request.listener)
+        session = _Session(request, run_id, clock, supervisor, run_journal, conduct)
+        return session.run(rig, began)
+
+
+def new_run_id() -> str:
+    """``20261121T012233Z-3f2a``: sorts by time, and two runs in one second differ."""
+    stamp = utc_timestamp().split(".", maxsplit=1)[0].replace("-", "").replace(":", "")
+    return f"{stamp}Z-{secrets.token_hex(2)}"
+
+
+class _Session:
+    def __init__(
+        self,
+        request: Request,
+        run_id: str,
+        clock: Clock,
+        supervisor: Supervisor,
+        journal: RunJournal,
+        conduct: Conduct,
+    ) -> None:
+        self._request = request
+        self._run_id = run_id
+        self._clock = clock
+        self._supervisor = supervisor
+        self._journal = journal
+        self._conduct = conduct
+        self._job = request.job
+        self._touches = 0
+        self._balls = 0
+        self._rehearsal: Rehearsal | None = None
+
+    def run(self, rig: Rig, began: float) -> Ended:
+        started_s = self._clock.now()
+        progress = Progress()
+        try:
+            self._conduct.enter(RunState.PREFLIGHT)
+            progress = self._on(rig)
+        except VolcalError as error:
+            progress.error = error
+            refused = isinstance(error, PlanRefused)
+            self._conduct.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
+        minutes = (self._clock.now() - started_s) / 60.0
+        outcome = self._outcome(progress, minutes, wall_seconds() - began)
+        outcome = write_results(self._job, outcome, progress, self._rehearsal, self._journal)
+        return Ended(outcome, progress.error)
+
+    def _on(self, rig: Rig) -> Progress:
+        rig.open()
+        try:
+            self._supervisor.on_hold = rig.machine.hold
+            self._supervisor.on_resume = rig.machine.resume
+            start = rig.machine.position().tolist()
+            self._rehearsal = self._preflight((start[0], start[1], start[2]))
+            engine = Engine(rig.actions(), self._journal, self._observe)
+            run = CalibrationRun(
+                self._job, rig, engine, self._journal, self._conduct, self._supervisor
+            )
+            return run.carry_out()
+        finally:
+            for complaint in rig.close():
+                self._conduct.note(f"closing: {complaint}")
+
+    def _preflight(self, start_mm: Point) -> Rehearsal:
+        rehearsal = rehearse(self._job, start_mm)
+        self._conduct.note(
+            "preflight passed: no collision, no limit",
+            machine_minutes=rehearsal.machine_minutes,
+            commands=rehearsal.commands,
+            wall_seconds=rehearsal.wall_seconds,
+        )
+        return rehearsal
+
+    def _observe(self, step: Step, _: object) -> None:
+        """Progress by the clock of the rehearsal: how far this step stands from its end."""
+        if type(step).__name__ == "TouchTowards":
+            self._touches += 1
+        if not isinstance(step, Record) or step.kind != "ball" or self._rehearsal is None:
+            return
+        self._balls += 1
+        done_s = self._rehearsal.timeline.get(step.key)
+        if done_s is not None:
+            left_s = self._rehearsal.machine_seconds - done_s
+            self._conduct.progress(
+                step.key, fraction=done_s / self._rehearsal.machine_seconds, minutes_left=left_s / 60.0
+            )
+
+    def _outcome(self, progress: Progress, minutes: float, wall_s: float) -> Outcome:
+        findings = progress.findings
+        return Outcome(
+            state=self._conduct.state,
+            run_id=self._run_id,
+            position_set=self._job.settings.procedure.position_set,
+            formulation=self._job.settings.identification.formulation,
+            balls=self._balls,
+            touches=self._touches,
+            machine_minutes=minutes,
+            wall_seconds=wall_s,
+            predicted_minutes=None if self._rehearsal is None else self._rehearsal.machine_minutes,
+            table_bank=progress.active_bank,
+            report=None,
+            rank=None if findings is None else findings.estimate.rank,
+            parameters=None if findings is None else findings.estimate.model.size,
+            estimated_ve_um=None if findings is None else findings.before.aligned_um,
+            predicted_vce_um=None if findings is None else findings.expected.aligned_um,
+            chi2_normalised=None if findings is None else findings.estimate.chi2_normalised,
+            rejected=() if findings is None else findings.estimate.rejected,
+            proof=progress.proof,
+            reason="" if progress.error is None else str(progress.error),
+        )
+
+
+@contextmanager
+def _journal(directory: Path) -> Iterator[Journal]:
+    journal = Journal(directory)
+    try:
+        yield journal
+    finally:
+        journal.close()
+
+
+@contextmanager
+def _clock(settings: ClockSettings) -> Iterator[Clock]:
+    clock = make_clock(settings)
+    try:
+        yield clock
+    finally:
+        if isinstance(clock, LockstepClock):
+            clock.close()
+
+
+def ignore(_: Announcement) -> None:
+    """A listener for runs that nobody watches."""

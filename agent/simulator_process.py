@@ -1,0 +1,92 @@
+"""Starts `volcal simulate` as a process of its own and asks it what only it knows.
+
+The demonstration's other half: nothing of the simulator is imported here; what is shared are a command line, one
+ready line, and the JSON lines of the control channel.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.errors import LinkLost, ProtocolError
+
+READY_WITHIN_S = 30.0
+END_WITHIN_S = 5.0
+
+
+class SimulatorProcess:
+    """A context: the process runs inside, and never outlives it (it ends when its standard input closes)."""
+
+    def __init__(self, scenario: Path, *, can: str, log: Path) -> None:
+        self._command = [
+            sys.executable,
+            "-m",
+            "agent.cli.main",
+            "simulate",
+            "--config",
+            str(scenario),
+            "--modbus",
+            "127.0.0.1:0",
+            "--can",
+            can,
+            "--control",
+            "127.0.0.1:0",
+            "--clock",
+            "lockstep",
+            "--end-with-stdin",
+        ]
+        self._log = log
+        self._process: subprocess.Popen[str] | None = None
+        self.ready: dict[str, Any] = {}
+
+    def __enter__(self) -> Self:
+        self._log.parent.mkdir(parents=True, exist_ok=True)
+        with self._log.open("w", encoding="utf-8") as log:
+            self._process = subprocess.Popen(  # noqa: S603  our own interpreter and command
+                self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
+            )
+        assert self._process.stdout is not None  # noqa: S101  asked for above
+        line = self._process.stdout.readline()
+        if not line:
+            self._process.wait(END_WITHIN_S)
+            said = self._log.read_text(encoding="utf-8").strip().splitlines()
+            raise LinkLost(
+                f"the simulator did not start: {said[-1] if said else 'it said nothing'}", file=str(self._log)
+            )
+        self.ready = json.loads(line)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        process = self._process
+        if process is None:
+            return
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                stream.close()
+        try:
+            process.wait(END_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def ask(self, request: str) -> dict[str, Any]:
+        """One request of the control channel: ``truth``, ``collisions``, ``status``."""
+        place = self.ready["control"]
+        try:
+            with socket.create_connection((place["host"], place["port"]), timeout=READY_WITHIN_S) as link:
+                link.sendall(json.dumps({"do": request}).encode() + b"\n")
+                with link.makefile("r", encoding="utf-8") as answers:
+                    answer: dict[str, Any] = json.loads(answers.readline())
+        except (OSError, ValueError) as error:
+            raise LinkLost(f"the simulator's control channel is gone: {error}", link="control") from error
+        if "error" in answer:
+            raise ProtocolError(f"the simulator refused {request!r}: {answer['error']}", link="control")
+        return answer

@@ -1,0 +1,71 @@
+"""What a step costs beyond the device: with two durable journal commits, and in a dry run without a journal."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+from agent.execution.engine import Engine
+from agent.execution.journal import Journal
+from agent.execution.steps import MoveTo, Plan
+from drivers.clock import VirtualClock
+
+STEPS = 2000
+
+
+def moves(count: int, stamps: list[float]) -> Plan[None]:
+    """A plan of moves that notes when it is asked for the next one."""
+    for number in range(count):
+        yield MoveTo(f"station-1/az090-el045/ball-{number:04d}/touch-2/above", (1.0, 2.0, 3.0 + number))
+        stamps.append(perf_counter())
+
+
+def median_step_us(engine: Engine) -> float:
+    stamps: list[float] = []
+    engine.run(moves(STEPS, stamps))
+    return statistics.median(b - a for a, b in zip(stamps[:-1], stamps[1:], strict=True)) * 1e6
+
+
+def commit_us(directory: Path) -> float:
+    """One bare durable commit on the same disk in the same run: what the journal cannot go below."""
+    journal = Journal(directory)
+    connection = journal._connection  # noqa: SLF001
+    connection.execute("CREATE TABLE bare (n INTEGER PRIMARY KEY, t TEXT)")
+    times = []
+    for number in range(STEPS // 4):
+        start = perf_counter()
+        connection.execute("INSERT INTO bare VALUES (?, ?)", (number, "x" * 120))
+        times.append(perf_counter() - start)
+    journal.close()
+    return statistics.median(times) * 1e6
+
+
+def run() -> dict[str, float]:
+    actions = {MoveTo: lambda _: None}
+    dry = median_step_us(Engine(actions))
+    with tempfile.TemporaryDirectory() as folder:
+        journal = Journal(Path(folder) / "journal")
+        run_journal = journal.start_run("bench", "calibrate", {}, "0", VirtualClock())
+        durable = median_step_us(Engine(actions, run_journal))
+        journal.close()
+        bare = commit_us(Path(folder) / "bare")
+    return {
+        "dry_step_us": dry,
+        "durable_step_us": durable,
+        "bare_commit_us": bare,
+        "durable_step_in_bare_commits": durable / bare,
+    }
+
+
+def main() -> None:
+    result = run()
+    print(f"engine step, dry run        {result['dry_step_us']:8.1f} µs   (at most 15)")
+    print(f"engine step, two commits    {result['durable_step_us']:8.1f} µs   (at most 500)")
+    print(f"one bare durable commit     {result['bare_commit_us']:8.1f} µs")
+    print(f"step in bare commits        {result['durable_step_in_bare_commits']:8.2f} ×")
+
+
+if __name__ == "__main__":
+    main()
