@@ -64,6 +64,14 @@ class CentreEquations:
         white = self._whitened(left - poses.place(self.problem.layout, local))
         return self.projector.remove(white[:, :, None])[:, :, 0]
 
+    def noise_gram(self, size: int) -> Array:
+        """AᵀCA of the first `size` unknowns, C the covariance of the equations' noise (1 with full weights)."""
+        layout = self.problem.layout
+        rows = self.projector.remove(self.white[:, :, :size]).reshape(layout.positions, layout.width, 3, size)
+        found = layout.unpad(rows)
+        noise = self.whitening @ self.problem.observations.covariance @ self.whitening.transpose(0, 2, 1)
+        return found.reshape(-1, size).T @ (noise @ found).reshape(-1, size)
+
     def _whitened(self, residuals: Array) -> Array:
         layout = self.problem.layout
         return layout.pad((self.whitening @ residuals[:, :, None])[:, :, 0]).reshape(layout.positions, -1)

@@ -32,7 +32,7 @@ class PositionPairs:
 
 @dataclass(frozen=True, eq=False)
 class DistanceEquations:
-    """`white` (M, P) whitened equations of all distances, `noise` (M, M blocks) kept per position for the sandwich."""
+    """`white` (M, P) whitened equations of all distances; `noise` their covariance, one (r, r) per position."""
 
     problem: Problem
     pairs: tuple[PositionPairs, ...]
@@ -63,6 +63,16 @@ class DistanceEquations:
         """Aᵀy (P,), |y|² for the exact distances at z; poses play no part."""
         target = self.white @ z - self._remaining(z)
         return self.white.T @ target, float(target @ target), poses
+
+    def noise_gram(self, size: int) -> Array:
+        """AᵀCA of the first `size` unknowns, C the covariance of the equations' noise (1 with full weights)."""
+        gram = np.zeros((size, size))
+        start = 0
+        for covariance in self.noise:
+            rows = self.white[start : start + len(covariance), :size]
+            gram += rows.T @ covariance @ rows
+            start += len(covariance)
+        return gram
 
     def _remaining(self, z: Array) -> Array:
         """Whitened exact distance errors (M,), as found less as calibrated."""

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
-
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from twin.arrays import Array
 from twin.errors import SingularSet
-from twin.identification.poses import Poses
 from twin.identification.problem import Blocks
 
 
@@ -26,22 +23,6 @@ class Normal:
     def misfit_square(self, z: Array) -> float:
         """|A z - y|²."""
         return max(0.0, self.square - 2.0 * float(self.right @ z) + float(z @ self.matrix @ z))
-
-
-class Equations(Protocol):
-    """A formulation: how ball centres become whitened equations."""
-
-    @property
-    def matrix(self) -> Array:
-        """AᵀA (P, P)."""
-        ...
-
-    @property
-    def rows(self) -> int: ...
-
-    def right_side(self, z: Array, poses: Poses) -> tuple[Array, float, Poses]:
-        """Aᵀy (P,), |y|² linearised about z and poses, and the poses improved for this z."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -83,11 +64,7 @@ class Posterior:
 
     @classmethod
     def of(cls, matrix: Array, precision: Precision, scales: Scales) -> Posterior:
-        weighted = matrix / scales.noise**2
-        if precision.parameters is None:
-            np.einsum("ii->i", weighted)[:] += precision.diagonal(scales)
-        else:
-            weighted += precision.matrix(scales)
+        weighted = matrix / scales.noise**2 + precision.matrix(scales)
         factor, info = dpotrf(weighted, lower=1, overwrite_a=0)
         if info != 0:
             raise SingularSet("the measurements do not determine the model", hint="switch the prior on")

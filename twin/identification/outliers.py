@@ -13,9 +13,9 @@ import numpy as np
 from scipy.special import fdtri
 
 from twin.arrays import Array
+from twin.errors import DataError
 from twin.identification.centres import CentreEquations
-from twin.identification.normal import Posterior, Scales
-from twin.identification.poses import Poses
+from twin.identification.solution import Solution
 
 _MEDIAN_OF_CHI2_3 = 2.365974
 _QUIETEST = 0.3  # of the stated noise: closer agreement than this is not taken as the scale
@@ -24,38 +24,30 @@ _RIDGE = 1e-6  # a component that the fit takes up entirely says nothing
 Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 
-def contradicting_rows(
-    equations: CentreEquations, posterior: Posterior, scales: Scales, z: Array, poses: Poses, false_alarm: float
-) -> Rows:
+def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
     """Sorted rows to be rejected now: of each position at most the worst one beyond the limit."""
-    square = studentised_squares(equations, posterior, scales, z, poses)
-    freedom = max(1.0, equations.rows - 2.0 * _taken(equations, posterior, scales))
-    limit = 3.0 * float(fdtri(3.0, freedom, 1.0 - false_alarm / len(square)))
-    layout = equations.problem.layout
-    padded = layout.pad(square)
-    worst = padded.argmax(axis=1) + np.concatenate(([0], np.cumsum(layout.counts)[:-1]))
-    return worst[square[worst] > limit]
+    square = studentised_squares(solution)
+    limit = 3.0 * float(fdtri(3.0, solution.freedom, 1.0 - false_alarm / len(square)))
+    layout = solution.equations.problem.layout
+    worst = layout.pad(square).argmax(axis=1) + np.concatenate(([0], np.cumsum(layout.counts)[:-1]))
+    return np.asarray(worst[square[worst] > limit])
 
 
-def studentised_squares(
-    equations: CentreEquations, posterior: Posterior, scales: Scales, z: Array, poses: Poses
-) -> Array:
-    """t² (n,) of the sorted rows, scaled so that its median is that of χ² with three degrees of freedom."""
+def studentised_squares(solution: Solution) -> Array:
+    """t² (n,) of the sorted rows of a solution in `centres`, scaled so that its median is that of χ² with three degrees
+    of freedom."""
+    equations = solution.equations
+    if not isinstance(equations, CentreEquations):
+        raise DataError("studentised residuals belong to the formulation of ball centres")
     layout, size = equations.problem.layout, equations.problem.blocks.size
-    variance = scales.noise**2
-    q = layout.unpad(equations.projector.q.reshape(layout.positions, layout.width, 3, 6))
-    seen = equations.projector.remove(equations.white).reshape(layout.positions, layout.width, 3, size)
-    rows = layout.unpad(seen)
-    spread = (rows.reshape(-1, size) @ posterior.covariance()).reshape(rows.shape) @ rows.transpose(0, 2, 1)
+    shape = (layout.positions, layout.width, 3)
+    variance = solution.scales.noise**2
+    q = layout.unpad(equations.projector.q.reshape(*shape, 6))
+    rows = layout.unpad(equations.projector.remove(equations.white).reshape(*shape, size))
+    spread = (rows.reshape(-1, size) @ solution.covariance).reshape(rows.shape) @ rows.transpose(0, 2, 1)
     covariance = variance * (np.eye(3) * (1.0 + _RIDGE) - q @ q.transpose(0, 2, 1)) - spread
-    residuals = layout.unpad(equations.remaining(z, poses).reshape(layout.positions, layout.width, 3))
+    residuals = layout.unpad(equations.remaining(solution.z, solution.poses).reshape(shape))
     solved = np.linalg.solve(covariance, residuals[:, :, None])[:, :, 0]
     square = np.einsum("ni,ni->n", residuals, solved)
-    scale = max(float(np.median(square)) / _MEDIAN_OF_CHI2_3, (_QUIETEST / scales.noise) ** 2)
+    scale = max(float(np.median(square)) / _MEDIAN_OF_CHI2_3, (_QUIETEST / solution.scales.noise) ** 2)
     return np.asarray(square / scale)
-
-
-def _taken(equations: CentreEquations, posterior: Posterior, scales: Scales) -> float:
-    """Effective number of unknowns that the data determine."""
-    share = posterior.covariance() * (equations.matrix / scales.noise**2)
-    return float(share.sum())

@@ -1,0 +1,86 @@
+"""The result of an identification."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.error_model import ErrorModel
+from twin.identification.misfit import MisfitModes
+from twin.identification.normal import Scales
+from twin.identification.options import Formulation
+from twin.observability import NullDirection, Observability, observability, summary
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """What the data say about the fields beside the model: mode coefficients (q,), their covariance (q, q) and that with
+    the parameters (p, q); a field in mm is `amplitude_mm` · modes · coefficients."""
+
+    modes: MisfitModes
+    amplitude_mm: float
+    coefficients: Array
+    covariance: Array
+    cross_covariance: Array
+
+    def field(self, axis_positions: Array) -> Array:
+        """Expected misfit (n, 3) mm at axis positions (n, 3)."""
+        return np.asarray(self.amplitude_mm * (self.modes.at(axis_positions) @ self.coefficients))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Parameters (p,) mm or rad of the compensation model with their covariance (p, p), given everything: marginal over
+    poses, certificate, thermal strain and misfit.
+
+    `residuals_mm` (n, 3) in the order of the observations, rejected rows included; `chi2_normalised`: squared residuals
+    in units of the stated noise per degree of freedom; `rejected`: (position, ball, tool) of the rows left out;
+    `scales`: found for noise, prior and misfit; `information` (p, p): of the measurements alone in units of
+    `prior_scale` (p,); `misfit`: None where it was switched off.
+    """
+
+    model: ErrorModel
+    formulation: Formulation
+    parameters: Array
+    covariance: Array
+    residuals_mm: Array
+    chi2_normalised: float
+    degrees_of_freedom: float
+    rejected: tuple[tuple[int, int, int], ...]
+    scales: Scales
+    tool_offsets: Array
+    misfit: Misfit | None = field(repr=False)
+    information: Array = field(repr=False)
+    prior_scale: Array = field(repr=False)
+
+    @property
+    def standard_uncertainty(self) -> Array:
+        """(p,) of each parameter."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+
+    @property
+    def rank(self) -> int:
+        """How many independent combinations of parameters the measurements alone determine."""
+        return self._seen.rank
+
+    @property
+    def null_directions(self) -> tuple[NullDirection, ...]:
+        """What they leave open, size - rank directions."""
+        return self._seen.null_directions
+
+    @property
+    def conditioning(self) -> float:
+        """Largest over smallest singular value of what they determine, parameters in units of their prior."""
+        return self._seen.conditioning
+
+    @property
+    def null_summary(self) -> tuple[str, ...]:
+        """One line for each kind of null direction."""
+        return summary(self.null_directions)
+
+    @cached_property
+    def _seen(self) -> Observability:
+        return observability(self.model, self.information, self.prior_scale, self.tool_offsets)

@@ -1,0 +1,158 @@
+"""From ball centres to the compensation model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.artefact import Artefact
+from twin.error_model import ErrorModel
+from twin.errors import DataError, SingularSet
+from twin.family import Family
+from twin.identification.distances import DistanceEquations
+from twin.identification.estimate import Estimate, Misfit
+from twin.identification.options import Options
+from twin.identification.outliers import contradicting_rows
+from twin.identification.poses import Layout, rigid_poses
+from twin.identification.prior import parameter_prior
+from twin.identification.problem import Problem, build_problem
+from twin.identification.solution import Solution, prior_scale, solve
+from twin.observations import Observations
+
+_MOST_REJECTED = 0.2
+_FEWEST_BALLS = 3
+
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """A solution and which rows of the whole problem it rests on."""
+
+    problem: Problem
+    kept: Mask
+    solution: Solution | None
+
+
+def identify(
+    model: ErrorModel,
+    observations: Observations,
+    artefact: Artefact,
+    family: Family,
+    options: Options | None = None,
+) -> Estimate:
+    """Parameters of `model` from ball centres found on `artefact`; `family` is the prior and sets the units.
+
+    Raises SingularSet for a set that cannot determine anything, DataError for balls that the artefact does not have.
+    """
+    options = options or Options()
+    if family.model != model:
+        raise DataError("the family belongs to another model", hint="use the family of the same machine file")
+    _check_set(observations)
+    whole = build_problem(model, observations, artefact, parameter_prior(model, family, options), options)
+    settled = _without_outliers(whole, options) if options.outliers == "reject" else _everything(whole)
+    solution = settled.solution
+    if solution is None or options.formulation != "centres" or options.weights != "full":
+        solution = solve(settled.problem, options, options.formulation)
+    return _estimate(whole, settled, solution, options)
+
+
+def _check_set(observations: Observations) -> None:
+    """What no prior can mend."""
+    counts = np.unique(observations.position, return_counts=True)[1]
+    useful = int((counts >= 2).sum())
+    if useful < 2:
+        raise SingularSet(
+            f"{len(counts)} position(s), of which {useful} with two balls or more, cannot tell machine and artefact apart",
+            hint="measure the artefact in at least two positions, better those of S3",
+        )
+    if len(np.unique(observations.ball)) < _FEWEST_BALLS:
+        raise SingularSet(
+            f"fewer than {_FEWEST_BALLS} different balls were measured",
+            hint="use an artefact with more balls or measure those left out",
+        )
+
+
+def _everything(whole: Problem) -> _Settled:
+    return _Settled(whole, np.ones(whole.observations.size, dtype=bool), None)
+
+
+def _without_outliers(whole: Problem, options: Options) -> _Settled:
+    """Reject and refit, always on ball centres with the prior, until no ball contradicts the rest."""
+    screening = replace(options, formulation="centres", weights="full", use_prior=True)
+    kept = np.ones(whole.observations.size, dtype=bool)
+    problem = whole
+    while True:
+        solution = solve(problem, screening, "centres")
+        worst = contradicting_rows(solution, options.false_alarm)
+        if worst.size == 0:
+            same = options.formulation == "centres" and options.weights == "full" and options.use_prior
+            return _Settled(problem, kept, solution if same else None)
+        kept = kept.copy()
+        kept[np.flatnonzero(kept)[worst]] = False
+        _refuse_chaos(kept)
+        problem = whole.without(kept)
+        _check_set(problem.observations)
+
+
+def _refuse_chaos(kept: Mask) -> None:
+    rejected = int((~kept).sum())
+    if rejected > _MOST_REJECTED * kept.size:
+        raise DataError(
+            f"{rejected} of {kept.size} ball centres contradict the rest",
+            hint="check artefact file, ball numbers, tool offset and units before measuring again",
+        )
+
+
+def _estimate(whole: Problem, settled: _Settled, solution: Solution, options: Options) -> Estimate:
+    block = whole.blocks.parameters
+    seen = whole.observations
+    dropped = np.flatnonzero(~settled.kept)
+    named = [(int(seen.position[row]), int(seen.ball[row]), int(seen.tool[row])) for row in dropped]
+    return Estimate(
+        model=whole.model,
+        formulation=options.formulation,
+        parameters=whole.prior.parameters(solution.z[block]),
+        covariance=whole.prior.covariance(solution.covariance[block, block]),
+        residuals_mm=_residuals(whole, settled, solution),
+        chi2_normalised=solution.chi2,
+        degrees_of_freedom=solution.freedom,
+        rejected=tuple(named),
+        scales=solution.scales,
+        tool_offsets=seen.tool_offsets,
+        misfit=_misfit(whole, solution, options),
+        information=solution.equations.matrix[block, block],
+        prior_scale=prior_scale(whole),
+    )
+
+
+def _misfit(whole: Problem, solution: Solution, options: Options) -> Misfit | None:
+    if whole.modes is None:
+        return None
+    own, misfit = whole.blocks.parameters, whole.blocks.misfit
+    return Misfit(
+        modes=whole.modes,
+        amplitude_mm=options.misfit_mm,
+        coefficients=solution.z[misfit],
+        covariance=solution.covariance[misfit, misfit],
+        cross_covariance=whole.prior.cross_covariance(solution.covariance[own, misfit]),
+    )
+
+
+def _residuals(whole: Problem, settled: _Settled, solution: Solution) -> Array:
+    """(n, 3) mm in the order of the observations given; each position at its pose of the solution."""
+    left, local = whole.sides(solution.z)
+    kept = settled.kept
+    layout = Layout.of(settled.problem.observations.position)
+    poses = solution.poses
+    if isinstance(solution.equations, DistanceEquations):
+        poses = rigid_poses(layout, local[kept], left[kept])
+    place = np.searchsorted(np.unique(whole.observations.position[kept]), whole.observations.position)
+    place = np.minimum(place, layout.positions - 1)
+    rotated = (poses.rotation[place] @ local[:, :, None])[:, :, 0]
+    residuals = np.empty_like(left)
+    residuals[whole.layout.order] = left - rotated - poses.translation[place]
+    return residuals

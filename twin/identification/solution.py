@@ -1,0 +1,152 @@
+"""Solving the equations of one formulation: scales, Gauss-Newton on the exact model, covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.errors import SingularSet
+from twin.identification.centres import CentreEquations
+from twin.identification.distances import DistanceEquations
+from twin.identification.evidence import likely_scales
+from twin.identification.normal import Normal, Posterior, Precision, Scales
+from twin.identification.options import Formulation, Options
+from twin.identification.poses import Poses
+from twin.identification.problem import Blocks, Problem
+from twin.observability import null_space, observability, summary
+
+_MAX_STEPS = 8
+_CONVERGED = 1e-5  # of a prior standard deviation
+
+Equations = CentreEquations | DistanceEquations
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """z (P,), its covariance about the truth (P, P) with parameters and misfit valid, poses, and what led there."""
+
+    equations: Equations
+    precision: Precision
+    scales: Scales
+    posterior: Posterior
+    covariance: Array
+    z: Array
+    poses: Poses
+    chi2: float
+    freedom: float
+
+
+def solve(problem: Problem, options: Options, formulation: Formulation) -> Solution:
+    """Maximum a posteriori solution; SingularSet where the prior is off and the set leaves part of the field open."""
+    if options.weights == "unit":
+        return _solve_plain(problem, options, formulation)
+    equations = _equations(problem, formulation, unit_weights=False)
+    precision = _precision(problem, equations.matrix, options)
+    start, poses = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
+    scales = likely_scales(start, precision, Scales()) if options.estimate_scales else Scales()
+    posterior = Posterior.of(equations.matrix, precision, scales)
+    z, normal, poses = _iterate(equations, posterior, scales.noise**2, start, poses)
+    covariance = posterior.covariance()
+    taken = float((covariance * equations.matrix).sum()) / scales.noise**2
+    freedom = max(equations.rows - taken, 1.0)
+    chi2 = normal.misfit_square(z) / freedom
+    return Solution(equations, precision, scales, posterior, covariance, z, poses, chi2, freedom)
+
+
+def _equations(problem: Problem, formulation: Formulation, unit_weights: bool) -> Equations:
+    if formulation == "centres":
+        return CentreEquations.build(problem, unit_weights)
+    return DistanceEquations.build(problem, unit_weights)
+
+
+def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[Normal, Poses]:
+    right, square, poses = equations.right_side(z, poses)
+    return Normal(equations.matrix, right, square, equations.rows), poses
+
+
+def _iterate(
+    equations: Equations, posterior: Posterior, variance: float, normal: Normal, poses: Poses
+) -> tuple[Array, Normal, Poses]:
+    """Gauss-Newton: exact residuals, one factorisation; the field is linear to nanometres, so two steps do."""
+    z = posterior.solve(normal.right / variance)
+    for _ in range(_MAX_STEPS):
+        normal, poses = _normal(equations, z, poses)
+        previous, z = z, posterior.solve(normal.right / variance)
+        if float(np.abs(z - previous).max()) < _CONVERGED:
+            return z, normal, poses
+    raise SingularSet(
+        "the identification does not converge",
+        hint="check units, ball numbers and tool offset: the errors look far larger than those of a machine",
+    )
+
+
+def _precision(problem: Problem, matrix: Array, options: Options) -> Precision:
+    """Unit prior; with the prior off, only directions that the measurements leave open are held at zero."""
+    if options.use_prior:
+        return Precision(problem.blocks)
+    block = problem.blocks.parameters
+    if options.formulation == "centres" and options.weights == "full":
+        _refuse_open_field(problem, matrix[block, block])
+    return Precision(problem.blocks, _held(matrix[block, block]))
+
+
+def _refuse_open_field(problem: Problem, information: Array) -> None:
+    tools = problem.observations.tool_offsets
+    seen = observability(problem.model, information, prior_scale(problem), tools)
+    unseen = [direction for direction in seen.null_directions if direction.changes_field]
+    if unseen:
+        raise SingularSet(
+            f"the set leaves {len(unseen)} direction(s) of the error field open: {'; '.join(summary(unseen))}",
+            hint="switch the prior on or add positions",
+        )
+
+
+def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -> Solution:
+    """The published weighting: all equations alike, no nuisance. Its covariance is that of the estimator under the full
+    model (sandwich), so that what it is worth is still told honestly."""
+    equations = _equations(problem, formulation, unit_weights=True)
+    block, size = problem.blocks.parameters, problem.blocks.size
+    information = equations.matrix[block, block]
+    alone = Blocks(block, *(slice(block.stop, block.stop) for _ in range(3)))
+    precision = Precision(alone, None if options.use_prior else _held(information))
+    posterior = Posterior.of(information, precision, Scales())
+    z, poses = np.zeros(size), problem.poses
+    for _ in range(_MAX_STEPS):
+        normal, poses = _normal(equations, z, poses)
+        previous = z[block]
+        z = np.zeros(size)
+        z[block] = posterior.solve(normal.right[block])
+        if float(np.abs(z[block] - previous).max()) < _CONVERGED:
+            break
+    covariance = _sandwich(equations, posterior, problem.blocks)
+    taken = float((posterior.covariance() * information).sum())
+    freedom = max(equations.rows - taken, 1.0)
+    chi2 = normal.misfit_square(z) / freedom
+    return Solution(equations, precision, Scales(), posterior, covariance, z, poses, chi2, freedom)
+
+
+def _held(information: Array) -> Array:
+    open_ = null_space(information)
+    return np.asarray(open_ @ open_.T)
+
+
+def _sandwich(equations: Equations, posterior: Posterior, blocks: Blocks) -> Array:
+    """(P, P) covariance of truth less estimate for gain H⁻¹ Aᵀ with truth ~ prior, noise and nuisance of the full model."""
+    block = blocks.parameters
+    own = equations.matrix[block, block]
+    rest = slice(block.stop, blocks.size)
+    others = posterior.solve(equations.matrix[block, rest])
+    kept = np.eye(block.stop) - posterior.solve(own)
+    noise = posterior.solve(posterior.solve(equations.noise_gram(block.stop)).T)
+    full = np.eye(blocks.size)
+    full[block, block] = kept @ kept.T + noise + others @ others.T
+    full[block, rest] = -others
+    full[rest, block] = -others.T
+    return full
+
+
+def prior_scale(problem: Problem) -> Array:
+    """(p,) prior standard deviation of each parameter."""
+    return np.sqrt(np.diagonal(problem.prior.covariance(np.eye(problem.model.size))))
