@@ -1,0 +1,15 @@
+"""`make bench`: every benchmark in one run on one machine."""
+
+from __future__ import annotations
+
+from benchmarks import engine, field, identification
+
+
+def main() -> None:
+    for part in (field, identification, engine):
+        print(f"\n{(part.__doc__ or part.__name__).splitlines()[0]}")
+        part.main()
+
+
+if __name__ == "__main__":
+    main()
