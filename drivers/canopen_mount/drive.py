@@ -116,11 +116,11 @@ class Drive:
 
     def enable(self) -> None:
         """Climb the state table to *operation enabled*. A fault found on the way is reset once."""
-        self.check()
         if not self._prepared:
             self.prepare()
         for _ in range(CLIMB_STEPS):
             state = self.state()
+            self.check()  # what came before that answer is known now
             if state is DriveState.OPERATION_ENABLED:
                 return
             if state is DriveState.FAULT:
@@ -182,9 +182,7 @@ class Drive:
             self.node.write(objects.CONTROLWORD, states.QUICK_STOP)
             if drive_state(self.node.read(objects.STATUSWORD)) is not DriveState.OPERATION_ENABLED:
                 return
-        raise MotionFault(
-            "the drive ignores the quick stop", hint="use the emergency stop", **self.node.where
-        )
+        raise MotionFault("the drive ignores the quick stop", hint="use the emergency stop", **self.node.where)
 
     def release(self) -> None:
         """Take the power off the motor; its brake or gear holds the mount."""
@@ -236,9 +234,7 @@ class Drive:
     def _take(self, step: Step) -> None:
         for controlword in step.controlwords:
             self.node.write(objects.CONTROLWORD, controlword)
-        self._await(
-            f"the drive to be {step.arrives.value}", lambda: self._arrived(step.arrives), step.within_s
-        )
+        self._await(f"the drive to be {step.arrives.value}", lambda: self._arrived(step.arrives), step.within_s)
 
     def _arrived(self, awaited: DriveState) -> bool:
         state = self.state()
@@ -271,7 +267,5 @@ class Drive:
     def _await(self, awaited: str, arrived: Callable[[], bool], within_s: float) -> None:
         deadline = Deadline.after(self._clock, within_s)
         while not arrived():
-            deadline.require(
-                awaited, hint="check the drive's enable inputs and its display", **self.node.where
-            )
+            deadline.require(awaited, hint="check the drive's enable inputs and its display", **self.node.where)
             self._clock.sleep(POLL_S)

@@ -161,9 +161,7 @@ class CanopenMount:
         drive.start_homing(homing)
         deadline = Deadline.after(self._clock, homing.timeout_s)
         while not drive.homing_ended():
-            deadline.require(
-                "homing to end", hint="check the reference switch and its cable", **drive.node.where
-            )
+            deadline.require("homing to end", hint="check the reference switch and its cable", **drive.node.where)
             self._clock.sleep(POLL_S)
 
     def _await_end_of_turn(self, predicted_s: float) -> None:
@@ -174,6 +172,8 @@ class CanopenMount:
         while turning:
             self._clock.sleep(max(POLL_S, min(WATCH_S, predicted.remaining_s)))
             turning = [drive for drive in turning if not drive.turn_ended()]
+            for drive in self._drives:
+                drive.check()
             if turning:
                 deadline.require(
                     f"{turning[0].node.axis} to reach its target (statusword bit 10)",

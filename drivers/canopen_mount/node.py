@@ -72,9 +72,7 @@ class DriveNode:
     def read_bytes(self, entry: DriveObject) -> bytes:
         for attempt in range(1, READ_ATTEMPTS + 1):
             try:
-                return bytes(
-                    self._transfer(entry, lambda: self._node.sdo.upload(entry.index, entry.subindex))
-                )
+                return bytes(self._transfer(entry, lambda: self._node.sdo.upload(entry.index, entry.subindex)))
             except LinkTimeout:
                 if attempt == READ_ATTEMPTS:
                     raise

@@ -39,9 +39,7 @@ class AxisScale:
 
     def counts(self, angle_deg: float) -> int:
         """The count nearest to an angle, half to even."""
-        return round(
-            self.direction * (Fraction(angle_deg) - Fraction(self.offset_deg)) * self.counts_per_degree
-        )
+        return round(self.direction * (Fraction(angle_deg) - Fraction(self.offset_deg)) * self.counts_per_degree)
 
     def angle_deg(self, counts: int) -> float:
         """The angle of a count, rounded once to float64."""

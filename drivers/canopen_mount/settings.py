@@ -30,22 +30,16 @@ class AxisSettings(_Strict):
     node_id: int = Field(ge=1, le=127)
     encoder_counts_per_revolution: int = Field(gt=0, description="increments per turn of the motor")
     gear_motor_revolutions: int = Field(default=1, gt=0, description="motor turns, as 0x6091:01 ...")
-    gear_shaft_revolutions: int = Field(
-        default=1, gt=0, description="... per so many turns of the mount, 0x6091:02"
-    )
+    gear_shaft_revolutions: int = Field(default=1, gt=0, description="... per so many turns of the mount, 0x6091:02")
     direction: Literal[1, -1] = Field(default=1, description="-1 where counts grow as the angle falls")
     offset_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="mount angle at zero counts")
     lower_deg: float = Field(ge=-3600.0, le=3600.0)
     upper_deg: float = Field(ge=-3600.0, le=3600.0)
     speed_deg_per_s: float = Field(gt=0.0, le=360.0)
     acceleration_deg_per_s2: float = Field(gt=0.0, le=10_000.0)
-    in_position_deg: float = Field(
-        default=0.005, gt=0.0, le=1.0, description="largest distance from target, settled"
-    )
+    in_position_deg: float = Field(default=0.005, gt=0.0, le=1.0, description="largest distance from target, settled")
     homing: HomingSettings | None = Field(default=None, description="none: the encoder is absolute")
-    eds: Path | None = Field(
-        default=None, description="EDS file of the drive; its identity and objects are checked"
-    )
+    eds: Path | None = Field(default=None, description="EDS file of the drive; its identity and objects are checked")
     vendor_id: int | None = Field(default=None, ge=0, description="expected 0x1018:01")
     product_code: int | None = Field(default=None, ge=0, description="expected 0x1018:02")
 
@@ -72,9 +66,7 @@ class AxisSettings(_Strict):
 class CanopenMountSettings(_Strict):
     """Bus, drives and time-outs."""
 
-    interface: str = Field(
-        min_length=1, description="python-can interface: socketcan, slcan, socketcand, ..."
-    )
+    interface: str = Field(min_length=1, description="python-can interface: socketcan, slcan, socketcand, ...")
     channel: str = Field(min_length=1, description="can0, a serial port, a multicast group, ...")
     options: dict[str, str | int | float | bool] = Field(
         default_factory=dict, description="further python-can options: bitrate, host, port, ..."
@@ -82,16 +74,10 @@ class CanopenMountSettings(_Strict):
     azimuth: AxisSettings
     elevation: AxisSettings
     settle_s: float = Field(default=0.5, ge=0.0, le=60.0, description="rest after both axes are in position")
-    in_position_timeout_s: float = Field(
-        default=3.0, gt=0.0, le=60.0, description="to come to rest in the window"
-    )
-    turn_margin_s: float = Field(
-        default=5.0, gt=0.0, le=600.0, description="beyond 1.5 times the predicted turn"
-    )
+    in_position_timeout_s: float = Field(default=3.0, gt=0.0, le=60.0, description="to come to rest in the window")
+    turn_margin_s: float = Field(default=5.0, gt=0.0, le=600.0, description="beyond 1.5 times the predicted turn")
     sdo_timeout_s: float = Field(default=0.3, ge=0.01, le=5.0, description="wall time for one SDO answer")
-    heartbeat_ms: int = Field(
-        default=500, ge=0, le=32_000, description="0x1017 of the drives; 0: not watched"
-    )
+    heartbeat_ms: int = Field(default=500, ge=0, le=32_000, description="0x1017 of the drives; 0: not watched")
     heartbeat_timeout_s: float = Field(default=2.0, gt=0.0, le=120.0)
 
     @model_validator(mode="after")

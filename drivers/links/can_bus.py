@@ -18,6 +18,7 @@ Peculiarities of python-can 4.6 that are kept in here:
 from __future__ import annotations
 
 import contextlib
+import logging
 import select
 import socket
 import threading
@@ -32,6 +33,9 @@ from can.interfaces.socketcand import SocketCanDaemonBus
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.errors import ConfigurationError, LinkLost
+
+for _library in ("can", "canopen"):  # what they log as an error is raised as a typed error here
+    logging.getLogger(_library).addHandler(logging.NullHandler())
 
 Option = str | int | float | bool
 
@@ -249,15 +253,15 @@ def _open_bus(address: CanAddress) -> can.BusABC:
 def _naming_the_link(address: CanAddress) -> Iterator[None]:
     try:
         yield
+    except (can.CanInterfaceNotImplementedError, TypeError, ValueError, KeyError, ImportError) as error:
+        raise ConfigurationError(
+            f"the CAN bus cannot be opened with these settings: {error!r}",
+            link=address.name,
+            hint="check interface, channel and options against python-can's list of interfaces",
+        ) from error
     except (can.CanError, OSError) as error:
         raise LinkLost(
             f"cannot open the CAN bus: {error}",
             link=address.name,
             hint="check that the interface exists and is up (ip link), or that the CAN server is running",
-        ) from error
-    except (TypeError, ValueError, KeyError, ImportError, NotImplementedError) as error:
-        raise ConfigurationError(
-            f"the CAN bus cannot be opened with these settings: {error!r}",
-            link=address.name,
-            hint="check interface, channel and options against python-can's list of interfaces",
         ) from error

@@ -101,6 +101,10 @@ class CanopenNode:
             frames.append((0x700 + self.node_id, bytes([self.state])))
         return self._out(frames)
 
+    def stop_heartbeat(self) -> None:
+        """The node falls silent there and still answers."""
+        self._heartbeat_ms = 0
+
     def _command(self, command: int) -> list[Frame]:
         targets = {0x01: NmtState.OPERATIONAL, 0x02: NmtState.STOPPED, 0x80: NmtState.PRE_OPERATIONAL}
         if command in targets:
