@@ -46,7 +46,7 @@ class Scene:
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         first: Hit | None = None
-        for i, j in self._candidates(start, end, clearance_mm):
+        for i, j in self.near(start, end, clearance_mm):
             body, obstacle = self.moving[i], self.obstacles[j]
             if (body.name, obstacle.name) in ignored:
                 continue
@@ -66,8 +66,8 @@ class Scene:
             default=math.inf,
         )
 
-    def _candidates(self, start: Point, end: Point, clearance_mm: float) -> Iterator[tuple[int, int]]:
-        """Pairs whose boxes, swept along the move, meet."""
+    def near(self, start: Point, end: Point, clearance_mm: float = 0.0) -> Iterator[tuple[int, int]]:
+        """Indices (moving, obstacle) of the pairs whose surrounding boxes, swept along the move, meet."""
         travel = np.array((start, end))
         lower = self._moving_lower + (travel.min(axis=0) - clearance_mm)
         upper = self._moving_upper + (travel.max(axis=0) + clearance_mm)

@@ -1,0 +1,208 @@
+"""Every role played in one process by one world: the dry run before a night, and tests.
+
+Sleeping on the clock handed in is what moves the world: exactly to the end of each motion, which the world
+knows when the motion begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from drivers.clock import Clock, Deadline, VirtualClock
+from drivers.errors import CommandRejected, GuardTripped, MotionFault, StoreError
+from drivers.roles import (
+    AxisLimits,
+    Finding,
+    MachineStatus,
+    Miss,
+    MotionState,
+    OperatorRequest,
+    OperatorTask,
+    Orientation,
+    ProbeStatus,
+    StoreLimits,
+    TableImage,
+    Touch,
+    Vector,
+)
+from simulators.world.course import Kind
+from simulators.world.mount import AZIMUTH, ELEVATION
+from simulators.world.world import MOUNT, World
+
+POLL_S = 0.05
+"""How often a held motion is looked at; held time costs nothing else."""
+PATIENCE_S = 60.0
+"""A motion may take this much longer than it said when it began, holds not counted by a watched clock."""
+
+
+class SimulatedMachineDevice:
+    """Machine, probe, rotary mount, compensation store, thermometer and operator at once."""
+
+    def __init__(self, world: World, clock: Clock) -> None:
+        self.world = world
+        self._clock = clock
+        self._controller = world.controller
+        self._mount = world.mounts[MOUNT]
+        self._subscribed = False
+
+    # ------------------------------------------------------------------ device
+
+    def open(self) -> None:
+        """A virtual clock moves the world by itself; any other one is read before each answer."""
+        if isinstance(self._clock, VirtualClock) and not self._subscribed:
+            self._clock.subscribe(self.world.advance_to)
+            self._subscribed = True
+
+    def close(self) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        self._catch_up()
+        self._controller.halt()
+        self._mount.halt()
+
+    def diagnose(self) -> list[Finding]:
+        scenario = self.world.scenario
+        kind = "without error" if scenario.settings.ideal else "with its own errors"
+        return [Finding("simulated machine", True, f"{scenario.machine.name}, {kind}, in this process")]
+
+    # ------------------------------------------------------------------ machine and probe
+
+    def limits(self) -> AxisLimits:
+        return self._controller.limits()
+
+    def status(self) -> MachineStatus:
+        self._catch_up()
+        controller = self._controller
+        return MachineStatus(controller.motion, controller.permissions, controller.fault)
+
+    def position(self) -> Vector:
+        self._catch_up()
+        return self._controller.displayed_position()
+
+    def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
+        self._catch_up()
+        self._controller.begin_move(target_mm, feed_mm_per_s, guarded)
+        self._await_motion(Kind.GUARDED if guarded else Kind.POSITIONING)
+
+    def hold(self) -> None:
+        self._catch_up()
+        self._controller.hold()
+
+    def resume(self) -> None:
+        self._catch_up()
+        self._controller.resume()
+
+    def probe_status(self) -> ProbeStatus:
+        self._catch_up()
+        controller = self._controller
+        return ProbeStatus(controller.probe_loaded, controller.probe_healthy, controller.probe_deflected)
+
+    def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
+        self._catch_up()
+        controller = self._controller
+        before = controller.latch.sequence if controller.latch else 0
+        controller.begin_touch(target_mm, feed_mm_per_s)
+        self._await_motion(Kind.TOUCH)
+        if controller.latch is not None and controller.latch.sequence > before:
+            return Touch(_triple(controller.latch.position))
+        return Miss(_triple(controller.displayed_position()))
+
+    # ------------------------------------------------------------------ mount
+
+    def home(self) -> None:
+        self.orient_to(0.0, 0.0)
+
+    def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
+        self._catch_up()
+        self._mount.begin_turn(AZIMUTH, azimuth_deg)
+        self._mount.begin_turn(ELEVATION, elevation_deg)
+        self._sleep_until(self._mount_ends_s)
+        if self._controller.motion is MotionState.FAULT:
+            raise MotionFault(self._controller.fault, hint="the mount stopped; clear the fault at the machine")
+        return self.orientation()
+
+    def orientation(self) -> Orientation:
+        self._catch_up()
+        return Orientation(*self._mount.angles_deg())
+
+    # ------------------------------------------------------------------ compensation, temperature, operator
+
+    def store_limits(self) -> StoreLimits:
+        return self._controller.store_limits
+
+    def active_bank(self) -> int:
+        return self._controller.active_bank
+
+    def read_table(self, bank: int) -> TableImage | None:
+        return self._controller.banks.get(bank)
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        try:
+            self._controller.write_bank(bank, table)
+        except CommandRejected as error:
+            raise StoreError(error.message, hint=error.hint, bank=bank) from error
+
+    def activate(self, bank: int) -> None:
+        try:
+            self._controller.activate(bank)
+        except CommandRejected as error:
+            raise StoreError(error.message, hint=error.hint, bank=bank) from error
+
+    def temperatures_c(self) -> Mapping[str, float]:
+        self._catch_up()
+        return self._controller.temperatures()
+
+    def ask(self, request: OperatorRequest) -> bool:
+        """Moves the artefact when asked to, and consents."""
+        if request.task is OperatorTask.MOVE_ARTEFACT:
+            if request.station is None:
+                return False
+            self._catch_up()
+            self.world.place_artefact(request.station)
+        return True
+
+    # ------------------------------------------------------------------ time
+
+    def _catch_up(self) -> None:
+        self.world.advance_to(self._clock.now())
+
+    def _await_motion(self, kind: Kind) -> None:
+        self._sleep_until(self._motion_ends_s)
+        controller = self._controller
+        if controller.motion is MotionState.FAULT:
+            error = GuardTripped if kind is Kind.GUARDED and not self._crashed() else MotionFault
+            raise error(controller.fault, hint="move the probe free, then clear the fault at the machine")
+
+    def _crashed(self) -> bool:
+        return bool(self.world.collisions) and self._controller.fault.startswith("collision")
+
+    def _motion_ends_s(self) -> float | None:
+        controller = self._controller
+        if controller.motion is MotionState.HELD:
+            return self.world.now + POLL_S
+        return controller.motion_ends_s
+
+    def _mount_ends_s(self) -> float | None:
+        return self._mount.settled_s if self._mount.settled_s > self.world.now else None
+
+    def _sleep_until(self, ends_s: Callable[[], float | None]) -> None:
+        """Sleep on as long as `ends_s` names an instant; what moves is stopped when the wait is broken off."""
+        end = ends_s()
+        if end is None:
+            return
+        deadline = Deadline.after(self._clock, end - self.world.now + PATIENCE_S)
+        try:
+            while end is not None:
+                deadline.require("the end of a motion", hint="is the machine held?")
+                self._clock.sleep(end - self.world.now)
+                self._catch_up()
+                end = ends_s()
+        except BaseException:
+            self.stop()
+            raise
+
+
+def _triple(position: Vector) -> tuple[float, float, float]:
+    x, y, z = position.tolist()
+    return x, y, z

@@ -1,0 +1,62 @@
+"""Plugin `simulated`: a machine in this process, for dry runs and trials.
+
+Settings are either the path of a scenario file or the keys of one inline; `ideal = true` takes all errors away.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, PrivateAttr, ValidationError, model_validator
+
+from drivers.registry import DeviceContext, DriverPlugin
+from simulators.backend import SimulatedMachineDevice
+from simulators.scenario import ScenarioDocument, build_scenario, read_scenario
+from simulators.world.world import World
+
+
+class SimulatedSettings(BaseModel):
+    """`scenario`: path of a scenario file; or, without it, the keys of `ScenarioDocument` themselves."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    scenario: Path | None = None
+    ideal: bool = False
+    _document: ScenarioDocument | None = PrivateAttr(default=None)
+
+    @model_validator(mode="after")
+    def _inline_is_a_scenario(self) -> Self:
+        inline = dict(self.model_extra or {})
+        if self.scenario is not None:
+            if inline:
+                raise ValueError(f"key {sorted(inline)[0]!r} belongs into the scenario file {self.scenario}")
+            return self
+        self._document = _validated({**inline, "ideal": self.ideal})
+        return self
+
+    def world(self, base: Path) -> World:
+        """The world that is meant; relative paths start at `base`."""
+        if self._document is not None:
+            return World(build_scenario(self._document, base))
+        scenario = read_scenario(base / (self.scenario or Path()))
+        if self.ideal and not scenario.settings.ideal:
+            scenario = scenario.made_ideal()
+        return World(scenario)
+
+
+def _validated(inline: dict[str, Any]) -> ScenarioDocument:
+    """A nested model keeps its own places of error; its first one is told in words."""
+    try:
+        return ScenarioDocument.model_validate(inline)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"{key}: {first['msg']}") from None
+
+
+def create(settings: SimulatedSettings, context: DeviceContext) -> SimulatedMachineDevice:
+    return SimulatedMachineDevice(settings.world(context.base_path), context.clock)
+
+
+PLUGIN = DriverPlugin("simulated", SimulatedSettings, create)

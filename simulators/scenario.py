@@ -1,0 +1,208 @@
+"""What is simulated: one TOML file (or the same keys inline), unknown keys refused.
+
+Units are in the key where they are not mm. Without `[truth]`, `[mount]`, … everything has its default;
+`ideal = true` takes every error away: the machine of a dry run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import BeforeValidator, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from drivers.errors import ConfigurationError
+from twin.artefact import Artefact
+from twin.bodies import ProbeGeometry
+from twin.errors import TwinError
+from twin.formats.artefact_file import parse_artefact
+from twin.formats.machine_file import parse_machine
+from twin.formats.toml_reading import Strict, read_toml
+from twin.machine_description import MachineDescription
+from twin.position_set import MountGeometry
+
+Coordinates = tuple[float, float, float]
+Value = TypeVar("Value")
+
+
+def _refuse_unknown(kind: type) -> BeforeValidator:
+    """Pydantic lets unknown keys of a plain dataclass pass; a scenario does not."""
+    known = {field.name for field in dataclasses.fields(kind)}
+
+    def check(value: object) -> object:
+        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
+        if unknown:
+            raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
+        return value
+
+    return BeforeValidator(check)
+
+
+class TruthSettings(Strict):
+    """The machine as it is. `scale` multiplies the family's amplitudes."""
+
+    seed: int = Field(default=21, ge=0)
+    legendre_order: int = Field(default=7, ge=0, le=20)
+    scale: NonNegativeFloat = 1.0
+    deflection: bool = True
+
+
+class ArtefactTruthSettings(Strict):
+    """How far the bar is from its certificate, in standard uncertainties of the certificate and of the CTE."""
+
+    seed: int = Field(default=4, ge=0)
+    certificate_error: NonNegativeFloat = 1.0
+    cte_error: NonNegativeFloat = 1.0
+
+
+class TriggerSettings(Strict):
+    """How the probe trips. `lobing_um` is the amplitude of a three-lobed pretravel around the stylus."""
+
+    pretravel_um: NonNegativeFloat = 8.0
+    lobing_um: NonNegativeFloat = 0.5
+    touch_sigma_um: NonNegativeFloat = 1.0
+    overtravel_mm: PositiveFloat = 6.0
+
+
+class AxisBehaviour(Strict):
+    """What one motion leaves behind: a scatter of every axis, and half the backlash against the way it came."""
+
+    repeatability_um: NonNegativeFloat = 0.2
+    backlash_um: NonNegativeFloat = 0.2
+
+
+class MountBehaviour(Strict):
+    """Errors of the rotary mount and of the hand that puts it down; they move the bar as a whole."""
+
+    index_error_deg: NonNegativeFloat = 0.01
+    wobble_um: NonNegativeFloat = 20.0
+    place_error_mm: NonNegativeFloat = 0.3
+    place_error_deg: NonNegativeFloat = 0.03
+    speed_deg_per_s: PositiveFloat = 20.0
+    acceleration_deg_per_s2: PositiveFloat = 40.0
+
+
+class TemperatureSettings(Strict):
+    """At the start, and how they drift by the hour. `growth_um_per_k` moves the tip as the machine warms."""
+
+    artefact_c: float = Field(default=20.0, ge=-20.0, le=60.0)
+    machine_c: float = Field(default=20.0, ge=-20.0, le=60.0)
+    ambient_c: float = Field(default=20.0, ge=-20.0, le=60.0)
+    artefact_k_per_h: float = Field(default=0.0, ge=-20.0, le=20.0)
+    machine_k_per_h: float = Field(default=0.0, ge=-20.0, le=20.0)
+    growth_um_per_k: Coordinates = (0.0, 0.0, 0.0)
+
+
+class StoreSettings(Strict):
+    """What the controller's compensation banks can hold."""
+
+    banks: list[PositiveInt] = Field(default=[1, 2], min_length=1)
+    max_nodes: tuple[PositiveInt, PositiveInt, PositiveInt] = (64, 64, 64)
+    max_total_nodes: PositiveInt = 20000
+    resolution_um: PositiveFloat = 0.1
+    max_correction_um: PositiveFloat = 1000.0
+    activation: Literal["immediate", "reset", "power_cycle", "reference"] = "immediate"
+
+
+class ScenarioDocument(Strict):
+    """Keys of a scenario."""
+
+    machine: Path
+    artefact: Path
+    tool: str = "probe"
+    seed: int = Field(default=1, ge=0)
+    ideal: bool = False
+    stations_mm: list[Coordinates] = Field(min_length=1)
+    standing_at: PositiveInt = 1
+    mount: Annotated[MountGeometry, _refuse_unknown(MountGeometry)] = MountGeometry()
+    probe: Annotated[ProbeGeometry, _refuse_unknown(ProbeGeometry)] = ProbeGeometry()
+    truth: TruthSettings = TruthSettings()
+    artefact_truth: ArtefactTruthSettings = ArtefactTruthSettings()
+    trigger: TriggerSettings = TriggerSettings()
+    axes: AxisBehaviour = AxisBehaviour()
+    mount_behaviour: MountBehaviour = MountBehaviour()
+    temperatures: TemperatureSettings = TemperatureSettings()
+    store: StoreSettings = StoreSettings()
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario with its files read."""
+
+    settings: ScenarioDocument
+    machine: MachineDescription
+    artefact: Artefact
+
+    def __post_init__(self) -> None:
+        settings = self.settings
+        if settings.standing_at > len(settings.stations_mm):
+            raise ConfigurationError(
+                f"the artefact stands at station {settings.standing_at} of {len(settings.stations_mm)}",
+                key="standing_at",
+            )
+        offset = _read(settings.machine, lambda: self.machine.tool(settings.tool))
+        if not (offset[0] == offset[2] == 0.0 and offset[1] >= settings.probe.reach_mm):
+            raise ConfigurationError(
+                f"tool '{settings.tool}' {offset.tolist()} must point along +Y and be at least as long as the probe",
+                hint=f"probe.reach_mm is {settings.probe.reach_mm}",
+                key="tool",
+            )
+
+    def made_ideal(self) -> Scenario:
+        """The same without any error: what a dry run runs on."""
+        return dataclasses.replace(self, settings=ideal_document(self.settings))
+
+
+def read_scenario(path: Path) -> Scenario:
+    """Scenario from a TOML file; files named in it are relative to it. ConfigurationError otherwise."""
+    document = _read(path, lambda: read_toml(_text(path), str(path), ScenarioDocument))
+    return build_scenario(document, path.parent)
+
+
+def build_scenario(document: ScenarioDocument, base: Path) -> Scenario:
+    """Read the files that `document` names, relative to `base`."""
+    machine, artefact = base / document.machine, base / document.artefact
+    return Scenario(
+        ideal_document(document) if document.ideal else document,
+        _read(machine, lambda: parse_machine(_text(machine), str(machine), _beside(machine))),
+        _read(artefact, lambda: parse_artefact(_text(artefact), str(artefact), _beside(artefact))),
+    )
+
+
+def ideal_document(document: ScenarioDocument) -> ScenarioDocument:
+    """The same without any error of machine, probe, mount or artefact."""
+    return document.model_copy(
+        update={
+            "ideal": True,
+            "artefact_truth": ArtefactTruthSettings(certificate_error=0.0, cte_error=0.0),
+            "trigger": document.trigger.model_copy(
+                update={"pretravel_um": 0.0, "lobing_um": 0.0, "touch_sigma_um": 0.0}
+            ),
+            "axes": AxisBehaviour(repeatability_um=0.0, backlash_um=0.0),
+            "mount_behaviour": document.mount_behaviour.model_copy(
+                update=dict.fromkeys(("index_error_deg", "wobble_um", "place_error_mm", "place_error_deg"), 0.0)
+            ),
+            "temperatures": TemperatureSettings(),
+        }
+    )
+
+
+def _read(path: Path, reading: Callable[[], Value]) -> Value:
+    try:
+        return reading()
+    except TwinError as error:
+        raise ConfigurationError(error.message, hint=error.hint, **{"file": str(path), **error.where}) from None
+
+
+def _beside(path: Path) -> Callable[[str], str]:
+    return lambda name: _text(path.parent / name)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"cannot be read: {error}", file=str(path)) from None

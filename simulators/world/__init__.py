@@ -1,0 +1,1 @@
+"""Physics of the simulated machine: no sockets, no threads, no clock of its own."""

@@ -1,0 +1,309 @@
+"""The controller of the machine: takes commands, knows where the axes are, latches the touch.
+
+Nothing happens between two calls of `advance_to` that was not already known when a motion began, so time may
+go in steps of any size and every event has its exact instant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drivers.errors import CommandRejected
+from drivers.roles import AxisLimits, MotionState, Permission, StoreLimits, TableImage
+from simulators.scenario import Scenario
+from simulators.world.contact import ContactSolver
+from simulators.world.course import Command, Course, Kind, Outlook, course_of
+from simulators.world.field import FieldOfMany, TipShift
+from simulators.world.foresight import Foresight
+from simulators.world.motion import MotionLaw, straight, trapezoid
+from simulators.world.play import Play
+from simulators.world.tables import TableBanks
+from simulators.world.thermal import Thermal
+from simulators.world.trigger import Trigger
+from simulators.world.workpiece import Workpiece
+from twin.arrays import Array
+from twin.geometry import Point, point
+from twin.machine_description import MachineDescription
+
+LIMIT_TOLERANCE_MM = 1e-6
+
+
+@dataclass(frozen=True)
+class Latch:
+    """The position displayed at the last trip; `sequence` is the number of the touch that made it."""
+
+    sequence: int
+    position: Array
+
+
+@dataclass
+class _Motion:
+    command: Command
+    law: MotionLaw
+    outlook: Outlook
+    course: Course
+    ends_in: MotionState = MotionState.IDLE
+    reason: str = ""
+
+
+class Controller:
+    """One motion at a time. Commands that cannot be carried out raise CommandRejected and change nothing."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        machine_field: FieldOfMany | None,
+        workpiece: Workpiece,
+        thermal: Thermal,
+        on_motion: Callable[[], None],
+        on_collision: Callable[[str, str], None],
+    ) -> None:
+        settings = scenario.settings
+        self._limits = axis_limits(scenario.machine)
+        self._tool = point(scenario.machine.tool(settings.tool))
+        self._workpiece = workpiece
+        self._thermal = thermal
+        self._trigger = Trigger(settings.trigger, settings.seed)
+        self._play = Play(settings.axes, settings.seed)
+        self._shift = TipShift(machine_field)
+        reach = workpiece.artefact.ball_radius_mm + settings.probe.tip_radius_mm
+        self.contacts = ContactSolver(self._tool, reach, self._shift)
+        self._foresight = Foresight(self._tool, self.contacts, self._trigger, workpiece.artefact.count)
+        self._tables = TableBanks(settings.store)
+        self._on_motion, self._on_collision = on_motion, on_collision
+        self._position: Point = self._limits.lower_mm
+        self._motion: _Motion | None = None
+        self._held: Command | None = None
+        self._state = MotionState.IDLE
+        self._deflected = False
+        self._touches = 0
+        self.now_s = 0.0
+        self.fault = ""
+        self.latch: Latch | None = None
+        self.touch_missed = False
+        self.probe_loaded = True
+        self.probe_healthy = True
+        self.given = dict.fromkeys(Permission, True)
+
+    # ------------------------------------------------------------------ what it tells
+
+    def limits(self) -> AxisLimits:
+        return self._limits
+
+    @property
+    def tool_offset(self) -> Point:
+        return self._tool
+
+    @property
+    def motion(self) -> MotionState:
+        return self._state if self._motion is None else MotionState.MOVING
+
+    @property
+    def motion_ends_s(self) -> float | None:
+        """When the current motion ends if nothing intervenes."""
+        return None if self._motion is None else self._motion.course.law.end_s
+
+    def displayed_at(self, instant_s: float) -> Point:
+        """Axis positions at an instant not before now, if nothing intervenes."""
+        if self._motion is None:
+            return self._position
+        return self._motion.command.path.at(self._motion.course.law.distance_at(instant_s))
+
+    def displayed_position(self) -> Array:
+        return np.array(self.displayed_at(self.now_s))
+
+    @property
+    def permissions(self) -> dict[Permission, bool]:
+        return {**self.given, Permission.NO_FAULT: self._state is not MotionState.FAULT}
+
+    @property
+    def probe_deflected(self) -> bool:
+        if self._motion is None:
+            return self._resting() is not None
+        course = self._motion.course
+        tripped = course.trip_s is not None and self.now_s >= course.trip_s
+        return tripped or (self._deflected and self.now_s < course.free_s)
+
+    def temperatures(self) -> dict[str, float]:
+        return self._thermal.temperatures_c(self.now_s)
+
+    # ------------------------------------------------------------------ what it does
+
+    def begin_move(self, target: ArrayLike, feed_mm_per_s: float | None, guarded: bool) -> None:
+        """Straight line; rapid without a feed. A guarded one that trips the probe ends in a fault."""
+        self._begin(Kind.GUARDED if guarded else Kind.POSITIONING, target, feed_mm_per_s)
+
+    def begin_touch(self, target: ArrayLike, feed_mm_per_s: float) -> None:
+        """Straight line until the probe trips; `latch` has a new sequence number, or `touch_missed` is set."""
+        self._begin(Kind.TOUCH, target, feed_mm_per_s)
+
+    def hold(self) -> None:
+        """Brake on the path and keep the rest of the command for `resume`."""
+        if self._motion is not None and self._motion.ends_in is MotionState.IDLE:
+            self._held = self._motion.command
+            self._brake(MotionState.HELD)
+
+    def resume(self) -> None:
+        if self._state is MotionState.HELD and self._motion is None and self._held is not None:
+            command, self._held = self._held, None
+            self._state = MotionState.IDLE
+            self._begin(command.kind, command.target, command.speed)
+
+    def halt(self) -> None:
+        """Brake and forget the command. In a fault it stays a fault."""
+        self._held = None
+        if self._motion is not None and self._motion.ends_in is not MotionState.FAULT:
+            self._brake(MotionState.IDLE)
+        elif self._state is MotionState.HELD:
+            self._state = MotionState.IDLE
+
+    def fail(self, reason: str) -> None:
+        """Brake into a fault, as an emergency stop or a lost heartbeat does; the first reason is kept."""
+        if self._motion is not None:
+            self._brake(MotionState.FAULT, reason)
+        else:
+            self._enter_fault(reason)
+
+    def reset(self) -> None:
+        """Clear a fault."""
+        if self._state is MotionState.FAULT and self._motion is None:
+            self._state, self.fault = MotionState.IDLE, ""
+
+    # ------------------------------------------------------------------ compensation
+
+    @property
+    def banks(self) -> dict[int, TableImage]:
+        return self._tables.images
+
+    @property
+    def active_bank(self) -> int:
+        return self._tables.active
+
+    @property
+    def store_limits(self) -> StoreLimits:
+        return self._tables.limits
+
+    def write_bank(self, bank: int, image: TableImage) -> None:
+        self._tables.write(bank, image)
+
+    def activate(self, bank: int) -> None:
+        if self._motion is not None:
+            raise CommandRejected("a compensation cannot change during a motion")
+        self._tables.activate(bank)
+        self._shift.table = self._tables.field
+
+    # ------------------------------------------------------------------ time
+
+    def advance_to(self, instant_s: float) -> None:
+        self.now_s = instant_s
+        motion = self._motion
+        if motion is None:
+            return
+        course = motion.course
+        if course.trip_s is not None and instant_s >= course.trip_s:
+            self._tripped(motion, course.trip_s)
+        if instant_s >= course.law.end_s:
+            self._arrive(motion)
+
+    def _begin(self, kind: Kind, target: ArrayLike, feed_mm_per_s: float | None) -> None:
+        command = self._command(kind, target, feed_mm_per_s)
+        standing = self._workpiece.standing(self.now_s)
+        resting = self._resting()
+        self._shift.drift = self._thermal.drift_mm(self.now_s)
+        self._shift.play = self._play.after(command.path.direction)
+        outlook = self._foresight.outlook(command, standing, resting, self._touches)
+        law = trapezoid(self.now_s, command.path.length, command.speed, command.acceleration)
+        self._touches += kind is Kind.TOUCH
+        self._deflected = resting is not None
+        self.touch_missed = False
+        self._motion = _Motion(command, law, outlook, course_of(law, outlook, command.acceleration))
+        self._on_motion()
+        self.advance_to(self.now_s)
+
+    def _command(self, kind: Kind, target: ArrayLike, feed_mm_per_s: float | None) -> Command:
+        self._require_ready(kind)
+        goal = point(np.asarray(target, dtype=np.float64).tolist())
+        self._require_inside(goal)
+        if feed_mm_per_s is not None and not 0.0 < feed_mm_per_s < math.inf:
+            raise CommandRejected(f"feed must be positive, got {feed_mm_per_s} mm/s")
+        path = straight(self._position, goal)
+        speed = min(feed_mm_per_s or math.inf, path.largest(self._limits.rapid_mm_per_s))
+        return Command(kind, goal, path, speed, path.largest(self._limits.acceleration_mm_per_s2))
+
+    def _require_ready(self, kind: Kind) -> None:
+        if self.motion is not MotionState.IDLE:
+            raise CommandRejected(f"the machine is not ready for a {kind.value}: {self.motion.value} {self.fault}")
+        missing = [name.value for name, given in self.permissions.items() if not given]
+        if missing:
+            raise CommandRejected(f"no {kind.value} is permitted; missing: {', '.join(missing)}")
+        if kind is not Kind.POSITIONING and not (self.probe_loaded and self.probe_healthy):
+            raise CommandRejected(f"no {kind.value} without a healthy probe in the spindle")
+
+    def _require_inside(self, goal: Point) -> None:
+        limits = zip("XYZ", goal, self._limits.lower_mm, self._limits.upper_mm, strict=True)
+        for axis, value, low, high in limits:
+            if not low - LIMIT_TOLERANCE_MM <= value <= high + LIMIT_TOLERANCE_MM:
+                raise CommandRejected(f"{axis} {value:.3f} mm is outside {low:g} to {high:g} mm", axis=axis)
+
+    def _brake(self, ends_in: MotionState, reason: str = "") -> None:
+        """What was foreseen beyond the new stop does not happen; what lies before it does."""
+        motion = self._motion
+        assert motion is not None  # noqa: S101  callers have looked
+        motion.ends_in, motion.reason = ends_in, motion.reason or reason
+        course = motion.course
+        if course.trip_s is not None and self.now_s >= course.trip_s:
+            return
+        motion.law = motion.law.braked(self.now_s, motion.command.acceleration)
+        motion.course = course_of(motion.law, motion.outlook, motion.command.acceleration)
+        self._on_motion()
+
+    def _tripped(self, motion: _Motion, instant_s: float) -> None:
+        if motion.command.kind is Kind.GUARDED:
+            motion.ends_in, motion.reason = MotionState.FAULT, motion.reason or "probe tripped in a guarded move"
+        elif self.latch is None or self.latch.sequence < self._touches:
+            position = motion.command.path.at(motion.course.law.distance_at(instant_s))
+            self.latch = Latch(self._touches, np.array(position))
+
+    def _arrive(self, motion: _Motion) -> None:
+        course, command = motion.course, motion.command
+        interrupted = course.trip_s is not None or course.crash is not None
+        complete = not interrupted and course.law.end_distance >= command.path.length - 1e-9
+        self._position = command.target if complete else command.path.at(course.law.end_distance)
+        self._motion = None
+        self._deflected = course.trip_s is not None or (self._deflected and course.law.end_s < course.free_s)
+        self.touch_missed = command.kind is Kind.TOUCH and complete
+        self._state = motion.ends_in
+        if course.crash is not None:
+            self._deflected = True
+            self._on_collision(course.crash.moving, course.crash.obstacle)
+            self._enter_fault(f"collision: {course.crash.moving} with {course.crash.obstacle}")
+        elif motion.ends_in is MotionState.FAULT:
+            self._enter_fault(motion.reason)
+        elif motion.ends_in is MotionState.HELD and (complete or interrupted):
+            self._state, self._held = MotionState.IDLE, None
+
+    def _enter_fault(self, reason: str) -> None:
+        self._state, self._held = MotionState.FAULT, None
+        self.fault = self.fault or reason
+
+    def _resting(self) -> int | None:
+        """The ball that deflects the probe. Only a probe that was deflected is looked at: a bar that is turned
+        or moved away sets it free, one that is turned into it is a collision."""
+        if not self._deflected:
+            return None
+        resting = self.contacts.resting_on(self._position, self._workpiece.standing(self.now_s))
+        self._deflected = resting is not None
+        return resting
+
+
+def axis_limits(machine: MachineDescription) -> AxisLimits:
+    """Travel and dynamics of the machine file in the controller's units."""
+    (x0, x1), (y0, y1), (z0, z1) = machine.limits
+    rx, ry, rz = machine.rapid_mm_per_min
+    return AxisLimits((x0, y0, z0), (x1, y1, z1), (rx / 60, ry / 60, rz / 60), machine.acceleration_mm_per_s2)

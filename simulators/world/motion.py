@@ -1,0 +1,153 @@
+"""Motion laws: how far along its path an axis is at any time, in closed form.
+
+A law is a row of phases of constant acceleration, so that any instant can be asked for in any order and the
+end is known when the motion begins. mm (or degrees) and s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from twin.geometry import Point
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Constant acceleration from `start_s` on, beginning at `distance` with `speed`."""
+
+    start_s: float
+    duration_s: float
+    distance: float
+    speed: float
+    acceleration: float
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + self.duration_s
+
+    def distance_at(self, instant_s: float) -> float:
+        t = min(max(instant_s - self.start_s, 0.0), self.duration_s)
+        return self.distance + t * (self.speed + 0.5 * self.acceleration * t)
+
+    def speed_at(self, instant_s: float) -> float:
+        t = min(max(instant_s - self.start_s, 0.0), self.duration_s)
+        return self.speed + self.acceleration * t
+
+    def time_at(self, distance: float) -> float:
+        """First instant at `distance`, which this phase must cover: 2s / (v + √(v² + 2as)) loses no digits."""
+        left = max(distance - self.distance, 0.0)
+        root = math.sqrt(max(self.speed**2 + 2.0 * self.acceleration * left, 0.0))
+        denominator = self.speed + root
+        return self.start_s + (min(2.0 * left / denominator, self.duration_s) if denominator > 0.0 else 0.0)
+
+
+@dataclass(frozen=True)
+class MotionLaw:
+    """Distance along a path over time; it stands still before its first and after its last phase."""
+
+    phases: tuple[Phase, ...]
+
+    @property
+    def start_s(self) -> float:
+        return self.phases[0].start_s
+
+    @property
+    def end_s(self) -> float:
+        return self.phases[-1].end_s
+
+    @property
+    def end_distance(self) -> float:
+        last = self.phases[-1]
+        return last.distance_at(last.end_s)
+
+    def distance_at(self, instant_s: float) -> float:
+        return self._phase_at(instant_s).distance_at(instant_s)
+
+    def speed_at(self, instant_s: float) -> float:
+        return self._phase_at(instant_s).speed_at(instant_s)
+
+    def time_at(self, distance: float) -> float:
+        """First instant at which `distance` is reached; the end for one that is never reached."""
+        for phase in self.phases:
+            if distance <= phase.distance_at(phase.end_s):
+                return phase.time_at(distance)
+        return self.end_s
+
+    def cut(self, instant_s: float) -> MotionLaw:
+        """The same, stopped dead at `instant_s`, as by a crash."""
+        kept = self._until(instant_s)
+        return MotionLaw(kept or (Phase(instant_s, 0.0, self.distance_at(instant_s), 0.0, 0.0),))
+
+    def braked(self, instant_s: float, deceleration: float) -> MotionLaw:
+        """The same until `instant_s`, then brought to rest."""
+        speed = self.speed_at(instant_s)
+        brake = Phase(instant_s, speed / deceleration, self.distance_at(instant_s), speed, -deceleration)
+        return MotionLaw((*self._until(instant_s), brake))
+
+    def _until(self, instant_s: float) -> tuple[Phase, ...]:
+        return tuple(
+            Phase(
+                phase.start_s,
+                min(phase.duration_s, instant_s - phase.start_s),
+                phase.distance,
+                phase.speed,
+                phase.acceleration,
+            )
+            for phase in self.phases
+            if phase.start_s < instant_s
+        )
+
+    def _phase_at(self, instant_s: float) -> Phase:
+        for phase in self.phases:
+            if instant_s < phase.end_s:
+                return phase
+        return self.phases[-1]
+
+
+def trapezoid(start_s: float, length: float, speed: float, acceleration: float) -> MotionLaw:
+    """From rest to rest over `length`; a triangle where `speed` is not reached."""
+    top = min(speed, math.sqrt(acceleration * length))
+    ramp_s, ramp = top / acceleration, 0.5 * top * top / acceleration
+    cruise_s = max(length - 2.0 * ramp, 0.0) / top if top > 0.0 else 0.0
+    return MotionLaw(
+        (
+            Phase(start_s, ramp_s, 0.0, 0.0, acceleration),
+            Phase(start_s + ramp_s, cruise_s, ramp, top, 0.0),
+            Phase(start_s + ramp_s + cruise_s, ramp_s, length - ramp, top, -acceleration),
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Path:
+    """Straight line of axis positions: `direction` is a unit vector."""
+
+    start: Point
+    direction: Point
+    length: float
+
+    def at(self, distance: float) -> Point:
+        start, direction = self.start, self.direction
+        return (
+            start[0] + distance * direction[0],
+            start[1] + distance * direction[1],
+            start[2] + distance * direction[2],
+        )
+
+    def largest(self, per_axis: Sequence[float]) -> float:
+        """Largest speed (or acceleration) along the path that keeps every axis within its own."""
+        return min(
+            (limit / abs(part) for limit, part in zip(per_axis, self.direction, strict=True) if part != 0.0),
+            default=min(per_axis),
+        )
+
+
+def straight(start: Point, target: Point) -> Path:
+    """Path from `start` to `target`; of no length and no direction where they are the same."""
+    x, y, z = target[0] - start[0], target[1] - start[1], target[2] - start[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return Path(start, (0.0, 0.0, 0.0), 0.0)
+    return Path(start, (x / length, y / length, z / length), length)

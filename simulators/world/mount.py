@@ -1,0 +1,127 @@
+"""The rotary mount: two axes with their laws, and how the bar stands with their errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.errors import CommandRejected
+from simulators.scenario import MountBehaviour
+from simulators.world.motion import MotionLaw, trapezoid
+from simulators.world.noise import generator
+from twin.arrays import Array
+
+AZIMUTH, ELEVATION = "azimuth", "elevation"
+LIMITS_DEG = {AZIMUTH: 180.0, ELEVATION: 95.0}
+
+
+class RotaryAxis:
+    """One axis in degrees, as its encoder tells."""
+
+    def __init__(self, behaviour: MountBehaviour) -> None:
+        self._behaviour = behaviour
+        self._angle = 0.0
+        self._law: MotionLaw | None = None
+        self._direction = 1.0
+
+    def position_deg(self, now_s: float) -> float:
+        if self._law is None:
+            return self._angle
+        if now_s >= self._law.end_s:
+            return self._angle + self._direction * self._law.end_distance
+        return self._angle + self._direction * self._law.distance_at(now_s)
+
+    def ends_s(self, now_s: float) -> float | None:
+        return self._law.end_s if self._law is not None and now_s < self._law.end_s else None
+
+    def turn(self, angle_deg: float, speed_deg_per_s: float | None, now_s: float) -> None:
+        self._angle = self.position_deg(now_s)
+        way = angle_deg - self._angle
+        speed = min(speed_deg_per_s or math.inf, self._behaviour.speed_deg_per_s)
+        self._direction = math.copysign(1.0, way)
+        self._law = trapezoid(now_s, abs(way), speed, self._behaviour.acceleration_deg_per_s2)
+
+    def halt(self, now_s: float) -> None:
+        if self._law is not None and now_s < self._law.end_s:
+            self._law = self._law.braked(now_s, self._behaviour.acceleration_deg_per_s2)
+
+
+class MountPhysics:
+    """Both axes of one mount. `on_turn` is called whenever a motion begins or changes."""
+
+    def __init__(self, behaviour: MountBehaviour, seed: int, on_turn: Callable[[], None]) -> None:
+        self._axes = {AZIMUTH: RotaryAxis(behaviour), ELEVATION: RotaryAxis(behaviour)}
+        self._on_turn = on_turn
+        self._errors = _MountErrors(behaviour, seed)
+        self._fastest = 2.0 * behaviour.speed_deg_per_s
+        self.now_s = 0.0
+
+    def begin_turn(self, axis: str, angle_deg: float, speed_deg_per_s: float | None = None) -> None:
+        """Turn towards `angle_deg`, also out of a motion that still goes on. CommandRejected outside limits."""
+        limit = LIMITS_DEG[axis]
+        if not abs(angle_deg) <= limit:
+            raise CommandRejected(f"{axis} {angle_deg}° is outside ±{limit}°", device="mount")
+        if speed_deg_per_s is not None and not speed_deg_per_s > 0.0:
+            raise CommandRejected(f"speed must be positive, got {speed_deg_per_s}°/s", device="mount")
+        self._axes[axis].turn(angle_deg, speed_deg_per_s, self.now_s)
+        self._on_turn()
+
+    def position_deg(self, axis: str, instant_s: float | None = None) -> float:
+        """What the encoder says now, or will say at `instant_s` if nothing intervenes."""
+        return self._axes[axis].position_deg(self.now_s if instant_s is None else instant_s)
+
+    def moving(self, axis: str) -> bool:
+        return self.turn_ends_s(axis) is not None
+
+    def turn_ends_s(self, axis: str) -> float | None:
+        return self._axes[axis].ends_s(self.now_s)
+
+    @property
+    def fastest_deg_per_s(self) -> float:
+        """No part of a turn is faster than this, with both axes at once."""
+        return self._fastest
+
+    @property
+    def settled_s(self) -> float:
+        """When both axes stand, if nothing intervenes; now where they do."""
+        return max((self.turn_ends_s(axis) or self.now_s) for axis in self._axes)
+
+    def halt(self) -> None:
+        for axis in self._axes.values():
+            axis.halt(self.now_s)
+        self._on_turn()
+
+    def angles_deg(self, instant_s: float | None = None) -> tuple[float, float]:
+        """Azimuth and elevation by the encoders."""
+        return self.position_deg(AZIMUTH, instant_s), self.position_deg(ELEVATION, instant_s)
+
+    def true_angles_rad(self, azimuth_deg: float, elevation_deg: float) -> tuple[float, float]:
+        """Where the bar really points when the encoders say these angles."""
+        return self._errors.angles_rad(azimuth_deg, elevation_deg)
+
+    def wobble_mm(self, azimuth_deg: float) -> Array:
+        """(3,) wander of the azimuth axis."""
+        return self._errors.wobble_mm(azimuth_deg)
+
+
+class _MountErrors:
+    """Index error of one and two periods a turn, wobble of one period: repeatable, so a pose is a pose."""
+
+    def __init__(self, behaviour: MountBehaviour, seed: int) -> None:
+        rng = generator(seed, "mount")
+        self._index_deg = behaviour.index_error_deg * rng.uniform(-1.0, 1.0, (2, 2))
+        self._phase = rng.uniform(0.0, 2.0 * math.pi, 3)
+        self._wobble_mm = behaviour.wobble_um * 1e-3
+
+    def angles_rad(self, azimuth_deg: float, elevation_deg: float) -> tuple[float, float]:
+        azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+        first, second = (
+            math.radians(one * math.sin(angle + 1.0) + two * math.sin(2.0 * angle + 2.0))
+            for angle, (one, two) in zip((azimuth, elevation), self._index_deg.tolist(), strict=True)
+        )
+        return azimuth + first, elevation + second
+
+    def wobble_mm(self, azimuth_deg: float) -> Array:
+        return np.asarray(self._wobble_mm * np.sin(math.radians(azimuth_deg) + self._phase))

@@ -1,0 +1,57 @@
+"""Compensation tables in the controller: banks, their limits, which one is active."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.errors import CommandRejected
+from drivers.roles import Activation, StoreLimits, TableImage
+from simulators.scenario import StoreSettings
+from simulators.world.field import TableField
+
+
+class TableBanks:
+    """Bank 0 is "no compensation". An active bank is never written."""
+
+    def __init__(self, settings: StoreSettings) -> None:
+        self.limits = StoreLimits(
+            banks=tuple(settings.banks),
+            max_nodes=settings.max_nodes,
+            max_total_nodes=settings.max_total_nodes,
+            resolution_mm=settings.resolution_um * 1e-3,
+            max_correction_mm=settings.max_correction_um * 1e-3,
+            activation=Activation(settings.activation),
+        )
+        self.images: dict[int, TableImage] = {}
+        self.active = 0
+        self.field: TableField | None = None
+
+    def write(self, bank: int, image: TableImage) -> None:
+        """CommandRejected for a bank that is not there or is active, and for a table that does not fit."""
+        if bank not in self.limits.banks:
+            raise CommandRejected(f"there is no writable bank {bank}", hint=f"banks: {self.limits.banks}")
+        if bank == self.active:
+            raise CommandRejected(f"bank {bank} is active and cannot be written")
+        self._refuse_misfit(image)
+        self.images[bank] = image
+
+    def activate(self, bank: int) -> None:
+        """CommandRejected for an empty bank."""
+        if bank and bank not in self.images:
+            raise CommandRejected(f"bank {bank} holds no table")
+        self.active = bank
+        self.field = TableField(self.images[bank]) if bank else None
+
+    def _refuse_misfit(self, image: TableImage) -> None:
+        nodes = image.shape
+        if any(count > most for count, most in zip(nodes, self.limits.max_nodes, strict=True)):
+            raise CommandRejected(f"the table has {nodes} nodes, at most {self.limits.max_nodes} fit")
+        if image.counts.size // 3 > self.limits.max_total_nodes:
+            raise CommandRejected(f"the table has more than {self.limits.max_total_nodes} nodes")
+        if not all(step > 0.0 for step in image.step_mm):
+            raise CommandRejected(f"table steps must be positive, got {image.step_mm}")
+        largest = float(np.abs(image.counts).max(initial=0)) * image.resolution_mm
+        if largest > self.limits.max_correction_mm:
+            raise CommandRejected(
+                f"a correction of {largest:.4f} mm exceeds the {self.limits.max_correction_mm} mm allowed"
+            )
