@@ -63,15 +63,14 @@ class DeflectionGrid:
 
     def _check_inside(self, points: Array) -> None:
         low, high = np.array([(nodes[0] - _ROUNDING_MM, nodes[-1] + _ROUNDING_MM) for nodes in self.nodes]).T
-        if (points >= low).all() and (points <= high).all():
-            return
-        for axis, nodes, column, least, most in zip(AXES, self.nodes, points.T, low, high, strict=True):
-            outside = (column < least) | (column > most)
-            if outside.any():
-                row = int(np.argmax(outside))
-                point = ", ".join(f"{value:.3f}" for value in points[row])
-                message = f"axis position ({point}) lies outside the deflection grid"
-                raise ModelError(message, hint="Give a grid that covers the whole travel", axis=axis, row=row)
+        outside = (points < low) | (points > high)
+        if outside.any():
+            row, axis = divmod(int(np.argmax(outside)), 3)
+            point = ", ".join(f"{value:.3f}" for value in points[row])
+            nodes = self.nodes[axis]
+            message = f"axis position ({point}) lies outside the deflection grid, {nodes[0]:g} to {nodes[-1]:g} mm"
+            hint = "Give a grid that covers the whole travel"
+            raise ModelError(message, hint=hint, axis=AXES[axis], row=row)
 
 
 @dataclass(frozen=True)
