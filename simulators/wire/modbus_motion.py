@@ -28,6 +28,11 @@ PERMISSION_BITS: Final = (
     Permission.CONSENT,
 )
 
+_OUTCOME_OF_FAULT: Final = {
+    FaultCode.PROBE_TRIPPED: Outcome.GUARD_TRIPPED,
+    FaultCode.HEARTBEAT_LOST: Outcome.HEARTBEAT_LOST,
+}
+
 STATE_OF: Final = {
     MotionState.IDLE: State.IDLE,
     MotionState.MOVING: State.MOVING,
@@ -82,17 +87,18 @@ class MovingMachine(Protocol):
 
     def halt(self) -> None: ...
 
+    def fail(self, reason: str) -> None: ...
+
     def reset(self) -> None: ...
 
 
-def fault_code(fault: str) -> FaultCode:
-    """The code of a fault the physics names in words; 99 for one the table has no code for."""
-    words = fault.lower()
-    for marker, code in _FAULT_WORDS:
-        if marker in words:
-            return code
-    return FaultCode.OTHER
-
+WATCHED_FAULTS: Final = {
+    FaultCode.HEARTBEAT_LOST: "agent heartbeat lost",
+    FaultCode.DOOR_OPENED: "door opened while moving",
+    FaultCode.PERMISSION_LOST: "permission lost while moving",
+    FaultCode.PROBE_LOST: "probe lost while moving",
+}
+"""Faults that are found here and not by the physics, in the words given to it."""
 
 _FAULT_WORDS: Final = (
     ("collision", FaultCode.COLLISION),
@@ -102,7 +108,17 @@ _FAULT_WORDS: Final = (
     ("travel", FaultCode.END_OF_TRAVEL),
     ("following", FaultCode.FOLLOWING_ERROR),
     ("drive", FaultCode.DRIVE),
+    *((words, code) for code, words in WATCHED_FAULTS.items()),
 )
+
+
+def fault_code(fault: str) -> FaultCode:
+    """The code of a fault the physics names in words; 99 for one the table has no code for."""
+    words = fault.lower()
+    for marker, code in _FAULT_WORDS:
+        if marker in words:
+            return code
+    return FaultCode.OTHER
 
 
 @dataclass(frozen=True)
@@ -129,18 +145,17 @@ class MotionOrder:
 class MotionRegisters:
     """Registers 1004 … 1037 and what stands behind them.
 
-    Faults that the physics does not know (heartbeat lost, permission or probe lost while moving) are kept
-    here, on top of the machine's own.
+    A motion that is stopped or fails brakes first: until the axes rest, the state is moving and the outcome 1.
     """
 
     def __init__(self, machine: MovingMachine, now: Callable[[], float]) -> None:
         self._machine = machine
         self._now = now
         self._limits = machine.limits()
-        self._fault = FaultCode.NONE
         self._order: MotionOrder | None = None
         self._latch_before = 0
         self._watched_since_s = 0.0
+        self._ending = False
         self.sequence = 0
         self.outcome = Outcome.NONE
         self.latch_sequence = 0
@@ -149,22 +164,18 @@ class MotionRegisters:
 
     @property
     def state(self) -> State:
-        return State.FAULT if self._fault else STATE_OF[self._machine.motion]
+        return STATE_OF[self._machine.motion]
 
     @property
     def fault(self) -> FaultCode:
-        if self._fault:
-            return self._fault
-        if self._machine.motion is MotionState.FAULT:
-            return fault_code(self._machine.fault)
-        return FaultCode.NONE
+        faulty = self._machine.motion is MotionState.FAULT
+        return fault_code(self._machine.fault) if faulty else FaultCode.NONE
 
     @property
     def permissions(self) -> int:
         """Register 1006."""
         given = self._machine.permissions
-        bits = sum(1 << bit for bit, name in enumerate(PERMISSION_BITS) if given[name])
-        return bits & ~(1 << PERMISSION_BITS.index(Permission.NO_FAULT)) if self._fault else bits
+        return sum(1 << bit for bit, name in enumerate(PERMISSION_BITS) if given[name])
 
     @property
     def probe(self) -> int:
@@ -181,7 +192,7 @@ class MotionRegisters:
 
     def wakes_at(self) -> float | None:
         """When the watch of register 2000 expires; None while nothing moves."""
-        if self._fault or self._machine.motion is not MotionState.MOVING:
+        if self._ending or self._machine.motion is not MotionState.MOVING:
             return None
         return self._watched_since_s + HEARTBEAT_WITHIN_S
 
@@ -189,17 +200,17 @@ class MotionRegisters:
         """Look at the machine at this instant: end what must end, and settle the outcome of what has ended."""
         if self.outcome is not Outcome.UNDER_WAY:
             return
-        if self._machine.motion is MotionState.MOVING:
+        motion = self._machine.motion
+        if motion is MotionState.MOVING and not self._ending:
             self._watch()
-        elif self._machine.motion is not MotionState.HELD:
+        if self._machine.motion in (MotionState.IDLE, MotionState.FAULT):
             self._settle()
 
     def _watch(self) -> None:
         lost = self._lost_while_moving()
         if lost is not FaultCode.NONE:
-            self._machine.halt()
-            self._fault = lost
-            self.outcome = Outcome.HEARTBEAT_LOST if lost is FaultCode.HEARTBEAT_LOST else Outcome.FAULT
+            self._ending = True
+            self._machine.fail(WATCHED_FAULTS[lost])
 
     def _lost_while_moving(self) -> FaultCode:
         given = self._machine.permissions
@@ -214,8 +225,9 @@ class MotionRegisters:
 
     def _settle(self) -> None:
         if self._machine.motion is MotionState.FAULT:
-            guard = self.fault is FaultCode.PROBE_TRIPPED
-            self.outcome = Outcome.GUARD_TRIPPED if guard else Outcome.FAULT
+            self.outcome = _OUTCOME_OF_FAULT.get(self.fault, Outcome.FAULT)
+        elif self._ending:
+            self.outcome = Outcome.STOPPED
         elif self._order is not None and self._order.touch:
             self._settle_touch()
         else:
@@ -241,7 +253,7 @@ class MotionRegisters:
             self._machine.begin_touch(target, order.feed_mm_per_s)
         else:
             self._machine.begin_move(target, None if order.rapid else order.feed_mm_per_s, order.probing)
-        self._order = order
+        self._order, self._ending = order, False
         self.sequence, self.outcome = sequence, Outcome.UNDER_WAY
         self._watched_since_s = self._now()
         return ResultCode.ACCEPTED
@@ -287,8 +299,9 @@ class MotionRegisters:
     def stop(self) -> ResultCode:
         """Always accepted."""
         if self.state in (State.MOVING, State.HELD):
+            self._ending = True
             self._machine.halt()
-            self.outcome = Outcome.STOPPED
+            self.observe()
         return ResultCode.ACCEPTED
 
     def reset(self) -> ResultCode:
@@ -296,20 +309,16 @@ class MotionRegisters:
             return ResultCode.NOT_IN_THIS_STATE
         if self._cause_present():
             return ResultCode.CAUSE_PRESENT
-        if self._machine.motion is MotionState.FAULT:
-            self._machine.reset()
-        self._fault = FaultCode.NONE
+        self._machine.reset()
         return ResultCode.ACCEPTED
 
     def _cause_present(self) -> bool:
-        given = self._machine.permissions
-        if self._fault is FaultCode.DOOR_OPENED:
-            return not given[Permission.DOORS_CLOSED]
-        if self._fault is FaultCode.PERMISSION_LOST:
-            return not all(given.values())
-        if self._fault is FaultCode.PROBE_LOST:
-            return not self._probe_ready()
-        return False
+        if self.fault is FaultCode.DOOR_OPENED:
+            return not self._machine.permissions[Permission.DOORS_CLOSED]
+        if self.fault is FaultCode.PERMISSION_LOST:
+            given = self._machine.permissions
+            return not all(given[name] for name in PERMISSION_BITS if name is not Permission.NO_FAULT)
+        return self.fault is FaultCode.PROBE_LOST and not self._probe_ready()
 
     def _probe_ready(self) -> bool:
         return self._machine.probe_loaded and self._machine.probe_healthy

@@ -38,7 +38,7 @@ class FakeController:
     probe_deflected: bool = False
     probe_loaded: bool = True
     probe_healthy: bool = True
-    permissions: dict[Permission, bool] = field(default_factory=lambda: dict.fromkeys(Permission, True))
+    given: dict[Permission, bool] = field(default_factory=lambda: dict.fromkeys(Permission, True))
     banks: dict[int, TableImage] = field(default_factory=dict)
     active_bank: int = 0
     activation: Activation = Activation.IMMEDIATE
@@ -50,6 +50,10 @@ class FakeController:
     _target: Vector | None = None
     _speed: float = 0.0
     _kind: str = ""
+
+    @property
+    def permissions(self) -> dict[Permission, bool]:
+        return self.given | ({Permission.NO_FAULT: False} if self.motion is MotionState.FAULT else {})
 
     @property
     def store_limits(self) -> StoreLimits:
@@ -84,6 +88,9 @@ class FakeController:
 
     def halt(self) -> None:
         self.motion = MotionState.IDLE
+
+    def fail(self, reason: str) -> None:
+        self.motion, self.fault = MotionState.FAULT, reason
 
     def reset(self) -> None:
         self.motion, self.fault = MotionState.IDLE, ""

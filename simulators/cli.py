@@ -1,0 +1,179 @@
+"""`volcal simulate`: the simulated machine as a process of its own, reached only over its links."""
+
+from __future__ import annotations
+
+import json
+import logging
+import signal
+import sys
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import click
+import structlog
+
+from drivers.errors import VolcalError
+from simulators.scenario import read_scenario
+from simulators.wire.machine_on_wires import Links, MachineOnWires
+from simulators.wire.modbus_numbers import Float64Numbers, NumberFormat, ScaledInt32Numbers
+
+log = structlog.get_logger()
+
+
+FASTEST = 1000.0
+
+
+def _address(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[str, int]:
+    """HOST:PORT; port 0 asks for any free one."""
+    host, separator, port = value.rpartition(":")
+    if not (separator and host and port.isdecimal() and int(port) < 65536):
+        raise click.BadParameter(f"{value!r} is not HOST:PORT, as 127.0.0.1:5020")
+    return host, int(port)
+
+
+def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float | None:
+    """Machine seconds per wall second; None for lockstep."""
+    if value in ("lockstep", "real"):
+        return 1.0 if value == "real" else None
+    kind, _, factor = value.partition(":")
+    return _number(factor if kind == "scaled" else "", value, "lockstep, real, or scaled:F", FASTEST)
+
+
+def _numbers(_ctx: click.Context, _param: click.Parameter, value: str) -> NumberFormat:
+    kind, _, scale = value.partition(":")
+    if value == "float64":
+        return Float64Numbers()
+    text = (scale or "1e-5") if kind == "int32" else ""
+    return ScaledInt32Numbers(_number(text, value, "float64, int32, or int32:SCALE", 1.0))
+
+
+def _number(text: str, value: str, forms: str, largest: float) -> float:
+    """The number at the end of an option such as ``scaled:20``."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0.0 < number <= largest:
+        raise click.BadParameter(f"{value!r} is not {forms}; a number is above 0 and at most {largest:g}")
+    return number
+
+
+@click.command("simulate")
+@click.option("--config", type=click.Path(path_type=Path), required=True, help="The scenario (TOML).")
+@click.option(
+    "--modbus", callback=_address, metavar="HOST:PORT", default="127.0.0.1:0", show_default=True, help="Port 0: any."
+)
+@click.option("--can", metavar="CHANNEL", help="socketcand:HOST:PORT, udp_multicast:GROUP:PORT, socketcan:NAME …")
+@click.option(
+    "--control", callback=_address, metavar="HOST:PORT", default="127.0.0.1:0", show_default=True, help="JSON lines."
+)
+@click.option(
+    "--clock",
+    callback=_speed,
+    metavar="lockstep|real|scaled:F",
+    default="lockstep",
+    show_default=True,
+    help="Who moves machine time.",
+)
+@click.option(
+    "--time",
+    "time_",
+    callback=_address,
+    metavar="HOST:PORT",
+    default="127.0.0.1:0",
+    help="Where lockstep is asked for.",
+)
+@click.option(
+    "--numbers",
+    callback=_numbers,
+    metavar="float64|int32[:SCALE]",
+    default="float64",
+    show_default=True,
+    help="Modbus numbers.",
+)
+@click.option("--end-with-stdin", is_flag=True, help="End when standard input closes.")
+def simulate(
+    *,
+    config: Path,
+    modbus: tuple[str, int],
+    can: str | None,
+    control: tuple[str, int],
+    clock: float | None,
+    time_: tuple[str, int],
+    numbers: NumberFormat,
+    end_with_stdin: bool,
+) -> None:
+    """Run the simulated machine on real links until it is told to end.
+
+    The first and only line on standard output says, as one JSON object, where everything listens.
+    """
+    if not structlog.is_configured():
+        _log_to_stderr()
+    ending = Ending()
+    ending.listen(with_stdin=end_with_stdin)
+    links = Links(modbus=modbus, control=control, can=can, time=time_, speed=clock, numbers=numbers)
+    try:
+        machine = MachineOnWires(read_scenario(config), links)
+    except VolcalError as error:
+        click.echo(f"error: {error}", err=True)
+        raise SystemExit(error.exit_code) from None
+    try:
+        machine.start()
+        click.echo(json.dumps(machine.ready_line()))
+        ending.wait()
+    finally:
+        machine.close()
+    log.info("simulator ends", reason=ending.reason)
+    raise SystemExit(ending.exit_code)
+
+
+@dataclass
+class Ending:
+    """Why and when the process ends: a signal, standard input closed, or a server that broke."""
+
+    reason: str = ""
+    exit_code: int = 0
+    _asked: threading.Event = field(default_factory=threading.Event)
+
+    def listen(self, *, with_stdin: bool) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda received, _frame: self.ask(signal.Signals(received).name))
+        threading.excepthook = self._broken
+        if with_stdin:
+            threading.Thread(target=self._read_stdin, name="stdin", daemon=True).start()
+
+    def ask(self, reason: str, exit_code: int = 0) -> None:
+        self.reason, self.exit_code = self.reason or reason, self.exit_code or exit_code
+        self._asked.set()
+
+    def wait(self) -> None:
+        self._asked.wait()
+
+    def _read_stdin(self) -> None:
+        while sys.stdin.buffer.read(4096):
+            pass  # what is said there has no meaning; only that it ends
+        self.ask("standard input closed")
+
+    def _broken(self, problem: threading.ExceptHookArgs) -> None:
+        thread = problem.thread.name if problem.thread is not None else "?"
+        exc_info = (problem.exc_type, problem.exc_value, problem.exc_traceback)
+        log.error("simulator broken", thread=thread, exc_info=exc_info)
+        self.ask(f"{thread} broke", exit_code=1)
+
+
+def _log_to_stderr() -> None:
+    structlog.configure(
+        processors=[
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso"),
+            structlog.processors.format_exc_info,
+            structlog.processors.KeyValueRenderer(key_order=["timestamp", "level", "event"]),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        logger_factory=structlog.WriteLoggerFactory(file=sys.stderr),
+    )
+
+
+if __name__ == "__main__":
+    simulate()

@@ -1,0 +1,109 @@
+"""The whole simulated machine on its links: one world, every server in front of it, and what moves its time."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from drivers.clock import RealClock, ScaledClock
+from drivers.errors import ConfigurationError
+from simulators.scenario import Scenario
+from simulators.wire.can_channel import CanChannel, open_channel
+from simulators.wire.can_drive import DriveConfig, drive_node
+from simulators.wire.can_server import CanServer
+from simulators.wire.control import ControlServer
+from simulators.wire.modbus_controller import ModbusController
+from simulators.wire.modbus_numbers import Float64Numbers, NumberFormat
+from simulators.wire.shared_world import SharedWorld
+from simulators.wire.time_server import Ticker, TimeServer
+from simulators.world.world import MOUNT, World
+
+COUNTS_PER_DEGREE: Final = 131072 * 100 / 360
+"""17-bit encoder on the motor, gear 100:1."""
+
+DRIVES: Final = (
+    DriveConfig(node_id=1, axis="azimuth", counts_per_degree=COUNTS_PER_DEGREE),
+    DriveConfig(node_id=2, axis="elevation", counts_per_degree=COUNTS_PER_DEGREE),
+)
+
+Address = tuple[str, int]
+
+
+@dataclass(frozen=True)
+class Links:
+    """Where to listen. `speed` is machine seconds per wall second, None for lockstep at `time`."""
+
+    modbus: Address
+    control: Address
+    can: str | None = None
+    time: Address = ("127.0.0.1", 0)
+    speed: float | None = None
+    numbers: NumberFormat = field(default_factory=Float64Numbers)
+
+
+class MachineOnWires:
+    """Every link is open when this is built; `start` begins to serve, `close` ends everything.
+
+    Raises ConfigurationError where a link cannot be had or the scenario does not fit the register map.
+    """
+
+    def __init__(self, scenario: Scenario, links: Links) -> None:
+        self.world = World(scenario)
+        self._shared = SharedWorld(self.world)
+        self._can: CanChannel | None = None
+        self._servers: list[ModbusController | ControlServer | TimeServer | Ticker | CanServer] = []
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self.modbus = ModbusController(self._shared, links.modbus, links.numbers)
+            self._servers.append(self.modbus)
+            self.control = ControlServer(self._shared, links.control)
+            self._servers.append(self.control)
+            if links.can is not None:
+                self._servers.append(self._open_can(links.can))
+            self.time = TimeServer(self._shared, links.time) if links.speed is None else None
+            self._servers.append(self.time or Ticker(self._shared, _clock(links.speed)))
+            undo.pop_all()
+
+    def _open_can(self, spec: str) -> CanServer:
+        self._can = open_channel(spec)
+        mount = self.world.mounts[MOUNT]
+        nodes = [drive_node(config, mount)[0] for config in DRIVES]
+        server = CanServer(self._can.bus, nodes, self._shared.lock)
+        self._shared.subscribe(server.advance)
+        return server
+
+    def start(self) -> None:
+        for server in self._servers:
+            server.start()
+
+    def close(self) -> None:
+        """Time stops first, so that nothing is sent on a link that has gone."""
+        while self._servers:
+            self._servers.pop().close()
+
+    def ready_line(self) -> dict[str, Any]:
+        """What the other side must know: addresses as they are, stations, and the drives on the bus."""
+        settings = self.world.scenario.settings
+        return {
+            "modbus": _place(self.modbus.address),
+            "control": _place(self.control.address),
+            "time": _place(self.time.address) if self.time is not None else None,
+            "can": self._can.agent_settings if self._can is not None else None,
+            "can_nodes": {drive.axis: drive.node_id for drive in DRIVES} if self._can is not None else {},
+            "stations": [list(place) for place in settings.stations_mm],
+            "standing_at": settings.standing_at,
+        }
+
+
+def _clock(speed: float | None) -> RealClock | ScaledClock:
+    if speed is None or speed == 1.0:
+        return RealClock()
+    if not 0.0 < speed <= 1000.0:
+        raise ConfigurationError(f"the clock cannot run {speed:g} times as fast", hint="between 0 and 1000")
+    return ScaledClock(speed)
+
+
+def _place(address: Address) -> dict[str, str | int]:
+    host, port = address
+    return {"host": host, "port": port}
