@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ import can
 from drivers.clock import wall_seconds
 from drivers.errors import ConfigurationError
 from simulators.wire.socketcand_server import SocketcandServerBus
+
+logging.getLogger("can").addHandler(logging.NullHandler())  # its failures are errors here, not lines on stderr
 
 Option = str | int | float | bool
 
