@@ -149,7 +149,7 @@ class ModbusLink:
         *,
         writable: Sequence[range],
         timeout_s: float = 0.5,
-        retries: int = 2,
+        retries: int = 1,
         device: str = "",
         combined: bool = True,
     ) -> None:

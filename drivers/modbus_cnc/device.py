@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from drivers.clock import Clock
-from drivers.errors import LinkLost, ProtocolError
+from drivers.errors import DeviceError, LinkLost, ProtocolError
 from drivers.links.modbus import Endpoint, ModbusLink
 from drivers.modbus_cnc.codes import ACTIVATIONS, NO_TEMPERATURE, Code, fault_text
 from drivers.modbus_cnc.diagnosis import diagnose
@@ -47,9 +47,13 @@ class ModbusCnc:
         self._parts: _Parts | None = None
 
     def open(self) -> None:
-        self._session.open()
-        limits = self._session.read_limits()
-        self._require_sound(limits)
+        try:
+            self._session.open()
+            limits = self._session.read_limits()
+            self._require_sound(limits)
+        except DeviceError:
+            self._session.close()
+            raise
         self._parts = _Parts(self._session, limits)
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from drivers.clock import Deadline
 from drivers.errors import (
@@ -34,6 +35,13 @@ DURATION_FACTOR = 1.5
 """A motion may take this many times its predicted duration (feed override, look-ahead), plus the margin."""
 
 
+class Ended(NamedTuple):
+    """Where a motion started, and the image that shows its outcome."""
+
+    start: Triple
+    status: Status
+
+
 class Motion:
     """Starts motions, keeps the heartbeat going while they last, and says how they ended.
 
@@ -44,19 +52,20 @@ class Motion:
         self._session = session
         self._limits = limits
 
-    def run(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Status:
-        """Returns the status image that shows the outcome of this motion: in position, tripped or missed."""
+    def run(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Ended:
+        """Returns when the outcome is in position, tripped or missed; any other is raised."""
         session = self._session
         target = self._proved(code, target_mm, feed_mm_per_s)
         try:
-            sequence, status = session.start(Command(code, target=target, feed=feed_mm_per_s or 0.0))
-            status = self._wait(code, target, feed_mm_per_s, status)
+            sequence, accepted = session.start(Command(code, target=target, feed=feed_mm_per_s or 0.0))
+            status = self._wait(code, target, feed_mm_per_s, accepted)
         except BaseException as error:
             self._stop_because_of(error)
             raise
         if status.motion_sequence != sequence:
             raise self._protocol_error(f"asked for motion {sequence}, saw motion {status.motion_sequence} end")
-        return self._succeeded(code, status)
+        self._require_success(code, status)
+        return Ended(accepted.position, status)
 
     def _proved(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
         x, y, z = (float(value) for value in target_mm)
@@ -117,11 +126,10 @@ class Motion:
         except DeviceError as failure:
             error.add_note(f"STOP after this failed: {failure}")
 
-    def _succeeded(self, code: Code, status: Status) -> Status:
+    def _require_success(self, code: Code, status: Status) -> None:
         expected = (Outcome.TRIPPED, Outcome.MISSED) if code is Code.TOUCH else (Outcome.IN_POSITION,)
-        if status.outcome in expected:
-            return status
-        raise self._failure(code, status)
+        if status.outcome not in expected:
+            raise self._failure(code, status)
 
     def _failure(self, code: Code, status: Status) -> DeviceError:
         where = self._session.where

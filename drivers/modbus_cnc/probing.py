@@ -34,8 +34,7 @@ class Probing:
         return ProbeStatus(loaded, healthy, bool(bits & PROBE_DEFLECTED), detail)
 
     def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
-        start = self._session.status().position
-        status = self._motion.run(Code.TOUCH, tuple(float(value) for value in target_mm), feed_mm_per_s)
+        start, status = self._motion.run(Code.TOUCH, tuple(float(value) for value in target_mm), feed_mm_per_s)
         self._require_own_latch(status)
         if status.outcome is Outcome.MISSED:
             return Miss(status.latched)

@@ -72,7 +72,7 @@ class ModbusCncSettings(BaseModel):
     port: int = Field(default=502, ge=1, le=65535)
     unit: int = Field(default=1, ge=0, le=255, description="Modbus unit id")
     timeout_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.5
-    retries: int = Field(default=2, ge=0, le=10, description="for requests that may be sent again")
+    retries: int = Field(default=1, ge=0, le=10, description="for requests that may be sent again")
     combined_function: bool = Field(default=True, description="use function 23 (write and read in one)")
 
     blocks: Blocks = Blocks()
