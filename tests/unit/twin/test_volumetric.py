@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+
+from twin.chain import parse_chain
+from twin.error_model import ErrorModel
+from twin.errors import DataError, ModelError
+from twin.machine_model import linear_deviation
+from twin.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms, volumetric_error
+
+RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
+MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)
+TOOL = np.array([0.0, 250.0, 0.0])
+
+
+def machine(seed, model=MODEL):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1.0, 1.0, model.size) * [1e-2 if p.unit == "mm" else 1e-5 for p in model.parameters]
+
+
+def test_the_grid_has_its_ends_and_its_order():
+    grid = evaluation_grid(RANGES)
+    assert grid.shape == (24_000, 3)
+    np.testing.assert_array_equal(grid[[0, 1, -1]], [[0, 0, 0], [0, 0, 1500 / 19], [4000, 1300, 1500]])
+
+
+def test_rms_by_hand():
+    assert rms(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 1.0]])) == pytest.approx(np.sqrt(13.0))
+
+
+def test_a_rigid_motion_is_removed_and_nothing_else():
+    points = evaluation_grid(RANGES, (5, 4, 3)) + TOOL
+    rigid = np.array([1e-2, -2e-2, 5e-3]) + np.cross([3e-6, -7e-6, 1e-6], points)
+    assert rms(align_rigidly(points, rigid)) < 1e-15
+    stretch = (points - points.mean(axis=0)) * [1e-6, 0.0, 0.0]  # symmetric: no rigid part
+    np.testing.assert_allclose(align_rigidly(points, stretch + rigid), stretch, atol=1e-14)
+
+
+def test_alignment_against_plain_least_squares():
+    rng = np.random.default_rng(2)
+    points, field = rng.uniform(0.0, 1000.0, (30, 3)), rng.normal(0.0, 1e-2, (30, 3))
+    columns = [np.tile(unit, (30, 1)) for unit in np.eye(3)] + [np.cross(unit, points) for unit in np.eye(3)]
+    design = np.stack(columns, axis=-1).reshape(-1, 6)
+    solution, *_ = np.linalg.lstsq(design, field.reshape(-1), rcond=None)
+    expected = field - (design @ solution).reshape(-1, 3)
+    np.testing.assert_allclose(align_rigidly(points, field), expected, atol=1e-13)
+
+
+def test_few_points_are_aligned_as_far_as_they_determine_it():
+    assert rms(align_rigidly([[1.0, 2.0, 3.0]], [[0.1, 0.2, 0.3]])) < 1e-15
+    in_line = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    turned = np.cross([5e-3, 1e-3, 2e-3], in_line)
+    assert rms(align_rigidly(in_line, turned)) < 1e-15
+
+
+def test_the_form_is_the_grid_to_nine_digits_raw_and_aligned():
+    grid = evaluation_grid(RANGES, (12, 7, 6))
+    form = QuadraticForm.build(MODEL, grid, TOOL)
+    for seed in range(5):
+        errors = machine(seed)
+        direct = volumetric_error(grid + TOOL, linear_deviation(MODEL, grid, TOOL, errors))
+        value = form.value(errors)
+        assert value.raw_mm == pytest.approx(direct.raw_mm, rel=1e-9)
+        assert value.aligned_mm == pytest.approx(direct.aligned_mm, rel=1e-9)
+        assert value.aligned_um < value.raw_um
+
+
+def test_the_form_with_a_fixed_field():
+    grid = evaluation_grid(RANGES, (10, 6, 5))
+    field = 5e-3 * np.random.default_rng(3).normal(size=grid.shape)
+    form = QuadraticForm.build(MODEL, grid, TOOL)
+    with_field = form.with_field(field)
+    errors = np.stack([machine(seed) for seed in range(4)])
+    raw, aligned = with_field.values(errors)
+    for k, vector in enumerate(errors):
+        direct = volumetric_error(grid + TOOL, linear_deviation(MODEL, grid, TOOL, vector) + field)
+        assert (raw[k], aligned[k]) == pytest.approx((direct.raw_mm, direct.aligned_mm), rel=1e-9)
+        assert form.value(vector, field).raw_mm == pytest.approx(direct.raw_mm, rel=1e-9)
+
+
+def test_the_expected_value_is_the_mean_over_draws():
+    grid = evaluation_grid(RANGES, (8, 5, 4))
+    form = QuadraticForm.build(MODEL, grid, TOOL).with_field(np.full(grid.shape, 2e-3))
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(MODEL.size, MODEL.size)) * [1e-3 if p.unit == "mm" else 1e-6 for p in MODEL.parameters]
+    covariance = root.T @ root
+    raw, aligned = form.values(rng.multivariate_normal(np.zeros(MODEL.size), covariance, 20_000))
+    expected = form.expected(covariance)
+    assert expected.raw_mm == pytest.approx(np.sqrt(np.mean(raw**2)), rel=0.02)
+    assert expected.aligned_mm == pytest.approx(np.sqrt(np.mean(aligned**2)), rel=0.02)
+
+
+def test_wrong_shapes():
+    form = QuadraticForm.build(MODEL, evaluation_grid(RANGES, (2, 2, 2)), TOOL)
+    with pytest.raises(ModelError, match="expected"):
+        form.values(np.zeros((2, 3)))
+    with pytest.raises(DataError, match="5 points, the grid 8"):
+        form.with_field(np.zeros((5, 3)))
