@@ -86,11 +86,11 @@ def negative_log_likelihood(normal: Normal, precision: Precision, scales: Scales
     z = posterior.solve(normal.right / variance)
     prior = precision.matrix(scales) if precision.parameters is not None else None
     weighted_z = prior @ z if prior is not None else precision.diagonal(scales) * z
-    covariance = posterior.covariance()
+    covariance = posterior.covariance
     taken = np.diagonal(covariance) * precision.diagonal(scales)
     trace = float(np.einsum("ij,ji->", prior, covariance)) if prior is not None else float(taken.sum())
     value = normal.rows * math.log(variance) + normal.square / variance - float(normal.right @ z) / variance
-    value += posterior.log_determinant() - _log_determinant(precision, scales)
+    value += posterior.log_determinant - _log_determinant(precision, scales)
     noise = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
     pulls = [2.0 * _pull(block, taken, weighted_z, z) for block in (blocks.parameters, blocks.misfit)]
     return value, np.array([noise, *pulls])

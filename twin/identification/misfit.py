@@ -1,9 +1,9 @@
 """What the model cannot represent: a small set of smooth fields beside it, with a Gaussian prior.
 
-A machine has more than 21 Legendre series: gravity bends it, and series go on beyond the order of the model. The
-candidates are products of Legendre polynomials of the three axis positions (mixed terms of low total degree, and orders
-just above the model's with a linear factor in another axis), each displacement alike, with prior standard deviations
-that fall with the degree. What the model or a rigid motion can represent of them is taken out by least squares over the
+A machine has more than 21 Legendre series: rails wave between their screws, gravity bends it, and no series ends at the
+order of the model. The candidates are products of Legendre polynomials of the three axis positions, each displacement
+alike: orders above the model's, alone and with a linear lever in another axis, and mixed terms of low total degree.
+Their prior standard deviations fall with the order as those of families do. What the model or a rigid motion can represent of them is taken out by least squares over the
 workspace, so that the two never compete; the rest is condensed to its leading modes (Karhunen-Loève), normalised to a
 prior rms of 1 over the workspace.
 """
@@ -23,9 +23,11 @@ from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
 
 _MIXED_DEGREE = 4
-_ORDERS_BEYOND = 2
-_DECAY = 0.6  # prior standard deviation per degree, as the families decay
-_KEPT_VARIANCE = 0.99
+_ORDERS_BEYOND = 4
+_DECAY = 0.75  # prior standard deviation per order; rail waves fall off more slowly than the series themselves
+_LEVER = 0.4  # of a term with a lever beside the one without
+_MIXED = 0.5  # of the lowest mixed term beside the first order beyond the model
+_KEPT_VARIANCE = 0.95
 _MOST_MODES = 40
 
 Degrees = tuple[int, int, int]
@@ -65,7 +67,8 @@ class MisfitModes:
 def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> MisfitModes:
     """Modes for a model and the tool offset (mm) for which the two are kept apart."""
     offset = np.array(tool_offset)
-    degrees = _candidate_degrees(model)
+    candidates = _weighted_candidates(model)
+    degrees, deviations = tuple(candidates), np.array(list(candidates.values()))
     points, weights = _quadrature(model)
     root = np.sqrt(weights)[:, None, None]
     basis = deviation_basis(model, points, offset)
@@ -73,8 +76,7 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
     scale = np.where(scale > 0.0, scale, 1.0)
     known = np.concatenate((basis / scale, _motions(model.ranges_mm, points)), axis=2) * root
     known = known.reshape(-1, known.shape[2])
-    deviations = np.array([_DECAY ** (sum(degree) - 1) for degree in degrees])
-    wanted = np.einsum("nq,cd->ncdq", _candidates(tuple(degrees), model.ranges_mm, points) * deviations, np.eye(3))
+    wanted = np.einsum("nq,cd->ncdq", _candidates(degrees, model.ranges_mm, points) * deviations, np.eye(3))
     wanted = (wanted * root[..., None]).reshape(len(known), -1)
     share = np.linalg.lstsq(known, wanted, rcond=1e-9)[0]
     left = wanted - known @ share
@@ -84,29 +86,27 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
     return MisfitModes(
         model=model,
         tool_offset=offset,
-        degrees=tuple(degrees),
+        degrees=degrees,
         mixing=modes.reshape(3, len(degrees), -1) * deviations[:, None],
         removed=share[: model.size] / scale[:, None],
         rigid=share[model.size :],
     )
 
 
-def _candidate_degrees(model: ErrorModel) -> list[Degrees]:
-    highest = model.highest_order
-    mixed = [
-        (i, j, k)
-        for i, j, k in product(range(_MIXED_DEGREE + 1), repeat=3)
-        if i + j + k <= _MIXED_DEGREE and sum(degree > 0 for degree in (i, j, k)) > 1
-    ]
-    beyond = []
-    for axis in range(3):
-        for order in range(highest[axis] + 1, highest[axis] + 1 + _ORDERS_BEYOND):
-            for other in (axis, (axis + 1) % 3, (axis + 2) % 3):
+def _weighted_candidates(model: ErrorModel) -> dict[Degrees, float]:
+    """Degrees in x, y, z of each candidate and its prior standard deviation, relative."""
+    found: dict[Degrees, float] = {}
+    for degrees in product(range(_MIXED_DEGREE + 1), repeat=3):
+        if sum(degrees) <= _MIXED_DEGREE and sum(degree > 0 for degree in degrees) > 1:
+            found[degrees] = _MIXED * _DECAY ** (sum(degrees) - 2)
+    for axis, highest in enumerate(model.highest_order):
+        for beyond in range(_ORDERS_BEYOND):
+            for lever in range(3):
                 degree = [0, 0, 0]
-                degree[other] = 1
-                degree[axis] = order
-                beyond.append((degree[0], degree[1], degree[2]))
-    return sorted(set(mixed + beyond))
+                degree[lever] = 1
+                degree[axis] = highest + 1 + beyond
+                found[(degree[0], degree[1], degree[2])] = _DECAY**beyond * (1.0 if lever == axis else _LEVER)
+    return found
 
 
 def _quadrature(model: ErrorModel) -> tuple[Array, Array]:

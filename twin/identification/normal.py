@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from twin.arrays import Array
 from twin.errors import SingularSet
@@ -58,25 +57,27 @@ class Precision:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Lower Cholesky `factor` (P, P) of the posterior precision of z."""
+    """Posterior of z: `covariance` (P, P) and the log determinant of its inverse.
 
-    factor: Array
+    In unit-prior coordinates the precision is at least 1 in every direction that the measurements leave open, so the
+    explicit inverse, which the result needs anyhow, loses nothing.
+    """
+
+    covariance: Array
+    log_determinant: float
 
     @classmethod
     def of(cls, matrix: Array, precision: Precision, scales: Scales) -> Posterior:
         weighted = matrix / scales.noise**2 + precision.matrix(scales)
-        factor, info = dpotrf(weighted, lower=1, overwrite_a=0)
-        if info != 0:
-            raise SingularSet("the measurements do not determine the model", hint="switch the prior on")
-        return cls(factor)
+        try:
+            factor = np.linalg.cholesky(weighted)
+        except np.linalg.LinAlgError:
+            message = "the measurements do not determine the model"
+            raise SingularSet(message, hint="switch the prior on") from None
+        inverse = np.linalg.inv(weighted)
+        symmetric = 0.5 * (inverse + inverse.T)
+        return cls(symmetric, 2.0 * float(np.log(np.diagonal(factor)).sum()))
 
     def solve(self, right: Array) -> Array:
-        return np.asarray(dpotrs(self.factor, right, lower=1)[0])
-
-    def covariance(self) -> Array:
-        """(P, P)."""
-        inverse = np.tril(dpotri(self.factor, lower=1)[0])
-        return np.asarray(inverse + np.tril(inverse, -1).T)
-
-    def log_determinant(self) -> float:
-        return 2.0 * float(np.log(np.diagonal(self.factor)).sum())
+        """Posterior mean for the weighted right-hand side (P,) or (P, m)."""
+        return np.asarray(self.covariance @ right)

@@ -48,7 +48,7 @@ def solve(problem: Problem, options: Options, formulation: Formulation) -> Solut
     scales = likely_scales(start, precision, Scales()) if options.estimate_scales else Scales()
     posterior = Posterior.of(equations.matrix, precision, scales)
     z, normal, poses = _iterate(equations, posterior, scales.noise**2, start, poses)
-    covariance = posterior.covariance()
+    covariance = posterior.covariance
     taken = float((covariance * equations.matrix).sum()) / scales.noise**2
     freedom = max(equations.rows - taken, 1.0)
     chi2 = normal.misfit_square(z) / freedom
@@ -121,7 +121,7 @@ def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -
         if float(np.abs(z[block] - previous).max()) < _CONVERGED:
             break
     covariance = _sandwich(equations, posterior, problem.blocks)
-    taken = float((posterior.covariance() * information).sum())
+    taken = float((posterior.covariance * information).sum())
     freedom = max(equations.rows - taken, 1.0)
     chi2 = normal.misfit_square(z) / freedom
     return Solution(equations, precision, Scales(), posterior, covariance, z, poses, chi2, freedom)
