@@ -24,13 +24,19 @@ class Hit:
 
 
 class Scene:
-    """Moving bodies (relative to the tip centre) among standing ones; build anew when those move."""
+    """Moving bodies (relative to the tip centre) among standing ones; build anew when those move.
+
+    Boxes around the bodies are kept as (6, moving, 1) and (6, 1, standing), lower and negated upper bounds, so
+    that "they meet" is one comparison.
+    """
 
     def __init__(self, moving: Sequence[Body], obstacles: Sequence[Body]) -> None:
         self.moving = tuple(moving)
         self.obstacles = tuple(obstacles)
-        self._moving_lower, self._moving_upper = _bounds(self.moving)
-        self._lower, self._upper = _bounds(self.obstacles)
+        lower, upper = _bounds(self.moving)
+        self._moving_bounds = np.concatenate((lower, -upper), axis=1).T[:, :, None].copy()
+        lower, upper = _bounds(self.obstacles)
+        self._bounds = np.concatenate((upper, -lower), axis=1).T[:, None, :].copy()
 
     def first_hit(
         self,
@@ -68,11 +74,11 @@ class Scene:
 
     def near(self, start: Point, end: Point, clearance_mm: float = 0.0) -> Iterator[tuple[int, int]]:
         """Indices (moving, obstacle) of the pairs whose surrounding boxes, swept along the move, meet."""
-        travel = np.array((start, end))
-        lower = self._moving_lower + (travel.min(axis=0) - clearance_mm)
-        upper = self._moving_upper + (travel.max(axis=0) + clearance_mm)
-        meet = (lower[:, None] <= self._upper) & (upper[:, None] >= self._lower)
-        return zip(*(index.tolist() for index in meet.all(axis=2).nonzero()), strict=True)
+        travel = [min(s, e) - clearance_mm for s, e in zip(start, end, strict=True)]
+        travel += [-max(s, e) - clearance_mm for s, e in zip(start, end, strict=True)]
+        meet = self._moving_bounds + np.array(travel)[:, None, None] <= self._bounds
+        moving, obstacles = np.logical_and.reduce(meet, axis=0).nonzero()
+        return zip(moving.tolist(), obstacles.tolist(), strict=True)
 
 
 def _bounds(bodies: Sequence[Body]) -> tuple[Array, Array]:

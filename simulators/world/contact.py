@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.world.field import ZERO, TableField, TipShift
+from simulators.world.field import TableField, TipShift
 from simulators.world.motion import Path
 from simulators.world.workpiece import Standing
 from twin.geometry import Point, added
@@ -34,22 +34,25 @@ class ContactSolver:
         self._reach = reach
         self._shift = shift
         self._near: tuple[Standing, TableField | None, Sequence[Point]] | None = None
+        self._last: tuple[Point, TableField | None, Point] | None = None
 
     def first(self, path: Path, standing: Standing, resting: int | None) -> Contact | None:
         """First ball met along `path`; the one that the tip already rests on does not count."""
         first: Contact | None = None
-        rigid = added(self._tool, self._shift.rigid)
-        for ball, (centre, field) in enumerate(zip(standing.balls, self._fields(standing), strict=True)):
-            if ball == resting:
-                continue
-            distance = entry(added(added(path.start, rigid), field), path, centre, self._reach)
-            if distance is not None and (first is None or distance < first.distance):
+        start = added(path.start, self._shift.rigid)
+        for ball, apparent in enumerate(self._apparent(standing)):
+            distance = entry(start, path, apparent, self._reach)
+            if distance is not None and ball != resting and (first is None or distance < first.distance):
                 first = Contact(distance, ball)
         return self._refined(first, path, standing) if first and self._shift.has_field else first
 
     def tip(self, axis_position: Point) -> Point:
-        """Where the tip centre is in the workpiece frame."""
-        return added(added(axis_position, self._tool), added(self._shift.rigid, self._shift.field_at(axis_position)))
+        """Where the tip centre is in the workpiece frame; the last answer is kept, since an axis rests."""
+        last = self._last
+        if last is None or last[0] != axis_position or last[1] is not self._shift.table:
+            field = self._shift.field_at(axis_position)
+            self._last = last = (axis_position, self._shift.table, field)
+        return added(added(axis_position, self._tool), added(self._shift.rigid, last[2]))
 
     def resting_on(self, axis_position: Point, standing: Standing) -> int | None:
         """The ball that the tip is pressed against, if any."""
@@ -81,14 +84,14 @@ class ContactSolver:
         distance = entry(start, path, standing.balls[contact.ball], self._reach)
         return None if distance is None else Contact(distance, contact.ball)
 
-    def _fields(self, standing: Standing) -> Sequence[Point]:
-        """The field at every ball, kept while neither the pose nor the table changes."""
-        if not self._shift.has_field:
-            return [ZERO] * len(standing.balls)
+    def _apparent(self, standing: Standing) -> Sequence[Point]:
+        """Displayed axis positions at which the tip would be in the middle of each ball, but for what is rigid;
+        kept while neither the pose nor the table changes."""
         kept = self._near
         if kept is None or kept[0] is not standing or kept[1] is not self._shift.table:
-            values = self._shift.field_at_many(np.array(standing.balls) - self._tool)
-            points = [(x, y, z) for x, y, z in values.tolist()]
+            nominal = np.array(standing.balls) - self._tool
+            apparent = nominal - self._shift.field_at_many(nominal)
+            points = [(x, y, z) for x, y, z in apparent.tolist()]
             self._near = kept = (standing, self._shift.table, points)
         return kept[2]
 

@@ -239,8 +239,8 @@ class Controller:
     def _require_ready(self, kind: Kind) -> None:
         if self.motion is not MotionState.IDLE:
             raise CommandRejected(f"the machine is not ready for a {kind.value}: {self.motion.value} {self.fault}")
-        missing = [name.value for name, given in self.permissions.items() if not given]
-        if missing:
+        if not all(self.given.values()):
+            missing = [name.value for name, given in self.given.items() if not given]
             raise CommandRejected(f"no {kind.value} is permitted; missing: {', '.join(missing)}")
         if kind is not Kind.POSITIONING and not (self.probe_loaded and self.probe_healthy):
             raise CommandRejected(f"no {kind.value} without a healthy probe in the spindle")
