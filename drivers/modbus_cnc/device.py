@@ -92,7 +92,7 @@ class ModbusCnc:
             return
         if not self._session.link.connected:
             self._session.open()
-        self._session.urgent(Code.STOP)
+        self._parts.motion.stop()
 
     def probe_status(self) -> ProbeStatus:
         return self._open.probing.status()

@@ -51,12 +51,14 @@ class Motion:
     def __init__(self, session: Session, limits: AxisLimits) -> None:
         self._session = session
         self._limits = limits
+        self._braking = False
 
     def run(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Ended:
         """Returns when the outcome is in position, tripped or missed; any other is raised."""
         session = self._session
         target = self._proved(code, target_mm, feed_mm_per_s)
         try:
+            self._await_rest()
             sequence, accepted = session.start(Command(code, target=target, feed=feed_mm_per_s or 0.0))
             status = self._wait(code, target, feed_mm_per_s, accepted)
         except BaseException as error:
@@ -66,6 +68,22 @@ class Motion:
             raise self._protocol_error(f"asked for motion {sequence}, saw motion {status.motion_sequence} end")
         self._require_success(code, status)
         return Ended(accepted.position, status)
+
+    def stop(self) -> None:
+        """Send STOP. It does not wait for rest, since it is called where sleeping is not possible."""
+        self._braking = True
+        self._session.urgent(Code.STOP)
+
+    def _await_rest(self) -> None:
+        """After a STOP the axes brake for a moment, in which the controller would refuse a motion."""
+        if not self._braking:
+            return
+        session = self._session
+        deadline = Deadline.after(session.clock, session.settings.motion_margin_s)
+        while _under_way(session.poll()):
+            deadline.require("the axes to rest after STOP", hint="see the controller", **session.where)
+            session.clock.sleep(session.settings.fine_poll_interval_s)
+        self._braking = False
 
     def _proved(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
         x, y, z = (float(value) for value in target_mm)
@@ -122,7 +140,7 @@ class Motion:
     def _stop_because_of(self, error: BaseException) -> None:
         try:
             if self._session.link.connected:
-                self._session.urgent(Code.STOP)
+                self.stop()
         except DeviceError as failure:
             error.add_note(f"STOP after this failed: {failure}")
 

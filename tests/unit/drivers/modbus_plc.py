@@ -30,6 +30,8 @@ class FakePlc:
         self.heartbeat_runs = True
         self.handles_commands = True
         self.acknowledge_after_s = 0.0
+        self.brakes_for_s = 0.0
+        self._brake_until_s = math.inf
         self.trip_at_mm: float | None = None
         self.wrong_latch: tuple[float, float, float] | None = None
         self.fault_at_s: tuple[float, int] | None = None
@@ -137,6 +139,7 @@ class FakePlc:
             self._beat = (self.registers[2000], self.now_s)
         self._move()
         self._take_command()
+        self._brake()
         self._take_block()
         self._show_block()
 
@@ -162,7 +165,7 @@ class FakePlc:
         elif code == 22 and state == 2:
             self._begin_motion(self.registers[1010])
         elif code == 23 and state in (1, 2):
-            self._halt(0, 6)
+            self._brake_until_s = self.now_s + self.brakes_for_s
         elif code == 24:
             self.registers[1004] = self.registers[1005] = 0
         elif code > 30:
@@ -194,6 +197,11 @@ class FakePlc:
     def _halt(self, state: int, outcome: int) -> None:
         self._motion = None
         self.registers[1004], self.registers[1011] = state, outcome
+
+    def _brake(self) -> None:
+        if self.now_s >= self._brake_until_s:
+            self._brake_until_s = math.inf
+            self._halt(0, 6)
 
     def _move(self) -> None:
         if self._motion is None:

@@ -195,6 +195,22 @@ def test_an_abort_while_waiting_stops_the_motion(plc: FakePlc, clock: VirtualClo
         assert plc.registers[1011] == 6
 
 
+def test_a_motion_after_a_stop_waits_until_the_axes_rest(cnc: ModbusCnc, plc: FakePlc, clock: VirtualClock) -> None:
+    plc.brakes_for_s = 0.12
+
+    def stop_at_once(_now_s: float) -> None:
+        raise Aborted("asked for")
+
+    clock.subscribe(stop_at_once)
+    with pytest.raises(Aborted):
+        cnc.move_to(np.array([2000.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+    clock._listeners.remove(stop_at_once)
+    assert plc.registers[1004] == 1
+    cnc.move_to(np.array([110.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
+    assert plc.commands == [11, 23, 11]
+    assert clock.now() >= 0.12
+
+
 def test_a_hold_from_within_the_wait_and_its_resume_do_not_disturb_it(plc: FakePlc, clock: VirtualClock) -> None:
     asked: list[str] = []
 

@@ -1,0 +1,1 @@
+"""The person at the machine, reached through the terminal that volcal runs in."""
