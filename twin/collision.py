@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -61,16 +60,17 @@ class Scene:
                 first = Hit(fraction, body.name, obstacle.name)
         return first
 
-    def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = ()) -> float:
-        """Smallest distance in mm of any two bodies with the tip centre at `tip`."""
-        return min(
-            (
-                separation(body.shape.moved(tip), obstacle.shape)[0]
-                for body, obstacle in product(self.moving, self.obstacles)
-                if (body.name, obstacle.name) not in ignored
-            ),
-            default=math.inf,
-        )
+    def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = (), at_most: float = math.inf) -> float:
+        """Smallest distance in mm of any two bodies with the tip centre at `tip`; negative where they overlap.
+
+        Distances beyond `at_most` are of no interest: then `at_most` is the answer, and found faster.
+        """
+        smallest = at_most
+        for i, j in self.near(tip, tip, at_most):
+            body, obstacle = self.moving[i], self.obstacles[j]
+            if (body.name, obstacle.name) not in ignored:
+                smallest = min(smallest, separation(body.shape.moved(tip), obstacle.shape)[0])
+        return smallest
 
     def near(self, start: Point, end: Point, clearance_mm: float = 0.0) -> Iterator[tuple[int, int]]:
         """Indices (moving, obstacle) of the pairs whose surrounding boxes, swept along the move, meet."""
