@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -55,17 +55,15 @@ def load_machine(path: Path) -> MachineDescription:
     """The machine file and the deflection grid that it names (relative to the machine file)."""
     text = read_text(path, error=ConfigurationError)
 
-    def read_neighbour(name: str) -> str:
-        return read_text(path.parent / name, error=ConfigurationError)
-
     with translated(ConfigurationError, file=str(path)):
-        return parse_machine(text, str(path), read_neighbour)
+        return parse_machine(text, str(path), _neighbours(path))
 
 
 def load_artefact(path: Path) -> Artefact:
+    """The artefact file and the covariance file that it may name (relative to the artefact file)."""
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):
-        return parse_artefact(text, str(path))
+        return parse_artefact(text, str(path), _neighbours(path))
 
 
 def load_positions(path: Path) -> tuple[Position, ...]:
@@ -79,6 +77,11 @@ def load_balls(path: Path, machine: MachineDescription) -> BallFile:
     text = read_text(path)
     with translated(InputError, file=str(path)):
         return parse_balls(text, str(path), machine.tools)
+
+
+def _neighbours(path: Path) -> Callable[[str], str]:
+    """Reads files that are named relative to `path`."""
+    return lambda name: read_text(path.parent / name, error=ConfigurationError)
 
 
 def write_atomically(path: Path, text: str) -> None:

@@ -2,7 +2,6 @@
 
 from agent.report.data import (
     EventLine,
-    GateLine,
     Header,
     Quantity,
     ReportData,
@@ -15,7 +14,6 @@ from agent.report.render import render_report
 
 __all__ = [
     "EventLine",
-    "GateLine",
     "Header",
     "Quantity",
     "ReportData",

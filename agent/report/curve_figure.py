@@ -44,11 +44,12 @@ def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
     with drawing as figure:
         figure.subplots_adjust(left=0.048, right=0.985, bottom=0.075, top=0.955, wspace=0.16, hspace=0.5)
         panels = _panels(figure)
-        for row, axis in enumerate(AXES):
-            for column, kind in enumerate(COLUMNS):
-                _panel(panels[row, column], by_name.get(kind + axis), kind + axis)
-        _share_scale(panels[:, :DISPLACEMENTS], _reach(curves, "µm"))
-        _share_scale(panels[:, DISPLACEMENTS:], _reach(curves, "µrad"))
+        for axis, row in zip(AXES, panels, strict=True):
+            for kind, panel in zip(COLUMNS, row, strict=True):
+                _panel(panel, by_name.get(kind + axis), kind + axis)
+        for row in panels:
+            _share_scale(row[:DISPLACEMENTS], _reach(curves, "µm"))
+            _share_scale(row[DISPLACEMENTS:], _reach(curves, "µrad"))
         _label(panels)
     return drawing.svg()
 
@@ -65,11 +66,11 @@ def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
     return drawing.svg()
 
 
-def _panels(figure: Figure) -> NDArray[np.object_]:
+def _panels(figure: Figure) -> list[list[Axes]]:
     """(3, 6) panels with a gap between displacements and rotations, where the scale changes."""
     layout = figure.add_gridspec(3, 7, width_ratios=[1.0, 1.0, 1.0, 0.28, 1.0, 1.0, 1.0])
     columns = (0, 1, 2, 4, 5, 6)
-    return np.array([[figure.add_subplot(layout[row, column]) for column in columns] for row in range(3)])
+    return [[figure.add_subplot(layout[row, column]) for column in columns] for row in range(3)]
 
 
 def _panel(panel: Axes, curve: ErrorCurve | None, title: str) -> None:
@@ -91,18 +92,18 @@ def _reach(curves: Sequence[ErrorCurve], unit: str) -> float:
     return max((curve.reach for curve in curves if curve.unit == unit), default=0.0) or 1.0
 
 
-def _share_scale(panels: NDArray[np.object_], reach: float) -> None:
-    for panel in panels.flat:
+def _share_scale(panels: Sequence[Axes], reach: float) -> None:
+    """The same scale for panels side by side, with its numbers at the first."""
+    for count, panel in enumerate(panels):
         panel.set_ylim(-1.05 * reach, 1.05 * reach)
         panel.locator_params(axis="y", nbins=5)
-    for panel in panels[:, 1:].flat:
-        panel.tick_params(labelleft=False)
-        panel.tick_params(axis="y", length=0)
+        if count:
+            panel.tick_params(axis="y", labelleft=False, length=0)
 
 
-def _label(panels: NDArray[np.object_]) -> None:
-    for row, axis in enumerate(AXES):
-        panels[row, 0].set_ylabel("µm", labelpad=0)
-        panels[row, DISPLACEMENTS].set_ylabel("µrad", labelpad=0)
-        for panel in panels[row]:
+def _label(panels: Sequence[Sequence[Axes]]) -> None:
+    for axis, row in zip(AXES, panels, strict=True):
+        row[0].set_ylabel("µm", labelpad=0)
+        row[DISPLACEMENTS].set_ylabel("µrad", labelpad=0)
+        for panel in row:
             panel.set_xlabel(f"{axis} / mm", labelpad=1)

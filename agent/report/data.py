@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.gates import Gate
 from twin.artefact import Artefact
 from twin.identification import Estimate
 from twin.machine_description import MachineDescription
@@ -41,17 +42,6 @@ class Header:
     state: str
     position_set: str
     settings: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class GateLine:
-    """A criterion that the result was held against. `passed` None: stated for information only."""
-
-    name: str
-    value: str
-    limit: str
-    passed: bool | None
-    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -117,7 +107,8 @@ class ReportData:
     tool_name: str
     table: CompensationTable | None = None
     table_crc32: int | None = None
-    gates: tuple[GateLine, ...] = ()
+    gates: tuple[Gate, ...] = ()
+    gates_enforced: bool = True
     warnings: tuple[str, ...] = ()
     run: RunFacts = RunFacts()
 

@@ -27,7 +27,17 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
                 rows = legendre_values(normalised(place, limits), orders[-1])[orders.start :].T
                 block = model.block[error]
                 unit = "rad" if direction in "ABC" else "mm"
-                curves.append(_curve(error, axis, unit, place, rows, parameters[block], covariance[block, block]))
+                curves.append(
+                    _curve(
+                        error,
+                        axis,
+                        unit,
+                        place,
+                        rows=rows,
+                        coefficients=parameters[block],
+                        covariance=covariance[block, block],
+                    )
+                )
     return tuple(curves)
 
 
@@ -42,12 +52,12 @@ def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array)
             rows = np.stack([w ** int(term[1]) for term in terms], axis=1)
             chosen = [model.index(f"CROSS[{term}]") for term in terms]
             part = covariance[np.ix_(chosen, chosen)]
-            curves.append(_curve(error, "Z", unit, place, rows, parameters[chosen], part))
+            curves.append(_curve(error, "Z", unit, place, rows=rows, coefficients=parameters[chosen], covariance=part))
     return tuple(curves)
 
 
 def _curve(
-    name: str, argument: str, unit: str, place: Array, rows: Array, coefficients: Array, covariance: Array
+    name: str, argument: str, unit: str, place: Array, *, rows: Array, coefficients: Array, covariance: Array
 ) -> ErrorCurve:
     """`rows` (n, k) are the functions that `coefficients` (k,) weigh."""
     micro, scale = MICRO[unit]

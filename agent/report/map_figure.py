@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from agent.report.style import INK, MAP_COLOURS, Drawing
@@ -39,11 +40,11 @@ def draw_planes(name: str, planes: Sequence[PlaneMap], label: str, *, dots: bool
         panels[0].set_ylabel("Y / mm")
         bar = figure.colorbar(image, ax=list(panels), pad=0.01, aspect=14)
         bar.set_label(label)
-        bar.outline.set_linewidth(0.4)  # type: ignore[operator]
+        bar.outline.set_linewidth(0.4)
     return drawing.svg()
 
 
-def _draw(panel: Axes, plane: PlaneMap, top: float, dots: bool):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _draw(panel: Axes, plane: PlaneMap, top: float, dots: bool) -> AxesImage:
     extent = (plane.x_mm[0], plane.x_mm[-1], plane.y_mm[0], plane.y_mm[-1])
     image = panel.imshow(
         plane.length_um.T,

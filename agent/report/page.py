@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.report.data import ReportData, Verification
+from agent.report.data import Quantity, ReportData, Verification
+from agent.report.figures import ball_residuals
 from agent.report.run_figures import draw_verification
 from agent.report.volumetric_summary import VolumetricSummary, volumetric_summary
 from agent.report.wording import COVERAGE, Table, fixed, micrometres, number, plural, point
@@ -16,12 +17,13 @@ from twin.error_model import SQUARENESS
 Rows = list[tuple[str, str]]
 
 GOOD_STATES = ("complete", "idle", "held")
+INFORMATIVE_GATES = "For information: there is no machine here that the gates would have to protect."
 
 
 def page_values(data: ReportData) -> dict[str, Any]:
     """Every value that the template names, except the figures."""
     summary = volumetric_summary(data.estimate, data.tool_offset)
-    failed = [gate for gate in data.gates if gate.passed is False]
+    failed = [gate for gate in data.gates if not gate.passed] if data.gates_enforced else []
     proof = data.run.verification
     return {
         "header": data.header,
@@ -41,8 +43,9 @@ def page_values(data: ReportData) -> dict[str, Any]:
         "temperature_note": _temperature_note(data),
         "fit": _fit(data),
         "null_intro": _null_intro(data),
-        "null_directions": [direction.text for direction in data.estimate.null_directions],
-        "gates": data.gates,
+        "null_directions": data.estimate.null_summary,
+        "gates": _gates(data),
+        "gate_note": "" if data.gates_enforced else INFORMATIVE_GATES,
         "table": _table(data),
         "events": _events(data),
         "parameters": _parameters(data),
@@ -92,7 +95,7 @@ def _identity(data: ReportData) -> Rows:
 
 
 def _summary_table(data: ReportData, summary: VolumetricSummary) -> Table:
-    rows = [
+    rows: list[tuple[str, Quantity | None, Quantity | None]] = [
         ("VE estimated, VCE predicted; aligned", summary.before_aligned, summary.after_aligned),
         ("the same as defined, not aligned", summary.before_raw, summary.after_raw),
     ]
@@ -135,7 +138,7 @@ def _verification(proof: Verification | None) -> dict[str, Any] | None:
 def _squareness(data: ReportData) -> Table:
     estimate = data.estimate
     places = [estimate.model.index(name) for name in SQUARENESS]
-    sigma = np.sqrt(np.diag(estimate.covariance))
+    sigma = estimate.standard_uncertainty
     rows = tuple(
         (name, fixed(1e6 * estimate.parameters[i], 2), fixed(COVERAGE * 1e6 * sigma[i], 2))
         for name, i in zip(SQUARENESS, places, strict=True)
@@ -144,9 +147,9 @@ def _squareness(data: ReportData) -> Table:
 
 
 def _residual_note(data: ReportData) -> str:
-    residual = 1e3 * data.estimate.residuals_mm
-    rms = np.sqrt(np.mean(residual**2, axis=0))
-    text = f"rms by component: x {rms[0]:.2f}, y {rms[1]:.2f}, z {rms[2]:.2f} µm over all balls"
+    kept = ball_residuals(data).kept
+    rms = 1e3 * np.sqrt(np.mean(data.estimate.residuals_mm[kept] ** 2, axis=0))
+    text = f"rms by component: x {rms[0]:.2f}, y {rms[1]:.2f}, z {rms[2]:.2f} µm over the balls that were kept"
     return f"{text}. Dotted lines part the stations." if len({p.station for p in data.positions}) > 1 else f"{text}."
 
 
@@ -180,12 +183,16 @@ def _temperature_note(data: ReportData) -> str:
 
 def _fit(data: ReportData) -> Rows:
     estimate = data.estimate
+    misfit = "not looked for"
+    if estimate.misfit is not None:
+        rms = 1e3 * estimate.misfit.amplitude_mm * estimate.scales.misfit
+        misfit = f"about {number(rms, 2)} µm rms that the model cannot represent"
     return [
         ("Normalised χ²", fixed(estimate.chi2_normalised, 3)),
         ("Degrees of freedom", number(float(estimate.degrees_of_freedom), 5)),
-        ("Noise scale", fixed(estimate.scales.noise, 3)),
-        ("Prior scale", fixed(estimate.scales.prior, 3)),
-        ("Model misfit", f"{fixed(1e3 * estimate.scales.misfit_mm, 2)} µm per ball coordinate"),
+        ("Touch noise", f"{fixed(estimate.scales.noise, 2)} times as stated"),
+        ("Family", f"{fixed(estimate.scales.prior, 2)} times as wide as stated"),
+        ("Beside the model", misfit),
         ("Conditioning", number(estimate.conditioning, 3)),
         ("Rank", f"{estimate.rank} of {estimate.model.size}"),
         ("Rejected balls", str(len(estimate.rejected))),
@@ -203,6 +210,19 @@ def _null_intro(data: ReportData) -> str:
     )
 
 
+def _gates(data: ReportData) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": gate.name,
+            "text": gate.text,
+            "value": number(gate.value, 3),
+            "limit": "none" if np.isinf(gate.limit) else number(gate.limit, 3),
+            "passed": gate.passed,
+        }
+        for gate in data.gates
+    ]
+
+
 def _table(data: ReportData) -> Rows | None:
     table = data.table
     if table is None:
@@ -212,7 +232,10 @@ def _table(data: ReportData) -> Rows | None:
     anchor = table.anchor
     rows = [
         ("Grid", f"{len(table.x)} × {len(table.y)} × {len(table.z)} nodes"),
-        ("Largest correction", ", ".join(f"{axis} {value:.1f}" for axis, value in zip("XYZ", largest, strict=True)) + " µm"),
+        (
+            "Largest correction",
+            ", ".join(f"{axis} {value:.1f}" for axis, value in zip("XYZ", largest, strict=True)) + " µm",
+        ),
         ("Anchor", f"zero at {point(anchor.point_mm)}; primary {anchor.primary}, secondary {anchor.secondary}"),
         ("Tool offset", point(table.tool_offset)),
         ("Beyond the measured region", f"{beyond} of {cells} nodes"),
@@ -233,7 +256,7 @@ def _events(data: ReportData) -> Table | None:
 def _parameters(data: ReportData) -> list[list[tuple[str, str, str, str]]]:
     """Three columns of name, value, σ, unit."""
     estimate = data.estimate
-    sigma = np.sqrt(np.diag(estimate.covariance))
+    sigma = estimate.standard_uncertainty
     rows = []
     for parameter, value, spread in zip(estimate.model.parameters, estimate.parameters, sigma, strict=True):
         scale, unit = (1e3, "µm") if parameter.unit == "mm" else (1e6, "µrad")

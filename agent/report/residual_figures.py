@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
@@ -79,7 +80,14 @@ def _components(panel: Axes, place: Array, residuals: BallResiduals) -> None:
         largest = np.abs(residuals.residual_um[~kept]).argmax(axis=1)
         peak = residuals.residual_um[~kept][np.arange(len(largest)), largest]
         panel.plot(
-            place[~kept], peak, "o", markersize=9, markerfacecolor="none", color=INK, label="rejected", markeredgewidth=1
+            place[~kept],
+            peak,
+            "o",
+            markersize=9,
+            markerfacecolor="none",
+            color=INK,
+            label="rejected",
+            markeredgewidth=1,
         )
 
 
@@ -91,7 +99,7 @@ def _per_ball(panel: Axes, residuals: BallResiduals) -> None:
     panel.set_xlabel("ball")
     panel.set_ylabel("rms residual / µm")
     panel.set_title("Each ball over all positions", loc="left")
-    panel.xaxis.get_major_locator().set_params(integer=True)
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import re
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -36,7 +36,7 @@ PAGE_VARIABLES = {
     PURPLE: "var(--purple)",
 }
 
-_SETTINGS = {
+_SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.image_inline": True,
     "font.family": "sans-serif",
@@ -73,7 +73,7 @@ class Drawing:
     def __init__(self, name: str, width_in: float, height_in: float, *, fitted: bool = True) -> None:
         """`fitted`: margins are found from what is drawn (costs time with many panels), otherwise set by hand."""
         self.name = name
-        self._layout: Literal["constrained", "none"] = "constrained" if fitted else "none"
+        self._layout: Literal["constrained"] | None = "constrained" if fitted else None
         self._size = (width_in, height_in)
         self._context = mpl.rc_context(_SETTINGS)
         self._svg = ""
@@ -106,7 +106,7 @@ def _raw_svg(figure: Figure) -> str:
     for axes in figure.axes:
         transparent(axes)
     unstamped = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    FigureCanvasSVG(figure).print_svg(buffer, metadata=unstamped)
+    FigureCanvasSVG(figure).print_svg(buffer, metadata=unstamped)  # type: ignore[no-untyped-call]
     return buffer.getvalue()
 
 

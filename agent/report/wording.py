@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agent.report.data import Quantity
 
 COVERAGE = 2.0
@@ -46,7 +49,7 @@ def micrometres(quantity: Quantity | None) -> str:
     return f"{value} ± {fixed(COVERAGE * quantity.standard_uncertainty_um, decimals)} µm"
 
 
-def point(values: Sequence[float]) -> str:
+def point(values: Sequence[float] | NDArray[np.float64]) -> str:
     return "(" + ", ".join(number(float(value), 6) for value in values) + ") mm"
 
 

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.report.map_figure import PlaneMap
-from twin.error_model import ErrorModel
+from twin.identification import Estimate
 from twin.machine_model import deviation_basis
+from twin.rigid_motion import rigid_fields
+from twin.volumetric import evaluation_grid
 
 Array = NDArray[np.float64]
 
@@ -24,55 +26,66 @@ class WorkspaceMaps:
     uncertainty: tuple[PlaneMap, ...]
 
 
-def workspace_maps(
-    model: ErrorModel, tool_offset: Array, parameters: Array, covariance: Array, measured: Array
-) -> WorkspaceMaps:
+def workspace_maps(estimate: Estimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
     """Maps at the bottom, the middle and the top of Z; `measured` (n, 3) axis positions go to the nearest plane."""
-    motion = _rigid_motions(model, tool_offset)
-    spread = np.linalg.cholesky(covariance + _nothing(covariance))
-    heights = np.linspace(*model.ranges_mm[2], 3)
+    fields = _AlignedFields(estimate, tool_offset)
+    heights = np.linspace(*estimate.model.ranges_mm[2], 3)
     nearest = np.abs(measured[:, 2:] - heights).argmin(axis=1)
-    deviation, uncertainty = [], []
+    deviation: list[PlaneMap] = []
+    uncertainty: list[PlaneMap] = []
     for count, height in enumerate(heights):
-        x, y, points = _plane(model, float(height))
-        basis = _aligned_basis(model, points, tool_offset, motion)
+        x, y, points = _plane(estimate, float(height))
         near = measured[nearest == count, :2]
-        length = np.linalg.norm(basis @ parameters, axis=1)
-        sigma = np.linalg.norm((basis @ spread).reshape(len(points), -1), axis=1)
+        length, sigma = fields.at(points)
         for maps, values in ((deviation, length), (uncertainty, sigma)):
             maps.append(PlaneMap(float(height), x, y, 1e3 * values.reshape(PLANE_SHAPE), near))
     return WorkspaceMaps(tuple(deviation), tuple(uncertainty))
 
 
-def _nothing(covariance: Array) -> Array:
-    """A diagonal far below anything measured that makes a singular covariance factorable."""
-    return np.diag(1e-12 * np.diag(covariance) + 1e-24)
+class _AlignedFields:
+    """Columns of the field (parameters, then misfit modes) less the rigid motion that fits each best."""
+
+    def __init__(self, estimate: Estimate, tool_offset: Array) -> None:
+        self._estimate, self._offset = estimate, tool_offset
+        points = evaluation_grid(estimate.model.ranges_mm, GAUGE_SHAPE)
+        self._middle = points.mean(axis=0) + tool_offset
+        self._size = float(np.ptp(points, axis=0).max())
+        columns = self._columns(points)
+        rigid = self._rigid(points).reshape(-1, 6)
+        self._motion = np.linalg.lstsq(rigid, columns.reshape(len(rigid), -1))[0]
+        self._moments = _second_moments(estimate)
+
+    def at(self, points: Array) -> tuple[Array, Array]:
+        """Length (n,) of the estimated deviation and root mean square (n,) of what is not known of it, mm."""
+        columns = self._columns(points) - self._rigid(points) @ self._motion
+        size = self._estimate.model.size
+        length = np.linalg.norm(columns[:, :, :size] @ self._estimate.parameters, axis=1)
+        square = ((columns @ self._moments) * columns).sum(axis=(1, 2))
+        return length, np.sqrt(np.maximum(square, 0.0))
+
+    def _columns(self, points: Array) -> Array:
+        basis = deviation_basis(self._estimate.model, points, self._offset)
+        misfit = self._estimate.misfit
+        if misfit is None:
+            return basis
+        return np.concatenate((basis, misfit.amplitude_mm * misfit.modes.at(points)), axis=2)
+
+    def _rigid(self, points: Array) -> Array:
+        return rigid_fields(points + self._offset, self._middle, self._size)
 
 
-def _plane(model: ErrorModel, height: float) -> tuple[Array, Array, Array]:
-    x, y = (np.linspace(*limits, count) for limits, count in zip(model.ranges_mm[:2], PLANE_SHAPE, strict=True))
+def _second_moments(estimate: Estimate) -> Array:
+    """Expected outer product of what is uncompensated: parameter errors and the misfit's coefficients."""
+    misfit = estimate.misfit
+    if misfit is None:
+        return estimate.covariance
+    expected = misfit.covariance + np.outer(misfit.coefficients, misfit.coefficients)
+    cross = misfit.cross_covariance
+    return np.block([[estimate.covariance, cross], [cross.T, expected]])
+
+
+def _plane(estimate: Estimate, height: float) -> tuple[Array, Array, Array]:
+    ranges = estimate.model.ranges_mm[:2]
+    x, y = (np.linspace(*limits, count) for limits, count in zip(ranges, PLANE_SHAPE, strict=True))
     grid = np.stack(np.meshgrid(x, y, [height], indexing="ij"), axis=-1).reshape(-1, 3)
     return x, y, grid
-
-
-def _rigid_motions(model: ErrorModel, tool_offset: Array) -> Array:
-    """(6, p): the rigid motion, by least squares over the workspace, of each parameter's field."""
-    lines = [np.linspace(*limits, count) for limits, count in zip(model.ranges_mm, GAUGE_SHAPE, strict=True)]
-    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
-    basis = deviation_basis(model, points, tool_offset)
-    columns = _rigid_basis(model, points).reshape(-1, 6)
-    return np.linalg.lstsq(columns, basis.reshape(-1, model.size))[0]
-
-
-def _aligned_basis(model: ErrorModel, points: Array, tool_offset: Array, motion: Array) -> Array:
-    return deviation_basis(model, points, tool_offset) - _rigid_basis(model, points) @ motion
-
-
-def _rigid_basis(model: ErrorModel, points: Array) -> Array:
-    """(n, 3, 6): three translations and three small rotations about the middle, scaled to metres."""
-    arm = 1e-3 * (points - np.mean(model.ranges_mm, axis=1))
-    rigid = np.zeros((len(points), 3, 6))
-    rigid[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    for axis in range(3):
-        rigid[:, :, 3 + axis] = np.cross(np.eye(3)[axis], arm)
-    return rigid

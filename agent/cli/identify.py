@@ -1,0 +1,95 @@
+"""`volcal identify`: from ball centres in a file to estimate, table and report, with no device."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.cli.errors import reported
+from agent.offline import Request, Result, identify_files
+from drivers.clock import utc_timestamp, wall_seconds
+from twin.identification import Options
+
+PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("balls", type=PATH, metavar="BALLS.csv")
+@click.option("--machine", type=PATH, required=True, help="Machine file (TOML).")
+@click.option("--artefact", type=PATH, required=True, help="Artefact file (TOML).")
+@click.option("--out", type=PATH, required=True, metavar="DIR", help="Where the results go; made if missing.")
+@click.option(
+    "--formulation",
+    type=click.Choice(["centres", "distances"]),
+    default="centres",
+    show_default=True,
+    help="Ball centres with free poses, or pairwise distances.",
+)
+@click.option(
+    "--prior",
+    type=click.Choice(["on", "off"]),
+    default="on",
+    show_default=True,
+    help="Whether the family of the machine speaks for what was not seen.",
+)
+@click.option(
+    "--weights",
+    type=click.Choice(["full", "unit"]),
+    default="full",
+    show_default=True,
+    help="Covariances of the balls and the certificate, or all alike.",
+)
+@click.option("--tool", metavar="NAME", help="Tool that the table is made for [default: the one used most].")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
+@reported
+def identify(
+    *,
+    balls: Path,
+    machine: Path,
+    artefact: Path,
+    out: Path,
+    formulation: Literal["centres", "distances"],
+    prior: Literal["on", "off"],
+    weights: Literal["full", "unit"],
+    tool: str | None,
+    as_json: bool,
+) -> None:
+    """Identify a machine from measured ball centres.
+
+    Writes estimate.json, table.csv, table.json and report.html into DIR: all of them, or none when the input is
+    wrong (exit code 2).
+    """
+    started = wall_seconds()
+    options = Options(formulation=formulation, use_prior=prior == "on", weights=weights)
+    result = identify_files(Request(balls, machine, artefact, out, options, tool), utc_timestamp())
+    if as_json:
+        click.echo(json.dumps(result.as_json(wall_seconds() - started)))
+    else:
+        _show(result, wall_seconds() - started)
+
+
+def _show(result: Result, seconds: float) -> None:
+    estimate, finding = result.finding.estimate, result.finding
+    table = Table(title=f"{result.material.machine.name}: {result.position_set}", title_justify="left")
+    table.add_column("")
+    table.add_column("aligned", justify="right")
+    table.add_column("as defined", justify="right")
+    rows = (("volumetric error, estimated", finding.before), ("predicted after compensation", finding.expected))
+    for name, value in rows:
+        table.add_row(name, f"{value.aligned_um:.2f} µm", f"{value.raw_um:.2f} µm")
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(table)
+    balls = result.material.balls.observations.size
+    console.print(
+        f"{balls} balls, {len(estimate.rejected)} rejected; normalised χ² {estimate.chi2_normalised:.2f}; "
+        f"rank {estimate.rank} of {estimate.model.size}; {seconds:.1f} s"
+    )
+    for gate in finding.gates:
+        if not gate.passed:
+            console.print(f"note: {gate.name} {gate.value:.3g} is beyond {gate.limit:.3g}: {gate.text}", style="yellow")
+    console.print(f"report: {result.report}", markup=False)

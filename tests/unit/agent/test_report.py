@@ -1,0 +1,348 @@
+"""The report: its numbers against hand calculation, its page as a browser would read it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from agent.gates import Gate
+from agent.report import (
+    EventLine,
+    Header,
+    Quantity,
+    ReportData,
+    RunFacts,
+    TemperatureTrace,
+    Verification,
+    VerifiedPosition,
+    render_report,
+)
+from agent.report.error_curves import cross_effect_curves, geometric_error_curves
+from agent.report.position_naming import name_of_positions
+from agent.report.residual_figures import BallResiduals
+from agent.report.volumetric_summary import volumetric_summary
+from agent.report.wording import fixed, micrometres, number
+from agent.report.workspace_maps import workspace_maps
+from twin.artefact import ball_bar
+from twin.chain import parse_chain
+from twin.error_model import ErrorModel
+from twin.family import family_from_amplitudes
+from twin.identification import Estimate, Options, identify, predicted_vce
+from twin.machine_description import MachineDescription
+from twin.machine_model import exact_deviation
+from twin.observations import Observations
+from twin.position_set import MountGeometry, Position, mount_pose, positions_of
+from twin.table import Anchor, build_table, regular_nodes
+from twin.volumetric import align_rigidly, evaluation_grid
+
+RANGES = ((0.0, 1000.0), (0.0, 600.0), (0.0, 500.0))
+MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, order=3)
+OFFSET = np.array([0.0, 150.0, 0.0])
+AMPLITUDES = {"positioning_um": 6.0, "straightness_um": 4.0, "rotation_urad": 8.0, "squareness_urad": 12.0}
+FAMILY = family_from_amplitudes(MODEL, AMPLITUDES)
+BAR = ball_bar(
+    "bar & <certified>",
+    balls=5,
+    length_mm=400.0,
+    tilt_rad=0.2,
+    holder_length_mm=50.0,
+    ball_diameter_mm=20.0,
+    standard_uncertainty_mm=5e-4,
+)
+POSITIONS = positions_of("S1+S3", 2)
+
+
+def observations(rng: np.random.Generator) -> Observations:
+    truth = FAMILY.draw(rng, 1)[0]
+    points, rows = [], []
+    for index, position in enumerate(POSITIONS):
+        place = np.array([150.0 + 500.0 * position.station - 300.0, 450.0, 250.0])
+        angles = np.radians([position.azimuth_deg, position.elevation_deg])
+        pose = mount_pose(place, MountGeometry(), *angles)
+        points.append(pose.applied(BAR.balls) - OFFSET)
+        rows += [(index, ball, angles[1]) for ball in range(5)]
+    commanded = np.concatenate(points)
+    found = commanded - exact_deviation(MODEL, commanded, OFFSET, truth)
+    found += rng.normal(0.0, 1e-3, commanded.shape)
+    index, ball, elevation = np.array(rows).T
+    n = len(rows)
+    return Observations(
+        position=index.astype(np.int64),
+        ball=ball.astype(np.int64),
+        tool=np.zeros(n, dtype=np.int64),
+        axis_positions=found,
+        covariance=np.tile(1e-6 * np.eye(3), (n, 1, 1)),
+        temperature_c=np.full(n, 20.5),
+        elevation_rad=elevation,
+        tool_offsets=OFFSET[None],
+    )
+
+
+def report_data() -> ReportData:
+    seen = observations(np.random.default_rng(3))
+    estimate = identify(MODEL, seen, BAR, FAMILY, Options())
+    nodes = regular_nodes(RANGES, (100.0, 100.0, 100.0))
+    table = build_table(MODEL, estimate.parameters, nodes, OFFSET, Anchor(np.zeros(3)), seen.axis_positions)
+    fast = (20000.0, 20000.0, 20000.0)
+    machine = MachineDescription(
+        "mill <5>", MODEL, RANGES, fast, fast, (500.0,) * 3, {"probe": OFFSET}, FAMILY, AMPLITUDES, None
+    )
+    header = Header(
+        title="Volumetric calibration",
+        run_id="run-17",
+        timestamp="2026-03-01T02:03:04.000Z",
+        software_version="1.2.3",
+        state="complete",
+        position_set="S1+S3, 2 stations",
+    )
+    return ReportData(header, machine, BAR, seen, estimate, POSITIONS, "probe", table, 0x0BADCAFE)
+
+
+@pytest.fixture(scope="module")
+def offline() -> ReportData:
+    return report_data()
+
+
+@pytest.fixture(scope="module")
+def offline_page(offline: ReportData) -> str:
+    return render_report(offline)
+
+
+class Page(HTMLParser):
+    """Collects section ids, every attribute that may load something, and the elements left open."""
+
+    VOID = frozenset({"meta", "br", "link", "img", "input", "hr"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.loads: list[str] = []
+        self.tags: list[str] = []
+        self._open: list[str] = []
+        self.misnested: list[str] = []
+        self.text: list[str] = []
+        self.feed(text)
+        self.unclosed = self._open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self._collect(attrs)
+        if tag not in self.VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self._collect(attrs)
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self._open or self._open.pop() != tag:
+            self.misnested.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+    def _collect(self, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value or "")
+            if name in ("src", "href", "xlink:href", "srcset", "data", "action"):
+                self.loads.append(value or "")
+
+
+class TestPage:
+    def test_it_is_well_formed_and_ids_are_unique(self, offline_page: str) -> None:
+        page = Page(offline_page)
+        assert page.misnested == []
+        assert page.unclosed == []
+        assert len(page.ids) == len(set(page.ids))
+
+    def test_all_21_errors_are_there(self, offline_page: str) -> None:
+        page = Page(offline_page)
+        curves = {name.rsplit("-", 1)[1] for name in page.ids if "curve-E" in name and "E_" not in name}
+        assert curves == {f"E{direction}{axis}" for axis in "XYZ" for direction in "XYZABC"}
+        assert {"A0Z", "B0Z", "C0Y"} <= set(page.text)
+        assert sum("curve-E_" in name for name in page.ids) == 2
+
+    def test_nothing_is_loaded_from_anywhere(self, offline_page: str) -> None:
+        page = Page(offline_page)
+        assert page.loads
+        assert all(load.startswith(("#", "data:image/png;base64,")) for load in page.loads)
+        assert "script" not in page.tags
+        assert "@import" not in offline_page
+        addresses = set(re.findall(r"https?://[^\"\s<>]+", offline_page))
+        assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+        assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", offline_page))
+
+    def test_every_reference_within_the_page_leads_somewhere(self, offline_page: str) -> None:
+        page = Page(offline_page)
+        inside = {load[1:] for load in page.loads if load.startswith("#")}
+        inside |= set(re.findall(r"url\(#([^)]*)\)", offline_page))
+        assert inside <= set(page.ids)
+
+    def test_figures_follow_the_theme(self, offline_page: str) -> None:
+        assert not re.search(r"#0[1-6]0[1-6]0[1-6]", offline_page)
+        assert "prefers-color-scheme: dark" in offline_page
+        assert "size: A4" in offline_page
+
+    def test_text_from_files_is_escaped(self, offline_page: str) -> None:
+        assert "mill &lt;5&gt;" in offline_page
+        assert "bar &amp; &lt;certified&gt;" in offline_page
+
+    def test_sections_of_a_run_are_left_out_offline(self, offline_page: str) -> None:
+        ids = Page(offline_page).ids
+        assert not {"verification", "gates", "events", "warnings"} & set(ids)
+        wanted = {"summary", "validity", "errors", "map", "residuals", "temperatures", "fit", "null-space"}
+        assert wanted | {"table", "parameters"} <= set(ids)
+
+    def test_identity_and_table_are_stated(self, offline_page: str) -> None:
+        text = " ".join(Page(offline_page).text)
+        for wanted in ("run-17", "2026-03-01 02:03 UTC", "1.2.3", "0BADCAFE", "11 × 7 × 6", "hold for this offset"):
+            assert wanted in text
+
+
+class TestRunSections:
+    def test_a_run_shows_what_it_decided_and_proved(self, offline: ReportData) -> None:
+        proof = Verification(
+            False,
+            "Not better: the old table is active again.",
+            Quantity(9.0, 0.2),
+            Quantity(9.5),
+            1.5,
+            (VerifiedPosition("station 1", 9.0, 9.5, 1.5), VerifiedPosition("station 2", None, 3.0, 1.5)),
+        )
+        trace = TemperatureTrace("column", np.array([0.0, 60.0]), np.array([20.0, 20.4]))
+        run = RunFacts(800, 91.2, "1", proof, (trace,), (EventLine("2026-03-01T02:03:04Z", "retry", "ball 3"),))
+        gate = Gate("fit", False, 3.2, 2.0, "normalised χ²")
+        page = Page(render_report(replace(offline, run=run, gates=(gate,), warnings=("mind the probe",))))
+        text = " ".join(page.text)
+        assert {"verification", "gates", "events", "warnings"} <= set(page.ids)
+        for wanted in ("Not better", "mind the probe", "not passed", "ball 3", "91 min", "800", "9.00 ± 0.40 µm"):
+            assert wanted in text
+
+    def test_rejected_balls_are_named(self, offline: ReportData) -> None:
+        rejected = replace(offline.estimate, rejected=((4, 2, 0),))
+        text = " ".join(Page(render_report(replace(offline, estimate=rejected))).text)
+        place = POSITIONS[4]
+        assert f"station {place.station}, azimuth {place.azimuth_deg:g}°, elevation {place.elevation_deg:g}°" in text
+
+
+class TestCurves:
+    def values(self, **terms: float) -> np.ndarray:
+        values = np.zeros(MODEL.size)
+        for name, value in terms.items():
+            values[MODEL.index(name.replace("__", "[").replace("_", "]"))] = value
+        return values
+
+    def test_a_second_order_term_is_the_second_legendre_polynomial(self) -> None:
+        values = self.values(EYX__2_=0.003)
+        covariance = np.zeros((MODEL.size, MODEL.size))
+        place = MODEL.index("EYX[2]")
+        covariance[place, place] = 0.001**2
+        curve = {curve.name: curve for curve in geometric_error_curves(MODEL, values, covariance)}["EYX"]
+        assert curve.unit == "µm"
+        assert curve.value[[0, 40, 80]] == pytest.approx([3.0, -1.5, 3.0])
+        assert curve.sigma[[0, 40, 80]] == pytest.approx([1.0, 0.5, 1.0])
+        assert curve.position_mm[[0, 40, 80]] == pytest.approx([0.0, 500.0, 1000.0])
+
+    def test_correlated_terms_share_their_variance(self) -> None:
+        covariance = np.zeros((MODEL.size, MODEL.size))
+        first, second = MODEL.index("EAZ[1]"), MODEL.index("EAZ[2]")
+        covariance[np.ix_([first, second], [first, second])] = 1e-12 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        curves = geometric_error_curves(MODEL, np.zeros(MODEL.size), covariance)
+        sigma = {curve.name: curve for curve in curves}["EAZ"].sigma
+        assert sigma[[0, 80]] == pytest.approx([2.0, 0.0], abs=1e-9)  # at the ends P1 = ∓1, P2 = 1: var (P1 - P2)²
+
+    def test_the_cross_effect_is_shown_at_full_overhang(self) -> None:
+        values = np.zeros(MODEL.size)
+        values[[MODEL.index("CROSS[b1]"), MODEL.index("CROSS[b2]")]] = 0.002, 0.001
+        values[MODEL.index("CROSS[c1]")] = 4e-6
+        straight, turned = cross_effect_curves(MODEL, values, np.zeros((MODEL.size, MODEL.size)))
+        assert straight.value[[0, 40, 80]] == pytest.approx([0.0, 1.25, 3.0])
+        assert turned.value[[0, 40, 80]] == pytest.approx([0.0, 2.0, 4.0])
+        assert turned.unit == "µrad"
+
+
+class TestNumbers:
+    def test_squareness_alone_by_hand(self, offline: ReportData) -> None:
+        """d = (0, -A0Z z, 0): raw rms A0Z sqrt(mean z²); the uncertainty scales with A0Z's own."""
+        values, covariance = np.zeros(MODEL.size), np.zeros((MODEL.size, MODEL.size))
+        place = MODEL.index("A0Z")
+        values[place], covariance[place, place] = 20e-6, (2e-6) ** 2
+        estimate: Estimate = replace(offline.estimate, parameters=values, covariance=covariance)
+        summary = volumetric_summary(estimate, OFFSET)
+        z = np.linspace(0.0, 500.0, 20)
+        by_hand = 20e-3 * np.sqrt(np.mean(z**2))
+        assert summary.before_raw.value_um == pytest.approx(by_hand, rel=1e-9)
+        assert summary.before_raw.standard_uncertainty_um == pytest.approx(0.1 * by_hand, rel=1e-9)
+
+    def test_the_map_is_the_aligned_field(self, offline: ReportData) -> None:
+        """Against the alignment over a much finer grid, point by point."""
+        rng = np.random.default_rng(5)
+        values = FAMILY.draw(rng, 1)[0]
+        nothing = np.zeros((MODEL.size, MODEL.size))
+        estimate = replace(offline.estimate, parameters=values, covariance=nothing, misfit=None)
+        maps = workspace_maps(estimate, OFFSET, np.zeros((1, 3)))
+        lines = (np.linspace(0, 1000, 49), np.linspace(0, 600, 25), np.linspace(0, 500, 21))
+        grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
+        field = exact_deviation(MODEL, grid.reshape(-1, 3), OFFSET, values)
+        aligned = align_rigidly(grid.reshape(-1, 3) + OFFSET, field).reshape(grid.shape)
+        for count, height in enumerate((0, 10, 20)):
+            wanted = 1e3 * np.linalg.norm(aligned[:, :, height], axis=-1)
+            assert np.abs(maps.deviation[count].length_um - wanted).max() < 0.05 * wanted.max()
+            assert maps.uncertainty[count].length_um.max() < 1e-3
+
+    def test_the_uncertainty_map_is_the_posterior_by_sampling(self, offline: ReportData) -> None:
+        rng = np.random.default_rng(6)
+        factor = rng.normal(0.0, 1e-6, (MODEL.size, MODEL.size))
+        estimate = replace(offline.estimate, covariance=factor @ factor.T, misfit=None)
+        draws = rng.standard_normal((60, MODEL.size)) @ factor.T
+        sampled = [
+            workspace_maps(replace(estimate, parameters=draw), OFFSET, np.zeros((1, 3))).deviation[2] for draw in draws
+        ]
+        spread = np.sqrt(np.mean([plane.length_um**2 for plane in sampled], axis=0))
+        stated = workspace_maps(estimate, OFFSET, np.zeros((1, 3))).uncertainty[2]
+        assert np.median(spread / stated.length_um) == pytest.approx(1.0, abs=0.15)
+
+    def test_the_uncertainty_map_adds_up_to_the_predicted_error(self, offline: ReportData) -> None:
+        """Simpson's rule over the three planes, misfit included, comes near the rms over the volume."""
+        maps = workspace_maps(offline.estimate, OFFSET, np.zeros((1, 3))).uncertainty
+        bottom, middle, top = (float(np.mean(plane.length_um**2)) for plane in maps)
+        grid = evaluation_grid(RANGES, (21, 13, 13))
+        stated = predicted_vce(offline.estimate, grid, OFFSET).aligned_um
+        assert np.sqrt((bottom + 4.0 * middle + top) / 6.0) == pytest.approx(stated, rel=0.15)
+
+    def test_rms_per_ball_leaves_the_rejected_out(self) -> None:
+        residuals = BallResiduals(
+            position=np.array([0, 1, 2, 0]),
+            ball=np.array([0, 0, 0, 1]),
+            residual_um=np.array([[3.0, 0, 0], [-3.0, 0, 0], [99.0, 0, 0], [0, 2.0, 0]]),
+            standardised=np.zeros((4, 3)),
+            kept=np.array([True, True, False, True]),
+        )
+        balls, rms = residuals.rms_per_ball
+        assert balls.tolist() == [0, 1]
+        assert rms.tolist() == [[3.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
+
+
+class TestWords:
+    @pytest.mark.parametrize(
+        ("value", "text"), [(0.0, "0"), (1234567.0, "1230000"), (-0.01234, "−0.0123"), (2.5e-7, "2.5e−07")]
+    )
+    def test_numbers_read_as_people_write_them(self, value: float, text: str) -> None:
+        assert number(value) == text
+
+    def test_uncertainty_is_expanded_and_has_the_values_decimals(self) -> None:
+        assert micrometres(Quantity(12.34, 0.5)) == "12.3 ± 1.0 µm"
+        assert micrometres(Quantity(2.345, 0.051)) == "2.35 ± 0.10 µm"
+        assert micrometres(Quantity(3.0)) == "3.00 µm"
+        assert micrometres(None) == "–"
+        assert fixed(-1.0, 1) == "−1.0"
+
+    def test_a_complete_set_is_named_and_a_choice_is_counted(self) -> None:
+        assert name_of_positions(positions_of("S2+S3", 3)) == "S2+S3, 3 stations"
+        assert name_of_positions(positions_of("S1", 1)) == "S1, 1 station"
+        assert name_of_positions((*positions_of("S1", 2), Position(2, 10.0, 20.0))) == "7 positions of its own choice"
