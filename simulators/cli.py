@@ -110,15 +110,15 @@ def simulate(
     """
     if not structlog.is_configured():
         _log_to_stderr()
-    ending = Ending()
-    ending.listen(with_stdin=end_with_stdin)
     links = Links(modbus=modbus, control=control, can=can, time=time_, speed=clock, numbers=numbers)
     try:
         machine = MachineOnWires(read_scenario(config), links)
     except VolcalError as error:
         click.echo(f"error: {error}", err=True)
         raise SystemExit(error.exit_code) from None
+    ending = Ending()
     try:
+        ending.listen(with_stdin=end_with_stdin)
         machine.start()
         click.echo(json.dumps(machine.ready_line()))
         ending.wait()

@@ -1,8 +1,8 @@
 """The simulated controller as a Modbus TCP server.
 
-A server of our own on a plain socket: a status transaction costs a tenth of what the asyncio server of
-pymodbus 3.16 takes (`benchmarks/modbus_server.py`), a night makes some 35,000 of them, and both halves of function
-23 must be one transaction under the world's lock.
+A server of our own on a plain socket: a status transaction takes a third of the time that the asyncio server of
+pymodbus 3.16 needs before any word has a meaning (measured 0.13 against 0.39 ms), a night makes some 35,000 of
+them, and both halves of function 23 must be one transaction under the world's lock.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from typing import Final, Protocol
 
 import structlog
 
-from drivers.errors import DeviceError
+from drivers.errors import ConfigurationError, DeviceError
 from drivers.roles import Activation, AxisLimits, StoreLimits
 from simulators.wire.modbus_frames import RegisterError
 from simulators.wire.modbus_map import (
@@ -68,6 +68,7 @@ class ControllerRegisters:
     def __init__(self, machine: ControllerPhysics, numbers: NumberFormat, now: Callable[[], float]) -> None:
         self._machine = machine
         self._numbers = numbers
+        _require_representable(machine.store_limits)
         self.motion = MotionRegisters(machine, now)
         self.tables = TableBanks(machine, machine.store_limits, numbers, now)
         self._limits = limits_image(machine.limits(), machine.store_limits, numbers)
@@ -217,6 +218,16 @@ class ControllerRegisters:
         if table is None or block > table.descriptor.blocks:
             return None
         return table.counts[BYTES_PER_BLOCK * (block - 1) : BYTES_PER_BLOCK * block]
+
+
+def _require_representable(store: StoreLimits) -> None:
+    """The page knows banks 1 and 2, or a controller without tables."""
+    if sorted(store.banks) not in ([], [1, 2]) or max(store.max_nodes) > 0xFFFF:
+        raise ConfigurationError(
+            f"a store with banks {list(store.banks)} and {store.max_nodes} nodes does not fit the register map",
+            key="store",
+            hint="banks 1 and 2, and at most 65535 nodes along an axis",
+        )
 
 
 def limits_image(axes: AxisLimits, store: StoreLimits, numbers: NumberFormat) -> bytes:
