@@ -118,16 +118,17 @@ def _fill_error_motions(model: ErrorModel, numbers: _Numbers, rows: _Workspace) 
     low, high = np.array(model.ranges_mm).T[:, :, None]
     powers = rows.powers
     powers[:, 0] = 1.0
-    np.subtract(rows.positions, 0.5 * (low + high), out=powers[:, 1])
-    powers[:, 1] *= 2.0 / (high - low)
+    argument = np.subtract(rows.positions, 0.5 * (low + high), out=powers[:, 1])
+    argument *= 2.0 / (high - low)
     for k in range(2, powers.shape[1]):
-        np.multiply(powers[:, k - 1], powers[:, 1], out=powers[:, k])
+        np.multiply(powers[:, k - 1], argument, out=powers[:, k])
     np.matmul(numbers.series, powers, out=rows.motions)
     if model.cross_effect:
         v, w = cross_arguments(model, rows.positions[_Y], rows.positions[_Z])
         b0, b1, b2, c0, c1 = numbers.cross
-        rows.motions[_Z, 1] += ((b2 * w + b1) * w + b0) * v
-        rows.motions[_Z, 3] += (c1 * w + c0) * v
+        straightness, roll = rows.motions[_Z, 1], rows.motions[_Z, 3]
+        straightness += ((b2 * w + b1) * w + b0) * v
+        roll += (c1 * w + c0) * v
 
 
 def _fill_sines(rows: _Workspace) -> None:
@@ -145,10 +146,12 @@ def _fill_sines(rows: _Workspace) -> None:
 
 
 def _travel(axis: int, numbers: _Numbers, rows: _Workspace) -> None:
-    rows.arm[axis] += rows.positions[axis]
+    positions, arm = rows.positions[axis], rows.arm[axis]
+    arm += positions
     for component, share in enumerate(numbers.travel[axis]):
         if share != 0.0:
-            rows.deviation[component] += np.multiply(rows.positions[axis], share, out=rows.product)
+            deviation = rows.deviation[component]
+            deviation += np.multiply(positions, share, out=rows.product)
 
 
 def _rotate(axis: int, rows: _Workspace) -> None:
@@ -165,9 +168,10 @@ def _rotate(axis: int, rows: _Workspace) -> None:
     _turn((z, x), about_y, (last_z, change_x), rows.product)
     x += change_x
     _turn((x, y), about_z, (last_x, last_y), rows.product)
-    for component, changes in enumerate(((change_x, last_x), (change_y, last_y), (change_z, last_z))):
-        for change in changes:
-            rows.deviation[component] += change
+    deviation_x, deviation_y, deviation_z = rows.deviation
+    deviation_x += np.add(change_x, last_x, out=rows.product)
+    deviation_y += np.add(change_y, last_y, out=rows.product)
+    deviation_z += np.add(change_z, last_z, out=rows.product)
 
 
 def _turn(

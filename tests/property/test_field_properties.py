@@ -1,0 +1,90 @@
+"""What holds for every chain, range, tool and machine of the family."""
+
+import itertools
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin.chain import Chain, parse_chain
+from twin.error_model import CROSS_TERMS, ErrorModel
+from twin.family import family_from_amplitudes
+from twin.machine_model import exact_deviation, linear_deviation
+from twin.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms, volumetric_error
+
+CASE_STUDY_RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
+CASE_STUDY_AMPLITUDES = {
+    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
+    "straightness_um": [5.5, 3.3, 2.0, 1.2],
+    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
+    "squareness_urad": 9.0,
+    "cross_displacement_um": 4.5,
+    "cross_rotation_urad": 3.0,
+}
+
+chains = st.builds(
+    lambda order, bed: Chain(tuple(order[:bed]), tuple(order[bed:])),
+    st.sampled_from(list(itertools.permutations("XYZ"))),
+    st.integers(0, 3),
+)
+tools = st.tuples(*(st.floats(-400.0, 400.0) for _ in range(3)))
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(chains)
+def test_a_chain_survives_its_text(chain):
+    assert parse_chain(str(chain)) == chain
+
+
+@settings(max_examples=60, deadline=None)
+@given(chains, tools, st.integers(1, 6), seeds)
+def test_exact_and_linear_agree_within_five_nanometres_for_the_family(chain, tool, order, seed):
+    """Every coefficient at the border of the family, signs at random: the largest machines there are."""
+    rng = np.random.default_rng(seed)
+    model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, order, CROSS_TERMS)
+    largest = family_from_amplitudes(model, CASE_STUDY_AMPLITUDES).half_widths * rng.choice([-1.0, 1.0], model.size)
+    corners = np.array(list(itertools.product(*CASE_STUDY_RANGES)))
+    points = np.vstack((corners, rng.uniform(*np.array(CASE_STUDY_RANGES).T, (40, 3))))
+    exact = exact_deviation(model, points, tool, largest)
+    linear = linear_deviation(model, points, tool, largest)
+    assert np.abs(exact - linear).max() < 5e-6
+
+
+@settings(max_examples=30, deadline=None)
+@given(chains, tools, seeds)
+def test_what_linearisation_leaves_is_of_second_order(chain, tool, seed):
+    rng = np.random.default_rng(seed)
+    model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, 4)
+    errors = rng.uniform(-1.0, 1.0, model.size) * [0.05 if p.unit == "mm" else 5e-5 for p in model.parameters]
+    points = rng.uniform(*np.array(CASE_STUDY_RANGES).T, (20, 3))
+    left = [
+        exact_deviation(model, points, tool, scale * errors) - linear_deviation(model, points, tool, scale * errors)
+        for scale in (1.0, 0.5)
+    ]
+    np.testing.assert_allclose(left[0], 4.0 * left[1], rtol=0, atol=0.002 * np.abs(left[0]).max() + 1e-11)
+
+
+@settings(max_examples=25, deadline=None)
+@given(chains, tools, seeds)
+def test_the_quadratic_form_is_the_grid(chain, tool, seed):
+    rng = np.random.default_rng(seed)
+    model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, 3)
+    errors = rng.uniform(-1.0, 1.0, model.size) * [1e-2 if p.unit == "mm" else 1e-5 for p in model.parameters]
+    grid = evaluation_grid(CASE_STUDY_RANGES, (4, 3, 3))
+    direct = volumetric_error(grid + tool, linear_deviation(model, grid, tool, errors))
+    value = QuadraticForm.build(model, grid, tool).value(errors)
+    assert abs(value.raw_mm - direct.raw_mm) <= 1e-9 * direct.raw_mm
+    assert abs(value.aligned_mm - direct.aligned_mm) <= 1e-9 * direct.raw_mm
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.tuples(*(st.floats(-1.0, 1.0) for _ in range(6))), seeds)
+def test_alignment_takes_any_small_rigid_motion_and_does_it_once(motion, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-2000.0, 2000.0, (25, 3))
+    rigid = 1e-2 * np.array(motion[:3]) + np.cross(1e-5 * np.array(motion[3:]), points)
+    field = rng.normal(0.0, 1e-2, points.shape)
+    aligned = align_rigidly(points, field)
+    np.testing.assert_allclose(align_rigidly(points, field + rigid), aligned, atol=1e-12)
+    np.testing.assert_allclose(align_rigidly(points, aligned), aligned, atol=1e-14)
+    assert rms(aligned) <= rms(field)
