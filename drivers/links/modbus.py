@@ -190,9 +190,7 @@ class ModbusLink:
         """Function 16."""
         count = self._writable_count(register, data)
         head = struct.pack(">HH", register, count)
-        answer = self._checked(
-            WRITE, head + struct.pack(">B", len(data)) + data, register, idempotent=idempotent
-        )
+        answer = self._checked(WRITE, head + struct.pack(">B", len(data)) + data, register, idempotent=idempotent)
         if answer != head:
             raise ProtocolError("write answered for other registers", register=register, **self.where)
 

@@ -106,6 +106,9 @@ class Descriptor(NamedTuple):
     crc: int
 
 
+_LAST_OUTCOME = max(Outcome)
+
+
 class Layouts:
     """The layouts of all blocks for one number format."""
 
@@ -142,7 +145,7 @@ class Layouts:
 def _first_illegal(status: Status) -> str:
     if status.state_code not in STATES:
         return "state_code"
-    if status.motion_outcome > max(Outcome):
+    if status.motion_outcome > _LAST_OUTCOME:
         return "motion_outcome"
     if not all(map(math.isfinite, status.position)):
         return "position"

@@ -50,7 +50,7 @@ def stage_objection(limits: StoreLimits, table: TableImage) -> str:
     if any(have > most for have, most in zip(table.shape, limits.max_nodes, strict=True)) or (
         math.prod(table.shape) > limits.max_total_nodes
     ):
-        return f"grid {table.shape} exceeds {limits.max_nodes} nodes or {limits.max_total_nodes} in all"
+        return f"grid {table.shape} exceeds {limits.max_nodes} nodes, or {limits.max_total_nodes} in all"
     if not math.isclose(table.resolution_mm, limits.resolution_mm, rel_tol=1e-9):
         return f"one count of the table is {table.resolution_mm} mm, the controller's {limits.resolution_mm} mm"
     largest_mm = float(np.max(np.abs(table.counts.astype(np.int64)), initial=0)) * table.resolution_mm
