@@ -14,7 +14,8 @@ import structlog
 
 from simulators.wire.modbus_frames import FramingError, answer_request, cut_frames, frame
 from simulators.wire.modbus_numbers import Float64Numbers, NumberFormat
-from simulators.wire.modbus_registers import ControllerPhysics, ControllerRegisters
+from simulators.wire.modbus_physics import ControllerPhysics
+from simulators.wire.modbus_registers import ControllerRegisters
 from simulators.wire.shared_world import MovedByTime, SharedWorld
 from simulators.wire.tcp_server import TcpServer
 

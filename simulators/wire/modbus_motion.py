@@ -5,15 +5,17 @@ Source: docs/reference/modbus-register-map.md, 3, 5, 7 and 9.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
-from drivers.roles import AxisLimits, MotionState, Permission, Vector
+from drivers.roles import MotionState, Permission
+from simulators.wire.modbus_faults import WATCHED_FAULTS, fault_code, outcome_of
 from simulators.wire.modbus_map import CommandCode, FaultCode, LatchResult, Outcome, ResultCode, State
+from simulators.wire.modbus_physics import MovingMachine
 
 HEARTBEAT_WITHIN_S: Final = 1.0
 TRAVEL_TOLERANCE_MM: Final = 1e-9
@@ -28,97 +30,12 @@ PERMISSION_BITS: Final = (
     Permission.CONSENT,
 )
 
-_OUTCOME_OF_FAULT: Final = {
-    FaultCode.PROBE_TRIPPED: Outcome.GUARD_TRIPPED,
-    FaultCode.HEARTBEAT_LOST: Outcome.HEARTBEAT_LOST,
-}
-
 STATE_OF: Final = {
     MotionState.IDLE: State.IDLE,
     MotionState.MOVING: State.MOVING,
     MotionState.HELD: State.HELD,
     MotionState.FAULT: State.FAULT,
 }
-
-
-class Latch(Protocol):
-    @property
-    def sequence(self) -> int: ...
-
-    @property
-    def position(self) -> Vector: ...
-
-
-class MovingMachine(Protocol):
-    """What the registers need of the controller's physics."""
-
-    @property
-    def motion(self) -> MotionState: ...
-
-    @property
-    def fault(self) -> str: ...
-
-    @property
-    def latch(self) -> Latch | None: ...
-
-    @property
-    def probe_deflected(self) -> bool: ...
-
-    @property
-    def probe_loaded(self) -> bool: ...
-
-    @property
-    def probe_healthy(self) -> bool: ...
-
-    @property
-    def permissions(self) -> Mapping[Permission, bool]: ...
-
-    def limits(self) -> AxisLimits: ...
-
-    def displayed_position(self) -> Vector: ...
-
-    def begin_move(self, target: Vector, feed_mm_per_s: float | None, guarded: bool) -> None: ...
-
-    def begin_touch(self, target: Vector, feed_mm_per_s: float) -> None: ...
-
-    def hold(self) -> None: ...
-
-    def resume(self) -> None: ...
-
-    def halt(self) -> None: ...
-
-    def fail(self, reason: str) -> None: ...
-
-    def reset(self) -> None: ...
-
-
-WATCHED_FAULTS: Final = {
-    FaultCode.HEARTBEAT_LOST: "agent heartbeat lost",
-    FaultCode.DOOR_OPENED: "door opened while moving",
-    FaultCode.PERMISSION_LOST: "permission lost while moving",
-    FaultCode.PROBE_LOST: "probe lost while moving",
-}
-"""Faults that are found here and not by the physics, in the words given to it."""
-
-_FAULT_WORDS: Final = (
-    ("collision", FaultCode.COLLISION),
-    ("overload", FaultCode.COLLISION),
-    ("probe tripped", FaultCode.PROBE_TRIPPED),
-    ("emergency", FaultCode.EMERGENCY_STOP),
-    ("travel", FaultCode.END_OF_TRAVEL),
-    ("following", FaultCode.FOLLOWING_ERROR),
-    ("drive", FaultCode.DRIVE),
-    *((words, code) for code, words in WATCHED_FAULTS.items()),
-)
-
-
-def fault_code(fault: str) -> FaultCode:
-    """The code of a fault the physics names in words; 99 for one the table has no code for."""
-    words = fault.lower()
-    for marker, code in _FAULT_WORDS:
-        if marker in words:
-            return code
-    return FaultCode.OTHER
 
 
 @dataclass(frozen=True)
@@ -225,7 +142,7 @@ class MotionRegisters:
 
     def _settle(self) -> None:
         if self._machine.motion is MotionState.FAULT:
-            self.outcome = _OUTCOME_OF_FAULT.get(self.fault, Outcome.FAULT)
+            self.outcome = outcome_of(self.fault)
         elif self._ending:
             self.outcome = Outcome.STOPPED
         elif self._order is not None and self._order.touch:

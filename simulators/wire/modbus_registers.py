@@ -6,7 +6,7 @@ Source: docs/reference/modbus-register-map.md, 2 to 6 and 8.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final, Protocol
+from typing import Final
 
 import structlog
 
@@ -37,9 +37,10 @@ from simulators.wire.modbus_map import (
     ExceptionCode,
     ResultCode,
 )
-from simulators.wire.modbus_motion import MotionOrder, MotionRegisters, MovingMachine
+from simulators.wire.modbus_motion import MotionOrder, MotionRegisters
 from simulators.wire.modbus_numbers import NumberFormat
-from simulators.wire.modbus_tables import BYTES_PER_BLOCK, TableBanks, TableMemory
+from simulators.wire.modbus_physics import ControllerPhysics
+from simulators.wire.modbus_tables import BYTES_PER_BLOCK, TableBanks
 
 log = structlog.get_logger()
 
@@ -51,15 +52,6 @@ ACTIVATION_CODE: Final = {
     Activation.POWER_CYCLE: 2,
     Activation.REFERENCE: 3,
 }
-
-
-class ControllerPhysics(MovingMachine, TableMemory, Protocol):
-    """The simulated controller as the registers need it (`simulators.world.Controller` is one)."""
-
-    @property
-    def store_limits(self) -> StoreLimits: ...
-
-    def temperatures(self) -> Mapping[str, float]: ...
 
 
 class ControllerRegisters:

@@ -6,10 +6,10 @@ Source: docs/reference/modbus-register-map.md, 8.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import ceil, isfinite, prod
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -21,24 +21,11 @@ from simulators.wire.modbus_map import (
     ResultCode,
 )
 from simulators.wire.modbus_numbers import NumberFormat
+from simulators.wire.modbus_physics import TableMemory
 
 COUNTS_PER_BLOCK: Final = 60
 BYTES_PER_BLOCK: Final = 4 * COUNTS_PER_BLOCK
 ARMED_FOR_S: Final = 5.0
-
-
-class TableMemory(Protocol):
-    """What the controller behind the registers keeps: its banks, and the one that acts."""
-
-    @property
-    def banks(self) -> Mapping[int, TableImage]: ...
-
-    @property
-    def active_bank(self) -> int: ...
-
-    def write_bank(self, bank: int, image: TableImage) -> None: ...
-
-    def activate(self, bank: int) -> None: ...
 
 
 @dataclass(frozen=True)

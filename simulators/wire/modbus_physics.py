@@ -1,0 +1,82 @@
+"""What the registers need of the physics behind them (`simulators.world.controller.Controller` has it all)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from drivers.roles import AxisLimits, MotionState, Permission, StoreLimits, TableImage, Vector
+
+
+class Latch(Protocol):
+    @property
+    def sequence(self) -> int: ...
+
+    @property
+    def position(self) -> Vector: ...
+
+
+class MovingMachine(Protocol):
+    """What the registers need of the controller's physics."""
+
+    @property
+    def motion(self) -> MotionState: ...
+
+    @property
+    def fault(self) -> str: ...
+
+    @property
+    def latch(self) -> Latch | None: ...
+
+    @property
+    def probe_deflected(self) -> bool: ...
+
+    @property
+    def probe_loaded(self) -> bool: ...
+
+    @property
+    def probe_healthy(self) -> bool: ...
+
+    @property
+    def permissions(self) -> Mapping[Permission, bool]: ...
+
+    def limits(self) -> AxisLimits: ...
+
+    def displayed_position(self) -> Vector: ...
+
+    def begin_move(self, target: Vector, feed_mm_per_s: float | None, guarded: bool) -> None: ...
+
+    def begin_touch(self, target: Vector, feed_mm_per_s: float) -> None: ...
+
+    def hold(self) -> None: ...
+
+    def resume(self) -> None: ...
+
+    def halt(self) -> None: ...
+
+    def fail(self, reason: str) -> None: ...
+
+    def reset(self) -> None: ...
+
+
+class TableMemory(Protocol):
+    """What the controller behind the registers keeps: its banks, and the one that acts."""
+
+    @property
+    def banks(self) -> Mapping[int, TableImage]: ...
+
+    @property
+    def active_bank(self) -> int: ...
+
+    def write_bank(self, bank: int, image: TableImage) -> None: ...
+
+    def activate(self, bank: int) -> None: ...
+
+
+class ControllerPhysics(MovingMachine, TableMemory, Protocol):
+    """The simulated controller as the registers need it (`simulators.world.Controller` is one)."""
+
+    @property
+    def store_limits(self) -> StoreLimits: ...
+
+    def temperatures(self) -> Mapping[str, float]: ...
