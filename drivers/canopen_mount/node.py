@@ -21,16 +21,17 @@ from drivers.clock import Clock
 from drivers.errors import CommandRejected, DeviceError, LinkTimeout, MotionFault, ProtocolError
 from drivers.links.can_bus import CanLink
 
-READ_ATTEMPTS = 2
-"""A read changes nothing and may be repeated; a write is never repeated blindly."""
-
 T = TypeVar("T")
 
 _log = structlog.get_logger("canopen_mount")
 
 
 class DriveNode:
-    """`axis` is how messages call it. SDO exchanges take wall time, bounded by `sdo_timeout_s`."""
+    """`axis` is how messages call it. SDO exchanges take wall time, bounded by twice `sdo_timeout_s`.
+
+    An exchange without an answer is repeated once, reads and writes alike: the same value written twice changes
+    nothing, because targets are absolute and the commands in the controlword act on the rising edge of a bit.
+    """
 
     def __init__(
         self,
@@ -70,13 +71,7 @@ class DriveNode:
         return entry.unpack(data)
 
     def read_bytes(self, entry: DriveObject) -> bytes:
-        for attempt in range(1, READ_ATTEMPTS + 1):
-            try:
-                return bytes(self._transfer(entry, lambda: self._node.sdo.upload(entry.index, entry.subindex)))
-            except LinkTimeout:
-                if attempt == READ_ATTEMPTS:
-                    raise
-        raise AssertionError("unreachable")
+        return bytes(self._transfer(entry, lambda: self._node.sdo.upload(entry.index, entry.subindex)))
 
     def write(self, entry: DriveObject, value: int) -> None:
         """Raises as `read`; CommandRejected carries the drive's reason."""
@@ -118,15 +113,20 @@ class DriveNode:
             self._emergencies.append(int(emergency.code))
 
     def _transfer(self, entry: DriveObject, exchange: Callable[[], T]) -> T:
+        try:
+            return self._exchange_once(entry, exchange)
+        except LinkTimeout:
+            _log.warning("SDO answer missing, asked again", object=str(entry), **self.where)
+            return self._exchange_once(entry, exchange)
+
+    def _exchange_once(self, entry: DriveObject, exchange: Callable[[], T]) -> T:
         with self._exchange:
             try:
                 self._link.check()
                 return exchange()
             except canopen.SdoAbortedError as error:
                 raise CommandRejected(
-                    f"the drive refused {entry}: {error}",
-                    hint="compare with the drive's manual",
-                    **self.where,
+                    f"the drive refused {entry}: {error}", hint="compare with the drive's manual", **self.where
                 ) from error
             except canopen.SdoCommunicationError as error:
                 raise self._unanswered(entry, error) from error

@@ -90,6 +90,7 @@ class ServoDrive:
         self._registers: dict[tuple[int, int], int] = {}
         self._emergencies: list[int] = []
         self._jammed = False
+        self._deviating = False
         self.reset()
 
     def reset(self) -> None:
@@ -130,6 +131,10 @@ class ServoDrive:
     def jam(self, *, jammed: bool = True) -> None:
         """Commands are accepted and the axis does not move."""
         self._jammed = jammed
+
+    def deviate(self, *, deviating: bool = True) -> None:
+        """Statusword bit 13, following or homing error, in a drive that is set not to trip on it."""
+        self._deviating = deviating
 
     def warn(self, code: int) -> None:
         """An emergency message without a fault."""
@@ -191,6 +196,8 @@ class ServoDrive:
             word |= 0x0400
         if self._homing_attained if self._mode == HOMING else self._acknowledged:
             word |= 0x1000
+        if self._deviating and self._state is State.ENABLED:
+            word |= 0x2000
         return word
 
     def _control(self, word: int) -> None:

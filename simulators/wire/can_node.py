@@ -54,6 +54,7 @@ class CanopenNode:
         self.node_id = node_id
         self.state = NmtState.PRE_OPERATIONAL
         self.silent = False
+        self._answers_to_lose = 0
         self._application = application
         self._heartbeat_ms = 0
         self._next_heartbeat_s = 0.0
@@ -87,6 +88,9 @@ class CanopenNode:
             return self._command(data[0])
         if identifier == 0x600 + self.node_id and self.state is not NmtState.STOPPED:
             answer = self._sdo.answer(data)
+            if answer is not None and self._answers_to_lose:
+                self._answers_to_lose -= 1
+                answer = None
             emergencies = self._emergency_frames()
             return emergencies + ([(0x580 + self.node_id, answer)] if answer is not None else [])
         return []
@@ -104,6 +108,10 @@ class CanopenNode:
     def stop_heartbeat(self) -> None:
         """The node falls silent there and still answers."""
         self._heartbeat_ms = 0
+
+    def lose_answers(self, count: int) -> None:
+        """The next `count` SDO answers do not arrive; what they answer has been done."""
+        self._answers_to_lose = count
 
     def _command(self, command: int) -> list[Frame]:
         targets = {0x01: NmtState.OPERATIONAL, 0x02: NmtState.STOPPED, 0x80: NmtState.PRE_OPERATIONAL}

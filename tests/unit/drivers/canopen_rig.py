@@ -128,7 +128,7 @@ def rig(
             "channel": channel,
             "azimuth": axis_settings(5, **(azimuth or {})),
             "elevation": axis_settings(6, **(elevation or {})),
-            "sdo_timeout_s": 0.5,
+            "sdo_timeout_s": 2.0,
             **settings,
         }
     )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -168,3 +170,12 @@ def mount_settings(**changes: Any) -> dict[str, Any]:
 def test_settings_that_cannot_be(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ValidationError, match=text):
         CanopenMountSettings.model_validate(mount_settings(**changes))
+
+
+def test_settings_of_the_reference_page() -> None:
+    page = Path(__file__).parents[3] / "docs" / "reference" / "canopen-mount.md"
+    example = page.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    options = tomllib.loads(example)["devices"]["mount"]["options"]
+    settings = CanopenMountSettings.model_validate(options)
+    assert settings.azimuth.scale.counts(90.0) == 2_621_440  # 131072 * 80 / 4
+    assert settings.options == {"bitrate": 500_000}

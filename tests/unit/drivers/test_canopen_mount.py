@@ -150,6 +150,34 @@ def test_fault_in_a_turn_names_the_emergency() -> None:
         assert both_stopped(bench)
 
 
+def test_following_error_without_a_fault() -> None:
+    with rig() as bench:
+        at(bench.clock, 2.0, bench.elevation.deviate)
+        with pytest.raises(MotionFault, match=r"following error \(statusword bit 13\)"):
+            bench.mount.orient_to(90.0, 60.0)
+        assert both_stopped(bench)
+
+
+@pytest.mark.parametrize("exchange", range(1, 9))
+def test_one_lost_answer_is_asked_for_again(exchange: int) -> None:
+    """Whichever SDO answer of a turn is lost, the set-point is taken once and the turn ends."""
+    with rig(sdo_timeout_s=0.2) as bench:
+        bench.mount.orient_to(0.0, 0.0)
+        bench.axes.commands.clear()
+        answered = []
+        receive = bench.azimuth_node.receive
+
+        def receive_and_count(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
+            if identifier == 0x605 and data[0] != 0x80:
+                answered.append(data)
+                bench.azimuth_node.lose_answers(int(len(answered) == exchange))
+            return receive(identifier, data)
+
+        bench.azimuth_node.receive = receive_and_count
+        assert bench.mount.orient_to(10.0, 0.0) == Orientation(10.0, 0.0)
+        assert [command for command in bench.axes.commands if command[0] == "azimuth"] == [("azimuth", 10.0, 10.0)]
+
+
 def test_fault_is_reset_once_when_the_mount_is_next_turned() -> None:
     with rig() as bench:
         bench.azimuth.trip(0x3220)
@@ -200,7 +228,7 @@ def test_restart_between_turns_is_a_fault_too() -> None:
 
 
 def test_silent_drive_is_a_timeout_that_says_what_to_check() -> None:
-    with rig(sdo_timeout_s=0.05) as bench:
+    with rig(sdo_timeout_s=0.2) as bench:
 
         def power_off() -> None:
             bench.azimuth_node.silent = True
@@ -222,7 +250,7 @@ def test_late_heartbeat_is_confirmed_by_asking() -> None:
 
 def test_heartbeat_loss_of_a_drive_that_is_not_asked() -> None:
     """The elevation has reached its target and is looked at no more; its silence is noticed by its heartbeat."""
-    with rig(sdo_timeout_s=0.05) as bench:
+    with rig(sdo_timeout_s=0.2) as bench:
 
         def power_off() -> None:
             bench.elevation_node.silent = True
@@ -327,7 +355,7 @@ def test_restart_forgets_the_reference() -> None:
 
 
 def test_nobody_at_the_node_id() -> None:
-    with rig(opened=False, azimuth={"node_id": 9}, sdo_timeout_s=0.05) as bench:
+    with rig(opened=False, azimuth={"node_id": 9}, sdo_timeout_s=0.2) as bench:
         with pytest.raises(LinkTimeout, match="no SDO response from node 9 to 0x1000:00 device type"):
             bench.mount.open()
         assert not bench.mount.diagnose()[0].ok
