@@ -64,13 +64,15 @@ class CentreEquations:
         white = self._whitened(left - poses.place(self.problem.layout, local))
         return self.projector.remove(white[:, :, None])[:, :, 0]
 
-    def noise_gram(self, size: int) -> Array:
-        """AᵀCA of the first `size` unknowns, C the covariance of the equations' noise (1 with full weights)."""
+    def noise_gram(self, size: int) -> tuple[Array, float]:
+        """AᵀCA of the first `size` unknowns and trace C, C the covariance of the equations' noise."""
         layout = self.problem.layout
-        rows = self.projector.remove(self.white[:, :, :size]).reshape(layout.positions, layout.width, 3, size)
-        found = layout.unpad(rows)
+        shape = (layout.positions, layout.width, 3)
+        found = layout.unpad(self.projector.remove(self.white[:, :, :size]).reshape(*shape, size))
+        q = layout.unpad(self.projector.q.reshape(*shape, 6))
         noise = self.whitening @ self.problem.observations.covariance @ self.whitening.transpose(0, 2, 1)
-        return found.reshape(-1, size).T @ (noise @ found).reshape(-1, size)
+        total = np.einsum("nii->", noise) - np.einsum("nij,nij->", q, noise @ q)
+        return found.reshape(-1, size).T @ (noise @ found).reshape(-1, size), float(total)
 
     def _whitened(self, residuals: Array) -> Array:
         layout = self.problem.layout

@@ -64,15 +64,15 @@ class DistanceEquations:
         target = self.white @ z - self._remaining(z)
         return self.white.T @ target, float(target @ target), poses
 
-    def noise_gram(self, size: int) -> Array:
-        """AᵀCA of the first `size` unknowns, C the covariance of the equations' noise (1 with full weights)."""
+    def noise_gram(self, size: int) -> tuple[Array, float]:
+        """AᵀCA of the first `size` unknowns and trace C, C the covariance of the equations' noise."""
         gram = np.zeros((size, size))
         start = 0
         for covariance in self.noise:
             rows = self.white[start : start + len(covariance), :size]
             gram += rows.T @ covariance @ rows
             start += len(covariance)
-        return gram
+        return gram, float(sum(np.trace(covariance) for covariance in self.noise))
 
     def _remaining(self, z: Array) -> Array:
         """Whitened exact distance errors (M,), as found less as calibrated."""

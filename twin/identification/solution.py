@@ -120,10 +120,10 @@ def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -
         z[block] = posterior.solve(normal.right[block])
         if float(np.abs(z[block] - previous).max()) < _CONVERGED:
             break
-    covariance = _sandwich(equations, posterior, problem.blocks)
+    covariance, expected = _sandwich(equations, posterior, problem.blocks)
     taken = float((posterior.covariance * information).sum())
     freedom = max(equations.rows - taken, 1.0)
-    chi2 = normal.misfit_square(z) / freedom
+    chi2 = normal.misfit_square(z) / expected
     return Solution(equations, precision, Scales(), posterior, covariance, z, poses, chi2, freedom)
 
 
@@ -132,19 +132,22 @@ def _held(information: Array) -> Array:
     return np.asarray(open_ @ open_.T)
 
 
-def _sandwich(equations: Equations, posterior: Posterior, blocks: Blocks) -> Array:
-    """(P, P) covariance of truth less estimate for gain H⁻¹ Aᵀ with truth ~ prior, noise and nuisance of the full model."""
-    block = blocks.parameters
-    own = equations.matrix[block, block]
-    rest = slice(block.stop, blocks.size)
-    others = posterior.solve(equations.matrix[block, rest])
+def _sandwich(equations: Equations, posterior: Posterior, blocks: Blocks) -> tuple[Array, float]:
+    """Covariance (P, P) of truth less estimate for the gain H⁻¹ Aᵀ, and the expected square of the residuals, where the
+    truth follows the prior, the noise its stated covariance and the nuisance the full model."""
+    block, rest = blocks.parameters, slice(blocks.parameters.stop, blocks.size)
+    own, shared = equations.matrix[block, block], equations.matrix[block, rest]
+    gram, total = equations.noise_gram(block.stop)
+    others, noise = posterior.solve(shared), posterior.solve(gram)
     kept = np.eye(block.stop) - posterior.solve(own)
-    noise = posterior.solve(posterior.solve(equations.noise_gram(block.stop)).T)
+    error = kept @ kept.T + posterior.solve(noise.T) + others @ others.T
     full = np.eye(blocks.size)
-    full[block, block] = kept @ kept.T + noise + others @ others.T
+    full[block, block] = error
     full[block, rest] = -others
     full[rest, block] = -others.T
-    return full
+    expected = float((own * error).sum()) + float(np.trace(equations.matrix[rest, rest])) + total
+    expected -= 2.0 * (float((shared * others).sum()) + float(np.trace(noise)))
+    return full, max(expected, 1e-300)
 
 
 def prior_scale(problem: Problem) -> Array:
