@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Protocol
 
 BYTES_PER_NUMBER = 8
@@ -41,4 +42,5 @@ class ScaledInt32Numbers:
 
     def unpack(self, data: bytes) -> tuple[float, ...]:
         counts = struct.unpack(">" + "i4x" * (len(data) // BYTES_PER_NUMBER), data)
-        return tuple(count * self.scale for count in counts)
+        unit = Decimal(repr(self.scale))  # so that 50 000 000 counts of 0.00001 are 500, not its neighbour
+        return tuple(float(count * unit) for count in counts)

@@ -706,7 +706,7 @@ def test_scaled_integers() -> None:
         numbers = struct.pack(">i4xi4xi4xi4x", 100_000, 200_000, -50_000, 500_000)
         rig.peer.write(2000, struct.pack(">4HI", 1, 12, 0, 0, 0) + numbers + b"\x00\x01")
         assert rig.peer.words(1008, 2) == (1, 1)
-        assert rig.controller.orders == [("move", pytest.approx([1.0, 2.0, -0.5]), pytest.approx(5.0))]
+        assert rig.controller.orders == [("move", [1.0, 2.0, -0.5], 5.0)]
 
 
 def test_address_that_is_taken_is_a_clear_error(rig: Rig) -> None:
