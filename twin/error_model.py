@@ -21,7 +21,7 @@ w = (z - z0)/Lz from the lower end and length of the ranges of Y and Z, added to
     E_AZ(y, z) = (c0 + c1 w) v             c in rad
 
 b0 is off by default because b0 v is a scale error of Y (EYY[1]), c0 because c0 v gives a vertical
-displacement that EZY[2] (and EAY[1]) already describes; both but for a rigid motion.
+displacement that EZY[2] and A0Z already describe; both but for a rigid motion, on a ram that carries the tool.
 """
 
 from __future__ import annotations

@@ -170,6 +170,24 @@ def test_what_one_straight_probe_along_y_sees():
             np.testing.assert_allclose(merged, sign * columns[:, model.index(f"{straightness}[{k}]")])
 
 
+@pytest.mark.parametrize(
+    ("name", "others"),
+    [
+        ("CROSS[b0]", ["EYY[1]"]),
+        ("CROSS[c0]", ["EZY[2]", "A0Z"]),
+        ("ECY[1]", ["C0Y"]),
+        ("EAY[1]", ["A0Z"]),
+    ],
+)
+def test_parameters_that_are_others_but_for_a_rigid_motion(name, others):
+    model = model_of()
+    _, basis = seen(model, PROBE)
+    column, rest = basis[:, model.index(name)], basis[:, [model.index(other) for other in others]]
+    fit, *_ = np.linalg.lstsq(rest, column, rcond=None)
+    assert np.linalg.norm(column) > 1e-3
+    np.testing.assert_allclose(rest @ fit, column, rtol=0, atol=1e-13)
+
+
 def test_a_second_tool_length_shows_more():
     rank, _ = seen(model_of(order=4), PROBE, np.array([0.0, 400.0, 0.0]))
     assert rank == 65
