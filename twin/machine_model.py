@@ -105,11 +105,11 @@ def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _Numbers, 
         _fill_error_motions(axis, model, numbers, rows)
         _fill_sines(rows)
         if letter in model.chain.tool_side:
-            _rotate(axis, rows)
+            _rotate(rows)
             _travel(axis, numbers, rows)
         else:
             _travel(axis, numbers, rows)
-            _rotate(axis, rows)
+            _rotate(rows)
         rows.deviation += rows.motions[:3]
 
 
@@ -154,7 +154,7 @@ def _travel(axis: int, numbers: _Numbers, rows: _Workspace) -> None:
             deviation += np.multiply(positions, share, out=rows.product)
 
 
-def _rotate(axis: int, rows: _Workspace) -> None:
+def _rotate(rows: _Workspace) -> None:
     """Turn arm + deviation by Rz(EC) Ry(EB) Rx(EA) and book the change as deviation.
 
     The cosines come less one, so that nothing is subtracted from the long arm.
