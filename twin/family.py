@@ -58,9 +58,7 @@ def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | S
     return Family(model, np.array(widths))
 
 
-def _half_width(
-    model: ErrorModel, parameter: Parameter, amplitudes: Mapping[str, float | Sequence[float]]
-) -> float:
+def _half_width(model: ErrorModel, parameter: Parameter, amplitudes: Mapping[str, float | Sequence[float]]) -> float:
     kind = f"{parameter.kind}_{'um' if parameter.unit == 'mm' else 'urad'}"
     values = _as_list(amplitudes.get(kind, 0.0), kind)
     if kind in SINGLE_KINDS:

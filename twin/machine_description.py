@@ -45,8 +45,7 @@ class MachineDescription:
             as_vector(offset, 3, f"offset of tool {name}")
         if self.deflection is not None and not self.deflection.covers(self.limits):
             spans = ", ".join(
-                f"{axis} {nodes[0]:g} to {nodes[-1]:g}"
-                for axis, nodes in zip(AXES, self.deflection.nodes, strict=True)
+                f"{axis} {nodes[0]:g} to {nodes[-1]:g}" for axis, nodes in zip(AXES, self.deflection.nodes, strict=True)
             )
             hint = "Outside a grid nothing is extrapolated: export it over the whole travel"
             message = f"the deflection grid ({spans} mm) does not cover the travel"
@@ -55,7 +54,5 @@ class MachineDescription:
     def tool(self, name: str) -> Array:
         """Offset (3,) of the tool called `name`; ModelError names the known ones."""
         if name not in self.tools:
-            raise ModelError(
-                f"the machine has no tool '{name}'", hint=f"Known tools: {', '.join(self.tools)}"
-            )
+            raise ModelError(f"the machine has no tool '{name}'", hint=f"Known tools: {', '.join(self.tools)}")
         return self.tools[name]

@@ -14,9 +14,7 @@ from twin.deflection import DeflectionGrid
 from twin.errors import FormatError, ModelError
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "ux_um", "uy_um", "uz_um")
-_SAME_NODE_DIGITS = (
-    6  # coordinates that agree to a nanometre are one node: exports differ in their last digits
-)
+_SAME_NODE_DIGITS = 6  # coordinates that agree to a nanometre are one node: exports differ in their last digits
 
 
 def parse_deflection(text: str, source: str) -> DeflectionGrid:
@@ -102,7 +100,5 @@ def _check_complete(flat: NDArray[np.intp], nodes: list[Array], rows: list[int],
     index = np.unravel_index(missing, shape)
     where = ", ".join(f"{axis} {n[k]:g}" for axis, n, k in zip(AXES, nodes, index, strict=True))
     sizes = " x ".join(str(size) for size in shape)
-    message = (
-        f"{count - len(first_seen)} of {count} nodes of the {sizes} grid are missing, the first at {where}"
-    )
+    message = f"{count - len(first_seen)} of {count} nodes of the {sizes} grid are missing, the first at {where}"
     raise FormatError(message, hint="A grid needs a line for every combination of x, y and z", file=source)

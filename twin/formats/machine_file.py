@@ -110,9 +110,7 @@ def _described(
     section: MachineSection, source: str, axes: Sequence[AxisSection], read_text: Callable[[str], str]
 ) -> MachineDescription:
     ranges = _triple_of_pairs([axis.range_mm for axis in axes])
-    model = ErrorModel(
-        parse_chain(section.chain), ranges, _orders(section.model, source), _cross_effect(section.model)
-    )
+    model = ErrorModel(parse_chain(section.chain), ranges, _orders(section.model, source), _cross_effect(section.model))
     amplitudes = section.model.family.model_dump()
     return MachineDescription(
         name=section.name,

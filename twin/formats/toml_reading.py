@@ -51,9 +51,7 @@ def key_path(location: Sequence[str | int]) -> str:
 
 
 def _explained(error: ValidationError, source: str, kind: type[BaseModel]) -> FormatError:
-    problems = sorted(
-        error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden"
-    )
+    problems = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
     start = _place(problems[0]["loc"])
     same = [problem for problem in problems if _place(problem["loc"]).startswith(start)]
     worst = max(same, key=lambda problem: len(_without_union_labels(problem["loc"])))
