@@ -1,0 +1,139 @@
+"""Ball centres as CSV, one line per ball; x, y, z are axis positions, no tool offset added."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.errors import FormatError, TwinError
+from twin.formats.csv_reading import Row, read_rows
+from twin.observations import Observations
+from twin.position_set import Position
+
+COLUMNS = (
+    "position",
+    "station",
+    "azimuth_deg",
+    "elevation_deg",
+    "tool",
+    "ball",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "sigma_um",
+    "temperature_c",
+)
+DEFAULT_SIGMA_UM = 1.0
+DEFAULT_TEMPERATURE_C = 20.0
+"""ISO 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class BallFile:
+    """`observations` in the order of the file, their positions renumbered 0 ... K-1 in the order of the numbers in the
+    file; `positions` (K) what the file says of each."""
+
+    observations: Observations
+    positions: tuple[Position, ...]
+
+
+def parse_balls(
+    text: str,
+    source: str,
+    tools: Mapping[str, ArrayLike],
+    default_sigma_um: float = DEFAULT_SIGMA_UM,
+    default_temperature_c: float = DEFAULT_TEMPERATURE_C,
+) -> BallFile:
+    """Ball file from CSV text; `tools` are the tool offsets (3,) mm of the machine file.
+
+    The defaults stand for empty cells. Raises FormatError naming `source`, row and column.
+    """
+    rows = list(read_rows(text, source, COLUMNS))
+    if not rows:
+        raise FormatError("no ball follows the header", file=source)
+    names = list(tools)
+    numbers = [row.whole("position", 0) for row in rows]
+    tool = [_tool(row, names) for row in rows]
+    ball = [row.whole("ball", 0) for row in rows]
+    _refuse_duplicates(rows, numbers, tool, ball)
+    positions = _positions(rows, numbers)
+    place = {number: index for index, number in enumerate(positions)}
+    sigma_mm = np.array([1e-3 * _sigma_um(row, default_sigma_um) for row in rows])
+    elevations = [positions[number].elevation_deg for number in numbers]
+    observations = Observations(
+        position=np.array([place[number] for number in numbers]),
+        ball=np.array(ball),
+        tool=np.array(tool),
+        axis_positions=np.array([[row.real(name) for name in ("x_mm", "y_mm", "z_mm")] for row in rows]),
+        covariance=sigma_mm[:, None, None] ** 2 * np.eye(3),
+        temperature_c=np.array([row.real("temperature_c", default_temperature_c) for row in rows]),
+        elevation_rad=np.radians(elevations),
+        tool_offsets=np.array([tools[name] for name in names], dtype=np.float64),
+    )
+    return BallFile(observations, tuple(positions.values()))
+
+
+def format_balls(observations: Observations, positions: Sequence[Position], tool_names: Sequence[str]) -> str:
+    """CSV text; `positions` (K) by the observations' position numbers, `tool_names` (T) by their tool numbers.
+
+    A full covariance becomes one standard deviation, the root of its mean variance.
+    """
+    lines = [",".join(COLUMNS)]
+    sigma_um = 1e3 * np.sqrt(np.einsum("nii->n", observations.covariance) / 3.0)
+    for row in range(observations.size):
+        place = positions[int(observations.position[row])]
+        head = f"{observations.position[row]},{place.station},{place.azimuth_deg:.10g},{place.elevation_deg:.10g}"
+        x, y, z = observations.axis_positions[row].tolist()
+        measured = f"{x:.7f},{y:.7f},{z:.7f},{sigma_um[row]:.6g},{observations.temperature_c[row]:.10g}"
+        lines.append(f"{head},{tool_names[int(observations.tool[row])]},{observations.ball[row]},{measured}")
+    return "\n".join(lines) + "\n"
+
+
+def _tool(row: Row, names: list[str]) -> int:
+    name = row.cells["tool"]
+    if name not in names:
+        raise row.fail(f"unknown tool '{name}'", "tool", hint=f"The machine file knows {', '.join(names)}")
+    return names.index(name)
+
+
+def _sigma_um(row: Row, empty: float) -> float:
+    sigma = row.real("sigma_um", empty)
+    if not sigma > 0.0:
+        raise row.fail(f"a standard uncertainty must be positive, not {sigma:g}", "sigma_um")
+    return sigma
+
+
+def _refuse_duplicates(rows: list[Row], numbers: list[int], tool: list[int], ball: list[int]) -> None:
+    seen: dict[tuple[int, int, int], int] = {}
+    for row, key in zip(rows, zip(numbers, tool, ball, strict=True), strict=True):
+        first = seen.setdefault(key, row.number)
+        if first != row.number:
+            message = f"ball {key[2]} of position {key[0]} was already given in row {first}"
+            raise row.fail(message, "ball", hint="Keep one centre per position, tool and ball")
+
+
+def _positions(rows: list[Row], numbers: list[int]) -> dict[int, Position]:
+    """What the file says of each position, by its number there; all rows of a position must agree."""
+    found: dict[int, tuple[Row, Position]] = {}
+    for row, number in zip(rows, numbers, strict=True):
+        position = _position(row)
+        first, said = found.setdefault(number, (row, position))
+        for column in ("station", "azimuth_deg", "elevation_deg"):
+            if not math.isclose(getattr(position, column), getattr(said, column), abs_tol=1e-9):
+                message = f"position {number} has another {column} than in row {first.number}"
+                raise row.fail(message, column, hint="One position is one placement of the artefact")
+    return {number: found[number][1] for number in sorted(found)}
+
+
+def _position(row: Row) -> Position:
+    station = row.whole("station", 1)
+    try:
+        return Position(station, row.real("azimuth_deg"), row.real("elevation_deg"))
+    except FormatError:
+        raise
+    except TwinError as error:
+        raise row.fail(error.message, "azimuth_deg", hint=error.hint) from None

@@ -1,0 +1,71 @@
+"""CSV text to rows of named cells; every mistake named by file, row (the header is row 1) and column."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from twin.errors import FormatError
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a CSV file: `number` of the line, `cells` by column name."""
+
+    source: str
+    number: int
+    cells: dict[str, str]
+
+    def fail(self, message: str, column: str, hint: str = "") -> FormatError:
+        return FormatError(message, hint=hint, file=self.source, row=self.number, column=column)
+
+    def real(self, column: str, empty: float | None = None) -> float:
+        """Finite number; `empty` stands for an empty cell where that is allowed."""
+        text = self.cells[column]
+        if not text and empty is not None:
+            return empty
+        try:
+            value = float(text)
+        except ValueError:
+            raise self.fail(f"'{text}' is no number" if text else "the cell is empty", column) from None
+        if not math.isfinite(value):
+            raise self.fail(f"'{text}' is not finite", column)
+        return value
+
+    def whole(self, column: str, at_least: int) -> int:
+        text = self.cells[column]
+        try:
+            value = int(text)
+        except ValueError:
+            raise self.fail(f"'{text}' is no whole number", column) from None
+        if value < at_least:
+            raise self.fail(f"{value} is less than {at_least}", column)
+        return value
+
+
+def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[Row]:
+    """Rows of a CSV text whose header names exactly `columns`, in any order; blank lines are passed over."""
+    lines = csv.reader(text.removeprefix("\ufeff").splitlines())
+    header = [name.strip() for name in next(lines, [])]
+    _check_header(header, source, columns)
+    for cells in lines:
+        if not any(cell.strip() for cell in cells):
+            continue
+        if len(cells) != len(header):
+            message = f"{len(cells)} values where the header names {len(header)}"
+            raise FormatError(message, file=source, row=lines.line_num)
+        named = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
+        yield Row(source, lines.line_num, named)
+
+
+def _check_header(header: list[str], source: str, columns: Sequence[str]) -> None:
+    hint = f"The first line is {','.join(columns)}"
+    for name in columns:
+        if header.count(name) != 1:
+            problem = "is missing" if name not in header else "stands twice"
+            raise FormatError(f"column '{name}' {problem}", hint=hint, file=source, row=1, column=name)
+    for name in header:
+        if name not in columns:
+            raise FormatError(f"unknown column '{name}'", hint=hint, file=source, row=1, column=name)

@@ -1,0 +1,26 @@
+"""JSON text to a validated value; every mistake named by file and key path."""
+
+from __future__ import annotations
+
+import json
+from typing import TypeVar
+
+from twin.errors import FormatError
+from twin.formats.toml_reading import Strict, validated
+
+Section = TypeVar("Section", bound=Strict)
+
+
+def read_json(text: str, source: str, kind: type[Section]) -> Section:
+    """Value of `kind` from JSON text; NaN and infinity are refused."""
+    try:
+        document = json.loads(text, parse_constant=_refuse_constant)
+    except ValueError as error:
+        raise FormatError(f"this is not valid JSON: {error}", file=source) from None
+    if not isinstance(document, dict):
+        raise FormatError("the document is no object in braces", file=source)
+    return validated(document, source, kind)
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number")
