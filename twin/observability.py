@@ -50,7 +50,7 @@ class Observability:
 
 
 def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool = False) -> Observability:
-    """What the field at the tool point shows at best, measured everywhere with tools (T, 3); `scale` (p,) per parameter.
+    """What the field at the tool point shows at best, measured everywhere with tools (T, 3) in units of `scale` (p,).
 
     `aligned`: a rigid motion of the workspace does not count as a change.
     """
@@ -129,12 +129,12 @@ def _sparse_basis(null: Array) -> list[tuple[int, Array]]:
     pivots: list[int] = []
     for row in range(len(rows)):
         rest = np.abs(rows[row:])
-        at, pivot = np.unravel_index(int(rest.argmax()), rest.shape)
+        at, pivot = divmod(int(rest.argmax()), rest.shape[1])
         rows[[row, row + at]] = rows[[row + at, row]]
         rows[row] /= rows[row, pivot]
         others = np.arange(len(rows)) != row
         rows[others] -= np.multiply.outer(rows[others, pivot], rows[row])
-        pivots.append(int(pivot))
+        pivots.append(pivot)
     return list(zip(pivots, rows, strict=True))
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twin.arrays import Array
 from twin.errors import DataError
@@ -100,7 +101,7 @@ class Observations:
                 )
 
 
-def _whole_numbers(name: str, values: Any) -> np.ndarray[Any, np.dtype[np.int64]]:
+def _whole_numbers(name: str, values: ArrayLike) -> np.ndarray[Any, np.dtype[np.int64]]:
     given = np.asarray(values)
     if given.ndim != 1 or not (np.issubdtype(given.dtype, np.integer) or given.size == 0):
         raise DataError(f"{name} must be a list of whole numbers", column=name)

@@ -104,7 +104,9 @@ class MeasuredRegion:
             return cls(ConvexHull(points).equations, margin_mm)
         except QhullError:
             outward = np.concatenate((np.eye(3), -np.eye(3)))
-            return cls(np.column_stack((outward, -np.concatenate((points.max(axis=0), -points.min(axis=0))))), margin_mm)
+            return cls(
+                np.column_stack((outward, -np.concatenate((points.max(axis=0), -points.min(axis=0))))), margin_mm
+            )
 
     def contains(self, axis_positions: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(n,) bool."""
@@ -124,7 +126,7 @@ def regular_nodes(ranges_mm: Ranges, step_mm: tuple[float, float, float]) -> Nod
     return x, y, z
 
 
-def build_table(
+def build_table(  # noqa: PLR0917 - the order in which one says it: model, grid, tool, anchor, region
     model: ErrorModel,
     parameters: ArrayLike,
     nodes: Nodes,

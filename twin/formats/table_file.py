@@ -1,7 +1,7 @@
 """Compensation table as CSV with a JSON side file.
 
-CSV: `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um`, full grid, x slowest, z fastest, values ADDED to the commanded position. Side file:
-grid, tool offset, anchor, extrapolated nodes, and the CRC-32 (that of zlib and of IEEE 802.3) of the CSV file's bytes.
+CSV: `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um`, full grid, x slowest, z fastest, values ADDED to the commanded position. Side
+file: grid, tool offset, anchor, extrapolated nodes, and the CRC-32 (IEEE 802.3, that of zlib) of the CSV file's bytes.
 """
 
 from __future__ import annotations
@@ -137,7 +137,9 @@ def _check_place(row: Row, nodes: tuple[Array, Array, Array], place: tuple[np.in
             raise row.fail(message, column, hint="Lines run over the full grid, x slowest, z fastest")
 
 
-def _mask(places: tuple[int, ...], shape: tuple[int, ...], source: str) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _mask(
+    places: tuple[int, ...], shape: tuple[int, ...], source: str
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     mask = np.zeros(math.prod(shape), dtype=bool)
     for place in places:
         if not 0 <= place < mask.size:

@@ -10,6 +10,7 @@ weights all count alike, as published.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +22,15 @@ from twin.identification.problem import Problem, tool_points
 _DEPENDENT = 1e-8  # eigenvalue of the distances' correlation below which a combination tells nothing of its own
 
 
+Rows = np.ndarray[Any, np.dtype[np.int64]]
+
+
 @dataclass(frozen=True, eq=False)
 class PositionPairs:
     """Pairs of one position: sorted rows `first`, `second` (m,); `whitening` (r, m)."""
 
-    first: Array
-    second: Array
+    first: Rows
+    second: Rows
     whitening: Array
 
 
@@ -97,10 +101,10 @@ def _position(
     pick[pair, first - start], pick[pair, second - start] = line, -line
     covariance = problem.observations.covariance[start:end]
     weighted = np.einsum("mic,icd->mid", pick, covariance).reshape(len(first), -1)
-    pick = pick.reshape(len(first), -1)
-    spread = weighted @ pick.T
+    flat = pick.reshape(len(first), -1)
+    spread = weighted @ flat.T
     whitening = _whitening(spread) if unit is None else np.eye(len(first)) / unit
-    rows = whitening @ (pick @ problem.design[start:end].reshape(3 * (end - start), -1))
+    rows = whitening @ (flat @ problem.design[start:end].reshape(3 * (end - start), -1))
     return PositionPairs(first, second, whitening), rows, whitening @ spread @ whitening.T
 
 

@@ -17,8 +17,8 @@ from twin.observability import NullDirection, Observability, observability, summ
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """What the data say about the fields beside the model: mode coefficients (q,), their covariance (q, q) and that with
-    the parameters (p, q); a field in mm is `amplitude_mm` · modes · coefficients."""
+    """What the data say about the fields beside the model: mode coefficients (q,), their covariance (q, q) and that
+    with the parameters (p, q); a field in mm is `amplitude_mm` · modes · coefficients."""
 
     modes: MisfitModes
     amplitude_mm: float

@@ -41,18 +41,27 @@ class ScalePrior:
 NOISE = ScalePrior(3.0, 0.3, 10.0)
 PRIOR = ScalePrior(1.5, 0.3, 3.0)
 MISFIT = ScalePrior(3.0, 0.1, 10.0)
+Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
+
 _ACCURACY = 1e-3  # of a log scale: far below what any set can tell
 
 
 def likely_scales(normal: Normal, precision: Precision, start: Scales) -> Scales:
     """Scales at the maximum of the marginal likelihood times their own priors."""
     free = _free_scales(precision)
-    log_start = np.log([start.noise, start.prior, start.misfit])[free]
+    used = zip((start.noise, start.prior, start.misfit), free, strict=True)
+    log_start: Logs = np.array([math.log(scale) for scale, is_free in used if is_free])
     cost = _cost(normal, precision, free)
     bounds = [prior.bounds for prior, used in zip((NOISE, PRIOR, MISFIT), free, strict=True) if used]
-    options = {"maxiter": 40, "gtol": _ACCURACY * normal.rows, "ftol": 1e-9}
-    found = minimize(cost, log_start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return _scales(found.x, free)
+    found = minimize(
+        cost,
+        log_start,
+        method="L-BFGS-B",
+        jac=True,
+        bounds=bounds,
+        options={"maxiter": 40, "gtol": _ACCURACY * normal.rows, "ftol": 1e-9},
+    )
+    return _scales(np.asarray(found.x), free)
 
 
 def _free_scales(precision: Precision) -> list[bool]:
@@ -67,10 +76,10 @@ def _scales(logs: Array, free: list[bool]) -> Scales:
     return Scales(noise, prior, misfit)
 
 
-def _cost(normal: Normal, precision: Precision, free: list[bool]) -> Callable[[Array], tuple[float, Array]]:
+def _cost(normal: Normal, precision: Precision, free: list[bool]) -> Callable[[Logs], tuple[float, Array]]:
     deviations = np.array([prior.log_deviation for prior in (NOISE, PRIOR, MISFIT)])[free]
 
-    def cost(logs: Array) -> tuple[float, Array]:
+    def cost(logs: Logs) -> tuple[float, Array]:
         scales = _scales(logs, free)
         value, gradient = negative_log_likelihood(normal, precision, scales)
         value += float(((logs / deviations) ** 2).sum())

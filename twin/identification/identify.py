@@ -19,7 +19,7 @@ from twin.identification.outliers import contradicting_rows
 from twin.identification.poses import Layout, rigid_poses
 from twin.identification.prior import parameter_prior
 from twin.identification.problem import Problem, build_problem
-from twin.identification.solution import Solution, prior_scale, solve
+from twin.identification.solution import Solution, solve
 from twin.observations import Observations
 
 _MOST_REJECTED = 0.2
@@ -66,7 +66,7 @@ def _check_set(observations: Observations) -> None:
     useful = int((counts >= 2).sum())
     if useful < 2:
         raise SingularSet(
-            f"{len(counts)} position(s), of which {useful} with two balls or more, cannot tell machine and artefact apart",
+            f"{len(counts)} position(s), {useful} of them with two balls or more, cannot tell machine from artefact",
             hint="measure the artefact in at least two positions, better those of S3",
         )
     if len(np.unique(observations.ball)) < _FEWEST_BALLS:
@@ -116,7 +116,7 @@ def _estimate(whole: Problem, settled: _Settled, solution: Solution, options: Op
         model=whole.model,
         formulation=options.formulation,
         parameters=whole.prior.parameters(solution.z[block]),
-        covariance=whole.prior.covariance(solution.covariance[block, block]),
+        covariance=whole.prior.physical_covariance(solution.covariance[block, block]),
         residuals_mm=_residuals(whole, settled, solution),
         chi2_normalised=solution.chi2,
         degrees_of_freedom=solution.freedom,
@@ -125,7 +125,7 @@ def _estimate(whole: Problem, settled: _Settled, solution: Solution, options: Op
         tool_offsets=seen.tool_offsets,
         misfit=_misfit(whole, solution, options),
         information=solution.equations.matrix[block, block],
-        prior_scale=prior_scale(whole),
+        prior_scale=whole.prior.scale,
     )
 
 
@@ -138,7 +138,7 @@ def _misfit(whole: Problem, solution: Solution, options: Options) -> Misfit | No
         amplitude_mm=options.misfit_mm,
         coefficients=solution.z[misfit],
         covariance=solution.covariance[misfit, misfit],
-        cross_covariance=whole.prior.cross_covariance(solution.covariance[own, misfit]),
+        cross_covariance=whole.prior.scale[:, None] * solution.covariance[own, misfit],
     )
 
 

@@ -3,9 +3,9 @@
 A machine has more than 21 Legendre series: rails wave between their screws, gravity bends it, and no series ends at the
 order of the model. The candidates are products of Legendre polynomials of the three axis positions, each displacement
 alike: orders above the model's, alone and with a linear lever in another axis, and mixed terms of low total degree.
-Their prior standard deviations fall with the order as those of families do. What the model or a rigid motion can represent of them is taken out by least squares over the
-workspace, so that the two never compete; the rest is condensed to its leading modes (Karhunen-Loève), normalised to a
-prior rms of 1 over the workspace.
+Their prior standard deviations fall with the order as those of families do. What the model or a rigid motion can
+represent of them is taken out by least squares over the workspace, so that the two never compete; the rest is condensed
+to its leading modes (Karhunen-Loève), normalised to a prior rms of 1 over the workspace.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ Degrees = tuple[int, int, int]
 class MisfitModes:
     """Modes with unit-normal coefficients: field = candidates · `mixing` - model and rigid motion · `removed`.
 
-    `degrees` Legendre degrees in x, y, z of each candidate (c); `mixing` (3, c, q) mm; `removed` (p, q), `rigid` (6, q).
+    `degrees` Legendre degrees in x, y, z of each candidate (c); `mixing` (3, c, q) mm; `removed` (p, q);
+    `rigid` (6, q).
     """
 
     model: ErrorModel
@@ -49,7 +50,7 @@ class MisfitModes:
 
     @property
     def size(self) -> int:
-        return self.mixing.shape[2]
+        return int(self.mixing.shape[2])
 
     def at(self, axis_positions: Array, basis: Array | None = None) -> Array:
         """Modes (n, 3, q) mm at axis positions (n, 3). `basis`: the model's there for this tool, if at hand."""
@@ -96,9 +97,10 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
 def _weighted_candidates(model: ErrorModel) -> dict[Degrees, float]:
     """Degrees in x, y, z of each candidate and its prior standard deviation, relative."""
     found: dict[Degrees, float] = {}
-    for degrees in product(range(_MIXED_DEGREE + 1), repeat=3):
-        if sum(degrees) <= _MIXED_DEGREE and sum(degree > 0 for degree in degrees) > 1:
-            found[degrees] = _MIXED * _DECAY ** (sum(degrees) - 2)
+    every = range(_MIXED_DEGREE + 1)
+    for i, j, k in product(every, every, every):
+        if i + j + k <= _MIXED_DEGREE and sum(degree > 0 for degree in (i, j, k)) > 1:
+            found[i, j, k] = _MIXED * _DECAY ** (i + j + k - 2)
     for axis, highest in enumerate(model.highest_order):
         for beyond in range(_ORDERS_BEYOND):
             for lever in range(3):
@@ -139,4 +141,5 @@ def _motions(ranges_mm: Ranges, points: Array) -> Array:
 
 def _count(falling: Array) -> int:
     share = np.cumsum(falling) / falling.sum()
-    return int(min(np.searchsorted(share, _KEPT_VARIANCE) + 1, _MOST_MODES, len(falling)))
+    enough = int(np.searchsorted(share, _KEPT_VARIANCE)) + 1
+    return min(enough, _MOST_MODES, len(falling))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 import numpy as np
 
 from twin.arrays import Array
@@ -12,7 +13,7 @@ from twin.identification.problem import Blocks
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Σ|A z - y|² over `rows` independent equations of unit noise: `matrix` AᵀA (P, P), `right` Aᵀy (P,), `square` |y|²."""
+    """Σ|A z - y|² over `rows` independent equations of unit noise: AᵀA (P, P), Aᵀy (P,), |y|²."""
 
     matrix: Array
     right: Array

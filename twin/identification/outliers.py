@@ -1,8 +1,8 @@
 """Ball centres that contradict the rest: studentised residuals of three components at a time.
 
-For ball i with remaining whitened residual r_i and its covariance C_i under the model, t² = r_iᵀ C_i⁻¹ r_i is what the ball
-would say against a fit without it (leave one out). Its scale is taken from the median over the balls, which gross errors
-do not move, and the limit from the F distribution at a false alarm rate shared by all balls (Bonferroni).
+For ball i with remaining whitened residual r_i and its covariance C_i under the model, t² = r_iᵀ C_i⁻¹ r_i is what the
+ball would say against a fit without it (leave one out). Its scale is taken from the median over the balls, which gross
+errors do not move, and the limit from the F distribution at a false alarm rate shared by all balls (Bonferroni).
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ class Poses:
     def place(self, layout: Layout, local: Array) -> Array:
         """Workpiece coordinates (n, 3) of artefact points (n, 3), rows sorted by position."""
         rotation = self.rotation[layout.index]
-        return (rotation @ local[:, :, None])[:, :, 0] + self.translation[layout.index]
+        return np.asarray((rotation @ local[:, :, None])[:, :, 0] + self.translation[layout.index])
 
     def moved(self, increments: Array, arms: PoseArms) -> Poses:
         """Poses after increments (K, 6): shift (mm) of the position's centroid, turn about it in rad times the arm."""

@@ -1,4 +1,4 @@
-"""The Gaussian prior of the parameters, and the coordinates in which it is the unit prior."""
+"""The Gaussian prior of the parameters, and the units in which they are solved for."""
 
 from __future__ import annotations
 
@@ -12,31 +12,36 @@ from twin.errors import DataError
 from twin.family import Family
 from twin.identification.options import Options
 
+_SMALLEST_VARIANCE = 1e-12  # of the largest, in units of the scale
+
 
 @dataclass(frozen=True, eq=False)
 class ParameterPrior:
-    """E = mean + factor z with z ~ N(0, 1). `factor` is (p,) where the parameters are independent, else (p, p)."""
+    """E = mean + scale · z. `covariance` (p, p) of z; None for the unit matrix."""
 
     mean: Array
-    factor: Array
+    scale: Array
+    covariance: Array | None = None
 
     def parameters(self, z: Array) -> Array:
-        """(p,) from unit coordinates (p,)."""
-        return self.mean + (self.factor * z if self.factor.ndim == 1 else self.factor @ z)
+        """(p,) in mm or rad from z (p,)."""
+        return np.asarray(self.mean + self.scale * z)
 
-    def columns(self, basis: Array) -> Array:
-        """Derivatives (n, 3, p) with respect to z from those with respect to E."""
-        return basis * self.factor if self.factor.ndim == 1 else basis @ self.factor
-
-    def covariance(self, unit: Array) -> Array:
+    def physical_covariance(self, unit: Array) -> Array:
         """Covariance (p, p) of the parameters from that of z."""
-        if self.factor.ndim == 1:
-            return unit * np.multiply.outer(self.factor, self.factor)
-        return self.factor @ unit @ self.factor.T
+        return np.asarray(unit * np.multiply.outer(self.scale, self.scale))
 
-    def cross_covariance(self, unit: Array) -> Array:
-        """Covariance (p, q) of the parameters with others from that of z."""
-        return self.factor[:, None] * unit if self.factor.ndim == 1 else self.factor @ unit
+    def unit_covariance(self) -> Array:
+        """(p, p) of z."""
+        return np.eye(len(self.scale)) if self.covariance is None else self.covariance
+
+    def precision(self) -> Array | None:
+        """Inverse of the covariance of z, its smallest variances bounded from below; None for the unit matrix."""
+        if self.covariance is None:
+            return None
+        values, vectors = np.linalg.eigh(self.covariance)
+        bounded = np.maximum(values, _SMALLEST_VARIANCE * max(float(values[-1]), _SMALLEST_VARIANCE))
+        return np.asarray((vectors / bounded) @ vectors.T)
 
 
 def parameter_prior(model: ErrorModel, family: Family, options: Options) -> ParameterPrior:
@@ -44,21 +49,24 @@ def parameter_prior(model: ErrorModel, family: Family, options: Options) -> Para
     mean = np.zeros(model.size)
     if options.prior_mean is not None:
         mean = as_vector(options.prior_mean, model.size, "prior mean")
-    if options.prior_covariance is not None:
-        return ParameterPrior(mean, _square_root(np.asarray(options.prior_covariance), model.size))
-    deviation = options.prior_standard_deviation
-    if deviation is None:
-        deviation = family.prior_standard_deviation
-    deviation = as_vector(deviation, model.size, "prior standard deviation")
-    if (deviation < 0.0).any():
-        raise DataError("a prior standard deviation is negative", parameter=model.names[int(np.argmin(deviation))])
-    return ParameterPrior(mean, deviation)
+    scale = options.prior_standard_deviation
+    if scale is None:
+        scale = family.prior_standard_deviation
+    scale = as_vector(scale, model.size, "prior standard deviation")
+    if (scale < 0.0).any():
+        raise DataError("a prior standard deviation is negative", parameter=model.names[int(np.argmin(scale))])
+    if options.prior_covariance is None:
+        return ParameterPrior(mean, scale)
+    return ParameterPrior(mean, scale, _in_units(np.asarray(options.prior_covariance, dtype=np.float64), scale))
 
 
-def _square_root(covariance: Array, size: int) -> Array:
+def _in_units(covariance: Array, scale: Array) -> Array:
+    size = len(scale)
     if covariance.shape != (size, size) or not np.isfinite(covariance).all():
         raise DataError(f"the prior covariance must be a finite ({size}, {size}) matrix")
-    return symmetric_factor(covariance, "the prior covariance")
+    symmetric_factor(covariance, "the prior covariance")
+    used = np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(covariance / np.multiply.outer(used, used))
 
 
 def symmetric_factor(covariance: Array, name: str) -> Array:

@@ -130,7 +130,7 @@ def build_problem(
     modes = _modes(model, seen) if options.misfit_mm > 0.0 else None
     blocks = _blocks(model.size, nuisance, modes)
     design = np.zeros((seen.size, 3, blocks.size))
-    _fill_field(design, blocks, model, prior, modes, options.misfit_mm, seen)
+    _fill_field(design, blocks, _Field(model, prior, modes, options.misfit_mm), seen)
     _fill_artefact(design, blocks, nuisance, seen.ball, poses.rotation[layout.index])
     return Problem(
         model=model,
@@ -149,7 +149,7 @@ def build_problem(
 
 def tool_points(observations: Observations) -> Array:
     """Nominal tool points (n, 3) mm: axis positions + tool offset."""
-    return observations.axis_positions + observations.tool_offsets[observations.tool]
+    return np.asarray(observations.axis_positions + observations.tool_offsets[observations.tool])
 
 
 def _check_balls(observations: Observations, artefact: Artefact) -> None:
@@ -215,22 +215,24 @@ def _blocks(parameters: int, nuisance: Nuisance, modes: MisfitModes | None) -> B
     return Blocks(*(slice(start, end) for start, end in zip(starts, ends, strict=True)))
 
 
-def _fill_field(
-    design: Array,
-    blocks: Blocks,
-    model: ErrorModel,
-    prior: ParameterPrior,
-    modes: MisfitModes | None,
-    misfit_mm: float,
-    seen: Observations,
-) -> None:
+@dataclass(frozen=True, eq=False)
+class _Field:
+    """What the deviation at a row is made of."""
+
+    model: ErrorModel
+    prior: ParameterPrior
+    modes: MisfitModes | None
+    misfit_mm: float
+
+
+def _fill_field(design: Array, blocks: Blocks, field: _Field, seen: Observations) -> None:
     for tool in np.unique(seen.tool):
         rows = seen.tool == tool
-        basis = deviation_basis(model, seen.axis_positions[rows], seen.tool_offsets[tool])
-        design[rows, :, blocks.parameters] = prior.columns(basis)
-        if modes is not None:
-            at_hand = basis if (seen.tool_offsets[tool] == modes.tool_offset).all() else None
-            design[rows, :, blocks.misfit] = misfit_mm * modes.at(seen.axis_positions[rows], at_hand)
+        basis = deviation_basis(field.model, seen.axis_positions[rows], seen.tool_offsets[tool])
+        design[rows, :, blocks.parameters] = basis * field.prior.scale
+        if field.modes is not None:
+            at_hand = basis if (seen.tool_offsets[tool] == field.modes.tool_offset).all() else None
+            design[rows, :, blocks.misfit] = field.misfit_mm * field.modes.at(seen.axis_positions[rows], at_hand)
 
 
 def _fill_artefact(

@@ -85,7 +85,7 @@ def _iterate(
 def _precision(problem: Problem, matrix: Array, options: Options) -> Precision:
     """Unit prior; with the prior off, only directions that the measurements leave open are held at zero."""
     if options.use_prior:
-        return Precision(problem.blocks)
+        return Precision(problem.blocks, problem.prior.precision())
     block = problem.blocks.parameters
     if options.formulation == "centres" and options.weights == "full":
         _refuse_open_field(problem, matrix[block, block])
@@ -94,7 +94,7 @@ def _precision(problem: Problem, matrix: Array, options: Options) -> Precision:
 
 def _refuse_open_field(problem: Problem, information: Array) -> None:
     tools = problem.observations.tool_offsets
-    seen = observability(problem.model, information, prior_scale(problem), tools)
+    seen = observability(problem.model, information, problem.prior.scale, tools)
     unseen = [direction for direction in seen.null_directions if direction.changes_field]
     if unseen:
         raise SingularSet(
@@ -110,7 +110,7 @@ def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -
     block, size = problem.blocks.parameters, problem.blocks.size
     information = equations.matrix[block, block]
     alone = Blocks(block, *(slice(block.stop, block.stop) for _ in range(3)))
-    precision = Precision(alone, None if options.use_prior else _held(information))
+    precision = Precision(alone, problem.prior.precision() if options.use_prior else _held(information))
     posterior = Posterior.of(information, precision, Scales())
     z, poses = np.zeros(size), problem.poses
     for _ in range(_MAX_STEPS):
@@ -120,7 +120,7 @@ def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -
         z[block] = posterior.solve(normal.right[block])
         if float(np.abs(z[block] - previous).max()) < _CONVERGED:
             break
-    covariance, expected = _sandwich(equations, posterior, problem.blocks)
+    covariance, expected = _sandwich(equations, posterior, problem)
     taken = float((posterior.covariance * information).sum())
     freedom = max(equations.rows - taken, 1.0)
     chi2 = normal.misfit_square(z) / expected
@@ -132,15 +132,16 @@ def _held(information: Array) -> Array:
     return np.asarray(open_ @ open_.T)
 
 
-def _sandwich(equations: Equations, posterior: Posterior, blocks: Blocks) -> tuple[Array, float]:
+def _sandwich(equations: Equations, posterior: Posterior, problem: Problem) -> tuple[Array, float]:
     """Covariance (P, P) of truth less estimate for the gain H⁻¹ Aᵀ, and the expected square of the residuals, where the
     truth follows the prior, the noise its stated covariance and the nuisance the full model."""
+    blocks = problem.blocks
     block, rest = blocks.parameters, slice(blocks.parameters.stop, blocks.size)
     own, shared = equations.matrix[block, block], equations.matrix[block, rest]
     gram, total = equations.noise_gram(block.stop)
     others, noise = posterior.solve(shared), posterior.solve(gram)
     kept = np.eye(block.stop) - posterior.solve(own)
-    error = kept @ kept.T + posterior.solve(noise.T) + others @ others.T
+    error = kept @ problem.prior.unit_covariance() @ kept.T + posterior.solve(noise.T) + others @ others.T
     full = np.eye(blocks.size)
     full[block, block] = error
     full[block, rest] = -others
@@ -148,8 +149,3 @@ def _sandwich(equations: Equations, posterior: Posterior, blocks: Blocks) -> tup
     expected = float((own * error).sum()) + float(np.trace(equations.matrix[rest, rest])) + total
     expected -= 2.0 * (float((shared * others).sum()) + float(np.trace(noise)))
     return full, max(expected, 1e-300)
-
-
-def prior_scale(problem: Problem) -> Array:
-    """(p,) prior standard deviation of each parameter."""
-    return np.sqrt(np.diagonal(problem.prior.covariance(np.eye(problem.model.size))))

@@ -1,0 +1,179 @@
+"""Estimate as JSON: parameters by ISO name with covariance, what was seen and what not, and where it came from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from twin.arrays import Array
+from twin.chain import parse_chain
+from twin.error_model import ErrorModel
+from twin.errors import FormatError, TwinError
+from twin.formats.json_reading import read_json
+from twin.formats.toml_reading import Strict
+from twin.identification import Estimate
+
+FORMAT = "volcal estimate 1"
+_ASYMMETRY = 1e-9
+_INDEFINITE = 1e-6
+
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+
+
+class ModelSection(Strict):
+    chain: str
+    ranges_mm: tuple[Pair, Pair, Pair]
+    orders: dict[str, int]
+    cross_effect: tuple[str, ...]
+
+
+class ParameterSection(Strict):
+    """`value` and `standard_uncertainty` in `unit`; Legendre coefficients on the axis range normalised to [-1, 1]."""
+
+    name: str
+    value: float
+    standard_uncertainty: float = Field(ge=0.0)
+    unit: Literal["mm", "rad"]
+
+
+class NullSection(Strict):
+    text: str
+    changes_field: bool
+    loadings: dict[str, float]
+
+
+class ScalesSection(Strict):
+    noise: float
+    prior: float
+    misfit: float
+
+
+class RejectedSection(Strict):
+    position: int
+    ball: int
+    tool: int
+
+
+class EstimateFile(Strict):
+    format: Literal["volcal estimate 1"]
+    provenance: dict[str, str]
+    formulation: Literal["centres", "distances"]
+    model: ModelSection
+    tool_offsets_mm: tuple[Triple, ...]
+    parameters: tuple[ParameterSection, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    rank: int
+    conditioning: float
+    null_summary: tuple[str, ...]
+    null_directions: tuple[NullSection, ...]
+    chi2_normalised: float
+    degrees_of_freedom: float
+    scales: ScalesSection
+    rejected: tuple[RejectedSection, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredEstimate:
+    """What a file keeps of an estimate: enough to compensate, to compare, and to be the prior of the next one."""
+
+    model: ErrorModel
+    parameters: Array
+    covariance: Array
+    tool_offsets: Array
+    document: EstimateFile
+
+
+def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
+    """JSON text. `provenance`: software version, time, names and checksums of the input, as the caller knows them."""
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "provenance": dict(provenance),
+        "formulation": estimate.formulation,
+        "model": _model_document(estimate.model),
+        "tool_offsets_mm": estimate.tool_offsets.tolist(),
+        "parameters": _parameters(estimate),
+        "covariance": estimate.covariance.tolist(),
+        "rank": estimate.rank,
+        "conditioning": estimate.conditioning,
+        "null_summary": list(estimate.null_summary),
+        "null_directions": [
+            {"text": null.text, "changes_field": null.changes_field, "loadings": dict(null.loadings)}
+            for null in estimate.null_directions
+        ],
+        "chi2_normalised": estimate.chi2_normalised,
+        "degrees_of_freedom": estimate.degrees_of_freedom,
+        "scales": vars(estimate.scales),
+        "rejected": [{"position": k, "ball": ball, "tool": tool} for k, ball, tool in estimate.rejected],
+    }
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+
+
+def parse_estimate(text: str, source: str) -> StoredEstimate:
+    """Stored estimate from JSON text; FormatError names `source` and key."""
+    document = read_json(text, source, EstimateFile)
+    try:
+        chain = parse_chain(document.model.chain)
+        cross = document.model.cross_effect
+        model = ErrorModel(chain, document.model.ranges_mm, document.model.orders, cross)
+    except TwinError as error:
+        raise FormatError(error.message, hint=error.hint, file=source, key="model") from None
+    _check_names(document, model, source)
+    return StoredEstimate(
+        model=model,
+        parameters=np.array([parameter.value for parameter in document.parameters]),
+        covariance=_covariance(document, source),
+        tool_offsets=np.array(document.tool_offsets_mm, dtype=np.float64),
+        document=document,
+    )
+
+
+def _model_document(model: ErrorModel) -> dict[str, Any]:
+    return {
+        "chain": str(model.chain),
+        "ranges_mm": [list(pair) for pair in model.ranges_mm],
+        "orders": dict(model.orders),
+        "cross_effect": list(model.cross_effect),
+    }
+
+
+def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
+    known = zip(estimate.model.parameters, estimate.parameters.tolist(), strict=True)
+    return [
+        {"name": parameter.name, "value": value, "standard_uncertainty": sigma, "unit": parameter.unit}
+        for (parameter, value), sigma in zip(known, estimate.standard_uncertainty.tolist(), strict=True)
+    ]
+
+
+def _check_names(document: EstimateFile, model: ErrorModel, source: str) -> None:
+    found = [parameter.name for parameter in document.parameters]
+    if len(found) != model.size:
+        message = f"{len(found)} parameters where the model has {model.size}"
+        raise FormatError(message, file=source, key="parameters")
+    for place, (name, parameter) in enumerate(zip(found, model.parameters, strict=True)):
+        if name != parameter.name:
+            message = f"parameter '{name}' where the model has '{parameter.name}'"
+            raise FormatError(message, file=source, key=f"parameters[{place}].name")
+        if document.parameters[place].unit != parameter.unit:
+            message = f"the unit of {name} is {parameter.unit}"
+            raise FormatError(message, file=source, key=f"parameters[{place}].unit")
+
+
+def _covariance(document: EstimateFile, source: str) -> Array:
+    size = len(document.parameters)
+    if len(document.covariance) != size or any(len(row) != size for row in document.covariance):
+        raise FormatError(f"the covariance must have {size} rows of {size} numbers", file=source, key="covariance")
+    covariance = np.array(document.covariance)
+    scale = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    unit = covariance / np.multiply.outer(scale, scale)
+    if np.abs(unit - unit.T).max() > _ASYMMETRY:
+        raise FormatError("the covariance is not symmetric", file=source, key="covariance")
+    if np.linalg.eigvalsh(unit)[0] < -_INDEFINITE:
+        raise FormatError("the covariance is not positive semi-definite", file=source, key="covariance")
+    return covariance
