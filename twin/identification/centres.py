@@ -33,7 +33,7 @@ class CentreEquations:
         layout = problem.layout
         whitening = _whitening(problem.observations.covariance, unit_weights)
         projector = PoseProjector.of(layout, problem.poses, problem.local, problem.arms, whitening)
-        white = layout.pad(whitening @ problem.design).reshape(layout.positions, -1, problem.blocks.size)
+        white = layout.pad(_weighted(whitening, problem.design)).reshape(layout.positions, -1, problem.blocks.size)
         parts = projector.parts(white).reshape(-1, problem.blocks.size)
         flat = white.reshape(-1, problem.blocks.size)
         return cls(
@@ -76,12 +76,22 @@ class CentreEquations:
 
     def _whitened(self, residuals: Array) -> Array:
         layout = self.problem.layout
-        return layout.pad((self.whitening @ residuals[:, :, None])[:, :, 0]).reshape(layout.positions, -1)
+        return layout.pad(_weighted(self.whitening, residuals[:, :, None])).reshape(layout.positions, -1)
 
 
 def _whitening(covariance: Array, unit_weights: bool) -> Array:
     """(n, 3, 3) W with WᵀW = covariance⁻¹; with unit weights the same multiple of 1 for all rows."""
+    variance = np.einsum("nii->ni", covariance)
     if unit_weights:
-        variance = float(np.median(np.einsum("nii->n", covariance)) / 3.0)
-        return np.broadcast_to(np.eye(3) / np.sqrt(variance), covariance.shape)
+        return np.broadcast_to(np.eye(3) / np.sqrt(np.median(variance.mean(axis=1))), covariance.shape)
+    if np.count_nonzero(covariance) == variance.size:
+        return np.asarray(np.eye(3) / np.sqrt(variance)[:, :, None])
     return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
+def _weighted(whitening: Array, rows: Array) -> Array:
+    """W A for rows (n, 3, m); scaling alone where W is diagonal, as it is for one sigma per ball."""
+    diagonal = np.einsum("nii->ni", whitening)
+    if np.count_nonzero(whitening) == diagonal.size:
+        return np.asarray(rows * diagonal[:, :, None])
+    return np.asarray(whitening @ rows)

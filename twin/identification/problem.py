@@ -89,9 +89,10 @@ class Problem:
     def deviation(self, z: Array) -> Array:
         """Exact model deviation (n, 3) mm at the rows."""
         seen, parameters = self.observations, self.prior.parameters(z[self.blocks.parameters])
-        deviation = np.empty_like(seen.axis_positions)
-        for tool in np.unique(seen.tool):
-            rows = seen.tool == tool
+        deviation = np.zeros_like(seen.axis_positions)
+        if not parameters.any():
+            return deviation
+        for tool, rows in _rows_by_tool(seen):
             offset = seen.tool_offsets[tool]
             deviation[rows] = exact_deviation(self.model, seen.axis_positions[rows], offset, parameters)
         return deviation
@@ -203,6 +204,13 @@ def _modes(model: ErrorModel, seen: Observations) -> MisfitModes:
     return misfit_modes(model, (x, y, z))
 
 
+def _rows_by_tool(seen: Observations) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:
+    """Each tool in use with its rows; with a single one a slice, which copies nothing."""
+    if (seen.tool == seen.tool[0]).all():
+        return [(int(seen.tool[0]), slice(None))]
+    return [(int(tool), np.flatnonzero(seen.tool == tool)) for tool in np.unique(seen.tool)]
+
+
 def _main_tool(seen: Observations) -> int:
     return int(np.bincount(seen.tool).argmax())
 
@@ -226,8 +234,7 @@ class _Field:
 
 
 def _fill_field(design: Array, blocks: Blocks, field: _Field, seen: Observations) -> None:
-    for tool in np.unique(seen.tool):
-        rows = seen.tool == tool
+    for tool, rows in _rows_by_tool(seen):
         basis = deviation_basis(field.model, seen.axis_positions[rows], seen.tool_offsets[tool])
         design[rows, :, blocks.parameters] = basis * field.prior.scale
         if field.modes is not None:

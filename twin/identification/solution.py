@@ -18,7 +18,7 @@ from twin.identification.problem import Blocks, Problem
 from twin.observability import null_space, observability, summary
 
 _MAX_STEPS = 8
-_CONVERGED = 1e-5  # of a prior standard deviation
+_CONVERGED = 1e-3  # of a prior standard deviation; a step leaves less than 1e-3 of itself to the next one
 
 Equations = CentreEquations | DistanceEquations
 

@@ -1,0 +1,175 @@
+"""Identification of S1+S2+S3, 11 balls, 4 stations, order 5, against scipy least_squares and against its bare core.
+
+The reference solves the same maximum-a-posteriori problem (exact model, poses, family prior, no nuisance) with
+`scipy.optimize.least_squares` and its own finite differences. The bare core starts from a ready whitened Jacobian and
+only projects the poses out, forms the normal equations, factorises and solves. Run with OPENBLAS_NUM_THREADS=1 where
+other programs share the cores: threads that wait for a busy core cost more than these small matrices.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from twin.arrays import Array
+from twin.artefact import Artefact, ball_bar
+from twin.chain import parse_chain
+from twin.error_model import ErrorModel
+from twin.family import Family, family_from_amplitudes
+from twin.identification import Options, identify
+from twin.machine_model import deviation_basis, exact_deviation
+from twin.observations import Observations
+from twin.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
+
+TOOL = np.array([0.0, 250.0, 0.0])
+RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
+AMPLITUDES = {
+    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
+    "straightness_um": [5.5, 3.3, 2.0, 1.2],
+    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
+    "squareness_urad": 9.0,
+    "cross_displacement_um": 4.5,
+    "cross_rotation_urad": 3.0,
+}
+NOISE_MM = 1e-3
+FIXED = Options(estimate_scales=False, outliers="none", misfit_mm=0.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One simulated set. `poses` rotation (n, 3, 3) of each row, for the reference's start."""
+
+    model: ErrorModel
+    family: Family
+    artefact: Artefact
+    observations: Observations
+    rotation: Array
+    centre: Array
+
+
+def case(seed: int = 1) -> Case:
+    model = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)
+    family = family_from_amplitudes(model, AMPLITUDES)
+    rng = np.random.default_rng(seed)
+    parameters = family.draw(rng, 1)[0]
+    bar = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=0.26, holder_length_mm=60.0, ball_diameter_mm=25.0)
+    positions = positions_of("S1+S2+S3", 4)
+    places = station_places(4, RANGES[0], 560.0, 900.0, 750.0)
+    lower, upper = np.array(RANGES).T
+    rows, rotations, centres = [], [], []
+    for number, position in enumerate(positions):
+        azimuth, elevation = np.radians(position.azimuth_deg), np.radians(position.elevation_deg)
+        pose = mount_pose(places[position.station - 1], MountGeometry(), azimuth, elevation)
+        points = pose.applied(bar.balls) - TOOL
+        for ball in np.flatnonzero(reachable(points, lower, upper, np.full(3, 10.0))):
+            rows.append((number, ball, elevation, *points[ball]))
+        rotations.append(pose.rotation)
+        centres.append(pose.centre)
+    table = np.array(rows)
+    axis_positions = table[:, 3:].copy()
+    for _ in range(3):
+        axis_positions = table[:, 3:] - exact_deviation(model, axis_positions, TOOL, parameters)
+    observations = Observations(
+        position=table[:, 0].astype(int),
+        ball=table[:, 1].astype(int),
+        tool=np.zeros(len(table), dtype=int),
+        axis_positions=axis_positions + rng.normal(0.0, NOISE_MM, axis_positions.shape),
+        covariance=np.tile(np.eye(3) * NOISE_MM**2, (len(table), 1, 1)),
+        temperature_c=np.full(len(table), 20.0),
+        elevation_rad=table[:, 2],
+        tool_offsets=TOOL[None],
+    )
+    return Case(model, family, bar, observations, np.array(rotations), np.array(centres))
+
+
+def reference(case_: Case) -> Array:
+    """Parameters (p,) by scipy with finite differences; unknowns in prior units, poses in mm and rad·m."""
+    seen, scale, size = case_.observations, case_.family.prior_standard_deviation, case_.model.size
+    balls = case_.artefact.balls[seen.ball]
+
+    def residuals(unknowns: Array) -> Array:
+        pose = unknowns[size:].reshape(-1, 6)[seen.position]
+        deviation = exact_deviation(case_.model, seen.axis_positions, TOOL, scale * unknowns[:size])
+        placed = np.einsum("nij,nj->ni", case_.rotation[seen.position], balls)
+        placed = placed + np.cross(1e-3 * pose[:, 3:], placed) + case_.centre[seen.position] + pose[:, :3]
+        errors = (seen.axis_positions + TOOL + deviation - placed) / NOISE_MM
+        return np.concatenate((errors.reshape(-1), unknowns[:size]))
+
+    start = np.zeros(size + 6 * len(case_.centre))
+    found = least_squares(residuals, start, method="trf", x_scale="jac")
+    return np.asarray(scale * found.x[:size])
+
+
+def bare_core(case_: Case) -> Callable[[], Array]:
+    """A function that projects the poses out of a ready Jacobian and solves once."""
+    seen, positions = case_.observations, len(case_.centre)
+    width = int(np.bincount(seen.position).max())
+    basis = deviation_basis(case_.model, seen.axis_positions, TOOL) * case_.family.prior_standard_deviation / NOISE_MM
+    design = np.zeros((positions, width, 3, case_.model.size))
+    poses = np.zeros((positions, width, 3, 6))
+    lever = np.einsum("nij,nj->ni", case_.rotation[seen.position], case_.artefact.balls[seen.ball])
+    place = np.concatenate([np.arange(count) for count in np.bincount(seen.position)])
+    design[seen.position, place] = basis
+    poses[seen.position, place, :, :3] = np.eye(3) / NOISE_MM
+    poses[seen.position, place, :, 3:] = np.cross(np.eye(3), lever[:, None, :]).transpose(0, 2, 1) / NOISE_MM / 500.0
+    design, poses = design.reshape(positions, 3 * width, -1), poses.reshape(positions, 3 * width, 6)
+    target = np.random.default_rng(0).normal(size=(positions, 3 * width, 1))
+    identity = np.eye(case_.model.size)
+
+    def core() -> Array:
+        q, _ = np.linalg.qr(poses)
+        free = (design - q @ (q.transpose(0, 2, 1) @ design)).reshape(-1, len(identity))
+        normal = free.T @ free + identity
+        factor = np.linalg.cholesky(normal)
+        right = free.T @ target.reshape(-1)
+        return np.asarray(np.linalg.solve(factor.T, np.linalg.solve(factor, right)))
+
+    return core
+
+
+def median_seconds(work: Callable[[], object], repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        start = perf_counter()
+        work()
+        times.append(perf_counter() - start)
+    return statistics.median(times)
+
+
+def run() -> dict[str, float]:
+    """Times in ms and ratios, all measured in this process."""
+    prepared = case()
+    core = bare_core(prepared)
+    everything = (prepared.model, prepared.observations, prepared.artefact, prepared.family)
+    estimate = identify(*everything, FIXED)
+    scipy_s = median_seconds(lambda: reference(prepared), 1)
+    difference = np.abs(reference(prepared) - estimate.parameters) / prepared.family.prior_standard_deviation
+    core_s = median_seconds(core, 15)
+    fixed_s = median_seconds(lambda: identify(*everything, FIXED), 15)
+    default_s = median_seconds(lambda: identify(*everything), 9)
+    return {
+        "balls": float(prepared.observations.size),
+        "scipy_ms": 1e3 * scipy_s,
+        "bare_core_ms": 1e3 * core_s,
+        "fixed_scales_ms": 1e3 * fixed_s,
+        "default_ms": 1e3 * default_s,
+        "scipy_over_fixed": scipy_s / fixed_s,
+        "scipy_over_default": scipy_s / default_s,
+        "fixed_over_bare_core": fixed_s / core_s,
+        "default_over_bare_core": default_s / core_s,
+        "largest_difference_in_prior_sd": float(difference.max()),
+    }
+
+
+def main() -> None:
+    for name, value in run().items():
+        print(f"  {name:32s} {value:12.4g}")
+
+
+if __name__ == "__main__":
+    main()
