@@ -1,0 +1,83 @@
+"""Ball centres of a made-up machine, for the tests of what is identified from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from twin.artefact import Artefact, ball_bar
+from twin.chain import parse_chain
+from twin.error_model import ErrorModel
+from twin.family import Family, family_from_amplitudes
+from twin.observations import Observations
+from twin.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
+
+RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
+TOOL = np.array([0.0, 250.0, 0.0])
+AMPLITUDES = {
+    "positioning_um": [8.0, 5.0, 3.0, 1.8, 1.1],
+    "straightness_um": [5.5, 3.3, 2.0, 1.2],
+    "rotation_urad": [4.6, 2.8, 1.7, 1.0, 0.6],
+    "squareness_urad": 9.0,
+    "cross_displacement_um": 4.5,
+    "cross_rotation_urad": 3.0,
+}
+Deviation = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def case_study(order: int, cross_effect: tuple[str, ...] = ("b1", "b2", "c1")) -> tuple[ErrorModel, Family]:
+    model = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, order, cross_effect)
+    return model, family_from_amplitudes(model, AMPLITUDES)
+
+
+def bar(balls: int = 11, tilt_deg: float = 15.0, sigma_mm: float = 0.0, **more: float) -> Artefact:
+    return ball_bar(
+        "bar",
+        balls=balls,
+        length_mm=1500.0,
+        tilt_rad=np.radians(tilt_deg),
+        holder_length_mm=60.0,
+        ball_diameter_mm=25.0,
+        standard_uncertainty_mm=sigma_mm,
+        **more,
+    )
+
+
+def measured(
+    expression: str,
+    stations: int,
+    artefact: Artefact,
+    deviation: Deviation,
+    rng: np.random.Generator,
+    sigma_mm: float = 1e-3,
+    tools: tuple[np.ndarray, ...] = (TOOL,),
+    temperature_c: float = 20.0,
+) -> Observations:
+    """Every reachable ball of the set, once with every tool; `deviation(axis positions, tool)` is the truth in mm."""
+    places = station_places(stations, RANGES[0], 560.0, 900.0, 750.0)
+    lower, upper = np.array(RANGES).T
+    rows, found = [], []
+    for number, position in enumerate(positions_of(expression, stations)):
+        azimuth, elevation = np.radians(position.azimuth_deg), np.radians(position.elevation_deg)
+        pose = mount_pose(places[position.station - 1], MountGeometry(), azimuth, elevation)
+        points = pose.applied(artefact.at(temperature_c, elevation))
+        for number_of_tool, tool in enumerate(tools):
+            inside = reachable(points - tool, lower, upper, np.full(3, 10.0))
+            nominal = points[inside] - tool
+            at = nominal.copy()
+            for _ in range(4):
+                at = nominal - deviation(at, tool)
+            found.append(at + rng.normal(0.0, sigma_mm, at.shape))
+            rows += [(number, int(ball), number_of_tool, elevation) for ball in np.flatnonzero(inside)]
+    position, ball, tool_number, elevations = zip(*rows, strict=True)
+    return Observations(
+        position=np.array(position),
+        ball=np.array(ball),
+        tool=np.array(tool_number),
+        axis_positions=np.concatenate(found),
+        covariance=np.tile(np.eye(3) * max(sigma_mm, 1e-5) ** 2, (len(rows), 1, 1)),
+        temperature_c=np.full(len(rows), temperature_c),
+        elevation_rad=np.array(elevations),
+        tool_offsets=np.array(tools),
+    )
