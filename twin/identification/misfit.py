@@ -82,7 +82,8 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
     share = np.linalg.lstsq(known, wanted, rcond=1e-9)[0]
     left = wanted - known @ share
     values, vectors = np.linalg.eigh(left.T @ left)
-    modes = vectors[:, ::-1][:, : _count(values[::-1])] / np.sqrt(values.sum())
+    count = _count(values[::-1])
+    modes = vectors[:, ::-1][:, :count] / np.sqrt(values[::-1][:count].sum())
     share = share @ modes
     return MisfitModes(
         model=model,

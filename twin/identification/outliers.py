@@ -19,6 +19,7 @@ from twin.identification.solution import Solution
 
 _MEDIAN_OF_CHI2_3 = 2.365974
 _QUIETEST = 0.3  # of the stated noise: closer agreement than this is not taken as the scale
+_COMPARABLE = 0.05  # of the worst: one gross error bends the fit, so lesser ones are judged once it is gone
 _RIDGE = 1e-6  # a component that the fit takes up entirely says nothing
 
 Rows = np.ndarray[Any, np.dtype[np.int64]]
@@ -28,6 +29,7 @@ def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
     """Sorted rows to be rejected now: of each position at most the worst one beyond the limit."""
     square = studentised_squares(solution)
     limit = 3.0 * float(fdtri(3.0, solution.freedom, 1.0 - false_alarm / len(square)))
+    limit = max(limit, _COMPARABLE * float(square.max()))
     layout = solution.equations.problem.layout
     worst = layout.pad(square).argmax(axis=1) + np.concatenate(([0], np.cumsum(layout.counts)[:-1]))
     return np.asarray(worst[square[worst] > limit])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,28 +25,60 @@ def predicted_vce(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike)
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
-    middle, size_mm = grid.mean(axis=0) + offset, max(float(np.ptp(grid, axis=0).max()), 1.0)
-    gram, shared, motion = np.zeros(moments.shape), np.zeros((6, len(moments))), np.zeros((6, 6))
-    for start in range(0, len(grid), _CHUNK):
-        chunk = grid[start : start + _CHUNK]
-        field = _columns(estimate, chunk, offset).reshape(-1, len(moments))
-        rigid = rigid_fields(chunk + offset, middle, size_mm).reshape(-1, 6)
-        gram += field.T @ field
-        shared += rigid.T @ field
-        motion += rigid.T @ rigid
-    aligned = gram - shared.T @ np.linalg.lstsq(motion, shared, rcond=1e-12)[0]
-    return Volumetric(_root_mean(gram, moments, len(grid)), _root_mean(aligned, moments, len(grid)))
+    sums = _sums(estimate, grid, offset)
+    aligned = sums.field - sums.shared.T @ sums.share
+    return Volumetric(_root_mean(sums.field, moments, len(grid)), _root_mean(aligned, moments, len(grid)))
 
 
-def field_uncertainty(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> Array:
-    """Posterior root mean square (n, 3) mm of machine less model at axis positions (n, 3), per direction, raw."""
+def field_uncertainty(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, aligned: bool = False) -> Array:
+    """Posterior root mean square (n, 3) mm of machine less model at axis positions (n, 3), per direction.
+
+    `aligned`: of what is left after the best rigid motion over these points.
+    """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
+    motions = _motions_about(grid, offset)
+    carried = _sums(estimate, grid, offset).share if aligned else np.zeros((6, len(moments)))
     squares = np.empty_like(grid)
     for start in range(0, len(grid), _CHUNK):
-        field = _columns(estimate, grid[start : start + _CHUNK], offset)
+        chunk = grid[start : start + _CHUNK]
+        field = _columns(estimate, chunk, offset) - motions(chunk) @ carried
         squares[start : start + _CHUNK] = np.einsum("nip,nip->ni", field @ moments, field)
     return np.sqrt(np.maximum(squares, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Over a grid: `field` FᵀF of the field's columns, `shared` GᵀF with the rigid motions G, `motion` GᵀG."""
+
+    field: Array
+    shared: Array
+    motion: Array
+
+    @property
+    def share(self) -> Array:
+        """(6, p + q) rigid motion that each column contains."""
+        return np.asarray(np.linalg.lstsq(self.motion, self.shared, rcond=1e-12)[0])
+
+
+def _sums(estimate: Estimate, grid: Array, offset: Array) -> _Sums:
+    motions = _motions_about(grid, offset)
+    size = len(_second_moments(estimate))
+    field_sum, shared, motion = np.zeros((size, size)), np.zeros((6, size)), np.zeros((6, 6))
+    for start in range(0, len(grid), _CHUNK):
+        chunk = grid[start : start + _CHUNK]
+        field = _columns(estimate, chunk, offset).reshape(-1, size)
+        rigid = motions(chunk).reshape(-1, 6)
+        field_sum += field.T @ field
+        shared += rigid.T @ field
+        motion += rigid.T @ rigid
+    return _Sums(field_sum, shared, motion)
+
+
+def _motions_about(grid: Array, offset: Array) -> Callable[[Array], Array]:
+    """Rigid motions about the middle of the grid's tool points, as a function of axis positions."""
+    middle, size_mm = grid.mean(axis=0) + offset, max(float(np.ptp(grid, axis=0).max()), 1.0)
+    return lambda points: rigid_fields(points + offset, middle, size_mm)
 
 
 def _second_moments(estimate: Estimate) -> Array:

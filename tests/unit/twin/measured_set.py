@@ -50,6 +50,7 @@ def measured(
     artefact: Artefact,
     deviation: Deviation,
     rng: np.random.Generator,
+    *,
     sigma_mm: float = 1e-3,
     tools: tuple[np.ndarray, ...] = (TOOL,),
     temperature_c: float = 20.0,

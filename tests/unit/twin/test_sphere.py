@@ -42,7 +42,7 @@ def test_free_radius_covariance_is_that_of_hand_arithmetic() -> None:
 @pytest.mark.parametrize("radius", [None, 14.0])
 def test_noisy_points_agree_with_scipy(radius: float | None) -> None:
     rng = np.random.default_rng(4)
-    points = around(rng.normal(size=(25, 3)) + [0, 0, 1.0]) + rng.normal(0.0, 5e-3, (25, 3))
+    points = around(rng.normal([0.0, 0.0, 1.0], 1.0, (25, 3))) + rng.normal(0.0, 5e-3, (25, 3))
 
     def residuals(unknowns: np.ndarray) -> np.ndarray:
         size = unknowns[3] if radius is None else radius
@@ -69,7 +69,8 @@ def test_covariance_describes_the_scatter() -> None:
 def test_a_ring_needs_a_guess_which_side_the_centre_is_on() -> None:
     ring = np.array([[1, 0, 0.5], [-1, 0, 0.5], [0, 1, 0.5], [0, -1, 0.5]])
     points = around(ring)
-    assert fit_sphere(points, 1e-3, 14.0, near=CENTRE + [1.0, -1.0, 2.0]).centre == pytest.approx(CENTRE, abs=1e-9)
+    guess = CENTRE + np.array([1.0, -1.0, 2.0])
+    assert fit_sphere(points, 1e-3, 14.0, near=guess).centre == pytest.approx(CENTRE, abs=1e-9)
     with pytest.raises(DataError, match="one plane"):
         fit_sphere(points, 1e-3, 14.0)
 

@@ -1,0 +1,59 @@
+"""The marginal likelihood against a dense normal density, and its gradient against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from twin.identification.evidence import likely_scales, negative_log_likelihood
+from twin.identification.normal import Normal, Precision, Scales
+from twin.identification.problem import Blocks
+
+BLOCKS = Blocks(slice(0, 4), slice(4, 6), slice(6, 6), slice(6, 9))
+
+
+def equations(seed: int, rows: int = 60, truth: Scales | None = None) -> tuple[np.ndarray, np.ndarray, Normal]:
+    rng = np.random.default_rng(seed)
+    truth = truth or Scales()
+    design = rng.normal(size=(rows, 9))
+    deviations = np.array([truth.prior] * 4 + [1.0] * 2 + [truth.misfit] * 3)
+    y = design @ (rng.normal(size=9) * deviations) + truth.noise * rng.normal(size=rows)
+    return design, y, Normal(design.T @ design, design.T @ y, float(y @ y), rows)
+
+
+def test_differences_of_the_likelihood_are_those_of_the_dense_density() -> None:
+    design, y, normal = equations(1)
+
+    def dense(scales: Scales) -> float:
+        variances = np.array([scales.prior**2] * 4 + [1.0] * 2 + [scales.misfit**2] * 3)
+        covariance = scales.noise**2 * np.eye(len(y)) + (design * variances) @ design.T
+        return -2.0 * float(multivariate_normal.logpdf(y, np.zeros(len(y)), covariance))
+
+    one, other = Scales(1.3, 0.7, 1.9), Scales(0.8, 1.2, 0.4)
+    ours = [negative_log_likelihood(normal, Precision(BLOCKS), scales)[0] for scales in (one, other)]
+    assert ours[0] - ours[1] == pytest.approx(dense(one) - dense(other), rel=1e-9)
+
+
+@pytest.mark.parametrize("given", [None, np.diag([1.0, 2.0, 3.0, 4.0]) + 0.3])
+def test_gradient_is_that_of_differences(given: np.ndarray | None) -> None:
+    _, _, normal = equations(2)
+    precision = Precision(BLOCKS, given)
+    at = np.log([1.3, 1.0 if given is not None else 0.7, 1.9])
+    gradient = negative_log_likelihood(normal, precision, Scales(*np.exp(at)))[1]
+    for k in range(3) if given is None else (0, 2):
+        step = np.zeros(3)
+        step[k] = 1e-5
+        up, down = (
+            negative_log_likelihood(normal, precision, Scales(*np.exp(at + sign * step)))[0] for sign in (1.0, -1.0)
+        )
+        assert gradient[k] == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-5)
+
+
+def test_scales_come_back_and_stay_within_bounds() -> None:
+    _, _, normal = equations(3, rows=4000, truth=Scales(noise=2.5))
+    found = likely_scales(normal, Precision(BLOCKS), Scales())
+    assert found.noise == pytest.approx(2.5, rel=0.05)
+    _, _, silent = equations(4, truth=Scales(1e-6, 1e-6, 1e-6))
+    floor = likely_scales(silent, Precision(BLOCKS), Scales())
+    assert (floor.noise, floor.misfit) == pytest.approx((0.3, 0.3), abs=0.25)

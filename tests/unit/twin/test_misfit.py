@@ -1,0 +1,46 @@
+"""The modes beside the model: of unit size, and out of the model's reach."""
+
+from __future__ import annotations
+
+import numpy as np
+from measured_set import RANGES, TOOL, case_study
+
+from twin.identification.misfit import misfit_modes
+from twin.legendre import legendre_values, normalised
+from twin.machine_model import deviation_basis
+from twin.volumetric import align_rigidly, evaluation_grid, rms
+
+CELLS = (30, 14, 14)
+
+MODEL, _ = case_study(5)
+MODES = misfit_modes(MODEL, (0.0, 250.0, 0.0))
+
+
+def test_prior_rms_over_the_workspace_is_one() -> None:
+    points = np.random.default_rng(0).uniform(0.0, 1.0, (4000, 3)) * [4000.0, 1300.0, 1500.0]
+    assert 0.9 < np.sqrt(np.mean(np.sum(MODES.at(points) ** 2, axis=(1, 2)))) < 1.05
+
+
+def test_the_model_cannot_imitate_a_mode() -> None:
+    """Fitted by the model and a rigid motion over the middles of many cells, a mode keeps its size."""
+    half = [0.5 * (high - low) / count for (low, high), count in zip(RANGES, CELLS, strict=True)]
+    middles = tuple((low + h, high - h) for (low, high), h in zip(RANGES, half, strict=True))
+    grid = evaluation_grid(middles, CELLS)
+    basis = deviation_basis(MODEL, grid, TOOL)
+    columns = np.stack([align_rigidly(grid + TOOL, basis[:, :, k]).reshape(-1) for k in range(MODEL.size)], axis=1)
+    used = np.linalg.svd(columns / np.linalg.norm(columns, axis=0).clip(1e-9), full_matrices=False)
+    left = used[0][:, used[1] > 1e-9 * used[1][0]]
+    modes = MODES.at(grid)
+    for k in range(0, MODES.size, 7):
+        mode = align_rigidly(grid + TOOL, modes[:, :, k])
+        rest = mode.reshape(-1) - left @ (left.T @ mode.reshape(-1))
+        assert rms(rest.reshape(-1, 3)) > 0.85 * rms(mode)
+
+
+def test_a_wave_above_the_order_of_the_model_is_in_the_modes() -> None:
+    grid = evaluation_grid(RANGES, (33, 7, 7))
+    wave = np.zeros((len(grid), 3))
+    wave[:, 1] = legendre_values(normalised(grid[:, 0], RANGES[0]), 6)[6]
+    modes = MODES.at(grid).reshape(-1, MODES.size)
+    fitted = modes @ np.linalg.lstsq(modes, wave.reshape(-1), rcond=None)[0]
+    assert rms(wave - fitted.reshape(-1, 3)) < 0.1 * rms(wave)
