@@ -108,7 +108,7 @@ class StoreSettings(Strict):
 
 
 class ScenarioDocument(Strict):
-    """Keys of a scenario."""
+    """Keys of a scenario. `start_mm`: axis positions at the start, without it the lower ends of the travel."""
 
     machine: Path
     artefact: Path
@@ -117,6 +117,7 @@ class ScenarioDocument(Strict):
     ideal: bool = False
     stations_mm: list[Coordinates] = Field(min_length=1)
     standing_at: PositiveInt = 1
+    start_mm: Coordinates | None = None
     mount: Annotated[MountGeometry, _refuse_unknown(MountGeometry)] = MountGeometry()
     probe: Annotated[ProbeGeometry, _refuse_unknown(ProbeGeometry)] = ProbeGeometry()
     truth: TruthSettings = TruthSettings()
@@ -143,6 +144,9 @@ class Scenario:
                 f"the artefact stands at station {settings.standing_at} of {len(settings.stations_mm)}",
                 key="standing_at",
             )
+        for axis, value, (low, high) in zip("XYZ", settings.start_mm or (), self.machine.limits, strict=False):
+            if not low <= value <= high:
+                raise ConfigurationError(f"{axis} {value:g} mm is outside {low:g} to {high:g}", key="start_mm")
         offset = _read(settings.machine, lambda: self.machine.tool(settings.tool))
         if not (offset[0] == offset[2] == 0.0 and offset[1] >= settings.probe.reach_mm):
             raise ConfigurationError(

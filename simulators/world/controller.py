@@ -77,7 +77,7 @@ class Controller:
         self._foresight = Foresight(self._tool, self.contacts, self._trigger, workpiece.artefact.count)
         self._tables = TableBanks(settings.store)
         self._on_motion, self._on_collision = on_motion, on_collision
-        self._position: Point = self._limits.lower_mm
+        self._position: Point = settings.start_mm or self._limits.lower_mm
         self._motion: _Motion | None = None
         self._held: Command | None = None
         self._state = MotionState.IDLE

@@ -1,0 +1,88 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.errors import DataError, FormatError
+from twin.formats.artefact_file import parse_artefact
+from twin.formats.position_set_file import format_positions, parse_positions
+from twin.position_set import Position
+
+SHIPPED = Path(__file__).parents[3] / "config" / "artefacts" / "ball-bar-1500.toml"
+TEXT = """
+name = "pair"
+cte_per_k = 11.5e-6
+cte_standard_uncertainty_per_k = 0.3e-6
+ball_diameter_mm = 20.0
+balls = [[-50.0, 0.0, 0.0], [50.0, 0.0, 0.0]]
+standard_uncertainty_um = 0.8
+"""
+
+
+def test_the_shipped_bar_is_the_case_study() -> None:
+    artefact = parse_artefact(SHIPPED.read_text(encoding="utf-8"), str(SHIPPED))
+    assert artefact.count == 11
+    assert np.linalg.norm(artefact.balls[-1] - artefact.balls[0]) == pytest.approx(1500.0, abs=1.0)
+    assert np.sqrt(np.diag(artefact.covariance)) == pytest.approx(np.full(33, 0.8e-3))
+
+
+def test_a_bar_section_is_worked_out() -> None:
+    bar = "[bar]\nballs = 5\nlength_mm = 400.0\ntilt_deg = 30.0\nholder_length_mm = 50.0\n"
+    artefact = parse_artefact(TEXT.replace("balls = [[-50.0, 0.0, 0.0], [50.0, 0.0, 0.0]]", "") + bar, "b.toml")
+    assert artefact.balls[1] == pytest.approx([-100.0, -75.0, 0.0])
+
+
+def test_a_covariance_file_is_read_in_square_micrometres() -> None:
+    rows = "\n".join(",".join("4.0" if i == j else "0.0" for j in range(6)) for i in range(6))
+    text = TEXT.replace("standard_uncertainty_um = 0.8", 'covariance_file = "c.csv"')
+    artefact = parse_artefact(text, "a.toml", {"c.csv": rows}.__getitem__)
+    assert artefact.covariance == pytest.approx(np.eye(6) * 4e-6)
+    with pytest.raises(FormatError, match=r"'x' is not a finite number \(file c.csv, row 1, column 1\)"):
+        parse_artefact(text, "a.toml", {"c.csv": rows.replace("4.0", "x", 1)}.__getitem__)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("cte_per_k", "cte_per_kelvin", "cte_per_kelvin"),
+        ("standard_uncertainty_um = 0.8", "", "standard_uncertainty_um"),
+        ("[50.0, 0.0, 0.0]", "[50.0, 0.0]", "balls"),
+        ("[50.0, 0.0, 0.0]", "[nan, 0.0, 0.0]", "balls"),
+        ("20.0", "-20.0", "ball_diameter_mm"),
+        ("[50.0, 0.0, 0.0]", "[-45.0, 0.0, 0.0]", "balls 0 and 1"),
+    ],
+)
+def test_a_wrong_file_names_itself_and_the_place(old: str, new: str, told: str) -> None:
+    with pytest.raises((FormatError, DataError)) as caught:
+        parse_artefact(TEXT.replace(old, new), "pair.toml")
+    assert "pair.toml" in str(caught.value)
+    assert told in str(caught.value)
+
+
+def test_positions_survive_writing_and_reading() -> None:
+    positions = (Position(2, -45.0, 35.264), Position(1, 0.1 + 0.2, -math.degrees(0.5)))
+    again = parse_positions(format_positions(positions), "p.csv")
+    assert [(p.station, p.azimuth_deg, p.elevation_deg) for p in again] == [
+        (p.station, pytest.approx(p.azimuth_deg), pytest.approx(p.elevation_deg)) for p in positions
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("station,azimuth\n1,2\n", "station,azimuth_deg,elevation_deg"),
+        ("station,azimuth_deg,elevation_deg\n1,2,x\n", "row 2, column elevation_deg"),
+        ("station,azimuth_deg,elevation_deg\n1,2\n", "row 2, column elevation_deg"),
+        ("station,azimuth_deg,elevation_deg\n1,2,3\n1.5,2,3\n", "row 3, column station"),
+        ("station,azimuth_deg,elevation_deg\n1,2,3\n1,2,95\n", "row 3"),
+        ("station,azimuth_deg,elevation_deg\n1,2,3\n1,2,3\n", "already stands as number 1"),
+        ("station,azimuth_deg,elevation_deg\n", "no position"),
+        ("", "missing"),
+    ],
+)
+def test_a_wrong_position_file_names_row_and_column(text: str, told: str) -> None:
+    with pytest.raises(FormatError) as caught:
+        parse_positions(text, "p.csv")
+    assert told in str(caught.value)
+    assert "p.csv" in str(caught.value)
