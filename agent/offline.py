@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,22 +11,27 @@ import numpy as np
 
 from agent.files import load_artefact, load_balls, load_machine, translated, write_all_atomically
 from agent.gates import Gate, GateLimits, estimate_gates, table_gates
-from agent.report.position_naming import name_of_positions
-from agent.report import Header, ReportData, render_report
+from agent.report import (
+    Header,
+    ReportData,
+    VolumetricSummary,
+    name_of_positions,
+    render_report,
+    volumetric_summary,
+)
 from agent.settings import GateSettings, TableSettings
 from drivers.errors import ConfigurationError
 from drivers.roles import Activation, StoreLimits
 from twin.artefact import Artefact
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import format_estimate
-from twin.formats.table_file import format_table
-from twin.identification import Estimate, Options, identify, predicted_vce
+from twin.formats.table_file import checksum, format_side_file, format_table
+from twin.identification import Estimate, Options, identify
 from twin.machine_description import MachineDescription
 from twin.table import Anchor, CompensationTable, build_table, regular_nodes
-from twin.volumetric import QuadraticForm, Volumetric, evaluation_grid
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
-"""A file has room for everything."""
+"""A file holds corrections of any size."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +58,10 @@ class Material:
 
 @dataclass(frozen=True)
 class Finding:
+    """Estimate, what it is worth, its table, and what the gates of a machine would say."""
+
     estimate: Estimate
-    before: Volumetric
-    expected: Volumetric
+    volumetric: VolumetricSummary
     table: CompensationTable
     gates: tuple[Gate, ...]
 
@@ -64,6 +69,7 @@ class Finding:
 @dataclass(frozen=True)
 class Result:
     run_id: str
+    timestamp: str
     position_set: str
     material: Material
     finding: Finding
@@ -71,7 +77,7 @@ class Result:
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
         """The keys that every command ends with; None for what only a machine can give."""
-        estimate, finding = self.finding.estimate, self.finding
+        estimate, volumetric = self.finding.estimate, self.finding.volumetric
         return {
             "state": "complete",
             "run_id": self.run_id,
@@ -83,15 +89,15 @@ class Result:
             "wall_seconds": round(wall_seconds, 3),
             "rank": estimate.rank,
             "parameters": estimate.model.size,
-            "estimated_ve_um": finding.before.aligned_um,
-            "predicted_vce_um": finding.expected.aligned_um,
-            "predicted_vce_raw_um": finding.expected.raw_um,
+            "estimated_ve_um": volumetric.before_aligned.value_um,
+            "predicted_vce_um": volumetric.after_aligned.value_um,
+            "predicted_vce_raw_um": volumetric.after_raw.value_um,
             "verified": None,
             "table_bank": None,
             "report": str(self.report),
             "chi2_normalised": estimate.chi2_normalised,
             "rejected": [list(row) for row in estimate.rejected],
-            "gates": {gate.name: gate.passed for gate in finding.gates},
+            "gates": {gate.name: gate.passed for gate in self.finding.gates},
         }
 
 
@@ -103,13 +109,20 @@ def identify_files(request: Request, timestamp: str) -> Result:
     material = read_material(request)
     with translated(file=str(request.balls)):
         finding = find(material, request.options)
-    run_id = f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z"
-    result = Result(run_id, name_of_positions(material.balls.positions), material, finding, request.out / "report.html")
-    write_all_atomically(request.out, _texts(result, request, timestamp))
+    result = Result(
+        run_id=f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z",
+        timestamp=timestamp,
+        position_set=name_of_positions(material.balls.positions),
+        material=material,
+        finding=finding,
+        report=request.out / "report.html",
+    )
+    write_all_atomically(request.out, _texts(result, request))
     return result
 
 
 def read_material(request: Request) -> Material:
+    """Raises UserError naming file and place for whatever cannot be used."""
     machine = load_machine(request.machine)
     artefact = load_artefact(request.artefact)
     balls = load_balls(request.balls, machine)
@@ -118,29 +131,103 @@ def read_material(request: Request) -> Material:
 
 def find(material: Material, options: Options) -> Finding:
     """Estimate, table and gates. Raises TwinError."""
-    model, observations = material.machine.model, material.balls.observations
-    estimate = identify(model, observations, material.artefact, material.machine.family, options)
-    offset = material.machine.tool(material.tool)
-    grid = evaluation_grid(model.ranges_mm)
-    before = QuadraticForm.build(model, grid, offset).value(estimate.parameters)
-    expected = predicted_vce(estimate, grid, offset)
+    machine, observations = material.machine, material.balls.observations
+    model, offset = machine.model, machine.tool(material.tool)
+    estimate = identify(model, observations, material.artefact, machine.family, options)
+    volumetric = volumetric_summary(estimate, offset)
     nodes = regular_nodes(model.ranges_mm, TableSettings().step_mm)
-    anchor = Anchor(np.zeros(3))
+    anchor = Anchor(np.array([np.clip(0.0, low, high) for low, high in model.ranges_mm]))
     table = build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions)
     limits = GateLimits(**GateSettings().model_dump())
-    gates = (*estimate_gates(estimate, expected, before, limits), *table_gates(table, NO_STORE, limits))
-    return Finding(estimate, before, expected, table, gates)
+    gates = (
+        *estimate_gates(estimate, volumetric.after, volumetric.before, limits),
+        *table_gates(table, NO_STORE, limits),
+    )
+    return Finding(estimate, volumetric, table, gates)
 
 
 def _table_tool(request: Request, machine: MachineDescription, balls: BallFile) -> str:
     names = list(machine.tools)
-    if request.tool is not None:
-        if request.tool not in names:
-            hint = f"known tools: {', '.join(names)}"
-            raise ConfigurationError(f"the machine has no tool '{request.tool}'", hint=hint, file=str(request.machine))
-        return request.tool
-    return names[int(np.bincount(balls.observations.tool).argmax())]
+    if request.tool is None:
+        return names[int(np.bincount(balls.observations.tool).argmax())]
+    if request.tool not in names:
+        hint = f"Known tools: {', '.join(names)}"
+        raise ConfigurationError(f"the machine has no tool '{request.tool}'", hint=hint, file=str(request.machine))
+    return request.tool
 
 
-def _texts(result: Result, request: Request, timestamp: str) -> dict[str, str]:
-    return {}
+def _texts(result: Result, request: Request) -> dict[str, str]:
+    """The four files, by name."""
+    table = format_table(result.finding.table)
+    return {
+        "estimate.json": format_estimate(result.finding.estimate, _provenance(result, request)),
+        "table.csv": table,
+        "table.json": format_side_file(result.finding.table),
+        "report.html": render_report(_report_data(result, request, checksum(table))),
+    }
+
+
+def _provenance(result: Result, request: Request) -> dict[str, str]:
+    return {
+        "run_id": result.run_id,
+        "time": result.timestamp,
+        "software": f"volcal {version('volcal')}",
+        "balls": request.balls.name,
+        "machine": request.machine.name,
+        "artefact": request.artefact.name,
+        "certificate": result.material.artefact.certificate,
+        "prior": "family" if request.options.use_prior else "none",
+        "weights": request.options.weights,
+        "table_tool": result.material.tool,
+    }
+
+
+def _report_data(result: Result, request: Request, crc32: str) -> ReportData:
+    material, finding, options = result.material, result.finding, request.options
+    settings = {
+        "Prior": "family of the machine" if options.use_prior else "none",
+        "Weights": "full covariances" if options.weights == "full" else "all alike",
+        "Ball centres from": request.balls.name,
+    }
+    header = Header(
+        title="Identification from files",
+        run_id=result.run_id,
+        timestamp=result.timestamp,
+        software_version=version("volcal"),
+        state="complete",
+        position_set=result.position_set,
+        settings=settings,
+    )
+    return ReportData(
+        header=header,
+        machine=material.machine,
+        artefact=material.artefact,
+        observations=material.balls.observations,
+        estimate=finding.estimate,
+        positions=material.balls.positions,
+        tool_name=material.tool,
+        table=finding.table,
+        table_crc32=crc32,
+        volumetric=finding.volumetric,
+        gates=finding.gates,
+        gates_enforced=False,
+        warnings=_warnings(material, finding, options),
+    )
+
+
+def _warnings(material: Material, finding: Finding, options: Options) -> tuple[str, ...]:
+    """What somebody should know before the table is loaded into a machine."""
+    notes = ["Nothing was measured with the table active: what is said about the time after is a prediction."]
+    share = float(np.mean(finding.table.extrapolated))
+    if share > 0.0:
+        notes.append(f"{100.0 * share:.0f} % of the table's nodes lie outside the measured region.")
+    if material.tool not in _used_tools(material):
+        notes.append(f"The table is made for the tool {material.tool}, with which nothing was measured.")
+    if not options.use_prior:
+        notes.append("Without the family what was not seen counts as zero: the stated uncertainties leave it out.")
+    return tuple(notes)
+
+
+def _used_tools(material: Material) -> set[str]:
+    names = list(material.machine.tools)
+    return {names[tool] for tool in np.unique(material.balls.observations.tool)}

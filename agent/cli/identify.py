@@ -79,7 +79,8 @@ def _show(result: Result, seconds: float) -> None:
     table.add_column("")
     table.add_column("aligned", justify="right")
     table.add_column("as defined", justify="right")
-    rows = (("volumetric error, estimated", finding.before), ("predicted after compensation", finding.expected))
+    before, after = finding.volumetric.before, finding.volumetric.after
+    rows = (("volumetric error, estimated", before), ("predicted after compensation", after))
     for name, value in rows:
         table.add_row(name, f"{value.aligned_um:.2f} µm", f"{value.raw_um:.2f} µm")
     console = Console(highlight=False, soft_wrap=True)

@@ -9,8 +9,11 @@ from agent.report.data import (
     TemperatureTrace,
     Verification,
     VerifiedPosition,
+    VolumetricSummary,
 )
+from agent.report.position_naming import name_of_positions
 from agent.report.render import render_report
+from agent.report.volumetric_summary import volumetric_summary
 
 __all__ = [
     "EventLine",
@@ -21,5 +24,8 @@ __all__ = [
     "TemperatureTrace",
     "Verification",
     "VerifiedPosition",
+    "VolumetricSummary",
+    "name_of_positions",
     "render_report",
+    "volumetric_summary",
 ]

@@ -19,6 +19,7 @@ from twin.machine_description import MachineDescription
 from twin.observations import Observations
 from twin.position_set import Position
 from twin.table import CompensationTable
+from twin.volumetric import Volumetric
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,24 @@ class Quantity:
 
     value_um: float
     standard_uncertainty_um: float | None = None
+
+
+@dataclass(frozen=True)
+class VolumetricSummary:
+    """VE of the bare machine as estimated (before), VCE as predicted (after); as defined and rigidly aligned."""
+
+    before_raw: Quantity
+    before_aligned: Quantity
+    after_raw: Quantity
+    after_aligned: Quantity
+
+    @property
+    def before(self) -> Volumetric:
+        return Volumetric(1e-3 * self.before_raw.value_um, 1e-3 * self.before_aligned.value_um)
+
+    @property
+    def after(self) -> Volumetric:
+        return Volumetric(1e-3 * self.after_raw.value_um, 1e-3 * self.after_aligned.value_um)
 
 
 @dataclass(frozen=True)
@@ -96,7 +115,10 @@ class RunFacts:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Everything a page is drawn from. `positions` are the poses that `observations.position` counts."""
+    """Everything a page is drawn from. `positions` are the poses that `observations.position` counts.
+
+    `volumetric` is computed where it is not at hand. `gates_enforced`: whether they decided anything.
+    """
 
     header: Header
     machine: MachineDescription
@@ -106,7 +128,8 @@ class ReportData:
     positions: tuple[Position, ...]
     tool_name: str
     table: CompensationTable | None = None
-    table_crc32: int | None = None
+    table_crc32: str | None = None
+    volumetric: VolumetricSummary | None = None
     gates: tuple[Gate, ...] = ()
     gates_enforced: bool = True
     warnings: tuple[str, ...] = ()

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
-from agent.report.data import Quantity, ReportData, Verification
+from agent.report.data import Quantity, ReportData, Verification, VolumetricSummary
 from agent.report.figures import ball_residuals
 from agent.report.run_figures import draw_verification
-from agent.report.volumetric_summary import VolumetricSummary, volumetric_summary
+from agent.report.volumetric_summary import volumetric_summary
 from agent.report.wording import COVERAGE, Table, fixed, micrometres, number, plural, point
-from markupsafe import Markup
 from twin.error_model import SQUARENESS
 
 Rows = list[tuple[str, str]]
@@ -22,7 +22,7 @@ INFORMATIVE_GATES = "For information: there is no machine here that the gates wo
 
 def page_values(data: ReportData) -> dict[str, Any]:
     """Every value that the template names, except the figures."""
-    summary = volumetric_summary(data.estimate, data.tool_offset)
+    summary = data.volumetric or volumetric_summary(data.estimate, data.tool_offset)
     failed = [gate for gate in data.gates if not gate.passed] if data.gates_enforced else []
     proof = data.run.verification
     return {
@@ -161,7 +161,7 @@ def _rejected(data: ReportData) -> Table | None:
         place = data.positions[position]
         where = f"station {place.station}, azimuth {place.azimuth_deg:g}°, elevation {place.elevation_deg:g}°"
         residual = _residual_of(data, position, ball, tool)
-        rows.append((str(position + 1), where, str(ball), f"{residual:.1f}"))
+        rows.append((str(position), where, str(ball), f"{residual:.1f}"))
     heads = ("position", "orientation", "ball", "residual / µm")
     return Table(heads, tuple(rows), ("position", "ball", "residual / µm"))
 
@@ -242,7 +242,7 @@ def _table(data: ReportData) -> Rows | None:
         ("Sign", "values are added to the commanded position"),
     ]
     if data.table_crc32 is not None:
-        rows.append(("CRC-32", f"{data.table_crc32:08X}"))
+        rows.append(("CRC-32", data.table_crc32))
     return rows
 
 

@@ -42,13 +42,13 @@ def draw_by_position(residuals: BallResiduals) -> str:
     drawing = Drawing("residuals-by-position", 10.4, 2.9)
     with drawing as figure:
         panel = figure.subplots()
-        place = residuals.position + 1.0 + _spread(residuals.ball)
+        place = residuals.position + _spread(residuals.ball)
         _components(panel, place, residuals)
         for start in residuals.station_starts:
-            panel.axvline(start + 0.5, color=INK, linewidth=0.6, linestyle=(0, (2, 3)))
+            panel.axvline(start - 0.5, color=INK, linewidth=0.6, linestyle=(0, (2, 3)))
         panel.axhline(0.0, color=INK, linewidth=0.6)
-        panel.set_xlim(0.4, float(residuals.position.max()) + 1.6)
-        panel.set_xlabel("position (balls of a position from left to right)")
+        panel.set_xlim(-0.6, float(residuals.position.max()) + 0.6)
+        panel.set_xlabel("position, counted from 0 (its balls from left to right)")
         panel.set_ylabel("residual / µm")
         panel.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handletextpad=0.2)
         panel.grid(visible=False, axis="x")
@@ -75,20 +75,20 @@ def _components(panel: Axes, place: Array, residuals: BallResiduals) -> None:
     for column, (name, colour, marker) in enumerate(COMPONENTS):
         value = residuals.residual_um[:, column]
         panel.plot(place[kept], value[kept], marker, color=colour, markersize=2.4, markeredgewidth=0, label=name)
-        panel.plot(place[~kept], value[~kept], marker, color=colour, markersize=3.5)
-    if (~kept).any():
-        largest = np.abs(residuals.residual_um[~kept]).argmax(axis=1)
-        peak = residuals.residual_um[~kept][np.arange(len(largest)), largest]
-        panel.plot(
-            place[~kept],
-            peak,
-            "o",
-            markersize=9,
-            markerfacecolor="none",
-            color=INK,
-            label="rejected",
-            markeredgewidth=1,
-        )
+    limit = 1.4 * float(np.abs(residuals.residual_um[kept]).max(initial=0.1))
+    panel.set_ylim(-1.08 * limit, 1.08 * limit)
+    if not kept.all():
+        _rejected(panel, place[~kept], residuals.residual_um[~kept], limit)
+
+
+def _rejected(panel: Axes, place: Array, residual: Array, limit: float) -> None:
+    """The largest component of each with its value; what lies beyond the scale stands at its edge."""
+    largest = residual[np.arange(len(residual)), np.abs(residual).argmax(axis=1)]
+    shown = np.clip(largest, -limit, limit)
+    panel.plot(place, shown, "o", markersize=7, markerfacecolor="none", markeredgecolor=INK, label="rejected")
+    for x, y, value in zip(place, shown, largest, strict=True):
+        text = f"{value:.0f} µm"
+        panel.annotate(text, (x, y), xytext=(6, 0), textcoords="offset points", va="center", fontsize=7)
 
 
 def _per_ball(panel: Axes, residuals: BallResiduals) -> None:

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.report.data import Quantity
+from agent.report.data import Quantity, VolumetricSummary
 from twin.identification import Estimate, predicted_vce
 from twin.volumetric import QuadraticForm, evaluation_grid
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class VolumetricSummary:
-    before_raw: Quantity
-    before_aligned: Quantity
-    after_raw: Quantity
-    after_aligned: Quantity
 
 
 def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:

@@ -16,8 +16,8 @@ from twin.volumetric import evaluation_grid
 Array = NDArray[np.float64]
 
 PLANE_SHAPE = (49, 25)
-GAUGE_SHAPE = (13, 7, 7)
-"""Nodes over which the rigid motion is fitted: it is smooth, a coarse grid gives it to the map's own accuracy."""
+CHUNK = 2000
+"""Grid points whose columns are held at a time."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,11 @@ class _AlignedFields:
 
     def __init__(self, estimate: Estimate, tool_offset: Array) -> None:
         self._estimate, self._offset = estimate, tool_offset
-        points = evaluation_grid(estimate.model.ranges_mm, GAUGE_SHAPE)
+        points = evaluation_grid(estimate.model.ranges_mm)
         self._middle = points.mean(axis=0) + tool_offset
         self._size = float(np.ptp(points, axis=0).max())
-        columns = self._columns(points)
-        rigid = self._rigid(points).reshape(-1, 6)
-        self._motion = np.linalg.lstsq(rigid, columns.reshape(len(rigid), -1))[0]
         self._moments = _second_moments(estimate)
+        self._motion = self._best_motions(points)
 
     def at(self, points: Array) -> tuple[Array, Array]:
         """Length (n,) of the estimated deviation and root mean square (n,) of what is not known of it, mm."""
@@ -62,6 +60,16 @@ class _AlignedFields:
         length = np.linalg.norm(columns[:, :, :size] @ self._estimate.parameters, axis=1)
         square = ((columns @ self._moments) * columns).sum(axis=(1, 2))
         return length, np.sqrt(np.maximum(square, 0.0))
+
+    def _best_motions(self, points: Array) -> Array:
+        """(6, columns): least squares over the grid that every volumetric error is stated on."""
+        normal, shared = np.zeros((6, 6)), np.zeros((6, len(self._moments)))
+        for start in range(0, len(points), CHUNK):
+            chunk = points[start : start + CHUNK]
+            rigid = self._rigid(chunk).reshape(-1, 6)
+            normal += rigid.T @ rigid
+            shared += rigid.T @ self._columns(chunk).reshape(len(rigid), -1)
+        return np.asarray(np.linalg.solve(normal, shared), dtype=np.float64)
 
     def _columns(self, points: Array) -> Array:
         basis = deviation_basis(self._estimate.model, points, self._offset)

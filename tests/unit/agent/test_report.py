@@ -99,7 +99,7 @@ def report_data() -> ReportData:
         state="complete",
         position_set="S1+S3, 2 stations",
     )
-    return ReportData(header, machine, BAR, seen, estimate, POSITIONS, "probe", table, 0x0BADCAFE)
+    return ReportData(header, machine, BAR, seen, estimate, POSITIONS, "probe", table, "0badcafe")
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +200,7 @@ class TestPage:
 
     def test_identity_and_table_are_stated(self, offline_page: str) -> None:
         text = " ".join(Page(offline_page).text)
-        for wanted in ("run-17", "2026-03-01 02:03 UTC", "1.2.3", "0BADCAFE", "11 × 7 × 6", "hold for this offset"):
+        for wanted in ("run-17", "2026-03-01 02:03 UTC", "1.2.3", "0badcafe", "11 × 7 × 6", "hold for this offset"):
             assert wanted in text
 
 
@@ -280,19 +280,25 @@ class TestNumbers:
         assert summary.before_raw.standard_uncertainty_um == pytest.approx(0.1 * by_hand, rel=1e-9)
 
     def test_the_map_is_the_aligned_field(self, offline: ReportData) -> None:
-        """Against the alignment over a much finer grid, point by point."""
-        rng = np.random.default_rng(5)
-        values = FAMILY.draw(rng, 1)[0]
+        """The planes, put under the standard grid and aligned with it, point by point."""
+        values = FAMILY.draw(np.random.default_rng(5), 1)[0]
         nothing = np.zeros((MODEL.size, MODEL.size))
         estimate = replace(offline.estimate, parameters=values, covariance=nothing, misfit=None)
         maps = workspace_maps(estimate, OFFSET, np.zeros((1, 3)))
-        lines = (np.linspace(0, 1000, 49), np.linspace(0, 600, 25), np.linspace(0, 500, 21))
-        grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
-        field = exact_deviation(MODEL, grid.reshape(-1, 3), OFFSET, values)
-        aligned = align_rigidly(grid.reshape(-1, 3) + OFFSET, field).reshape(grid.shape)
-        for count, height in enumerate((0, 10, 20)):
-            wanted = 1e3 * np.linalg.norm(aligned[:, :, height], axis=-1)
-            assert np.abs(maps.deviation[count].length_um - wanted).max() < 0.05 * wanted.max()
+        grid = evaluation_grid(RANGES)
+        field = exact_deviation(MODEL, grid, OFFSET, values)
+        removed = field - align_rigidly(grid + OFFSET, field)
+        motion = np.linalg.lstsq(np.column_stack([np.ones(len(grid)), grid]), removed)[0]  # affine, so exact
+        for count, height in enumerate((0.0, 250.0, 500.0)):
+            plane = np.stack(np.meshgrid(np.linspace(0, 1000, 49), np.linspace(0, 600, 25), indexing="ij"), axis=-1)
+            points = np.column_stack([plane.reshape(-1, 2), np.full(49 * 25, height)])
+            left = (
+                exact_deviation(MODEL, points, OFFSET, values)
+                - np.column_stack([np.ones(len(points)), points]) @ motion
+            )
+            assert maps.deviation[count].length_um.ravel() == pytest.approx(
+                1e3 * np.linalg.norm(left, axis=1), abs=0.01
+            )
             assert maps.uncertainty[count].length_um.max() < 1e-3
 
     def test_the_uncertainty_map_is_the_posterior_by_sampling(self, offline: ReportData) -> None:
