@@ -40,9 +40,7 @@ class Artefact:
         if len(balls) < 2:
             raise DataError("an artefact needs at least two balls", artefact=self.name)
         if not self.ball_diameter_mm > 0.0:
-            raise DataError(
-                f"ball diameter must be positive, got {self.ball_diameter_mm}", artefact=self.name
-            )
+            raise DataError(f"ball diameter must be positive, got {self.ball_diameter_mm}", artefact=self.name)
         _refuse_overlap(balls, self.ball_diameter_mm, self.name)
         _refuse_bad_covariance(self.covariance, 3 * len(balls), self.name)
 

@@ -91,9 +91,7 @@ def capsule_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
     b, c = _dot(d1, d2), _dot(d1, r)
     denominator = a * e - b * b
     parallel = denominator <= _TINY * a * e
-    s = np.where(
-        parallel, 0.0, np.clip(_ratio(b * f - c * e, np.where(parallel, 1.0, denominator)), 0.0, 1.0)
-    )
+    s = np.where(parallel, 0.0, np.clip(_ratio(b * f - c * e, np.where(parallel, 1.0, denominator)), 0.0, 1.0))
     t = np.clip(_ratio(b * s + f, e), 0.0, 1.0)
     s = np.clip(_ratio(b * t - c, a), 0.0, 1.0)
     gap = r + s[..., None] * d1 - t[..., None] * d2
@@ -112,18 +110,14 @@ def separation(first: Shape, second: Shape) -> Separation:
     return _between_boxes(first, second)
 
 
-def swept_contact(
-    moving: Shape, obstacle: Shape, displacement: Point, clearance_mm: float = 0.0
-) -> float | None:
+def swept_contact(moving: Shape, obstacle: Shape, displacement: Point, clearance_mm: float = 0.0) -> float | None:
     """Fraction of `displacement` (0..1) at which the bodies come within `clearance_mm`, or None.
 
     Bodies that already are within it at the start count only where the motion brings them closer.
     """
     fraction = 0.0
     for _ in range(_MOST_TANGENTS):
-        here = moving.moved(
-            (displacement[0] * fraction, displacement[1] * fraction, displacement[2] * fraction)
-        )
+        here = moving.moved((displacement[0] * fraction, displacement[1] * fraction, displacement[2] * fraction))
         distance, (nx, ny, nz) = separation(here, obstacle)
         slope = nx * displacement[0] + ny * displacement[1] + nz * displacement[2]
         if slope >= 0.0:

@@ -100,9 +100,7 @@ def mount_pose(place_mm: Array, geometry: MountGeometry, azimuth_rad: float, ele
     return Pose(np.asarray(place_mm, dtype=np.float64) + geometry.shaft_mm * outward, rotation)
 
 
-def station_places(
-    count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float
-) -> Array:
+def station_places(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:
     """(count, 3) mm: places along X, evenly spaced, the outer ones `half_span_mm` inside the travel."""
     low, high = x_range[0] + half_span_mm, x_range[1] - half_span_mm
     if count < 1 or high < low:

@@ -62,7 +62,5 @@ def _refuse_none_or_twice(positions: list[Position], source: str) -> None:
     seen: dict[Position, int] = {}
     for row, position in enumerate(positions, start=2):
         if position in seen:
-            raise FormatError(
-                f"this position already stands as number {seen[position]}", file=source, row=row
-            )
+            raise FormatError(f"this position already stands as number {seen[position]}", file=source, row=row)
         seen[position] = row - 1

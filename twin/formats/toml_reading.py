@@ -77,7 +77,9 @@ def _in_words(
         if location and isinstance(location[-1], int):
             return f"the list is too short, it has no value number {location[-1] + 1}", ""
         return f"key '{name}' is missing", _listing(known)
-    return f"{text[:1].lower()}{text[1:].removeprefix('alue error, ')}, found {value!r:.80}", ""
+    if problem == "value_error":
+        return text.removeprefix("Value error, "), ""
+    return f"{text[:1].lower()}{text[1:]}, found {value!r:.80}", ""
 
 
 def _listing(known: list[str]) -> str:
