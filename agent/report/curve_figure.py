@@ -40,9 +40,9 @@ class ErrorCurve:
 def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
     """SVG of the 18 functions of one axis each; an error that the model does not have stays an empty panel."""
     by_name = {curve.name: curve for curve in curves}
-    drawing = Drawing("error-curves", 10.4, 4.9, fitted=False)
+    drawing = Drawing("error-curves", 10.4, 4.9)
     with drawing as figure:
-        figure.subplots_adjust(left=0.048, right=0.985, bottom=0.075, top=0.955, wspace=0.16, hspace=0.5)
+        figure.subplots_adjust(wspace=0.16, hspace=0.5)
         panels = _panels(figure)
         for axis, row in zip(AXES, panels, strict=True):
             for kind, panel in zip(COLUMNS, row, strict=True):
@@ -58,6 +58,7 @@ def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
     """SVG of the ram–column terms at full overhang, over the height."""
     drawing = Drawing("cross-effect", 5.6, 1.9)
     with drawing as figure:
+        figure.subplots_adjust(wspace=0.35)
         panels = np.atleast_1d(figure.subplots(1, len(curves)))
         for panel, curve in zip(panels, curves, strict=True):
             _panel(panel, curve, curve.name)

@@ -10,11 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
-from agent.report.style import INK, MAP_COLOURS, Drawing
+from agent.report.style import INK, MAP_COLOURS, Drawing, Margins
 
 Array = NDArray[np.float64]
 
 WIDTH_IN = 10.4
+GAP_IN = 0.25
+BAR_IN = 0.12
+ROOM = Margins(right=0.5, bottom=0.38)
+HIGHEST_IN = 4.0
 
 
 @dataclass(frozen=True)
@@ -31,14 +35,24 @@ class PlaneMap:
 def draw_planes(name: str, planes: Sequence[PlaneMap], label: str, *, dots: bool) -> str:
     """SVG of the planes side by side under one colour scale that starts at zero."""
     top = max(float(plane.length_um.max()) for plane in planes) or 1.0
-    drawing = Drawing(name, WIDTH_IN, _height(planes))
+    width, high = _panel_size(planes)
+    total = high + ROOM.bottom + ROOM.top
+    drawing = Drawing(name, WIDTH_IN, total)
     with drawing as figure:
-        panels = np.atleast_1d(figure.subplots(1, len(planes), sharey=True))
-        for panel, plane in zip(panels, planes, strict=True):
+
+        def box(left: float, across: float) -> tuple[float, float, float, float]:
+            return left / WIDTH_IN, ROOM.bottom / total, across / WIDTH_IN, high / total
+
+        for count, plane in enumerate(planes):
+            panel = figure.add_axes(box(ROOM.left + count * (width + GAP_IN), width))
             image = _draw(panel, plane, top, dots)
             panel.set_xlabel("X / mm", labelpad=1)
-        panels[0].set_ylabel("Y / mm")
-        bar = figure.colorbar(image, ax=list(panels), pad=0.01, aspect=14)
+            if count:
+                panel.tick_params(labelleft=False)
+            else:
+                panel.set_ylabel("Y / mm")
+        end = ROOM.left + len(planes) * (width + GAP_IN)
+        bar = figure.colorbar(image, cax=figure.add_axes(box(end - 0.1, BAR_IN)))
         bar.set_label(label)
         bar.outline.set_linewidth(0.4)
     return drawing.svg()
@@ -69,8 +83,10 @@ def _draw(panel: Axes, plane: PlaneMap, top: float, dots: bool) -> AxesImage:
     return image
 
 
-def _height(planes: Sequence[PlaneMap]) -> float:
-    """As high as equal scales on both axes need, with room for the labels."""
+def _panel_size(planes: Sequence[PlaneMap]) -> tuple[float, float]:
+    """Width and height in inches of one panel that fill the page at equal scales on both axes."""
     plane = planes[0]
-    ratio = np.ptp(plane.y_mm) / np.ptp(plane.x_mm)
-    return float(np.clip(0.75 + ratio * (WIDTH_IN - 1.4) / len(planes), 1.5, 5.0))
+    ratio = float(np.ptp(plane.y_mm) / np.ptp(plane.x_mm))
+    width = (WIDTH_IN - ROOM.left - ROOM.right - BAR_IN) / len(planes) - GAP_IN
+    high = min(width * ratio, HIGHEST_IN)
+    return high / ratio, high

@@ -189,7 +189,7 @@ def _fit(data: ReportData) -> Rows:
         misfit = f"about {number(rms, 2)} µm rms that the model cannot represent"
     return [
         ("Normalised χ²", fixed(estimate.chi2_normalised, 3)),
-        ("Degrees of freedom", number(float(estimate.degrees_of_freedom), 5)),
+        ("Degrees of freedom", fixed(estimate.degrees_of_freedom, 0)),
         ("Touch noise", f"{fixed(estimate.scales.noise, 2)} times as stated"),
         ("Family", f"{fixed(estimate.scales.prior, 2)} times as wide as stated"),
         ("Beside the model", misfit),

@@ -59,6 +59,7 @@ def draw_distribution(residuals: BallResiduals) -> str:
     """SVG: rms per ball and a normal probability plot of the standardised residuals."""
     drawing = Drawing("residual-distribution", 10.4, 2.7)
     with drawing as figure:
+        figure.subplots_adjust(wspace=0.13)
         left, right = figure.subplots(1, 2)
         _per_ball(left, residuals)
         _normal_plot(right, residuals)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from agent.report.data import TemperatureTrace, VerifiedPosition
-from agent.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing
+from agent.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing, Margins
 
 SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
@@ -41,7 +41,7 @@ def draw_position_temperatures(position: np.ndarray, temperature_c: np.ndarray) 
 
 def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
     """SVG of each held-out position: bare machine, compensated machine, and what was predicted (2σ)."""
-    drawing = Drawing("verification", 10.4, 2.4)
+    drawing = Drawing("verification", 10.4, 2.6, Margins(bottom=0.72, left=0.7))
     with drawing as figure:
         panel = figure.subplots()
         place = np.arange(len(positions), dtype=float)

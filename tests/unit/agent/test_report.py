@@ -347,6 +347,7 @@ class TestWords:
         assert micrometres(Quantity(3.0)) == "3.00 µm"
         assert micrometres(None) == "–"
         assert fixed(-1.0, 1) == "−1.0"
+        assert fixed(-0.001, 2) == "0.00"
 
     def test_a_complete_set_is_named_and_a_choice_is_counted(self) -> None:
         assert name_of_positions(positions_of("S2+S3", 3)) == "S2+S3, 3 stations"
