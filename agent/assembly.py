@@ -77,9 +77,10 @@ def assemble_rehearsal(job: Job, clock: VirtualClock, start_mm: Point | None) ->
         "stations_mm": [list(place) for place in settings.stations.places_mm],
         "standing_at": settings.stations.standing_at or 1,
         "mount_behaviour": settings.timing.model_dump(),
-        "start_mm": None if start_mm is None else list(start_mm),
         "ideal": True,
     }
+    if start_mm is not None:
+        options["start_mm"] = list(start_mm)
     context = DeviceContext("preflight", clock, settings.machine.parent)
     device = create_device(settings.preflight.driver, options, context)
     devices = {"preflight": device}

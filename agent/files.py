@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from drivers.errors import ConfigurationError, InputError, UserError
+from drivers.errors import ConfigurationError, InputError, UserError, VolcalError
 from twin.artefact import Artefact
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
@@ -43,7 +43,7 @@ def read_text(path: Path, *, error: type[UserError] = InputError) -> str:
 
 
 @contextmanager
-def translated(error: type[UserError] = InputError, **where: str | int) -> Iterator[None]:
+def translated(error: type[VolcalError] = InputError, **where: str | int) -> Iterator[None]:
     """Turn a `TwinError` into `error`, keeping message, places and hint; `where` adds what is not named yet."""
     try:
         yield

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.files import load_artefact, load_machine, load_positions, read_text, translated
 from agent.gates import GateLimits
-from agent.plans.measure import FEWEST_BALLS, Layout, MeasuringOrder, by_station
-from agent.plans.position import Course, PositionRules
+from agent.plans.measure import FEWEST_BALLS, Layout, Measured, MeasuringOrder, by_station
+from agent.plans.position import Course, MeasuredBall, PositionRules
 from agent.plans.probing import BallLimits, Probing, Search, approach_directions
 from agent.settings import Settings, parse_settings
 from drivers.errors import ConfigurationError
+from twin.access import accessible, standing_scene
+from twin.arrays import Array
 from twin.artefact import Artefact
 from twin.formats.toml_reading import validated
 from twin.machine_description import MachineDescription
@@ -42,7 +46,7 @@ class Job:
     gate_limits: GateLimits
 
     @property
-    def tool_offset_mm(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def tool_offset_mm(self) -> Array:
         return np.asarray(self.machine.tools[self.settings.tool], dtype=np.float64)
 
     @property
@@ -55,6 +59,16 @@ class Job:
         """The held-out positions again, beginning where the artefact stands."""
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
+
+    def balls_of(self, measured: Measured, *, held_out: bool) -> list[MeasuredBall]:
+        """The balls of the held-out positions, or of all others."""
+        kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
+        return [
+            ball
+            for position in measured.positions
+            for ball in position.balls
+            if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
+        ]
 
 
 def load_settings(path: Path) -> Settings:
@@ -96,10 +110,8 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         held_out=held_out,
         stations=used,
         verified_stations=verified,
-        layout=_layout(settings, machine, artefact, probing),
-        rules=PositionRules(
-            probing, _course(settings, machine), settings.procedure.drift_limit_um * MM_PER_UM
-        ),
+        layout=_layout(settings, machine, artefact, probing, (*positions, *held_out)),
+        rules=PositionRules(probing, _course(settings, machine), settings.procedure.drift_limit_um * MM_PER_UM),
         gate_limits=GateLimits(**settings.gates.model_dump()),
     )
     _refuse_nothing_reachable(job)
@@ -177,18 +189,40 @@ def _probing(settings: Settings, artefact: Artefact) -> Probing:
     )
 
 
-def _layout(settings: Settings, machine: MachineDescription, artefact: Artefact, probing: Probing) -> Layout:
+def _layout(
+    settings: Settings,
+    machine: MachineDescription,
+    artefact: Artefact,
+    probing: Probing,
+    positions: Sequence[Position],
+) -> Layout:
     ranges = np.array(machine.limits)
     reach = probing.contact_mm + probing.wide.approach_mm
+    places = {n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)}
     return Layout(
         mount=settings.mount,
-        places_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
+        places_mm=places,
         balls_mm=artefact.balls,
         tool_offset_mm=np.asarray(machine.tools[settings.tool], dtype=np.float64),
         lower_mm=ranges[:, 0],
         upper_mm=ranges[:, 1],
         margin_mm=np.full(3, reach),
+        accessible={p: _accessible(settings, artefact, probing, p, places[p.station]) for p in positions},
     )
+
+
+def _accessible(
+    settings: Settings, artefact: Artefact, probing: Probing, position: Position, place_mm: Array
+) -> NDArray[np.bool_]:
+    centres, scene = standing_scene(
+        artefact,
+        settings.probe,
+        settings.mount,
+        place_mm=place_mm,
+        azimuth_rad=math.radians(position.azimuth_deg),
+        elevation_rad=math.radians(position.elevation_deg),
+    )
+    return accessible(centres, scene, contact_mm=probing.contact_mm, approach_mm=probing.wide.approach_mm)
 
 
 def _course(settings: Settings, machine: MachineDescription) -> Course:
@@ -209,7 +243,7 @@ def _course(settings: Settings, machine: MachineDescription) -> Course:
 
 def _refuse_nothing_reachable(job: Job) -> None:
     for position in job.positions:
-        mask = job.layout.reachable(job.layout.predicted(position, np.zeros(3)))
+        mask = job.layout.reachable(position, job.layout.predicted(position, np.zeros(3)))
         if mask.sum() >= FEWEST_BALLS:
             return
     raise ConfigurationError(

@@ -9,16 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from agent.findings import Finding, find
 from agent.files import load_artefact, load_balls, load_machine, translated, write_all_atomically
 from agent.gates import Gate, GateLimits, estimate_gates, table_gates
-from agent.report import (
-    Header,
-    ReportData,
-    VolumetricSummary,
-    name_of_positions,
-    render_report,
-    volumetric_summary,
-)
+from agent.report import Header, ReportData, name_of_positions, render_report
 from agent.settings import GateSettings, TableSettings
 from drivers.errors import ConfigurationError
 from drivers.roles import Activation, StoreLimits
@@ -26,9 +20,8 @@ from twin.artefact import Artefact
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import format_estimate
 from twin.formats.table_file import checksum, format_side_file, format_table
-from twin.identification import Estimate, Options, identify
+from twin.identification import Options
 from twin.machine_description import MachineDescription
-from twin.table import Anchor, CompensationTable, build_table, regular_nodes
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
 """A file holds corrections of any size."""
@@ -57,22 +50,13 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Estimate, what it is worth, its table, and what the gates of a machine would say."""
-
-    estimate: Estimate
-    volumetric: VolumetricSummary
-    table: CompensationTable
-    gates: tuple[Gate, ...]
-
-
-@dataclass(frozen=True)
 class Result:
     run_id: str
     timestamp: str
     position_set: str
     material: Material
     finding: Finding
+    gates: tuple[Gate, ...]
     report: Path
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
@@ -97,7 +81,7 @@ class Result:
             "report": str(self.report),
             "chi2_normalised": estimate.chi2_normalised,
             "rejected": [list(row) for row in estimate.rejected],
-            "gates": {gate.name: gate.passed for gate in self.finding.gates},
+            "gates": {gate.name: gate.passed for gate in self.gates},
         }
 
 
@@ -108,13 +92,14 @@ def identify_files(request: Request, timestamp: str) -> Result:
     """
     material = read_material(request)
     with translated(file=str(request.balls)):
-        finding = find(material, request.options)
+        finding, gates = _gated(material, request.options)
     result = Result(
         run_id=f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z",
         timestamp=timestamp,
         position_set=name_of_positions(material.balls.positions),
         material=material,
         finding=finding,
+        gates=gates,
         report=request.out / "report.html",
     )
     write_all_atomically(request.out, _texts(result, request))
@@ -129,21 +114,17 @@ def read_material(request: Request) -> Material:
     return Material(machine, artefact, balls, _table_tool(request, machine, balls))
 
 
-def find(material: Material, options: Options) -> Finding:
-    """Estimate, table and gates. Raises TwinError."""
-    machine, observations = material.machine, material.balls.observations
-    model, offset = machine.model, machine.tool(material.tool)
-    estimate = identify(model, observations, material.artefact, machine.family, options)
-    volumetric = volumetric_summary(estimate, offset)
-    nodes = regular_nodes(model.ranges_mm, TableSettings().step_mm)
-    anchor = Anchor(np.array([np.clip(0.0, low, high) for low, high in model.ranges_mm]))
-    table = build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions)
+def _gated(material: Material, options: Options) -> tuple[Finding, tuple[Gate, ...]]:
+    """Estimate and table, and what the gates of a machine would say. Raises TwinError."""
+    finding = find(
+        material.machine, material.artefact, material.tool, material.balls.observations, options, TableSettings()
+    )
     limits = GateLimits(**GateSettings().model_dump())
     gates = (
-        *estimate_gates(estimate, volumetric.after, volumetric.before, limits),
-        *table_gates(table, NO_STORE, limits),
+        *estimate_gates(finding.estimate, finding.volumetric.after, finding.volumetric.before, limits),
+        *table_gates(finding.table, NO_STORE, limits),
     )
-    return Finding(estimate, volumetric, table, gates)
+    return finding, gates
 
 
 def _table_tool(request: Request, machine: MachineDescription, balls: BallFile) -> str:
@@ -209,7 +190,7 @@ def _report_data(result: Result, request: Request, crc32: str) -> ReportData:
         table=finding.table,
         table_crc32=crc32,
         volumetric=finding.volumetric,
-        gates=finding.gates,
+        gates=result.gates,
         gates_enforced=False,
         warnings=_warnings(material, finding, options),
     )

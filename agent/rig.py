@@ -142,9 +142,7 @@ class Rig:
 def in_role(devices: Mapping[str, Device], name: str, role: type[Role], key: str) -> Role:
     """Device `name` in `role`; ConfigurationError naming `key` where it is missing or cannot play it."""
     if name not in devices:
-        raise ConfigurationError(
-            f"no device {name!r}", key=key, hint=f"devices are: {', '.join(sorted(devices))}"
-        )
+        raise ConfigurationError(f"no device {name!r}", key=key, hint=f"devices are: {', '.join(sorted(devices))}")
     device = devices[name]
     if not isinstance(device, role):
         raise ConfigurationError(f"device {name!r} cannot play the role {role.__name__}", key=key)

@@ -17,18 +17,20 @@ from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
 from agent.execution.steps import Plan
 from agent.execution.supervisor import Supervisor
-from agent.findings import Findings, identify_machine, prove
+from agent.files import translated
+from agent.findings import Finding, find_machine, prove
 from agent.gates import Gate, estimate_gates, require, table_gates
 from agent.job import Job
+from agent.observing import no_correction
 from agent.outcome import Proof
 from agent.plans import publish
 from agent.plans.measure import Measured, measure_positions
-from agent.plans.position import MeasuredBall
 from agent.plans.recover import withdraw
 from agent.rig import Rig
 from agent.table_image import image_of, table_of
-from drivers.errors import Aborted, GateRefused, LinkError, VolcalError
-from twin.table import CompensationTable
+from drivers.errors import Aborted, GateRefused, LinkError, MeasurementFault, VolcalError
+from drivers.roles import TableImage
+from twin.formats.estimate_file import format_estimate
 
 T = TypeVar("T")
 
@@ -39,8 +41,7 @@ class Progress:
 
     found: publish.FoundState | None = None
     measured: Measured | None = None
-    findings: Findings | None = None
-    table: CompensationTable | None = None
+    finding: Finding | None = None
     gates: list[Gate] = field(default_factory=list)
     verified: Measured | None = None
     proof: Proof | None = None
@@ -87,9 +88,7 @@ class CalibrationRun:
         progress.found = self._engine.run(publish.read_state("before"))
         progress.active_bank = progress.found.bank
         self._journal.table("backup", progress.found.bank, progress.found.table)
-        progress.measured = self._engine.run(
-            measure_positions(self._job.measuring, self._job.layout, self._job.rules)
-        )
+        progress.measured = self._engine.run(measure_positions(self._job.measuring, self._job.layout, self._job.rules))
         enter(RunState.IDENTIFYING)
         image = self._identify_and_gate(progress.measured, progress.found)
         enter(RunState.STAGING)
@@ -102,31 +101,30 @@ class CalibrationRun:
         enter(RunState.VERIFYING)
         self._verify(progress.measured)
 
-    def _identify_and_gate(self, measured: Measured, found: publish.FoundState) -> publish.TableImage:
+    def _identify_and_gate(self, measured: Measured, found: publish.FoundState) -> TableImage:
         job, progress = self._job, self.progress
-        acting = table_of(found.table, job.tool_offset_mm) if found.table is not None else None
-        findings = identify_machine(job, self._balls(measured, held_out=False), acting)
-        progress.findings = findings
-        self._journal.estimate(findings.estimate_text)
-        progress.gates += estimate_gates(findings.estimate, findings.expected, findings.before, job.gate_limits)
+        correction = no_correction if found.table is None else table_of(found.table, job.tool_offset_mm).at
+        with translated(MeasurementFault):
+            finding = find_machine(job, job.balls_of(measured, held_out=False), correction)
+        progress.finding = finding
+        self._journal.estimate(format_estimate(finding.estimate, {"run": "see the runs table"}))
         limits = self._rig.store.store_limits()
-        progress.table = findings.table
-        progress.gates += table_gates(findings.table, limits, job.gate_limits)
+        predicted, before = finding.volumetric.after, finding.volumetric.before
+        progress.gates += estimate_gates(finding.estimate, predicted, before, job.gate_limits)
+        progress.gates += table_gates(finding.table, limits, job.gate_limits)
         for gate in progress.gates:
             self._journal.decision("gate", vars(gate))
         require(progress.gates)
-        return image_of(findings.table, limits)
+        return image_of(finding.table, limits)
 
     def _verify(self, measured: Measured) -> None:
         job, progress = self._job, self.progress
-        assert progress.findings is not None  # noqa: S101  identified before anything was staged
+        assert progress.finding is not None  # noqa: S101  identified before anything was staged
         order = job.verifying(measured.standing_at)
-        progress.verified = self._engine.run(
-            measure_positions(order, job.layout, job.rules, measured.corrections)
-        )
-        before = self._balls(measured, held_out=True)
-        after = self._balls(progress.verified, held_out=True)
-        progress.proof = prove(job, progress.findings, before, after)
+        progress.verified = self._engine.run(measure_positions(order, job.layout, job.rules, measured.corrections))
+        before = job.balls_of(measured, held_out=True)
+        after = job.balls_of(progress.verified, held_out=True)
+        progress.proof = prove(job, progress.finding, before, after)
         self._journal.decision("proof", vars(progress.proof))
         if progress.proof.accepted:
             self._conduct.enter(RunState.COMPLETE, progress.proof.reason)
@@ -134,15 +132,6 @@ class CalibrationRun:
         self._conduct.enter(RunState.RESTORING, progress.proof.reason)
         self._restore()
         self._conduct.enter(RunState.COMPLETE, f"restored: {progress.proof.reason}")
-
-    def _balls(self, measured: Measured, *, held_out: bool) -> list[MeasuredBall]:
-        kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self._job.held_out}
-        return [
-            ball
-            for position in measured.positions
-            for ball in position.balls
-            if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
-        ]
 
     def _leave_safely(self, error: VolcalError) -> None:
         """Stop, withdraw, restore; whatever cannot be done is said beside the first cause."""

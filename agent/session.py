@@ -108,7 +108,7 @@ class _Session:
             self._conduct.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
         minutes = (self._clock.now() - started_s) / 60.0
         outcome = self._outcome(progress, minutes, wall_seconds() - began)
-        outcome = write_results(self._job, outcome, progress, self._rehearsal, self._journal)
+        outcome = write_results(self._job, outcome, progress, self._journal)
         return Ended(outcome, progress.error)
 
     def _on(self, rig: Rig) -> Progress:
@@ -119,9 +119,7 @@ class _Session:
             start = rig.machine.position().tolist()
             self._rehearsal = self._preflight((start[0], start[1], start[2]))
             engine = Engine(rig.actions(), self._journal, self._observe)
-            run = CalibrationRun(
-                self._job, rig, engine, self._journal, self._conduct, self._supervisor
-            )
+            run = CalibrationRun(self._job, rig, engine, self._journal, self._conduct, self._supervisor)
             return run.carry_out()
         finally:
             for complaint in rig.close():
@@ -152,25 +150,25 @@ class _Session:
             )
 
     def _outcome(self, progress: Progress, minutes: float, wall_s: float) -> Outcome:
-        findings = progress.findings
+        finding = progress.finding
         return Outcome(
             state=self._conduct.state,
             run_id=self._run_id,
             position_set=self._job.settings.procedure.position_set,
             formulation=self._job.settings.identification.formulation,
-            balls=self._balls,
+            balls=self._balls if finding is None else finding.observations.size,
             touches=self._touches,
             machine_minutes=minutes,
             wall_seconds=wall_s,
             predicted_minutes=None if self._rehearsal is None else self._rehearsal.machine_minutes,
             table_bank=progress.active_bank,
             report=None,
-            rank=None if findings is None else findings.estimate.rank,
-            parameters=None if findings is None else findings.estimate.model.size,
-            estimated_ve_um=None if findings is None else findings.before.aligned_um,
-            predicted_vce_um=None if findings is None else findings.expected.aligned_um,
-            chi2_normalised=None if findings is None else findings.estimate.chi2_normalised,
-            rejected=() if findings is None else findings.estimate.rejected,
+            rank=None if finding is None else finding.estimate.rank,
+            parameters=None if finding is None else finding.estimate.model.size,
+            estimated_ve_um=None if finding is None else finding.volumetric.before_aligned.value_um,
+            predicted_vce_um=None if finding is None else finding.volumetric.after_aligned.value_um,
+            chi2_normalised=None if finding is None else finding.estimate.chi2_normalised,
+            rejected=() if finding is None else finding.estimate.rejected,
             proof=progress.proof,
             reason="" if progress.error is None else str(progress.error),
         )

@@ -172,10 +172,7 @@ class Settings(Strict):
     def resolved(self, base: Path) -> Settings:
         """The same with every path made absolute, starting from `base`."""
         return self.model_copy(
-            update={
-                name: (base / getattr(self, name)).resolve()
-                for name in ("machine", "artefact", "state_directory")
-            }
+            update={name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
         )
 
 

@@ -134,9 +134,7 @@ class WatchedClock:
     made from this clock do not expire during a hold.
     """
 
-    def __init__(
-        self, inner: Clock, check: Callable[[], None], slice_s: float = INTERRUPT_SLICE_S
-    ) -> None:
+    def __init__(self, inner: Clock, check: Callable[[], None], slice_s: float = INTERRUPT_SLICE_S) -> None:
         self._inner = inner
         self._check = check
         self._slice_s = slice_s

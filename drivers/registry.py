@@ -90,6 +90,4 @@ def _validated(plugin: DriverPlugin, options: Mapping[str, object], name: str) -
         first = error.errors(include_url=False)[0]
         key = ".".join(["devices", name, "options", *(str(part) for part in first["loc"])])
         known = ", ".join(sorted(plugin.settings.model_fields))
-        raise ConfigurationError(
-            first["msg"], key=key, hint=f"options of driver {plugin.name}: {known}"
-        ) from error
+        raise ConfigurationError(first["msg"], key=key, hint=f"options of driver {plugin.name}: {known}") from error

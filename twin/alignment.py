@@ -24,7 +24,7 @@ def align_to_ends(predicted: Array, first: int, last: int, found_first: Array, f
     rotation = _smallest_rotation(line / length, found_line / found_length)
     middle = 0.5 * (predicted[first] + predicted[last])
     found_middle = 0.5 * (found_first + found_last)
-    return (predicted - middle) @ rotation.T + found_middle
+    return np.asarray((predicted - middle) @ rotation.T + found_middle)
 
 
 def _smallest_rotation(source: Array, target: Array) -> Array:
@@ -32,4 +32,4 @@ def _smallest_rotation(source: Array, target: Array) -> Array:
     v = np.cross(source, target)
     cosine = float(source @ target)
     k = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    return np.eye(3) + k + k @ k / (1.0 + cosine)
+    return np.asarray(np.eye(3) + k + k @ k / (1.0 + cosine))

@@ -42,9 +42,7 @@ class SphereFit:
         return self.covariance[:3, :3]
 
 
-def fit_sphere(
-    points: Array, sigma_mm: float, radius: float | None = None, near: Array | None = None
-) -> SphereFit:
+def fit_sphere(points: Array, sigma_mm: float, radius: float | None = None, near: Array | None = None) -> SphereFit:
     """Sphere through `points` (n, 3) mm, each with the standard uncertainty `sigma_mm` along the surface normal.
 
     `radius` mm known, or None to estimate it. `near` (3,) mm, a guess of the centre, decides between the two mirror

@@ -19,6 +19,7 @@ from twin.observations import Observations
 
 Indices = NDArray[np.intp]
 
+
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """`placed_mm` (n, 3): the calibrated balls in their best place; `residuals_mm` (n, 3): what was found, less that.

@@ -27,6 +27,18 @@ NOT_IMPROVED = 4
 """Exit code where the machine was left as it was found because the proof failed; see `drivers.errors`."""
 
 
+def _station_list(_: click.Context, __: click.Parameter, text: str | None) -> list[int] | None:
+    if text is None:
+        return None
+    try:
+        stations = [int(part) for part in text.split(",")]
+    except ValueError:
+        raise click.BadParameter("write station numbers separated by commas, such as 1,2") from None
+    if min(stations) < 1 or len(set(stations)) < len(stations):
+        raise click.BadParameter("stations count from 1 and are named once each")
+    return stations
+
+
 def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
     """Options that every command with a procedure takes."""
     for option in (
@@ -134,15 +146,3 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
 
 def _number(value: float | None) -> str:
     return "?" if value is None else f"{value:.2f}"
-
-
-def _station_list(_: click.Context, __: click.Parameter, text: str | None) -> list[int] | None:
-    if text is None:
-        return None
-    try:
-        stations = [int(part) for part in text.split(",")]
-    except ValueError:
-        raise click.BadParameter("write station numbers separated by commas, such as 1,2") from None
-    if min(stations) < 1 or len(set(stations)) < len(stations):
-        raise click.BadParameter("stations count from 1 and are named once each")
-    return stations

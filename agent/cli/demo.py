@@ -123,7 +123,9 @@ def _document(ended: Ended, truth: Truth) -> dict[str, object]:
 def _show(ended: Ended, truth: Truth) -> None:
     console = Console()
     console.print(summary_table(ended.outcome))
-    table = Table("", "before", "after", title="true volumetric error (rigidly aligned), as only the simulator knows it")
+    table = Table(
+        "", "before", "after", title="true volumetric error (rigidly aligned), as only the simulator knows it"
+    )
     after = "?" if truth.after_um is None else f"{truth.after_um:.2f} µm"
     table.add_row("VE", f"{truth.before_um:.2f} µm", after)
     table.add_row("collisions", "", "?" if truth.collisions is None else str(truth.collisions))

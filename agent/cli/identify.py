@@ -90,7 +90,7 @@ def _show(result: Result, seconds: float) -> None:
         f"{balls} balls, {len(estimate.rejected)} rejected; normalised χ² {estimate.chi2_normalised:.2f}; "
         f"rank {estimate.rank} of {estimate.model.size}; {seconds:.1f} s"
     )
-    for gate in finding.gates:
+    for gate in result.gates:
         if not gate.passed:
             console.print(f"note: {gate.name} {gate.value:.3g} is beyond {gate.limit:.3g}: {gate.text}", style="yellow")
     console.print(f"report: {result.report}", markup=False)

@@ -24,9 +24,7 @@ from drivers.errors import InputError
 from drivers.roles import TableImage
 from twin.formats.table_file import format_side_file, format_table
 
-CONFIG = click.option(
-    "--config", type=click.Path(path_type=Path), default=Path("volcal.toml"), show_default=True
-)
+CONFIG = click.option("--config", type=click.Path(path_type=Path), default=Path("volcal.toml"), show_default=True)
 
 
 @click.group("table")
@@ -69,9 +67,7 @@ def export(config: Path, bank: int | None, out: Path) -> None:
         chosen = rig.store.active_bank() if bank is None else bank
         image = rig.store.read_table(chosen) if chosen else None
         if image is None:
-            raise InputError(
-                f"bank {chosen} holds no table", hint="`volcal table show` lists the banks", key="--bank"
-            )
+            raise InputError(f"bank {chosen} holds no table", hint="`volcal table show` lists the banks", key="--bank")
         table = table_of(image, job.tool_offset_mm)
     texts = {out.name: format_table(table), f"{out.stem}.json": format_side_file(table)}
     write_all_atomically(out.parent, texts)

@@ -47,9 +47,7 @@ class Journal:
     def close(self) -> None:
         self._connection.close()
 
-    def start_run(
-        self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock
-    ) -> RunJournal:
+    def start_run(self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock) -> RunJournal:
         """A new run in state idle. Raises Busy when the identity is taken."""
         try:
             cursor = self._connection.execute(
@@ -161,6 +159,22 @@ class RunJournal:
             )
             self._insert_event("state", {"state": state.value, "reason": reason})
 
+    def temperature_history(self) -> list[tuple[float, dict[str, float]]]:
+        """(machine minutes since the first step, names to °C), in order."""
+        rows = self._connection.execute(
+            "SELECT (finished - (SELECT min(begun) FROM steps WHERE run = ?)) / 60.0, record "
+            "FROM temperatures JOIN steps USING (run, ordinal) WHERE run = ? ORDER BY ordinal",
+            (self._run, self._run),
+        )
+        return [(minutes, json.loads(record)) for minutes, record in rows]
+
+    def event_lines(self) -> list[tuple[str, str, str]]:
+        """(timestamp, kind, text) of what happened, for people."""
+        rows = self._connection.execute(
+            "SELECT at, kind, record FROM events WHERE run = ? ORDER BY rowid", (self._run,)
+        )
+        return [(at, kind, _in_words(json.loads(record))) for at, kind, record in rows]
+
     def _write_record(self, step: Record) -> None:
         if step.kind == "ball":
             self._insert_keyed("balls", step.key, step.payload)
@@ -207,3 +221,17 @@ class RunJournal:
             self._connection.execute("ROLLBACK")
             raise
         self._connection.execute("COMMIT")
+
+
+def _in_words(record: Mapping[str, Any]) -> str:
+    """`name value, name value`; numbers to four digits, empty values left out."""
+    parts = [f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None)]
+    return ", ".join(parts)
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_shown(part) for part in value) + "]"
+    return str(value)

@@ -36,9 +36,7 @@ class BallLost:
     touches: int
 
 
-def measure_ball(
-    key: str, predicted_mm: Vector, probing: Probing, search: Search
-) -> Plan[BallFound | BallLost]:
+def measure_ball(key: str, predicted_mm: Vector, probing: Probing, search: Search) -> Plan[BallFound | BallLost]:
     """Touch the ball where it is expected; repeat where a limit is broken; decide by policy.
 
     A touch that misses widens the search once. A centre that is found far from where it was expected is

@@ -29,7 +29,7 @@ FEWEST_BALLS = 3
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the artefact can stand and which axis positions the machine can take.
+    """Where the artefact can stand, which axis positions the machine can take, which balls the probe gets at.
 
     `places_mm`: station number → (3,) foot of the mount in the workpiece frame. `balls_mm` (N, 3) in the
     artefact frame. `lower_mm`, `upper_mm`, `margin_mm` (3,): travel and what approach and search need of it.
@@ -42,6 +42,7 @@ class Layout:
     lower_mm: Array
     upper_mm: Array
     margin_mm: Array
+    accessible: Mapping[Position, NDArray[np.bool_]]
 
     def predicted(self, position: Position, correction: Array) -> Array:
         """Axis positions (N, 3) of all balls of `position` when the mount stands `correction` off its place."""
@@ -53,8 +54,10 @@ class Layout:
         )
         return pose.centre + self.balls_mm @ pose.rotation.T - self.tool_offset_mm
 
-    def reachable(self, predicted: Array) -> NDArray[np.bool_]:
-        return reachable(predicted, self.lower_mm, self.upper_mm, self.margin_mm)
+    def reachable(self, position: Position, predicted: Array) -> NDArray[np.bool_]:
+        """(N,): balls of `position` inside the travel with nothing in the way."""
+        inside = reachable(predicted, self.lower_mm, self.upper_mm, self.margin_mm)
+        return np.logical_and(inside, self.accessible[position])
 
 
 @dataclass(frozen=True)
@@ -109,16 +112,14 @@ def measure_positions(
             corrections.pop(position.station, None)
         correction = corrections.get(position.station, np.zeros(3))
         predicted = layout.predicted(position, correction)
-        mask = layout.reachable(predicted)
+        mask = layout.reachable(position, predicted)
         unreachable += int(mask.size - mask.sum())
         key = f"{order.prefix}/{position_key(position)}"
         if mask.sum() < FEWEST_BALLS:
             left_out.append(position_key(position))
             yield Record(f"{key}/left-out", "event", {"reachable_balls": int(mask.sum())})
             continue
-        task = PositionTask(
-            key, index, position.station, position.azimuth_deg, position.elevation_deg, predicted, mask
-        )
+        task = PositionTask(key, index, position.station, position.azimuth_deg, position.elevation_deg, predicted, mask)
         measured = yield from measure_position(task, here, rules)
         corrections[position.station] = correction + measured.offset_mm
         here = np.array((yield ReadPosition(f"{key}/here")))

@@ -52,6 +52,13 @@ class Course:
         out[self.retreat_axis] = self.retreat_mm
         return out
 
+    def above(self, centre: Array, probing: Probing) -> Array:
+        """Where the tip clears the balls beside: back from a ball along the stylus, inside the travel."""
+        out = centre - probing.stylus_axis * (probing.contact_mm + probing.retract_mm)
+        towards = np.sign(probing.stylus_axis[self.retreat_axis])
+        out[self.retreat_axis] = towards * max(towards * out[self.retreat_axis], towards * self.retreat_mm)
+        return out
+
     def parked(self, position: Array, station: int) -> Array:
         out = self.retreated(position)
         out[self.station_axis] = self.park_mm[station]
@@ -115,32 +122,28 @@ def measure_position(task: PositionTask, here: Array, rules: PositionRules) -> P
     yield MoveTo(f"{task.key}/park", point(course.parked(here, task.station)))
     yield OrientTo(f"{task.key}/orient", task.station, task.azimuth_deg, task.elevation_deg)
     temperatures = yield ReadTemperatures(f"{task.key}/temperatures")
-    measuring = _Measuring(task, probing, temperatures["artefact"])
+    measuring = _Measuring(task, rules, temperatures["artefact"])
     first, *between, last = task.balls
-    yield MoveTo(f"{task.key}/enter", point(course.retreated(above(task.predicted_mm[first], probing))))
+    yield MoveTo(f"{task.key}/enter", point(course.retreated(course.above(task.predicted_mm[first], probing))))
     found_first = yield from measuring.end_ball(first)
     found_last = yield from measuring.end_ball(last)
     aligned = align_to_ends(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
     for ball in reversed(between):
         yield from measuring.ball(ball, aligned[ball])
     drift = yield from measuring.drift(first, found_first, rules.drift_limit_mm)
-    yield MoveTo(f"{task.key}/leave", point(course.retreated(above(found_first.centre_mm, probing))))
+    yield MoveTo(f"{task.key}/leave", point(course.retreated(course.above(found_first.centre_mm, probing))))
     ends = np.array([found_first.centre_mm, found_last.centre_mm])
     offset = (ends - task.predicted_mm[[first, last]]).mean(axis=0)
     return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, offset, drift)
 
 
-def above(centre: Array, probing: Probing) -> Array:
-    """Where the tip clears the balls beside, back from a ball along the stylus."""
-    return centre - probing.stylus_axis * (probing.contact_mm + probing.retract_mm)
-
-
 class _Measuring:
     """Measures balls of one position and keeps what was found, lost and touched."""
 
-    def __init__(self, task: PositionTask, probing: Probing, temperature_c: float) -> None:
+    def __init__(self, task: PositionTask, rules: PositionRules, temperature_c: float) -> None:
         self._task = task
-        self._probing = probing
+        self._probing = rules.probing
+        self._course = rules.course
         self._temperature_c = temperature_c
         self.found: list[MeasuredBall] = []
         self.lost = 0
@@ -192,9 +195,9 @@ class _Measuring:
         return drift
 
     def _approach_and_measure(self, key: str, predicted: Array, search: Search) -> Plan[BallFound | BallLost]:
-        yield MoveTo(f"{key}/approach", point(above(predicted, self._probing)))
+        yield MoveTo(f"{key}/approach", point(self._course.above(predicted, self._probing)))
         result = yield from measure_ball(key, predicted, self._probing, search)
         self.touches += result.touches
         at = result.centre_mm if isinstance(result, BallFound) else predicted
-        yield MoveTo(f"{key}/withdraw", point(above(at, self._probing)))
+        yield MoveTo(f"{key}/withdraw", point(self._course.above(at, self._probing)))
         return result

@@ -4,7 +4,7 @@ from twin.identification.estimate import Estimate, Misfit
 from twin.identification.identify import identify
 from twin.identification.normal import Scales
 from twin.identification.options import Options
-from twin.identification.predicted import field_uncertainty, predicted_vce
+from twin.identification.predicted import field_uncertainty, left_covariance, predicted_vce
 from twin.observability import NullDirection
 
 __all__ = [
@@ -15,5 +15,6 @@ __all__ = [
     "Scales",
     "field_uncertainty",
     "identify",
+    "left_covariance",
     "predicted_vce",
 ]

@@ -47,6 +47,14 @@ def field_uncertainty(estimate: Estimate, points: ArrayLike, tool_offset: ArrayL
     return np.sqrt(np.maximum(squares, 0.0))
 
 
+def left_covariance(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> Array:
+    """Expected outer product (3n, 3n) mm² of machine less model at axis positions (n, 3), point by point x, y, z."""
+    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    moments = _second_moments(estimate)
+    columns = _columns(estimate, grid, offset).reshape(-1, len(moments))
+    return np.asarray(columns @ moments @ columns.T)
+
+
 @dataclass(frozen=True, eq=False)
 class _Sums:
     """Over a grid: `field` FᵀF of the field's columns, `shared` GᵀF with the rigid motions G, `motion` GᵀG."""

@@ -1,0 +1,42 @@
+"""What a procedure will be worth, from where its balls will be: no measurement is needed for a covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agent.files import translated
+from agent.job import Job
+from agent.observing import no_correction, observations_of
+from agent.plans.measure import Measured
+from drivers.errors import PlanRefused
+from twin.identification import Options, identify, predicted_vce
+from twin.volumetric import Volumetric, evaluation_grid
+
+
+@dataclass(frozen=True)
+class Expectation:
+    rank: int
+    parameters: int
+    vce: Volumetric
+
+
+def expect(job: Job, rehearsed: Measured) -> Expectation:
+    """Rank and predicted VCE of the set as rehearsed, held-out positions left aside.
+
+    Raises PlanRefused where the set cannot identify the machine.
+    """
+    balls = job.balls_of(rehearsed, held_out=False)
+    chosen = job.settings.identification
+    options = Options(
+        formulation=chosen.formulation,
+        use_prior=chosen.prior,
+        weights=chosen.weights,
+        estimate_scales=False,
+        outliers="none",
+    )
+    with translated(PlanRefused, position_set=job.settings.procedure.position_set):
+        observations = observations_of(balls, job.tool_offset_mm, no_correction)
+        estimate = identify(job.machine.model, observations, job.artefact, job.machine.family, options)
+    grid = evaluation_grid(job.machine.model.ranges_mm)
+    vce = predicted_vce(estimate, grid, job.tool_offset_mm)
+    return Expectation(estimate.rank, estimate.model.size, vce)

@@ -1,0 +1,104 @@
+"""What measured balls say: estimate, what it is worth, the table it makes; and whether held-out balls agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.job import Job
+from agent.observing import Correction, no_correction, observations_of
+from agent.outcome import Proof
+from agent.plans.position import MeasuredBall
+from agent.report import VolumetricSummary, volumetric_summary
+from agent.settings import TableSettings
+from twin.arrays import Array
+from twin.artefact import Artefact
+from twin.identification import Estimate, Options, identify, left_covariance
+from twin.machine_description import MachineDescription
+from twin.observations import Observations
+from twin.table import Anchor, CompensationTable, build_table, regular_nodes
+from twin.verification import HeldOut, held_out, held_out_test
+
+UM_PER_MM = 1e3
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Estimate from `observations`, VE and VCE that it predicts, its compensation table."""
+
+    observations: Observations
+    estimate: Estimate
+    volumetric: VolumetricSummary
+    table: CompensationTable
+
+
+def find(
+    machine: MachineDescription,
+    artefact: Artefact,
+    tool: str,
+    observations: Observations,
+    options: Options,
+    table: TableSettings,
+) -> Finding:
+    """Identify and build the table for `tool`. Raises TwinError."""
+    model, offset = machine.model, machine.tool(tool)
+    estimate = identify(model, observations, artefact, machine.family, options)
+    nodes = regular_nodes(model.ranges_mm, table.step_mm)
+    wanted = table.anchor_mm or (0.0, 0.0, 0.0)
+    anchor = Anchor(np.array([np.clip(w, low, high) for w, (low, high) in zip(wanted, model.ranges_mm, strict=True)]))
+    return Finding(
+        observations,
+        estimate,
+        volumetric_summary(estimate, offset),
+        build_table(model, estimate.parameters, nodes, offset, anchor, observations.axis_positions),
+    )
+
+
+def find_machine(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Finding:
+    """`find` for a run: `correction` is what the table that acted while measuring added. Raises TwinError."""
+    chosen = job.settings.identification
+    options = Options(formulation=chosen.formulation, use_prior=chosen.prior, weights=chosen.weights)
+    observations = observations_of(balls, job.tool_offset_mm, correction)
+    return find(job.machine, job.artefact, job.settings.tool, observations, options, job.settings.table)
+
+
+def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
+    """Hold the balls measured with the table active against those before and against the prediction."""
+    table = finding.table
+    observed = observations_of(after, job.tool_offset_mm, table.at)
+    result = _left(job, after)
+    expected = held_out_test(
+        observed,
+        result,
+        job.artefact,
+        left_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm),
+    )
+    limits = job.settings.verification
+    before_um, after_um = UM_PER_MM * _left(job, before).rms_mm, UM_PER_MM * result.rms_mm
+    reason = _judgement(after_um / before_um, limits.largest_share, expected.chi2_normalised, limits.largest_chi2)
+    return Proof(
+        accepted=not reason,
+        before_um=before_um,
+        after_um=after_um,
+        predicted_um=UM_PER_MM * expected.predicted_mm,
+        chi2_normalised=expected.chi2_normalised,
+        reason=reason or "better than before and as predicted",
+    )
+
+
+def _judgement(share: float, largest_share: float, chi2: float, largest_chi2: float) -> str:
+    """Empty where both hold."""
+    if share > largest_share:
+        return f"held-out positions keep {share:.2f} of their error, allowed {largest_share:.2f}"
+    if chi2 > largest_chi2:
+        return f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {largest_chi2:.2f}"
+    return ""
+
+
+def _left(job: Job, balls: Sequence[MeasuredBall]) -> HeldOut:
+    """What the controller's own display makes of the artefact, as it was compensated while measuring."""
+    displayed = observations_of(balls, job.tool_offset_mm, no_correction)
+    points: Array = displayed.axis_positions + job.tool_offset_mm
+    return held_out(displayed, points, job.artefact)
