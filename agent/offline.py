@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.findings import Finding, find
 from agent.files import load_artefact, load_balls, load_machine, translated, write_all_atomically
+from agent.findings import Finding, find
 from agent.gates import Gate, GateLimits, estimate_gates, table_gates
 from agent.report import Header, ReportData, name_of_positions, render_report
 from agent.settings import GateSettings, TableSettings

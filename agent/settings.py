@@ -47,7 +47,7 @@ class DeviceSettings(Strict):
     """One device: which plugin drives it, and the options that this plugin validates."""
 
     driver: Name
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default_factory=dict)
 
 
 class RoleSettings(Strict):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 
@@ -25,13 +26,13 @@ def moves(count: int, stamps: list[float]) -> Plan[None]:
 def median_step_us(engine: Engine) -> float:
     stamps: list[float] = []
     engine.run(moves(STEPS, stamps))
-    return statistics.median(b - a for a, b in zip(stamps[:-1], stamps[1:], strict=True)) * 1e6
+    return statistics.median(b - a for a, b in pairwise(stamps)) * 1e6
 
 
 def commit_us(directory: Path) -> float:
     """One bare durable commit on the same disk in the same run: what the journal cannot go below."""
     journal = Journal(directory)
-    connection = journal._connection  # noqa: SLF001
+    connection = journal._connection
     connection.execute("CREATE TABLE bare (n INTEGER PRIMARY KEY, t TEXT)")
     times = []
     for number in range(STEPS // 4):

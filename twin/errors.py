@@ -50,5 +50,5 @@ class FormatError(TwinError):
     pass
 
 
-class SingularSet(TwinError):  # noqa: N818 - the finding has a name of its own
+class SingularSet(TwinError):
     pass

@@ -126,7 +126,7 @@ def regular_nodes(ranges_mm: Ranges, step_mm: tuple[float, float, float]) -> Nod
     return x, y, z
 
 
-def build_table(  # noqa: PLR0917 - the order in which one says it: model, grid, tool, anchor, region
+def build_table(
     model: ErrorModel,
     parameters: ArrayLike,
     nodes: Nodes,

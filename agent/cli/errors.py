@@ -41,7 +41,7 @@ def reported(function: Callable[P, R]) -> Callable[P, R]:
 class VolcalGroup(click.Group):
     """A group of commands that all end as this module says."""
 
-    def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401  click's own signature
+    def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
         except VolcalError as error:

@@ -95,7 +95,7 @@ class _Client(Protocol):
     def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU: ...
 
 
-class _Refused(Exception):  # noqa: N818  an answer, turned into a typed error by whoever can name the register
+class _Refused(Exception):
     def __init__(self, code: int) -> None:
         super().__init__(code)
         self.code = code

@@ -89,5 +89,5 @@ def test_a_wrong_position_file_names_row_and_column(text: str, told: str) -> Non
 
 
 def test_two_ways_of_giving_the_same_are_refused_in_words() -> None:
-    with pytest.raises(FormatError, match="^give either 'standard_uncertainty_um' or 'covariance_file'"):
+    with pytest.raises(FormatError, match=r"^give either 'standard_uncertainty_um' or 'covariance_file'"):
         parse_artefact(TEXT + 'covariance_file = "c.csv"\n', "a.toml")
