@@ -196,17 +196,16 @@ def _layout(
     probing: Probing,
     positions: Sequence[Position],
 ) -> Layout:
-    ranges = np.array(machine.limits)
-    reach = probing.contact_mm + probing.wide.approach_mm
+    travel = np.array(machine.limits)
+    below, above = probing.room_mm
     places = {n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)}
     return Layout(
         mount=settings.mount,
         places_mm=places,
         balls_mm=artefact.balls,
         tool_offset_mm=np.asarray(machine.tools[settings.tool], dtype=np.float64),
-        lower_mm=ranges[:, 0],
-        upper_mm=ranges[:, 1],
-        margin_mm=np.full(3, reach),
+        lower_mm=travel[:, 0] + below,
+        upper_mm=travel[:, 1] - above,
         accessible={p: _accessible(settings, artefact, probing, p, places[p.station]) for p in positions},
     )
 

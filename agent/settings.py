@@ -115,7 +115,7 @@ class GateSettings(Strict):
 class VerificationSettings(Strict):
     """Held-out positions: measured before and after at these stations, never used for the estimate."""
 
-    positions_deg: list[tuple[float, float]] = Field(default=[(20.0, 25.0), (-20.0, -25.0)], min_length=1)
+    positions_deg: list[tuple[float, float]] = Field(default=[(30.0, 30.0), (-30.0, -30.0)], min_length=1)
     stations: list[PositiveInt] | None = None
     largest_chi2: PositiveFloat = 2.0
     largest_share: float = Field(default=0.8, gt=0.0, le=1.0)

@@ -31,8 +31,9 @@ FEWEST_BALLS = 3
 class Layout:
     """Where the artefact can stand, which axis positions the machine can take, which balls the probe gets at.
 
-    `places_mm`: station number → (3,) foot of the mount in the workpiece frame. `balls_mm` (N, 3) in the
-    artefact frame. `lower_mm`, `upper_mm`, `margin_mm` (3,): travel and what approach and search need of it.
+    `places_mm`: station number → (3,) foot of the mount in the workpiece frame. `balls_mm` (N, 3) in the artefact
+    frame. `lower_mm`, `upper_mm` (3,): travel less what touching needs of it. `accessible`: position → (N,) whether
+    nothing of artefact or mount stands in the way of the probe.
     """
 
     mount: MountGeometry
@@ -41,7 +42,6 @@ class Layout:
     tool_offset_mm: Array
     lower_mm: Array
     upper_mm: Array
-    margin_mm: Array
     accessible: Mapping[Position, NDArray[np.bool_]]
 
     def predicted(self, position: Position, correction: Array) -> Array:
@@ -56,7 +56,7 @@ class Layout:
 
     def reachable(self, position: Position, predicted: Array) -> NDArray[np.bool_]:
         """(N,): balls of `position` inside the travel with nothing in the way."""
-        inside = reachable(predicted, self.lower_mm, self.upper_mm, self.margin_mm)
+        inside = reachable(predicted, self.lower_mm, self.upper_mm, np.zeros(3))
         return np.logical_and(inside, self.accessible[position])
 
 

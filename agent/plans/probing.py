@@ -20,6 +20,10 @@ RINGS: dict[int, tuple[tuple[float, int, float], ...]] = {
 }
 
 
+PLACE_ROOM_MM = 3.0
+"""By so much a mount may stand off its place before a ball near the end of travel is out of reach after all."""
+
+
 @dataclass(frozen=True)
 class Search:
     """Where the slow feed begins before the expected surface, and how far beyond it a miss is declared."""
@@ -61,6 +65,13 @@ class Probing:
     @property
     def contact_mm(self) -> float:
         return self.ball_radius_mm + self.tip_radius_mm
+
+    @property
+    def room_mm(self) -> tuple[Vectors, Vectors]:
+        """Travel (3,) that touching with the wide search needs below and above a ball's axis position."""
+        starts = -self.directions * (self.contact_mm + self.wide.approach_mm)
+        below = np.maximum(0.0, -starts.min(axis=0)) + PLACE_ROOM_MM
+        return below, np.maximum(0.0, starts.max(axis=0)) + PLACE_ROOM_MM
 
 
 def approach_directions(count: int, stylus_axis: Vectors) -> Vectors:

@@ -52,7 +52,7 @@ def test_ties_go_to_even(angle: float, counts: int) -> None:
     shaft=st.integers(1, 20),
     encoder=st.integers(1000, 2**20),
 )
-def test_counts_survive_the_way_through_degrees(  # noqa: PLR0917  one argument a dimension
+def test_counts_survive_the_way_through_degrees(
     counts: int, direction: int, offset: float, motor: int, shaft: int, encoder: int
 ) -> None:
     there = scale(
