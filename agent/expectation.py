@@ -9,7 +9,7 @@ from agent.job import Job
 from agent.observing import no_correction, observations_of
 from agent.plans.measure import Measured
 from drivers.errors import PlanRefused
-from twin.identification import Options, identify, predicted_vce
+from twin.identification import Estimate, Options, identify, predicted_vce
 from twin.volumetric import Volumetric, evaluation_grid
 
 
@@ -25,7 +25,17 @@ def expect(job: Job, rehearsed: Measured) -> Expectation:
 
     Raises PlanRefused where the set cannot identify the machine.
     """
-    balls = job.balls_of(rehearsed, held_out=False)
+    estimate = rehearsed_estimate(job, rehearsed)
+    grid = evaluation_grid(job.machine.model.ranges_mm)
+    vce = predicted_vce(estimate, grid, job.tool_offset_mm)
+    return Expectation(estimate.rank, estimate.model.size, vce)
+
+
+def rehearsed_estimate(job: Job, rehearsed: Measured) -> Estimate:
+    """What the balls of the rehearsal identify: its covariance is that of the night to come.
+
+    Raises PlanRefused where the set cannot identify the machine.
+    """
     chosen = job.settings.identification
     options = Options(
         formulation=chosen.formulation,
@@ -35,8 +45,5 @@ def expect(job: Job, rehearsed: Measured) -> Expectation:
         outliers="none",
     )
     with translated(PlanRefused, position_set=job.settings.procedure.position_set):
-        observations = observations_of(balls, job.tool_offset_mm, no_correction)
-        estimate = identify(job.machine.model, observations, job.artefact, job.machine.family, options)
-    grid = evaluation_grid(job.machine.model.ranges_mm)
-    vce = predicted_vce(estimate, grid, job.tool_offset_mm)
-    return Expectation(estimate.rank, estimate.model.size, vce)
+        observations = observations_of(job.balls_of(rehearsed, held_out=False), job.tool_offset_mm, no_correction)
+        return identify(job.machine.model, observations, job.artefact, job.machine.family, options)

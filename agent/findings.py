@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.files import translated
 from agent.job import Job
 from agent.observing import Correction, no_correction, observations_of
 from agent.outcome import Proof
 from agent.plans.position import MeasuredBall
 from agent.report import VolumetricSummary, volumetric_summary
 from agent.settings import TableSettings
+from drivers.errors import MeasurementFault
 from twin.arrays import Array
 from twin.artefact import Artefact
 from twin.identification import Estimate, Options, identify, left_covariance
@@ -65,18 +67,25 @@ def find_machine(job: Job, balls: Sequence[MeasuredBall], correction: Correction
 
 
 def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
-    """Hold the balls measured with the table active against those before and against the prediction."""
+    """Hold the balls measured with the table active against those before and against the prediction.
+
+    Raises MeasurementFault where too few of them were found to say anything.
+    """
+    for balls, when in ((before, "before"), (after, "with the new table active")):
+        if not balls:
+            raise MeasurementFault(f"no ball of a held-out position was measured {when}")
     table = finding.table
-    observed = observations_of(after, job.tool_offset_mm, table.at)
-    result = _left(job, after)
-    expected = held_out_test(
-        observed,
-        result,
-        job.artefact,
-        left_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm),
-    )
+    with translated(MeasurementFault):
+        observed = observations_of(after, job.tool_offset_mm, table.at)
+        result = _left(job, after)
+        expected = held_out_test(
+            observed,
+            result,
+            job.artefact,
+            left_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm),
+        )
+        before_um, after_um = UM_PER_MM * _left(job, before).rms_mm, UM_PER_MM * result.rms_mm
     limits = job.settings.verification
-    before_um, after_um = UM_PER_MM * _left(job, before).rms_mm, UM_PER_MM * result.rms_mm
     reason = _judgement(after_um / before_um, limits.largest_share, expected.chi2_normalised, limits.largest_chi2)
     return Proof(
         accepted=not reason,

@@ -56,6 +56,16 @@ def rehearse(job: Job, start_mm: Point | None = None) -> Rehearsal:
     return Rehearsal(measured, verified, timeline, clock.now(), wall_seconds() - began, len(timeline))
 
 
+def require_proof(rehearsal: Rehearsal) -> None:
+    """Raise PlanRefused where nothing could be measured with the new table active: it would act unproved."""
+    if not rehearsal.verified.positions:
+        raise PlanRefused(
+            "no held-out position has three balls within reach, so a new table could not be proved",
+            key="verification.positions_deg",
+            hint="choose orientations that the machine reaches at the stations of `verification`",
+        )
+
+
 def whole_procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
     """Everything that moves: the set with the held-out positions, then the held-out positions again."""
     measured = yield from measure_positions(job.measuring, job.layout, job.rules)

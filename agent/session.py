@@ -17,9 +17,10 @@ from agent.execution.run_lock import run_lock
 from agent.execution.states import RunState
 from agent.execution.steps import Point, Record, Step
 from agent.execution.supervisor import Supervisor
+from agent.expectation import rehearsed_estimate
 from agent.job import Job
 from agent.outcome import Outcome
-from agent.rehearsal import Rehearsal, rehearse
+from agent.rehearsal import Rehearsal, rehearse, require_proof
 from agent.rig import Rig
 from agent.run import CalibrationRun, Progress
 from agent.settings import ClockSettings
@@ -127,6 +128,8 @@ class _Session:
 
     def _preflight(self, start_mm: Point) -> Rehearsal:
         rehearsal = rehearse(self._job, start_mm)
+        rehearsed_estimate(self._job, rehearsal.measured)
+        require_proof(rehearsal)
         self._conduct.note(
             "preflight passed: no collision, no limit",
             machine_minutes=rehearsal.machine_minutes,

@@ -6,8 +6,9 @@ import fcntl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
-from drivers.errors import Busy
+from drivers.errors import Busy, ConfigurationError
 
 FILE_NAME = "run.lock"
 
@@ -15,8 +16,7 @@ FILE_NAME = "run.lock"
 @contextmanager
 def run_lock(directory: Path, run_id: str) -> Iterator[None]:
     """Own the machine for `run_id`; Busy names the run that owns it already."""
-    directory.mkdir(parents=True, exist_ok=True)
-    with (directory / FILE_NAME).open("a+", encoding="utf-8") as handle:
+    with _opened(directory) as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -32,3 +32,16 @@ def run_lock(directory: Path, run_id: str) -> Iterator[None]:
         handle.flush()
         yield
         handle.truncate(0)
+
+
+def _opened(directory: Path) -> TextIO:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        return (directory / FILE_NAME).open("a+", encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(
+            f"the state directory cannot be used: {error.strerror or error}",
+            key="state_directory",
+            hint="name a directory that this user may write to",
+            file=str(directory),
+        ) from error
