@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,18 +13,27 @@ from twin.chain import AXES
 from twin.error_model import DIRECTIONS, ErrorModel, series_orders
 from twin.legendre import legendre_values, normalised
 
-_Y, _Z = 1, 2
+_X, _Y, _Z = 0, 1, 2
+
+Places = np.ndarray[Any, np.dtype[np.int64]]
 
 
-def deviation_basis(model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> Array:
-    """Derivative (n, 3, p) of the deviation with respect to the parameters at zero; C-contiguous."""
+def deviation_basis(
+    model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, scale: Array | None = None
+) -> Array:
+    """Derivative (n, 3, p) of the deviation with respect to the parameters at zero; C-contiguous.
+
+    `scale` (p,): the unit of each parameter; mm and rad when left out. Each parameter moves the tool point by one of
+    twelve effects (three shifts, three turns of each axis) times a function of the axis positions.
+    """
     points = as_points(axis_positions, "axis positions")
     arms = _nominal_arms(model, points, as_vector(tool_offset, 3, "tool offset"))
-    basis = np.zeros((len(points), 3, model.size))
-    for axis in range(3):
-        _fill_series(basis, model, axis, points[:, axis], arms[axis])
-    _fill_squareness(basis, model, points)
-    _fill_cross_effect(basis, model, points, arms[_Z])
+    effect, row = _columns(model)
+    shares = _functions(model, points).take(row, axis=1)
+    if scale is not None:
+        shares *= scale
+    basis = _effects(arms).take(effect, axis=2)
+    basis *= shares[:, None, :]
     return basis
 
 
@@ -52,40 +64,45 @@ def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple
     return arms["X"], arms["Y"], arms["Z"]
 
 
-def _rotation_effects(arm: Array) -> tuple[tuple[tuple[int, Array], tuple[int, Array]], ...]:
-    """For a unit rotation about X, Y, Z the components that change and by how much: e x arm."""
-    x, y, z = arm.T
-    return ((1, -z), (2, y)), ((0, z), (2, -x)), ((0, -y), (1, x))
+def _effects(arms: tuple[Array, Array, Array]) -> Array:
+    """(n, 3, 12): unit shifts along X, Y, Z, then for each axis the unit turns about X, Y, Z, e x arm."""
+    effects = np.zeros((len(arms[0]), 3, 12))
+    effects[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    for axis, arm in enumerate(arms):
+        turns = effects[:, :, 3 + 3 * axis : 6 + 3 * axis]
+        turns[:, [2, 0, 1], [0, 1, 2]] = arm[:, [1, 2, 0]]
+        turns[:, [1, 2, 0], [0, 1, 2]] = -arm[:, [2, 0, 1]]
+    return effects
 
 
-def _fill_series(basis: Array, model: ErrorModel, axis: int, positions: Array, arm: Array) -> None:
-    argument = normalised(positions, model.ranges_mm[axis])
-    polynomials = np.ascontiguousarray(legendre_values(argument, model.highest_order[axis]).T)
-    rotation_effects = _rotation_effects(arm)
-    for row, direction in enumerate(DIRECTIONS):
-        error = f"E{direction}{AXES[axis]}"
+def _functions(model: ErrorModel, points: Array) -> Array:
+    """(n, f): the Legendre polynomials of X, of Y, of Z, then -z, z, -y of the squareness, then the cross-effect."""
+    columns = [
+        legendre_values(normalised(points[:, axis], model.ranges_mm[axis]), model.highest_order[axis])
+        for axis in range(3)
+    ]
+    y, z = points[:, _Y], points[:, _Z]
+    columns.append(np.array((-z, z, -y)))
+    if model.cross_effect:
+        v, w = cross_arguments(model, y, z)
+        shapes = {"b0": v, "b1": w * v, "b2": w * w * v, "c0": v, "c1": w * v}
+        columns.append(np.array([shapes[term] for term in model.cross_effect]))
+    return np.ascontiguousarray(np.concatenate(columns).T)
+
+
+@lru_cache(maxsize=16)
+def _columns(model: ErrorModel) -> tuple[Places, Places]:
+    """For each parameter (p,) its column of `_effects` and its column of `_functions`."""
+    starts = np.cumsum([0, *(order + 1 for order in model.highest_order)]).tolist()
+    effect, row = np.empty(model.size, dtype=np.int64), np.empty(model.size, dtype=np.int64)
+    for error, block in model.block.items():
+        direction, axis = DIRECTIONS.index(error[1]), AXES.index(error[2])
         orders = series_orders(error, model.orders[error])
-        terms = polynomials[:, orders.start : orders.stop]
-        if row < 3:
-            basis[:, row, model.block[error]] = terms
-            continue
-        for component, lever in rotation_effects[row - 3]:
-            basis[:, component, model.block[error]] = lever[:, None] * terms
-
-
-def _fill_squareness(basis: Array, model: ErrorModel, points: Array) -> None:
-    basis[:, 1, model.index("A0Z")] = -points[:, _Z]
-    basis[:, 0, model.index("B0Z")] = points[:, _Z]
-    basis[:, 0, model.index("C0Y")] = -points[:, _Y]
-
-
-def _fill_cross_effect(basis: Array, model: ErrorModel, points: Array, arm: Array) -> None:
-    v, w = cross_arguments(model, points[:, _Y], points[:, _Z])
-    shapes = {"b0": v, "b1": w * v, "b2": w * w * v, "c0": v, "c1": w * v}
-    for term in model.cross_effect:
-        column = model.index(f"CROSS[{term}]")
-        if term[0] == "b":
-            basis[:, 1, column] = shapes[term]
-            continue
-        for component, lever in _rotation_effects(arm)[0]:
-            basis[:, component, column] = lever * shapes[term]
+        effect[block] = direction if direction < 3 else 3 * axis + direction
+        row[block] = starts[axis] + np.arange(orders.start, orders.start + len(orders))
+    others = {"A0Z": _Y, "B0Z": _X, "C0Y": _X}
+    others |= {f"CROSS[{term}]": _Y if term[0] == "b" else 3 + 3 * _Z for term in model.cross_effect}
+    for number, (name, moved) in enumerate(others.items()):
+        effect[model.index(name)] = moved
+        row[model.index(name)] = starts[-1] + number
+    return effect, row

@@ -95,9 +95,9 @@ def negative_log_likelihood(normal: Normal, precision: Precision, scales: Scales
     z = posterior.solve(normal.right / variance)
     prior = precision.matrix(scales) if precision.parameters is not None else None
     weighted_z = prior @ z if prior is not None else precision.diagonal(scales) * z
-    covariance = posterior.covariance
-    taken = np.diagonal(covariance) * precision.diagonal(scales)
-    trace = float(np.einsum("ij,ji->", prior, covariance)) if prior is not None else float(taken.sum())
+    variances = posterior.variances if prior is None else np.diagonal(posterior.covariance)
+    taken = variances * precision.diagonal(scales)
+    trace = float(taken.sum()) if prior is None else float((prior * posterior.covariance).sum())
     value = normal.rows * math.log(variance) + normal.square / variance - float(normal.right @ z) / variance
     value += posterior.log_determinant - _log_determinant(precision, scales)
     noise = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)

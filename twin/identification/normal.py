@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg.blas import dtrsm
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 
 from twin.arrays import Array
 from twin.errors import SingularSet
@@ -43,10 +46,18 @@ class Precision:
 
     def matrix(self, scales: Scales) -> Array:
         """(P, P)."""
-        full = np.diag(self.diagonal(scales))
-        if self.parameters is not None:
-            full[self.blocks.parameters, self.blocks.parameters] = self.parameters
+        full = np.zeros((self.blocks.size, self.blocks.size))
+        self.add_to(full, scales)
         return full
+
+    def add_to(self, matrix: Array, scales: Scales) -> None:
+        """Add the precision to a matrix (P, P) in place."""
+        diagonal = self.diagonal(scales)
+        if self.parameters is not None:
+            block = self.blocks.parameters
+            matrix[block, block] += self.parameters
+            diagonal[block] = 0.0
+        np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
         """(P,) of the unit-matrix form."""
@@ -58,27 +69,46 @@ class Precision:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of z: `covariance` (P, P) and the log determinant of its inverse.
+    """Posterior of z by its precision: `factor` (P, P) is the lower Cholesky factor, Fortran-ordered.
 
     In unit-prior coordinates the precision is at least 1 in every direction that the measurements leave open, so the
-    explicit inverse, which the result needs anyhow, loses nothing.
+    explicit inverse, where it is asked for, loses nothing.
     """
 
-    covariance: Array
-    log_determinant: float
+    factor: Array
 
     @classmethod
     def of(cls, matrix: Array, precision: Precision, scales: Scales) -> Posterior:
-        weighted = matrix / scales.noise**2 + precision.matrix(scales)
-        try:
-            factor = np.linalg.cholesky(weighted)
-        except np.linalg.LinAlgError:
-            message = "the measurements do not determine the model"
-            raise SingularSet(message, hint="switch the prior on") from None
-        inverse = np.linalg.inv(weighted)
-        symmetric = 0.5 * (inverse + inverse.T)
-        return cls(symmetric, 2.0 * float(np.log(np.diagonal(factor)).sum()))
+        weighted = matrix * scales.noise**-2
+        precision.add_to(weighted, scales)
+        factor, wrong = dpotrf(weighted.T, lower=1, clean=1, overwrite_a=1)  # its transpose is Fortran-ordered
+        if wrong:
+            raise SingularSet("the measurements do not determine the model", hint="switch the prior on")
+        return cls(factor)
+
+    @cached_property
+    def log_determinant(self) -> float:
+        """Of the precision."""
+        return 2.0 * float(np.log(np.diagonal(self.factor)).sum())
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(P, P)."""
+        lower, _ = dpotri(self.factor, lower=1)
+        covariance: Array = lower + lower.T
+        np.einsum("ii->i", covariance)[:] *= 0.5
+        return covariance
+
+    @cached_property
+    def variances(self) -> Array:
+        """(P,) diagonal of the covariance."""
+        inverse, _ = dtrtri(self.factor, lower=1)
+        return np.asarray(np.einsum("ij,ij->j", inverse, inverse))
 
     def solve(self, right: Array) -> Array:
         """Posterior mean for the weighted right-hand side (P,) or (P, m)."""
-        return np.asarray(self.covariance @ right)
+        return np.asarray(dpotrs(self.factor, right, lower=1)[0])
+
+    def whiten(self, rows: Array) -> Array:
+        """(n, P) W of rows (n, P) A, with W Wᵀ = A C Aᵀ for the covariance C."""
+        return np.asarray(dtrsm(1.0, self.factor, rows.T, lower=1).T)

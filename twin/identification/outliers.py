@@ -46,7 +46,8 @@ def studentised_squares(solution: Solution) -> Array:
     variance = solution.scales.noise**2
     q = layout.unpad(equations.projector.q.reshape(*shape, 6))
     rows = layout.unpad(equations.projector.remove(equations.white).reshape(*shape, size))
-    spread = (rows.reshape(-1, size) @ solution.covariance).reshape(rows.shape) @ rows.transpose(0, 2, 1)
+    spread_root = solution.posterior.whiten(rows.reshape(-1, size)).reshape(rows.shape)
+    spread = spread_root @ spread_root.transpose(0, 2, 1)
     covariance = variance * (np.eye(3) * (1.0 + _RIDGE) - q @ q.transpose(0, 2, 1)) - spread
     residuals = layout.unpad(equations.remaining(solution.z, solution.poses).reshape(shape))
     solved = np.linalg.solve(covariance, residuals[:, :, None])[:, :, 0]

@@ -11,6 +11,7 @@ import numpy as np
 from twin.arrays import Array
 
 _NO_ROLL = 1e-9  # second over first singular value of the moments: off-axis below 3e-5 of the length
+_WELL_SEEN = 1e-5  # smallest over largest eigenvalue of the same above which Cholesky loses no more than 5 digits
 _UNSEEN = 1e-10  # eigenvalue of the scaled 6x6 normal equations below which an increment is not seen
 
 
@@ -40,12 +41,18 @@ class Layout:
     @cached_property
     def full(self) -> bool:
         """No empty places."""
-        return bool((self.counts == self.counts[0]).all())
+        return bool(self.counts.min() == self.counts.max())
 
     @cached_property
     def present(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(K, width)."""
         return np.asarray(np.arange(self.width) < self.counts[:, None])
+
+    @cached_property
+    def _source(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """(K·width,) sorted row of each place; any row for the empty ones."""
+        starts = np.cumsum(self.counts) - self.counts
+        return np.asarray(starts[:, None] + np.arange(self.width) * self.present).reshape(-1)
 
     @cached_property
     def index(self) -> np.ndarray[Any, np.dtype[np.int64]]:
@@ -57,8 +64,8 @@ class Layout:
         shape = (self.positions, self.width, *rows.shape[1:])
         if self.full:
             return rows.reshape(shape)
-        padded = np.zeros(shape)
-        padded[self.present] = rows
+        padded = rows.take(self._source, axis=0).reshape(shape)
+        padded[~self.present] = 0.0
         return padded
 
     def unpad(self, padded: Array) -> Array:
@@ -75,8 +82,9 @@ class Poses:
 
     def place(self, layout: Layout, local: Array) -> Array:
         """Workpiece coordinates (n, 3) of artefact points (n, 3), rows sorted by position."""
-        rotation = self.rotation[layout.index]
-        return np.asarray((rotation @ local[:, :, None])[:, :, 0] + self.translation[layout.index])
+        turned = layout.pad(local) @ self.rotation.transpose(0, 2, 1)
+        turned += self.translation[:, None, :]
+        return layout.unpad(turned)
 
     def moved(self, increments: Array, arms: PoseArms) -> Poses:
         """Poses after increments (K, 6): shift (mm) of the position's centroid, turn about it in rad times the arm."""
@@ -144,7 +152,11 @@ class PoseProjector:
         jacobian[:, [0, 1, 2], [4, 5, 3]] = lever[:, [2, 0, 1]]
         jacobian[:, [0, 1, 2], [5, 3, 4]] = -lever[:, [1, 2, 0]]
         white = layout.pad(whitening @ jacobian).reshape(layout.positions, -1, 6)
-        values, vectors = np.linalg.eigh(white.transpose(0, 2, 1) @ white)
+        gram = white.transpose(0, 2, 1) @ white
+        back = _inverse_root(gram)
+        if back is not None:
+            return cls(white @ back, back, 6 * layout.positions)
+        values, vectors = np.linalg.eigh(gram)
         seen = values > _UNSEEN * values[:, -1:]
         inverse_root = np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
         back = vectors * inverse_root[:, None, :]
@@ -161,6 +173,16 @@ class PoseProjector:
     def remove(self, white: Array) -> Array:
         """(I - Q Qᵀ) A for whitened equations (K, 3 width, m)."""
         return white - self.q @ self.parts(white)
+
+
+def _inverse_root(gram: Array) -> Array | None:
+    """B (K, 6, 6) with Bᵀ G B = 1 by Cholesky; None unless every position sees all six increments well."""
+    try:
+        back = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
+    except np.linalg.LinAlgError:
+        return None
+    smallest = 1.0 / np.einsum("kij,kij->k", back, back)  # a lower bound of the smallest eigenvalue
+    return back if bool((smallest > _WELL_SEEN * np.einsum("kii->k", gram)).all()) else None
 
 
 def _recompose(left: Array, right: Array, handedness: Array) -> Array:
