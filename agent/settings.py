@@ -5,33 +5,17 @@ Units are in the key where they are not mm. The JSON schema of this module is co
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from twin.bodies import ProbeGeometry
-from twin.formats.toml_reading import Strict, read_toml
+from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
 from twin.position_set import MountGeometry
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
 Coordinates = tuple[float, float, float]
-Value = TypeVar("Value")
-
-
-def _refuse_unknown(kind: type) -> BeforeValidator:
-    """Pydantic reads frozen values of the mathematics but lets unknown keys of theirs pass; we do not."""
-    known = {field.name for field in dataclasses.fields(kind)}
-
-    def check(value: object) -> object:
-        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
-        if unknown:
-            raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
-        return value
-
-    return BeforeValidator(check)
 
 
 class ClockSettings(Strict):
@@ -144,8 +128,8 @@ class Settings(Strict):
     clock: ClockSettings = ClockSettings()
     devices: dict[Name, DeviceSettings]
     roles: RoleSettings
-    mount: Annotated[MountGeometry, _refuse_unknown(MountGeometry)] = MountGeometry()
-    probe: Annotated[ProbeGeometry, _refuse_unknown(ProbeGeometry)] = ProbeGeometry()
+    mount: Annotated[MountGeometry, refuse_unknown(MountGeometry)] = MountGeometry()
+    probe: Annotated[ProbeGeometry, refuse_unknown(ProbeGeometry)] = ProbeGeometry()
     stations: StationSettings
     procedure: ProcedureSettings = ProcedureSettings()
     identification: IdentificationSettings = IdentificationSettings()

@@ -7,12 +7,12 @@ Units are in the key where they are not mm. Without `[truth]`, `[mount]`, … ev
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import BeforeValidator, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from drivers.errors import ConfigurationError
 from twin.artefact import Artefact
@@ -20,25 +20,12 @@ from twin.bodies import ProbeGeometry
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.machine_file import parse_machine
-from twin.formats.toml_reading import Strict, read_toml
+from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
 from twin.machine_description import MachineDescription
 from twin.position_set import MountGeometry
 
 Coordinates = tuple[float, float, float]
 Value = TypeVar("Value")
-
-
-def _refuse_unknown(kind: type) -> BeforeValidator:
-    """Pydantic lets unknown keys of a plain dataclass pass; a scenario does not."""
-    known = {field.name for field in dataclasses.fields(kind)}
-
-    def check(value: object) -> object:
-        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
-        if unknown:
-            raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
-        return value
-
-    return BeforeValidator(check)
 
 
 class TruthSettings(Strict):
@@ -118,8 +105,8 @@ class ScenarioDocument(Strict):
     stations_mm: list[Coordinates] = Field(min_length=1)
     standing_at: PositiveInt = 1
     start_mm: Coordinates | None = None
-    mount: Annotated[MountGeometry, _refuse_unknown(MountGeometry)] = MountGeometry()
-    probe: Annotated[ProbeGeometry, _refuse_unknown(ProbeGeometry)] = ProbeGeometry()
+    mount: Annotated[MountGeometry, refuse_unknown(MountGeometry)] = MountGeometry()
+    probe: Annotated[ProbeGeometry, refuse_unknown(ProbeGeometry)] = ProbeGeometry()
     truth: TruthSettings = TruthSettings()
     artefact_truth: ArtefactTruthSettings = ArtefactTruthSettings()
     trigger: TriggerSettings = TriggerSettings()

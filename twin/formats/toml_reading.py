@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from twin.errors import FormatError
 
@@ -22,6 +23,19 @@ class Strict(BaseModel):
 _UNION_LABEL = re.compile(r"(float|int|bool|str|constrained-\w+)$|.*\[")
 
 Section = TypeVar("Section", bound=BaseModel)
+
+
+def refuse_unknown(kind: type) -> BeforeValidator:
+    """For a field that is a frozen value of the mathematics: Pydantic reads one but lets unknown keys of it pass."""
+    known = {field.name for field in dataclasses.fields(kind)}
+
+    def check(value: object) -> object:
+        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
+        if unknown:
+            raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
+        return value
+
+    return BeforeValidator(check)
 
 
 def read_toml(text: str, source: str, kind: type[Section]) -> Section:
