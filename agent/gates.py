@@ -42,7 +42,7 @@ def estimate_gates(
 ) -> tuple[Gate, ...]:
     """What the estimate itself must satisfy.
 
-    `before`: the VE of the bare machine as estimated (mean and uncertainty); `expected`: the VCE predicted with
+    `before`: the VE of the bare machine that the estimate shows, uncertainty not added; `expected`: the VCE with
     the table active. Both aligned: a rigid motion of the workspace is no fault of a machine.
     """
     share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")

@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.execution import steps as s
 from agent.execution.engine import Action
-from drivers.clock import Clock
+from drivers.clock import Clock, Deadline
 from drivers.errors import (
     Aborted,
     ConfigurationError,
@@ -34,6 +34,10 @@ from drivers.roles import (
 )
 
 Role = TypeVar("Role")
+
+STANDSTILL_WITHIN_S = 10.0
+"""Generous: 20 m/min is braked with 0.5 m/s² in 0.7 s."""
+STANDSTILL_POLL_S = 0.05
 
 
 @dataclass
@@ -80,6 +84,13 @@ class Rig:
             except DeviceError as error:
                 complaints.append(str(error.at(device=name)))
         return complaints
+
+    def await_standstill(self) -> None:
+        """Wait until the axes stand: while they brake a controller takes neither a move nor another bank."""
+        deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
+        while self.machine.status().state is MotionState.MOVING:
+            deadline.require("standstill after a stop", hint="look at the machine before anything else")
+            self.clock.sleep(STANDSTILL_POLL_S)
 
     def actions(self) -> dict[type, Action]:
         """What each type of step has done, for the engine."""

@@ -5,9 +5,8 @@ The compensation that was found is restored on every way out but the accepted on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from agent.conduct import Conduct
 from agent.execution.engine import Engine
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
-from agent.execution.steps import Plan
 from agent.execution.supervisor import Supervisor
 from agent.files import translated
 from agent.findings import Finding, find_machine, prove
@@ -31,8 +29,6 @@ from agent.table_image import image_of, table_of
 from drivers.errors import Aborted, GateRefused, LinkError, MeasurementFault, VolcalError
 from drivers.roles import TableImage
 from twin.formats.estimate_file import format_estimate
-
-T = TypeVar("T")
 
 
 @dataclass
@@ -80,6 +76,10 @@ class CalibrationRun:
         except VolcalError as error:
             self.progress.error = error
             self._leave_safely(error)
+        except BaseException as defect:
+            # A defect of ours must be seen as one, but never before the machine is as it was found.
+            self._leave_safely(VolcalError(f"defect in the agent: {defect!r}", hint="please report it"))
+            raise
         return self.progress
 
     def _calibrate(self) -> None:
@@ -140,17 +140,18 @@ class CalibrationRun:
         self._conduct.enter(RunState.ABORTING, str(error))
         complaints = self._rig.stop()
         if not isinstance(error, LinkError):
-            complaints += self._attempt("withdraw the probe", self._withdraw())
-        complaints += self._attempt_restore()
+            complaints += _attempt("bring the axes to a standstill", self._rig.await_standstill)
+            complaints += _attempt("withdraw the probe", self._withdraw)
+        not_restored = self._attempt_restore()
+        complaints += not_restored
         for complaint in complaints:
             self._conduct.note(complaint)
-        clean = aborted and not complaints
         reason = "; ".join([str(error), *complaints])
-        self._conduct.enter(RunState.ABORTED if clean or aborted else RunState.FAULTED, reason)
+        self._conduct.enter(RunState.ABORTED if aborted and not not_restored else RunState.FAULTED, reason)
 
-    def _withdraw(self) -> Plan[None]:
+    def _withdraw(self) -> None:
         probing = self._job.rules.probing
-        return withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm)
+        self._engine.run(withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm))
 
     def _attempt_restore(self) -> list[str]:
         found = self.progress.found
@@ -169,9 +170,11 @@ class CalibrationRun:
         self.progress.active_bank = found.bank
         self._journal.table("restored", found.bank, found.table)
 
-    def _attempt(self, what: str, plan: Plan[None]) -> Sequence[str]:
-        try:
-            self._engine.run(plan)
-        except VolcalError as failure:
-            return [f"could not {what}: {failure}"]
-        return []
+
+def _attempt(what: str, action: Callable[[], None]) -> list[str]:
+    """The complaint where `action` fails; the first cause of the way out must not be lost over it."""
+    try:
+        action()
+    except VolcalError as failure:
+        return [f"could not {what}: {failure}"]
+    return []

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 from agent.conduct import Announcement, Listener
 
@@ -34,7 +34,7 @@ class _Watcher:
         self._bar.update(
             self._task,
             completed=announcement.data["fraction"],
-            left=f"{announcement.data['minutes_left']:.0f} min of machine time left",
+            left=f"{announcement.data['minutes_left']:.0f} min left",
             where=announcement.text.removesuffix("/centre"),
         )
 
@@ -43,10 +43,9 @@ class _Watcher:
 def watching(console: Console) -> Iterator[Listener]:
     """A listener that draws on `console` until the block ends."""
     columns = (
-        BarColumn(bar_width=30),
+        BarColumn(bar_width=20),
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.fields[left]}"),
-        TimeElapsedColumn(),
         TextColumn("{task.fields[where]}", style="dim"),
     )
     with Progress(*columns, console=console, transient=False) as bar:
