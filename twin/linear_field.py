@@ -15,6 +15,7 @@ from twin.legendre import legendre_values, normalised
 
 _X, _Y, _Z = 0, 1, 2
 
+_CHUNK = 128  # points whose functions stay in the cache
 Places = np.ndarray[Any, np.dtype[np.int64]]
 
 
@@ -29,11 +30,15 @@ def deviation_basis(
     points = as_points(axis_positions, "axis positions")
     arms = _nominal_arms(model, points, as_vector(tool_offset, 3, "tool offset"))
     effect, row = _columns(model)
-    shares = _functions(model, points).take(row, axis=1)
-    if scale is not None:
-        shares *= scale
-    basis = _effects(arms).take(effect, axis=2)
-    basis *= shares[:, None, :]
+    effects, functions = _effects(arms), _functions(model, points)
+    basis = np.empty((len(points), 3, model.size))
+    for start in range(0, len(points), _CHUNK):
+        chunk = slice(start, start + _CHUNK)
+        shares = functions[chunk].take(row, axis=1)
+        if scale is not None:
+            shares *= scale
+        np.take(effects[chunk], effect, axis=2, out=basis[chunk], mode="clip")  # any other mode copies through a buffer
+        basis[chunk] *= shares[:, None, :]
     return basis
 
 
@@ -105,4 +110,6 @@ def _columns(model: ErrorModel) -> tuple[Places, Places]:
     for number, (name, moved) in enumerate(others.items()):
         effect[model.index(name)] = moved
         row[model.index(name)] = starts[-1] + number
+    effect.setflags(write=False)
+    row.setflags(write=False)
     return effect, row

@@ -13,17 +13,23 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.identification.poses import PoseProjector, Poses
-from twin.identification.problem import Problem
+from twin.identification.problem import Problem, Sides
+
+_POSITIONS = 8  # whitened at a time: few enough to stay in the cache, enough to fill a matrix product
 
 
 @dataclass(frozen=True, eq=False)
 class CentreEquations:
-    """`white` (K, 3 width, P) whitened equations; `parts` (K·6, P) their projections on the pose increments."""
+    """`weight` (K, width, 3, 3) W of each place, zero in the empty ones; `parts` (K·6, P) QᵀWA of the design A.
+
+    The whitened design W A is as large as the design itself and is formed piece by piece where it is needed: fresh
+    pages of memory cost more than the products.
+    """
 
     problem: Problem
     whitening: Array
+    weight: Array
     projector: PoseProjector
-    white: Array
     parts: Array
     matrix: Array
     rows: int
@@ -33,43 +39,52 @@ class CentreEquations:
         layout = problem.layout
         whitening = _whitening(problem.observations.covariance, unit_weights)
         projector = PoseProjector.of(layout, problem.poses, problem.local, problem.arms, whitening)
-        white = layout.pad(_weighted(whitening, problem.design)).reshape(layout.positions, -1, problem.blocks.size)
-        parts = projector.parts(white).reshape(-1, problem.blocks.size)
-        flat = white.reshape(-1, problem.blocks.size)
+        weight = layout.pad(whitening)
+        carrier = _weighted(weight.swapaxes(2, 3), projector.q.reshape(*weight.shape[:3], 6))
+        by_position = problem.design.reshape(layout.positions, -1, problem.blocks.size)
+        parts = carrier.reshape(projector.q.shape).transpose(0, 2, 1) @ by_position
+        parts = parts.reshape(-1, problem.blocks.size)
         return cls(
             problem=problem,
             whitening=whitening,
+            weight=weight,
             projector=projector,
-            white=white,
             parts=parts,
-            matrix=flat.T @ flat - parts.T @ parts,
+            matrix=_gram(weight, problem.design) - parts.T @ parts,
             rows=3 * problem.observations.size - projector.seen,
         )
 
-    def right_side(self, z: Array, poses: Poses) -> tuple[Array, float, Poses]:
-        """Aᵀy (P,) and |y|² for the exact residuals at z and at the poses that fit best there."""
-        left, local = self.problem.sides(z)
-        white = self._whitened(left - poses.place(self.problem.layout, local))
+    def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
+        """Aᵀy (P,) and |y|² for the exact `sides` at z and at the poses that fit best there."""
+        layout = self.problem.layout
+        left, local = sides
+        white = self._whitened(left - poses.place(layout, local))
         poses = poses.moved(self.projector.increments(white), self.problem.arms)
-        white = self._whitened(left - poses.place(self.problem.layout, local))
-        target = self.white @ z - white
+        predicted = layout.unpad(self.problem.design @ z)
+        target = self._whitened(predicted + poses.place(layout, local) - left)
         parts = self.projector.parts(target[:, :, None]).reshape(-1)
-        flat = target.reshape(-1)
-        right = self.white.reshape(-1, len(z)).T @ flat - self.parts.T @ parts
-        return right, float(flat @ flat - parts @ parts), poses
+        weighted = _weighted(self.weight.swapaxes(2, 3), target.reshape(*self.weight.shape[:3], 1)).reshape(-1)
+        right = weighted @ self.problem.design.reshape(-1, len(z)) - parts @ self.parts
+        return right, float(np.vdot(target, target) - parts @ parts), poses
 
-    def remaining(self, z: Array, poses: Poses) -> Array:
-        """Whitened residuals (K, 3 width) at z without what the pose increments can take."""
-        left, local = self.problem.sides(z)
+    def remaining(self, sides: Sides, poses: Poses) -> Array:
+        """Whitened residuals (K, 3 width) of both sides without what the pose increments can take."""
+        left, local = sides
         white = self._whitened(left - poses.place(self.problem.layout, local))
         return self.projector.remove(white[:, :, None])[:, :, 0]
+
+    def projected(self, size: int) -> Array:
+        """(n, 3, size) whitened design of the first unknowns without what the pose increments can take."""
+        layout = self.problem.layout
+        white = _weighted(self.weight, self.problem.design[..., :size]).reshape(layout.positions, -1, size)
+        white -= self.projector.q @ self.parts.reshape(layout.positions, 6, -1)[:, :, :size]
+        return layout.unpad(white.reshape(*self.weight.shape[:3], size))
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
         """AᵀCA of the first `size` unknowns and trace C, C the covariance of the equations' noise."""
         layout = self.problem.layout
-        shape = (layout.positions, layout.width, 3)
-        found = layout.unpad(self.projector.remove(self.white[:, :, :size]).reshape(*shape, size))
-        q = layout.unpad(self.projector.q.reshape(*shape, 6))
+        found = self.projected(size)
+        q = layout.unpad(self.projector.q.reshape(*self.weight.shape[:3], 6))
         noise = self.whitening @ self.problem.observations.covariance @ self.whitening.transpose(0, 2, 1)
         total = np.einsum("nii->", noise) - np.einsum("nij,nij->", q, noise @ q)
         return found.reshape(-1, size).T @ (noise @ found).reshape(-1, size), float(total)
@@ -89,9 +104,20 @@ def _whitening(covariance: Array, unit_weights: bool) -> Array:
     return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
-def _weighted(whitening: Array, rows: Array) -> Array:
-    """W A for rows (n, 3, m); scaling alone where W is diagonal, as it is for one sigma per ball."""
-    diagonal = np.einsum("nii->ni", whitening)
-    if np.count_nonzero(whitening) == diagonal.size:
-        return np.asarray(rows * diagonal[:, :, None])
-    return np.asarray(whitening @ rows)
+def _gram(weight: Array, design: Array) -> Array:
+    """(P, P) (WA)ᵀ(WA), a few positions at a time."""
+    size = design.shape[-1]
+    gram, room = np.zeros((size, size)), np.empty((_POSITIONS, *design.shape[1:]))
+    for start in range(0, len(design), _POSITIONS):
+        piece = design[start : start + _POSITIONS]
+        white = _weighted(weight[start : start + _POSITIONS], piece, room[: len(piece)]).reshape(-1, size)
+        gram += white.T @ white
+    return gram
+
+
+def _weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
+    """W A for rows (..., 3, m); scaling alone where W is diagonal, as it is for one sigma per ball."""
+    diagonal = np.einsum("...ii->...i", weight)
+    if np.count_nonzero(weight) == np.count_nonzero(diagonal):
+        return np.asarray(np.multiply(rows, diagonal[..., None], out=out))
+    return np.asarray(np.matmul(weight, rows, out=out))

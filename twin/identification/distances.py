@@ -17,7 +17,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.errors import SingularSet
 from twin.identification.poses import Poses
-from twin.identification.problem import Problem, tool_points
+from twin.identification.problem import Problem, Sides, tool_points
 
 _DEPENDENT = 1e-8  # eigenvalue of the distances' correlation below which a combination tells nothing of its own
 
@@ -51,10 +51,10 @@ class DistanceEquations:
         unit = _unit_deviation(problem) if unit_weights else None
         pairs, white, noise = [], [], []
         ends = np.cumsum(problem.layout.counts).tolist()
-        for start, end in zip([0, *ends[:-1]], ends, strict=True):
+        for start, end, design in zip([0, *ends[:-1]], ends, problem.design, strict=True):
             if end - start < 2:
                 continue
-            one, rows, covariance = _position(problem, points, start, end, unit)
+            one, rows, covariance = _position(problem, points, (start, end), design[: end - start], unit)
             pairs.append(one)
             white.append(rows)
             noise.append(covariance)
@@ -63,9 +63,9 @@ class DistanceEquations:
         stacked = np.concatenate(white)
         return cls(problem, tuple(pairs), stacked, tuple(noise), stacked.T @ stacked, len(stacked))
 
-    def right_side(self, z: Array, poses: Poses) -> tuple[Array, float, Poses]:
-        """Aᵀy (P,), |y|² for the exact distances at z; poses play no part."""
-        target = self.white @ z - self._remaining(z)
+    def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
+        """Aᵀy (P,), |y|² for the exact distances at z, whose sides these are; poses play no part."""
+        target = self.white @ z - self._remaining(sides)
         return self.white.T @ target, float(target @ target), poses
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
@@ -78,9 +78,9 @@ class DistanceEquations:
             start += len(covariance)
         return gram, float(sum(np.trace(covariance) for covariance in self.noise))
 
-    def _remaining(self, z: Array) -> Array:
+    def _remaining(self, sides: Sides) -> Array:
         """Whitened exact distance errors (M,), as found less as calibrated."""
-        left, local = self.problem.sides(z)
+        left, local = sides
         errors = []
         for pair in self.pairs:
             found = np.linalg.norm(left[pair.first] - left[pair.second], axis=1)
@@ -90,9 +90,10 @@ class DistanceEquations:
 
 
 def _position(
-    problem: Problem, points: Array, start: int, end: int, unit: float | None
+    problem: Problem, points: Array, ends: tuple[int, int], design: Array, unit: float | None
 ) -> tuple[PositionPairs, Array, Array]:
-    """Pairs, whitened rows and their noise covariance for sorted rows start ... end."""
+    """Pairs, whitened rows and their noise covariance for sorted rows from ... to and their design (m, 3, P)."""
+    start, end = ends
     first, second = (index + start for index in np.triu_indices(end - start, k=1))
     line = points[first] - points[second]
     line /= np.linalg.norm(line, axis=1)[:, None]
@@ -104,7 +105,7 @@ def _position(
     flat = pick.reshape(len(first), -1)
     spread = weighted @ flat.T
     whitening = _whitening(spread) if unit is None else np.eye(len(first)) / unit
-    rows = whitening @ (flat @ problem.design[start:end].reshape(3 * (end - start), -1))
+    rows = whitening @ (flat @ design.reshape(3 * (end - start), -1))
     return PositionPairs(first, second, whitening), rows, whitening @ spread @ whitening.T
 
 

@@ -144,8 +144,8 @@ def _misfit(whole: Problem, solution: Solution, options: Options) -> Misfit | No
 
 def _residuals(whole: Problem, settled: _Settled, solution: Solution) -> Array:
     """(n, 3) mm in the order of the observations given; each position at its pose of the solution."""
-    left, local = whole.sides(solution.z)
     kept = settled.kept
+    left, local = solution.sides if kept.all() else whole.sides(solution.z)
     layout = Layout.of(settled.problem.observations.position)
     poses = solution.poses
     if isinstance(solution.equations, DistanceEquations):

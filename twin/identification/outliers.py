@@ -42,14 +42,13 @@ def studentised_squares(solution: Solution) -> Array:
     if not isinstance(equations, CentreEquations):
         raise DataError("studentised residuals belong to the formulation of ball centres")
     layout, size = equations.problem.layout, equations.problem.blocks.size
-    shape = (layout.positions, layout.width, 3)
     variance = solution.scales.noise**2
-    q = layout.unpad(equations.projector.q.reshape(*shape, 6))
-    rows = layout.unpad(equations.projector.remove(equations.white).reshape(*shape, size))
+    q = layout.unpad(equations.projector.q.reshape(layout.positions, -1, 3, 6))
+    rows = equations.projected(size)
     spread_root = solution.posterior.whiten(rows.reshape(-1, size)).reshape(rows.shape)
     spread = spread_root @ spread_root.transpose(0, 2, 1)
     covariance = variance * (np.eye(3) * (1.0 + _RIDGE) - q @ q.transpose(0, 2, 1)) - spread
-    residuals = layout.unpad(equations.remaining(solution.z, solution.poses).reshape(shape))
+    residuals = layout.unpad(equations.remaining(solution.sides, solution.poses).reshape(layout.positions, -1, 3))
     solved = np.linalg.solve(covariance, residuals[:, :, None])[:, :, 0]
     square = np.einsum("ni,ni->n", residuals, solved)
     scale = max(float(np.median(square)) / _MEDIAN_OF_CHI2_3, (_QUIETEST / solution.scales.noise) ** 2)

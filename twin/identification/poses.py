@@ -49,7 +49,7 @@ class Layout:
         return np.asarray(np.arange(self.width) < self.counts[:, None])
 
     @cached_property
-    def _source(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+    def source(self) -> np.ndarray[Any, np.dtype[np.int64]]:
         """(K·width,) sorted row of each place; any row for the empty ones."""
         starts = np.cumsum(self.counts) - self.counts
         return np.asarray(starts[:, None] + np.arange(self.width) * self.present).reshape(-1)
@@ -64,7 +64,7 @@ class Layout:
         shape = (self.positions, self.width, *rows.shape[1:])
         if self.full:
             return rows.reshape(shape)
-        padded = rows.take(self._source, axis=0).reshape(shape)
+        padded = rows.take(self.source, axis=0).reshape(shape)
         padded[~self.present] = 0.0
         return padded
 

@@ -26,6 +26,9 @@ from twin.identification.prior import ParameterPrior, symmetric_factor
 from twin.machine_model import deviation_basis, exact_deviation
 from twin.observations import Observations
 
+Rows = np.ndarray[Any, np.dtype[np.int64]]
+Sides = tuple[Array, Array]  # of the exact equations: workpiece points (n, 3) and artefact points (n, 3) mm
+
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
@@ -38,8 +41,12 @@ class Nuisance:
 
     def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
         """Change (n, 3) of the artefact's points in its own frame."""
-        change = (self.certificate @ z_certificate).reshape(-1, 3)[ball]
-        return np.asarray(change + self.balls[ball] * (self.strain_rows @ z_strain)[:, None])
+        change = np.zeros((len(ball), 3))
+        if z_certificate.size:
+            change += (self.certificate @ z_certificate).reshape(-1, 3)[ball]
+        if z_strain.size:
+            change += self.balls[ball] * (self.strain_rows @ z_strain)[:, None]
+        return change
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +67,9 @@ class Blocks:
 class Problem:
     """Everything that does not change while the poses and z are improved. Rows (n) sorted by position.
 
-    `local` (n, 3) mm: nominal artefact points at the rows' temperature and elevation; `design` (n, 3, P): derivative of
-    the left side less the right side with respect to z, at `poses`.
+    `local` (n, 3) mm: nominal artefact points at the rows' temperature and elevation; `design` (K, width, 3, P):
+    derivative of the left side less the right side with respect to z, at `poses`, laid out by position; an empty place
+    repeats another row of its position.
     """
 
     model: ErrorModel
@@ -76,15 +84,24 @@ class Problem:
     poses: Poses
     design: Array
 
-    def sides(self, z: Array) -> tuple[Array, Array]:
-        """Both sides of the exact equations: workpiece points (n, 3) and artefact points (n, 3) mm, the latter yet to
-        be placed by a pose."""
+    def sides(self, z: Array) -> Sides:
+        """Both sides at z; the artefact points are yet to be placed by a pose."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
         if self.modes is not None:
-            left += self.design[:, :, blocks.misfit] @ z[blocks.misfit]
+            left += self.layout.unpad(self.design[..., blocks.misfit] @ z[blocks.misfit])
         change = self.nuisance.displacement(seen.ball, z[blocks.certificate], z[blocks.strain])
         return left, self.local + change
+
+    def sides_after(self, sides: Sides, step: Array) -> Sides:
+        """Both sides after a step (P,) of z so small that its second order does not matter."""
+        seen, blocks = self.observations, self.blocks
+        left, local = sides
+        moved = self.design[..., blocks.parameters] @ step[blocks.parameters]
+        if self.modes is not None:
+            moved += self.design[..., blocks.misfit] @ step[blocks.misfit]
+        change = self.nuisance.displacement(seen.ball, step[blocks.certificate], step[blocks.strain])
+        return left + self.layout.unpad(moved), local + change
 
     def deviation(self, z: Array) -> Array:
         """Exact model deviation (n, 3) mm at the rows."""
@@ -92,7 +109,7 @@ class Problem:
         deviation = np.zeros_like(seen.axis_positions)
         if not parameters.any():
             return deviation
-        for tool, rows in _rows_by_tool(seen):
+        for tool, rows in _rows_by_tool(seen.tool):
             offset = seen.tool_offsets[tool]
             deviation[rows] = exact_deviation(self.model, seen.axis_positions[rows], offset, parameters)
         return deviation
@@ -114,7 +131,7 @@ class Problem:
             arms=PoseArms.of(layout, local),
             nuisance=nuisance,
             poses=poses,
-            design=self.design[kept],
+            design=_laid_out(layout, self.layout.unpad(self.design)[kept]),
         )
 
 
@@ -130,9 +147,7 @@ def build_problem(
     nuisance = _nuisance(artefact, seen, options)
     modes = _modes(model, seen) if options.misfit_mm > 0.0 else None
     blocks = _blocks(model.size, nuisance, modes)
-    design = np.zeros((seen.size, 3, blocks.size))
-    _fill_field(design, blocks, _Field(model, prior, modes, options.misfit_mm), seen)
-    _fill_artefact(design, blocks, nuisance, seen.ball, poses.rotation[layout.index])
+    design = _design(blocks, _Field(model, prior, modes, options.misfit_mm), nuisance, seen, layout, poses)
     return Problem(
         model=model,
         prior=prior,
@@ -144,7 +159,7 @@ def build_problem(
         local=local,
         arms=PoseArms.of(layout, local),
         poses=poses,
-        design=design,
+        design=design.reshape(layout.positions, layout.width, 3, -1),
     )
 
 
@@ -204,11 +219,11 @@ def _modes(model: ErrorModel, seen: Observations) -> MisfitModes:
     return misfit_modes(model, (x, y, z))
 
 
-def _rows_by_tool(seen: Observations) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:
+def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:
     """Each tool in use with its rows; with a single one a slice, which copies nothing."""
-    if (seen.tool == seen.tool[0]).all():
-        return [(int(seen.tool[0]), slice(None))]
-    return [(int(tool), np.flatnonzero(seen.tool == tool)) for tool in np.unique(seen.tool)]
+    if (tools == tools[0]).all():
+        return [(int(tools[0]), slice(None))]
+    return [(int(tool), np.flatnonzero(tools == tool)) for tool in np.unique(tools)]
 
 
 def _main_tool(seen: Observations) -> int:
@@ -233,19 +248,42 @@ class _Field:
     misfit_mm: float
 
 
-def _fill_field(design: Array, blocks: Blocks, field: _Field, seen: Observations) -> None:
-    for tool, rows in _rows_by_tool(seen):
-        basis = deviation_basis(field.model, seen.axis_positions[rows], seen.tool_offsets[tool])
-        design[rows, :, blocks.parameters] = basis * field.prior.scale
-        if field.modes is not None:
-            at_hand = basis if (seen.tool_offsets[tool] == field.modes.tool_offset).all() else None
-            design[rows, :, blocks.misfit] = field.misfit_mm * field.modes.at(seen.axis_positions[rows], at_hand)
+def _laid_out(layout: Layout, rows: Array) -> Array:
+    """(K, width, ...) from sorted rows (n, ...); an empty place repeats another row of its position."""
+    laid = rows if layout.full else rows.take(layout.source, axis=0)
+    return laid.reshape(layout.positions, layout.width, *rows.shape[1:])
+
+
+def _design(
+    blocks: Blocks, field: _Field, nuisance: Nuisance, seen: Observations, layout: Layout, poses: Poses
+) -> Array:
+    """(K·width, 3, P)."""
+    source = layout.source
+    at, tool = seen.axis_positions[source], seen.tool[source]
+    if blocks.size == blocks.parameters.stop and (tool == tool[0]).all():
+        return deviation_basis(field.model, at, seen.tool_offsets[tool[0]], field.prior.scale)
+    design = np.empty((len(source), 3, blocks.size))
+    for number, rows in _rows_by_tool(tool):
+        _fill_field(design, rows, blocks, field, at[rows], seen.tool_offsets[number])
+    rotation = np.repeat(poses.rotation, layout.width, axis=0)
+    _fill_artefact(design, blocks, nuisance, source, seen.ball[source], rotation)
+    return design
+
+
+def _fill_field(
+    design: Array, rows: slice | np.ndarray[Any, Any], blocks: Blocks, field: _Field, at: Array, tool_offset: Array
+) -> None:
+    basis = deviation_basis(field.model, at, tool_offset)
+    design[rows, :, blocks.parameters] = basis * field.prior.scale
+    if field.modes is not None:
+        at_hand = basis if (tool_offset == field.modes.tool_offset).all() else None
+        design[rows, :, blocks.misfit] = field.misfit_mm * field.modes.at(at, at_hand)
 
 
 def _fill_artefact(
-    design: Array, blocks: Blocks, nuisance: Nuisance, ball: np.ndarray[Any, Any], rotation: Array
+    design: Array, blocks: Blocks, nuisance: Nuisance, source: Rows, ball: Rows, rotation: Array
 ) -> None:
     certificate = nuisance.certificate.reshape(len(nuisance.balls), 3, -1)
     design[:, :, blocks.certificate] = -(rotation @ certificate[ball])
     stretched = (rotation @ nuisance.balls[ball][:, :, None])[:, :, 0]
-    design[:, :, blocks.strain] = -stretched[:, :, None] * nuisance.strain_rows[:, None, :]
+    design[:, :, blocks.strain] = -stretched[:, :, None] * nuisance.strain_rows[source][:, None, :]
