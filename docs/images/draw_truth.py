@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import agent
 from simulators.scenario import read_scenario
 from simulators.world.world import true_machine
+from twin.error_model import Ranges
 from twin.formats.table_file import parse_table
 from twin.volumetric import align_rigidly, evaluation_grid, rms
 
@@ -63,7 +64,7 @@ def _compensated(bare: Field, correction: Field) -> Field:
     return field
 
 
-def _lengths(field: Field, ranges: tuple[tuple[float, float], ...], offset: Array) -> tuple[Array, float]:
+def _lengths(field: Field, ranges: Ranges, offset: Array) -> tuple[Array, float]:
     """Lengths in µm over the planes less the rigid motion that fits the workspace best, and VE in µm, aligned."""
     grid, planes = evaluation_grid(ranges), evaluation_grid(ranges, SHAPE)
     both = np.concatenate((grid, planes))
