@@ -14,13 +14,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
 from twin.chain import AXES
-from twin.error_model import ErrorModel
+from twin.error_model import ERROR_MOTIONS, ErrorModel, series_orders
 from twin.legendre import as_power_series
 from twin.linear_field import cross_arguments, deviation_basis, linear_deviation
 
@@ -91,9 +93,23 @@ def _unpack(model: ErrorModel, values: Array) -> _Numbers:
         -math.sin(a),
         cos_a1 + cos_b1 + cos_a1 * cos_b1,
     )
-    series = np.stack([as_power_series(model.coefficients(axis, values)) for axis in range(3)])
+    places = _series_places(model)
+    series = np.zeros((3, 6, max(model.highest_order) + 1))
+    series.reshape(-1)[places] = values[: len(places)]
+    series = as_power_series(series)
     travel = ((0.0, 0.0, 0.0), (-math.sin(c), cos_c1, 0.0), z_turned)
     return _Numbers(series, travel, tuple(model.cross_terms(values).values()))
+
+
+@lru_cache(maxsize=16)
+def _series_places(model: ErrorModel) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Where the leading parameters, those of the series, stand in a flat (3, 6, highest order + 1) table."""
+    terms = max(model.highest_order) + 1
+    places = []
+    for row, error in enumerate(ERROR_MOTIONS):
+        orders = series_orders(error, model.orders[error])
+        places += [row * terms + order for order in orders]
+    return np.array(places, dtype=np.int64)
 
 
 def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _Numbers, rows: _Workspace) -> None:

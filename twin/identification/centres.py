@@ -60,7 +60,7 @@ class CentreEquations:
         left, local = sides
         white = self._whitened(left - poses.place(layout, local))
         poses = poses.moved(self.projector.increments(white), self.problem.arms)
-        predicted = layout.unpad(self.problem.design @ z)
+        predicted = self.problem.change(z)
         target = self._whitened(predicted + poses.place(layout, local) - left)
         parts = self.projector.parts(target[:, :, None]).reshape(-1)
         weighted = _weighted(self.weight.swapaxes(2, 3), target.reshape(*self.weight.shape[:3], 1)).reshape(-1)

@@ -124,7 +124,7 @@ def rigid_poses(layout: Layout, local: Array, found: Array) -> Poses:
     offset = (here - middle[:, None, :]) * present
     found_offset = (there - found_middle[:, None, :]) * present
     left, weights, right = np.linalg.svd(offset.transpose(0, 2, 1) @ found_offset)
-    handedness = np.sign(np.linalg.det(left) * np.linalg.det(right))
+    handedness = np.sign(np.linalg.det(left @ right))
     rotation = _recompose(left, right, handedness)
     for k in np.flatnonzero(weights[:, 1] <= _NO_ROLL * weights[:, 0]):
         rotation[k] = _upright_frame(right[k, 0]) @ _upright_frame(left[k, :, 0]).T
@@ -204,7 +204,8 @@ def _rotations(turns: Array) -> Array:
     cross = np.zeros((len(turns), 3, 3))
     cross[:, [2, 0, 1], [1, 2, 0]] = turns
     cross[:, [1, 2, 0], [2, 0, 1]] = -turns
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    divisor = np.where(angle > 0.0, angle, 1.0)
+    first = np.where(angle > 0.0, np.sin(angle) / divisor, 1.0)
+    second = np.where(angle > 0.0, 2.0 * (np.sin(0.5 * angle) / divisor) ** 2, 0.5)
     rotation: Array = np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
     return rotation

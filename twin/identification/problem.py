@@ -89,7 +89,7 @@ class Problem:
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
         if self.modes is not None:
-            left += self.layout.unpad(self.design[..., blocks.misfit] @ z[blocks.misfit])
+            left += self.change(_only(z, blocks.misfit))
         change = self.nuisance.displacement(seen.ball, z[blocks.certificate], z[blocks.strain])
         return left, self.local + change
 
@@ -97,11 +97,15 @@ class Problem:
         """Both sides after a step (P,) of z so small that its second order does not matter."""
         seen, blocks = self.observations, self.blocks
         left, local = sides
-        moved = self.design[..., blocks.parameters] @ step[blocks.parameters]
-        if self.modes is not None:
-            moved += self.design[..., blocks.misfit] @ step[blocks.misfit]
+        moved = self.change(_only(step, blocks.parameters, blocks.misfit))
         change = self.nuisance.displacement(seen.ball, step[blocks.certificate], step[blocks.strain])
-        return left + self.layout.unpad(moved), local + change
+        return left + moved, local + change
+
+    def change(self, z: Array) -> Array:
+        """A z (n, 3) mm: the left side less the right side to first order."""
+        # as one flat product: numpy multiplies a stack of small matrices one by one
+        changes = self.design.reshape(-1, len(z)) @ z
+        return self.layout.unpad(changes.reshape(self.design.shape[:3]))
 
     def deviation(self, z: Array) -> Array:
         """Exact model deviation (n, 3) mm at the rows."""
@@ -161,6 +165,14 @@ def build_problem(
         poses=poses,
         design=design.reshape(layout.positions, layout.width, 3, -1),
     )
+
+
+def _only(z: Array, *blocks: slice) -> Array:
+    """z (P,) with zero outside the blocks."""
+    kept = np.zeros_like(z)
+    for block in blocks:
+        kept[block] = z[block]
+    return kept
 
 
 def tool_points(observations: Observations) -> Array:
