@@ -17,6 +17,7 @@ from agent.plans.position import Course, MeasuredBall, PositionRules
 from agent.plans.probing import BallLimits, Probing, Search, approach_directions
 from agent.settings import Settings, parse_settings
 from drivers.errors import ConfigurationError
+from drivers.registry import check_options
 from twin.access import accessible, standing_scene
 from twin.arrays import Array
 from twin.artefact import Artefact
@@ -75,7 +76,12 @@ def load_settings(path: Path) -> Settings:
     """Settings of a file with every path in it made absolute. Raises ConfigurationError."""
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):
-        return parse_settings(text, str(path)).resolved(path.resolve().parent)
+        settings = parse_settings(text, str(path)).resolved(path.resolve().parent)
+    try:
+        _check_devices(settings)
+    except ConfigurationError as error:
+        raise error.at(file=str(path)) from error.__cause__
+    return settings
 
 
 def prepare_job(settings: Settings, base: Path) -> Job:
@@ -138,6 +144,20 @@ def with_overrides(
         document["identification"]["formulation"] = formulation
     with translated(ConfigurationError):
         return validated(document, "command line", Settings)
+
+
+def _check_devices(settings: Settings) -> None:
+    """Every driver is installed and takes its options, every role has a device: known before anything is opened."""
+    for name, device in settings.devices.items():
+        check_options(device.driver, device.options, name)
+    for role, named in settings.roles:
+        for name in [named] if isinstance(named, str) else named.values():
+            if name not in settings.devices:
+                raise ConfigurationError(
+                    f"no device {name!r}",
+                    key=f"roles.{role}",
+                    hint=f"devices are: {', '.join(sorted(settings.devices))}",
+                )
 
 
 def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple[Position, ...]:

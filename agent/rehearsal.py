@@ -53,12 +53,13 @@ def rehearse(job: Job, start_mm: Point | None = None) -> Rehearsal:
         ) from error
     finally:
         rig.close()
+    _require_proof(verified)
     return Rehearsal(measured, verified, timeline, clock.now(), wall_seconds() - began, len(timeline))
 
 
-def require_proof(rehearsal: Rehearsal) -> None:
+def _require_proof(verified: Measured) -> None:
     """Raise PlanRefused where nothing could be measured with the new table active: it would act unproved."""
-    if not rehearsal.verified.positions:
+    if not verified.positions:
         raise PlanRefused(
             "no held-out position has three balls within reach, so a new table could not be proved",
             key="verification.positions_deg",

@@ -16,7 +16,7 @@ from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.files import translated
-from agent.findings import Finding, find_machine, prove
+from agent.findings import Finding, find_machine, prove, provenance
 from agent.gates import Gate, estimate_gates, require, table_gates
 from agent.job import Job
 from agent.observing import no_correction
@@ -107,7 +107,7 @@ class CalibrationRun:
         with translated(MeasurementFault):
             finding = find_machine(job, job.balls_of(measured, held_out=False), correction)
         progress.finding = finding
-        self._journal.estimate(format_estimate(finding.estimate, {"run": "see the runs table"}))
+        self._journal.estimate(format_estimate(finding.estimate, provenance(job, self._journal.run_id)))
         limits = self._rig.store.store_limits()
         predicted, before = finding.volumetric.after, finding.volumetric.before
         progress.gates += estimate_gates(finding.estimate, predicted, before, job.gate_limits)
@@ -130,7 +130,7 @@ class CalibrationRun:
             self._conduct.enter(RunState.COMPLETE, progress.proof.reason)
             return
         self._conduct.enter(RunState.RESTORING, progress.proof.reason)
-        self._restore()
+        self._restore(after_fault=False)
         self._conduct.enter(RunState.COMPLETE, f"restored: {progress.proof.reason}")
 
     def _leave_safely(self, error: VolcalError) -> None:
@@ -158,15 +158,15 @@ class CalibrationRun:
         if found is None or self.progress.active_bank == found.bank:
             return []
         try:
-            self._restore()
+            self._restore(after_fault=True)
         except VolcalError as failure:
             return [f"bank {found.bank} could not be made active again: {failure}"]
         return []
 
-    def _restore(self) -> None:
+    def _restore(self, *, after_fault: bool) -> None:
         found = self.progress.found
         assert found is not None  # noqa: S101  read before anything is written
-        self._engine.run(publish.activate("restore", found.bank))
+        self._engine.run(publish.restore(found.bank, after_fault=after_fault))
         self.progress.active_bank = found.bank
         self._journal.table("restored", found.bank, found.table)
 

@@ -20,7 +20,7 @@ from agent.execution.supervisor import Supervisor
 from agent.expectation import rehearsed_estimate
 from agent.job import Job
 from agent.outcome import Outcome
-from agent.rehearsal import Rehearsal, rehearse, require_proof
+from agent.rehearsal import Rehearsal, rehearse
 from agent.rig import Rig
 from agent.run import CalibrationRun, Progress
 from agent.settings import ClockSettings
@@ -129,7 +129,6 @@ class _Session:
     def _preflight(self, start_mm: Point) -> Rehearsal:
         rehearsal = rehearse(self._job, start_mm)
         rehearsed_estimate(self._job, rehearsal.measured)
-        require_proof(rehearsal)
         self._conduct.note(
             "preflight passed: no collision, no limit",
             machine_minutes=rehearsal.machine_minutes,

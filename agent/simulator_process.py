@@ -12,9 +12,9 @@ import subprocess
 import sys
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TextIO
 
-from drivers.errors import LinkLost, ProtocolError
+from drivers.errors import ConfigurationError, LinkLost, ProtocolError
 
 READY_WITHIN_S = 30.0
 END_WITHIN_S = 5.0
@@ -46,8 +46,7 @@ class SimulatorProcess:
         self.ready: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
-        self._log.parent.mkdir(parents=True, exist_ok=True)
-        with self._log.open("w", encoding="utf-8") as log:
+        with self._opened_log() as log:
             self._process = subprocess.Popen(  # noqa: S603  our own interpreter and command
                 self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
             )
@@ -61,6 +60,17 @@ class SimulatorProcess:
             )
         self.ready = json.loads(line)
         return self
+
+    def _opened_log(self) -> TextIO:
+        try:
+            self._log.parent.mkdir(parents=True, exist_ok=True)
+            return self._log.open("w", encoding="utf-8")
+        except OSError as error:
+            raise ConfigurationError(
+                f"the simulator's log cannot be written: {error.strerror or error}",
+                hint="name another directory for the results",
+                file=str(self._log),
+            ) from error
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

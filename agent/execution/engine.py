@@ -44,11 +44,13 @@ class Engine:
     def run(self, plan: Plan[T]) -> T:
         """Run `plan` to its end and return its conclusion.
 
-        Errors of the house travel on with the key of the step they arose in; the plan is closed.
+        Errors of the house travel on with the key of the step they arose in, the plan's own with that of the step
+        whose result made it give up; the plan is closed.
         """
         do = self._do if self._journal is None else self._do_durably
         observer = self._observer
         result: Any = None
+        step: Step | None = None
         try:
             while True:
                 step = plan.send(result)
@@ -58,6 +60,10 @@ class Engine:
         except StopIteration as stop:
             conclusion: T = stop.value
             return conclusion
+        except VolcalError as error:
+            if step is not None:
+                error.at(step=step.key)
+            raise
         finally:
             plan.close()
 

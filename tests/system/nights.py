@@ -1,0 +1,173 @@
+"""Whole runs in one process: the shipped case study behind the plugin `simulated`, on a virtual clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sqlite3
+import tempfile
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import agent.session
+from agent.conduct import Announcement
+from agent.execution.supervisor import Supervisor
+from agent.job import prepare_job
+from agent.rig import Rig
+from agent.session import Ended, Request, calibrate
+from agent.settings import Settings
+from drivers.clock import Clock, VirtualClock
+from drivers.roles import TableImage
+from simulators.backend import SimulatedMachineDevice
+from simulators.world.world import World
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+SCENARIO = CONFIG / "simulators" / "case-study.toml"
+PLACES_MM = [[700.0, 1000.0, 750.0], [1567.0, 1000.0, 750.0], [2433.0, 1000.0, 750.0], [3300.0, 1000.0, 750.0]]
+SHORT_SET = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
+
+
+def document(state: Path, **sections: Any) -> dict[str, Any]:
+    """Settings of the case study with one device in this process; `sections` are merged in, one level deep."""
+    roles = ("machine", "probe", "store", "thermometer", "operator", "mount")
+    base: dict[str, Any] = {
+        "machine": str(CONFIG / "machines" / "case-study.toml"),
+        "artefact": str(CONFIG / "artefacts" / "ball-bar-1500.toml"),
+        "state_directory": str(state),
+        "devices": {
+            "twin": {
+                "driver": "simulated",
+                "options": {"scenario": str(SCENARIO)},
+            }
+        },
+        "roles": dict.fromkeys(roles, "twin"),
+        "stations": {"places_mm": PLACES_MM, "standing_at": 1},
+        "verification": {"stations": [1, 4]},
+        "gates": {"allow_extrapolation": True},
+    }
+    return merged(base, sections)
+
+
+def short_document(state: Path, **sections: Any) -> dict[str, Any]:
+    """Two positions at one station and one held out; a machine so bad, gates so wide, that all is let through."""
+    listed = state.parent / "two-positions.csv"
+    listed.write_text(SHORT_SET)
+    scenario = tomllib.loads(SCENARIO.read_text())
+    scenario |= {name: str(SCENARIO.parent / scenario[name]) for name in ("machine", "artefact")}
+    scenario["truth"]["scale"] = 4.0
+    short = {
+        "devices": {"twin": {"driver": "simulated", "options": scenario}},
+        "procedure": {"position_set": str(listed), "stations": [1]},
+        "verification": {"stations": [1], "positions_deg": [[20.0, 25.0]], "largest_share": 1.0, "largest_chi2": 1e3},
+        "gates": {"smallest_freedom": 1, "largest_remaining_share": 1.0, "largest_chi2": 1e3},
+        "table": {"step_mm": [500.0, 325.0, 500.0]},
+    }
+    return merged(document(state, **short), sections)
+
+
+def merged(base: dict[str, Any], sections: dict[str, Any]) -> dict[str, Any]:
+    """`sections` over `base`, one level deep."""
+    result = dict(base)
+    for name, values in sections.items():
+        result[name] = {**base.get(name, {}), **values} if isinstance(values, dict) else values
+    return result
+
+
+@dataclass
+class Night:
+    """One machine that may be calibrated again and again; `tamper` is handed the rig before each run."""
+
+    monkeypatch: pytest.MonkeyPatch
+    tamper: Callable[[Rig], Rig] = lambda rig: rig
+    world: World | None = None
+    heard: list[Announcement] = field(default_factory=list)
+
+    def run(
+        self,
+        settings: dict[str, Any],
+        interrupts: Callable[[Supervisor], None] = lambda _: None,
+        *,
+        files: bool = True,
+    ) -> Ended:
+        """Calibrate; the world of the first run stays the world of the following ones. `files`: write results."""
+        assemble = agent.session.assemble
+        with self.monkeypatch.context() as patch:
+            patch.setattr(agent.session, "make_clock", lambda _: VirtualClock())
+            if not files:
+                patch.setattr(agent.session, "write_results", lambda _job, outcome, *_: outcome)
+
+            def assembled(*given: Any) -> Rig:
+                rig = assemble(*given)
+                return self.tamper(self._with_first_world(rig))
+
+            patch.setattr(agent.session, "assemble", assembled)
+            job = prepare_job(Settings.model_validate(settings), Path.cwd())
+            return calibrate(Request(job, Path.cwd(), self.heard.append, interrupts))
+
+    def _with_first_world(self, rig: Rig) -> Rig:
+        """The machine of the first run, with all that happened to it; its time starts anew with each run's clock."""
+        device = rig.devices["twin"]
+        assert isinstance(device, SimulatedMachineDevice)
+        if self.world is None:
+            self.world = device.world
+            return rig
+        clock = OffsetClock(rig.clock, self.world.now)
+        former = SimulatedMachineDevice(self.world, clock)
+        roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), former)
+        mounts = dict.fromkeys(rig.mounts, former)
+        return dataclasses.replace(rig, devices={"twin": former}, mounts=mounts, clock=clock, **roles)
+
+    @property
+    def banks(self) -> dict[int, TableImage]:
+        assert self.world is not None
+        return self.world.controller.banks
+
+    @property
+    def active(self) -> int:
+        assert self.world is not None
+        return self.world.controller.active_bank
+
+
+@dataclass
+class OffsetClock:
+    """The clock of a later run on a machine that has seen earlier ones."""
+
+    inner: Clock
+    origin_s: float
+
+    def now(self) -> float:
+        return self.origin_s + self.inner.now()
+
+    def sleep(self, duration_s: float) -> None:
+        self.inner.sleep(duration_s)
+
+
+def memory_directory() -> tempfile.TemporaryDirectory[str]:
+    """Where a commit costs no disk: a night makes 18,000 of them, and durability is tested elsewhere."""
+    shared = Path("/dev/shm")  # noqa: S108  a directory of its own inside, removed with the fixture
+    return tempfile.TemporaryDirectory(prefix="volcal-", dir=shared if os.access(shared, os.W_OK) else None)
+
+
+def rows(state: Path, query: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """What another connection reads from the journal."""
+    connection = sqlite3.connect(f"file:{state / 'journal.sqlite'}?mode=ro", uri=True)
+    try:
+        return connection.execute(query, values).fetchall()
+    finally:
+        connection.close()
+
+
+def states(state: Path, run_id: str | None = None) -> list[str]:
+    """Every state that a run entered, in order; the only run's where no id is given."""
+    found = rows(
+        state,
+        "SELECT record FROM events JOIN runs USING (run) WHERE events.kind = 'state' AND run_id = coalesce(?, run_id)",
+        (run_id,),
+    )
+    return [json.loads(record)["state"] for (record,) in found]

@@ -1,0 +1,94 @@
+"""`volcal demo` over its real links, as short as it can be: one station, what is proved let through."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = ROOT / "config"
+KEYS = {
+    "state", "run_id", "position_set", "formulation", "balls", "touches", "machine_minutes", "wall_seconds", "rank",
+    "parameters", "predicted_vce_um", "verified", "table_bank", "report",
+    "true_ve_before_um", "true_ve_after_um", "collisions",
+}  # fmt: skip
+
+
+def short_settings(directory: Path) -> Path:
+    """The shipped settings with three positions at one station, one of them held out."""
+    text = (CONFIG / "case-study.toml").read_text()
+    (directory / "two.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n")
+    for former, now in (
+        ('"machines/', f'"{CONFIG}/machines/'),
+        ('"artefacts/', f'"{CONFIG}/artefacts/'),
+        ('position_set = "S3"', f'position_set = "{directory / "two.csv"}"\nstations = [1]'),
+        ("[verification]\nstations = [1, 4]", "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
+         "largest_share = 1.0\nlargest_chi2 = 1000.0"),
+        ("[gates]", "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1000.0"),
+    ):  # fmt: skip
+        assert former in text, former
+        text = text.replace(former, now)
+    path = directory / "volcal.toml"
+    path.write_text(text)
+    return path
+
+
+def bad_machine(directory: Path) -> Path:
+    """Four times the errors of the family: something that two positions can already better."""
+    text = (CONFIG / "simulators" / "case-study.toml").read_text()
+    for former, now in (("../machines/", f"{CONFIG}/machines/"), ("../artefacts/", f"{CONFIG}/artefacts/")):
+        text = text.replace(former, now)
+    path = directory / "scenario.toml"
+    path.write_text(text.replace("[truth]", "[truth]\nscale = 4.0"))
+    return path
+
+
+def demo(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "agent.cli.main", "demo", "--config", str(short_settings(directory))]
+    return subprocess.run(
+        [*command, "--scenario", str(bad_machine(directory)), "--out", str(directory / "out"), *options],
+        cwd=directory,
+        capture_output=True,
+        text=True,
+        timeout=55.0,
+        check=False,
+    )
+
+
+def test_demo_ends_with_one_json_object(tmp_path: Path) -> None:
+    ended = demo(tmp_path, "--json")
+    assert ended.returncode == 0, ended.stderr
+    lines = ended.stdout.splitlines()
+    assert len(lines) == 1
+    document = json.loads(lines[0])
+    assert set(document) >= KEYS
+    assert document["state"] == "complete"
+    assert document["verified"] is True
+    assert document["collisions"] == 0
+    assert document["table_bank"] == 1
+    assert document["balls"] == 22
+    assert document["true_ve_after_um"] < document["true_ve_before_um"]
+    assert Path(document["report"]).is_file()
+    assert "min left" in ended.stderr.replace("of machine time ", "")
+    assert "127.0.0.1" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--can", "carrier-pigeon:3"), "carrier-pigeon"),
+        (("--scenario", "nowhere.toml"), "nowhere.toml"),
+        (("--config", "nowhere.toml"), "nowhere.toml"),
+    ],
+)
+def test_demo_that_cannot_start_says_why(tmp_path: Path, options: tuple[str, ...], words: str) -> None:
+    ended = demo(tmp_path, *options)
+    assert ended.returncode in (2, 3)
+    assert ended.stdout == ""
+    [complaint] = ended.stderr.strip().splitlines()
+    assert complaint.startswith("error: ")
+    assert words in complaint

@@ -1,0 +1,262 @@
+"""Whole nights in one process: accepted, once more on the compensated machine, restored, refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nights import Night, document, memory_directory, rows, short_document, states
+
+from agent.cli.calibrate import conclude
+from agent.execution.encoding import table_digest
+from agent.execution.states import RunState
+from agent.execution.steps import ACTING
+from agent.rig import Rig
+from agent.session import Ended
+from drivers.errors import GateRefused
+from drivers.roles import TableImage
+from twin.formats.estimate_file import StoredEstimate, parse_estimate
+from twin.formats.table_file import parse_table
+
+ACTING_KINDS = {step.__name__ for step in ACTING}
+
+
+@dataclass
+class TwoNights:
+    """The case study calibrated, and calibrated again with the first table active."""
+
+    night: Night
+    state: Path
+    first: Ended
+    second: Ended
+    after_first: tuple[int, dict[int, TableImage]]
+    true_ve_um: tuple[float, float, float]
+
+    def steps(self, ended: Ended, columns: str, where: str = "1") -> list[tuple]:
+        run_id = ended.outcome.run_id
+        return rows(
+            self.state,
+            f"SELECT {columns} FROM steps JOIN runs USING (run) "  # noqa: S608  literals of this file
+            f"WHERE run_id = '{run_id}' AND {where} ORDER BY ordinal",
+        )
+
+    def estimate(self, ended: Ended) -> StoredEstimate:
+        path = self.state / ended.outcome.run_id / "estimate.json"
+        return parse_estimate(path.read_text(), str(path))
+
+
+@pytest.fixture(scope="module")
+def nights() -> Iterator[TwoNights]:
+    with pytest.MonkeyPatch.context() as patch, memory_directory() as directory:
+        state = Path(directory) / "state"
+        night = Night(patch)
+        first = night.run(document(state))
+        assert night.world is not None
+        truth = night.world.truth
+        found = (night.active, dict(night.banks))
+        before, after = (truth.true_volumetric_error(bank)[1] for bank in (0, night.active))
+        second = night.run(document(state))
+        last = truth.true_volumetric_error(night.active)[1]
+        yield TwoNights(night, state, first, second, found, (before, after, last))
+
+
+def test_a_night_is_accepted_and_its_table_acts(nights: TwoNights) -> None:
+    assert nights.first.error is None
+    outcome = nights.first.outcome
+    assert outcome.state is RunState.COMPLETE
+    assert outcome.proof is not None
+    assert outcome.proof.accepted
+    assert outcome.table_bank == nights.after_first[0] == 1
+    conclude(nights.first)
+    before, after, _ = nights.true_ve_um
+    assert before > 11.0
+    assert after < 3.5
+    assert nights.night.world is not None
+    assert nights.night.world.collisions == []
+
+
+def test_bank_that_acts_holds_the_table_of_the_files(nights: TwoNights) -> None:
+    _, banks = nights.after_first
+    folder = nights.state / nights.first.outcome.run_id
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "balls.csv",
+        "estimate.json",
+        "report.html",
+        "table.csv",
+        "table.json",
+    ]
+    text, side = ((folder / name).read_text() for name in ("table.csv", "table.json"))
+    table = parse_table(text, side, "table.csv", "table.json")
+    assert np.abs(banks[1].counts * banks[1].resolution_mm - table.corrections).max() <= 0.5001 * banks[1].resolution_mm
+    staged = nights.steps(nights.first, "result", "key = 'publish/read-back'")
+    assert [json.loads(result)["crc32"] for (result,) in staged] == [table_digest(banks[1])]
+
+
+def test_every_acting_step_has_begun_before_it_ended_and_no_key_comes_twice(nights: TwoNights) -> None:
+    steps = nights.steps(nights.first, "key, steps.kind, begun, finished, error")
+    keys = [key for key, *_ in steps]
+    assert len(keys) == len(set(keys))
+    assert {kind for _, kind, *_ in steps} >= {"MoveTo", "TouchTowards", "OrientTo", "StageTable", "ActivateBank"}
+    for key, kind, begun, finished, error in steps:
+        assert error is None, key
+        assert begun <= finished, key
+        assert kind in ACTING_KINDS or begun == finished, key
+    begins = [begun for *_, begun, _finished, _error in steps]
+    assert begins == sorted(begins)
+
+
+def test_a_table_is_written_read_activated_and_asked_for_in_this_order(nights: TwoNights) -> None:
+    kinds = ("StageTable", "ReadTable", "ActivateBank", "ReadActiveBank")
+    writing = nights.steps(nights.first, "key", f"steps.kind IN {kinds}")
+    assert [key for (key,) in writing] == [
+        "before/active-bank",
+        "publish/stage",
+        "publish/read-back",
+        "activate/activate",
+        "activate/active-bank",
+    ]
+
+
+def test_journal_keeps_balls_backup_and_states(nights: TwoNights) -> None:
+    run_id = nights.first.outcome.run_id
+    of_run = f"JOIN runs USING (run) WHERE run_id = '{run_id}'"
+    balls = rows(nights.state, f"SELECT key FROM balls {of_run}")  # noqa: S608
+    assert len({key for (key,) in balls}) == len(balls) >= nights.first.outcome.balls
+    tables = rows(nights.state, f"SELECT role, bank, crc32 FROM tables {of_run} ORDER BY tables.rowid")  # noqa: S608
+    assert tables[0] == ("backup", 0, None)
+    assert tables[1] == ("staged", 1, table_digest(nights.after_first[1][1]))
+    assert states(nights.state, run_id) == [
+        "preflight", "measuring", "identifying", "staging", "activating", "verifying", "complete",
+    ]  # fmt: skip
+
+
+def test_second_night_sees_the_bare_machine_through_the_first_table(nights: TwoNights) -> None:
+    one, two = nights.estimate(nights.first), nights.estimate(nights.second)
+    sigma = np.sqrt(np.diag(one.covariance) + np.diag(two.covariance))
+    change = np.abs(two.parameters - one.parameters)
+    assert (change <= 3.0 * sigma).all()
+    # Without the table added back, the second estimate would be of a machine with a quarter of the errors.
+    assert np.linalg.norm(two.parameters) > 0.9 * np.linalg.norm(one.parameters)
+
+
+def test_second_night_does_not_help_and_the_first_table_acts_again(nights: TwoNights) -> None:
+    ended = nights.second
+    assert ended.outcome.proof is not None
+    assert not ended.outcome.proof.accepted
+    assert ended.outcome.state is RunState.COMPLETE
+    assert ended.outcome.table_bank == nights.night.active == 1
+    assert nights.night.banks[1].same_as(nights.after_first[1][1])
+    assert nights.true_ve_um[2] == nights.true_ve_um[1]
+    keys = [
+        key for (key,) in nights.steps(ended, "key", "steps.kind IN ('ReadTable', 'ActivateBank', 'ReadActiveBank')")
+    ]
+    assert keys == [
+        "before/active-bank",
+        "before/active-table",
+        "publish/read-back",
+        "activate/activate",
+        "activate/active-bank",
+        "restore/activate",
+        "restore/active-bank",
+    ]
+    tables = rows(
+        nights.state,
+        f"SELECT role, bank FROM tables JOIN runs USING (run) WHERE run_id = '{ended.outcome.run_id}'",  # noqa: S608
+    )
+    assert tables == [("backup", 1), ("staged", 2), ("restored", 1)]
+    assert exit_code(ended) == 4
+
+
+class WrongSign:
+    """A controller that subtracts what it should add, and reads back what was written."""
+
+    def __init__(self, store) -> None:
+        self._store = store
+
+    def __getattr__(self, name: str):
+        return getattr(self._store, name)
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        self._store.stage(bank, dataclasses.replace(table, counts=-table.counts))
+
+    def read_table(self, bank: int) -> TableImage | None:
+        held = self._store.read_table(bank)
+        return None if held is None else dataclasses.replace(held, counts=-held.counts)
+
+
+@pytest.fixture
+def state() -> Iterator[Path]:
+    with memory_directory() as directory:
+        yield Path(directory) / "state"
+
+
+def test_table_applied_with_the_wrong_sign_is_noticed_and_withdrawn(monkeypatch, state: Path) -> None:
+    def wrong(rig: Rig) -> Rig:
+        return dataclasses.replace(rig, store=WrongSign(rig.store))
+
+    night = Night(monkeypatch, tamper=wrong)
+    ended = night.run(short_document(state))
+    assert ended.error is None
+    proof = ended.outcome.proof
+    assert proof is not None
+    assert not proof.accepted
+    assert proof.after_um > proof.before_um
+    assert night.active == 0
+    assert ended.outcome.table_bank == 0
+    assert states(state)[-2:] == ["restoring", "complete"]
+    assert rows(state, "SELECT result FROM steps WHERE key = 'restore/active-bank'") == [("0",)]
+    assert exit_code(ended) == 4
+    assert "restored" in (ended.outcome.report.read_text() if ended.outcome.report else "restored")
+
+
+def test_proof_that_cannot_be_met_restores_the_former_bank(monkeypatch, state: Path) -> None:
+    night = Night(monkeypatch)
+    ended = night.run(short_document(state, verification={"largest_share": 1e-3}), files=False)
+    assert ended.outcome.proof is not None
+    assert not ended.outcome.proof.accepted
+    assert "0.00" in ended.outcome.proof.reason
+    assert (night.active, ended.outcome.table_bank) == (0, 0)
+    assert rows(state, "SELECT state FROM runs") == [("complete",)]
+    assert exit_code(ended) == 4
+
+
+def test_s2_with_distances_is_refused_by_the_gates_as_shipped(monkeypatch, state: Path) -> None:
+    night = Night(monkeypatch)
+    ended = night.run(
+        document(
+            state,
+            procedure={"position_set": "S2"},
+            identification={"formulation": "distances"},
+            verification={"stations": [4]},
+        )
+    )
+    assert isinstance(ended.error, GateRefused)
+    assert ended.error.exit_code == 4
+    assert "no table was written: gate gain" in str(ended.error)
+    assert ended.outcome.state is RunState.REFUSED
+    assert ended.outcome.proof is None
+    assert (night.active, night.banks) == (0, {})
+    assert rows(state, "SELECT key FROM steps WHERE kind IN ('StageTable', 'ActivateBank')") == []
+    failed = [json.loads(r) for (r,) in rows(state, "SELECT record FROM decisions WHERE kind = 'gate'")]
+    assert [gate["name"] for gate in failed if not gate["passed"]] == ["gain"]
+    assert ended.outcome.report is not None
+
+
+def test_machine_without_error_is_left_alone(monkeypatch, state: Path) -> None:
+    settings = short_document(state)
+    settings["devices"]["twin"]["options"]["ideal"] = True
+    night = Night(monkeypatch)
+    ended = night.run(settings)
+    assert isinstance(ended.error, GateRefused)
+    assert (night.active, night.banks) == (0, {})
+
+
+def exit_code(ended: Ended) -> int:
+    with pytest.raises(SystemExit) as exit_:
+        conclude(ended)
+    return int(exit_.value.code or 0)

@@ -1,0 +1,224 @@
+"""A run that is aborted, or whose device fails, at many places: always a stated end, and the table as it was."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nights import Night, memory_directory, rows, short_document, states
+
+from agent.execution.states import RunState
+from agent.execution.supervisor import Supervisor
+from agent.rig import Rig
+from drivers.errors import Aborted, CommandRejected, LinkLost, ReadBackMismatch
+from drivers.roles import TableImage
+
+FORMER = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
+"""A constant correction: what acted before must act afterwards, and it is not bank 0."""
+
+# Counted over the whole run: the set has three positions with 60 touches each, the proof another 60.
+PLACES = [
+    ("position", 2),
+    ("active_bank", 1),
+    ("read_table", 1),
+    ("probe_status", 1),
+    ("move_to", 1),
+    ("orient_to", 1),
+    ("temperatures_c", 1),
+    ("touch_towards", 1),
+    ("touch_towards", 30),
+    ("orient_to", 2),
+    ("touch_towards", 130),
+    ("move_to", 600),
+    ("stage", 1),
+    ("read_table", 2),
+    ("activate", 1),
+    ("active_bank", 2),
+    ("orient_to", 4),
+    ("touch_towards", 190),
+    ("touch_towards", 240),
+]
+FEW = [place for place in PLACES if place[0] in ("position", "stage", "activate") or place[1] in (2, 30, 190)]
+AFTER_ACTIVATION = {("active_bank", 2), ("orient_to", 4), ("touch_towards", 190), ("touch_towards", 240)}
+
+
+class Tripwire:
+    """A device that does `then` just before the `count`-th call of `name`, and counts only until it has."""
+
+    def __init__(self, device: Any, name: str, count: int, then: Callable[[], None]) -> None:
+        self._device, self._name, self._left, self._then = device, name, count, then
+
+    @property
+    def tripped(self) -> bool:
+        return self._left <= 0
+
+    def __getattr__(self, name: str) -> Any:
+        if name == self._name:
+            self._left -= 1
+            if self._left == 0:
+                self._then()
+        return getattr(self._device, name)
+
+
+class Cut(Tripwire):
+    """A device whose link is gone from there on."""
+
+    def __getattr__(self, name: str) -> Any:
+        if self.tripped and name != "close":
+            return self._gone
+        return super().__getattr__(name)
+
+    @staticmethod
+    def _gone(*_: Any, **__: Any) -> Any:
+        raise LinkLost("connection reset", link="127.0.0.1:502")
+
+
+def with_device(rig: Rig, device: Any) -> Rig:
+    roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), device)
+    return dataclasses.replace(rig, devices={"twin": device}, mounts=dict.fromkeys(rig.mounts, device), **roles)
+
+
+@pytest.fixture
+def state() -> Iterator[Path]:
+    with memory_directory() as directory:
+        yield Path(directory) / "state"
+
+
+@dataclasses.dataclass
+class Broken:
+    """A night with a former table active and a tripwire in its only device."""
+
+    monkeypatch: pytest.MonkeyPatch
+    state: Path
+
+    def run(self, kind: type[Tripwire], place: tuple[str, int], then: Callable[[], None]):
+        wires: list[Tripwire] = []
+
+        def tamper(rig: Rig) -> Rig:
+            rig.store.stage(1, FORMER)
+            rig.store.activate(1)
+            wires.append(kind(rig.devices["twin"], *place, then))
+            return with_device(rig, wires[0])
+
+        self.night = Night(self.monkeypatch, tamper=tamper)
+        ended = self.night.run(short_document(self.state), self._keep, files=False)
+        assert wires[0].tripped, "the run never came to this place"
+        return ended
+
+    def _keep(self, supervisor: Supervisor) -> None:
+        self.supervisor = supervisor
+
+    def abort(self) -> None:
+        self.supervisor.request_abort("SIGINT")
+
+    @property
+    def former_acts(self) -> bool:
+        return self.night.active == 1 and self.night.banks[1].same_as(FORMER)
+
+    @property
+    def at_rest(self) -> bool:
+        world = self.night.world
+        assert world is not None
+        world.advance_to(world.now + 60.0)
+        return world.controller.motion.value in ("idle", "fault") and not world.collisions
+
+
+@pytest.fixture
+def broken(monkeypatch, state: Path) -> Broken:
+    return Broken(monkeypatch, state)
+
+
+def place_name(place: tuple[str, int]) -> str:
+    return f"{place[0]}-{place[1]}"
+
+
+@pytest.mark.parametrize("place", PLACES, ids=place_name)
+def test_abort_leaves_the_table_as_it_was(broken: Broken, place: tuple[str, int]) -> None:
+    ended = broken.run(Tripwire, place, broken.abort)
+    assert isinstance(ended.error, Aborted)
+    assert ended.error.exit_code == 5
+    assert ended.outcome.state is RunState.ABORTED
+    assert states(broken.state)[-2:] == ["aborting", "aborted"]
+    assert rows(broken.state, "SELECT state, ended IS NOT NULL FROM runs") == [("aborted", 1)]
+    assert (broken.night.active, broken.former_acts) == (1, True)
+    assert broken.at_rest
+    if place in AFTER_ACTIVATION:
+        assert rows(broken.state, "SELECT result FROM steps WHERE key = 'restore/active-bank'") == [("1",)]
+
+
+@pytest.mark.parametrize("place", FEW, ids=place_name)
+def test_refused_command_names_step_and_leaves_the_table_as_it_was(broken: Broken, place: tuple[str, int]) -> None:
+    def refuse() -> None:
+        raise CommandRejected("the controller refused", device="twin")
+
+    ended = broken.run(Tripwire, place, refuse)
+    assert isinstance(ended.error, CommandRejected)
+    assert ended.error.exit_code == 3
+    assert ended.outcome.state is RunState.FAULTED
+    assert (broken.night.active, broken.former_acts) == (1, True)
+    assert broken.at_rest
+    [(reason,)] = rows(broken.state, "SELECT reason FROM runs")
+    assert "the controller refused" in reason
+    assert ended.error.where["step"] in reason
+
+
+@pytest.mark.parametrize("place", FEW, ids=place_name)
+def test_lost_link_names_link_and_step_and_what_it_could_not_restore(broken: Broken, place: tuple[str, int]) -> None:
+    def lose() -> None:
+        raise LinkLost("connection reset", link="127.0.0.1:502")
+
+    ended = broken.run(Cut, place, lose)
+    assert isinstance(ended.error, LinkLost)
+    assert ended.outcome.state is RunState.FAULTED
+    assert ended.error.where["link"] == "127.0.0.1:502"
+    assert ended.error.where["step"]
+    assert broken.night.active in (1, 2)
+    assert broken.night.banks[1].same_as(FORMER)
+    [(reason,)] = rows(broken.state, "SELECT reason FROM runs")
+    if broken.night.active == 1 and place != ("activate", 1):
+        assert "could not be made active again" not in reason
+    else:
+        assert "bank 1 could not be made active again" in reason
+
+
+def test_bank_that_does_not_become_active_is_noticed(broken: Broken, monkeypatch) -> None:
+    def tamper(rig: Rig) -> Rig:
+        rig.store.stage(1, FORMER)
+        rig.store.activate(1)
+        monkeypatch.setattr(rig.devices["twin"], "activate", lambda _: None, raising=False)
+        return rig
+
+    night = Night(monkeypatch, tamper=tamper)
+    ended = night.run(short_document(broken.state), files=False)
+    assert isinstance(ended.error, ReadBackMismatch)
+    assert ended.error.where["step"].startswith("activate/")
+    assert ended.outcome.state is RunState.FAULTED
+    assert ended.outcome.table_bank == 1
+    assert night.active == 1
+
+
+def test_table_that_reads_back_differently_is_never_activated(broken: Broken, monkeypatch) -> None:
+    def tamper(rig: Rig) -> Rig:
+        whole = rig.store.read_table
+
+        def one_count_off(bank: int) -> TableImage | None:
+            image = whole(bank)
+            assert image is not None
+            counts = image.counts.copy()
+            counts[0, 0, 0, 0] += 1
+            return dataclasses.replace(image, counts=counts)
+
+        monkeypatch.setattr(rig.devices["twin"], "read_table", one_count_off, raising=False)
+        return rig
+
+    night = Night(monkeypatch, tamper=tamper)
+    ended = night.run(short_document(broken.state), files=False)
+    assert isinstance(ended.error, ReadBackMismatch)
+    assert "step publish/" in str(ended.error)
+    assert ended.outcome.state is RunState.FAULTED
+    assert rows(broken.state, "SELECT key FROM steps WHERE kind = 'ActivateBank'") == []
+    assert night.active == 0
