@@ -72,11 +72,11 @@ def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple
 def _effects(arms: tuple[Array, Array, Array]) -> Array:
     """(n, 3, 12): unit shifts along X, Y, Z, then for each axis the unit turns about X, Y, Z, e x arm."""
     effects = np.zeros((len(arms[0]), 3, 12))
-    effects[:, [0, 1, 2], [0, 1, 2]] = 1.0
     for axis, arm in enumerate(arms):
-        turns = effects[:, :, 3 + 3 * axis : 6 + 3 * axis]
-        turns[:, [2, 0, 1], [0, 1, 2]] = arm[:, [1, 2, 0]]
-        turns[:, [1, 2, 0], [0, 1, 2]] = -arm[:, [2, 0, 1]]
+        for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            effects[:, one, one] = 1.0
+            effects[:, three, 3 + 3 * axis + one] = arm[:, two]
+            effects[:, two, 3 + 3 * axis + one] = -arm[:, three]
     return effects
 
 

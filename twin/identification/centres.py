@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.identification.poses import PoseProjector, Poses
+from twin.identification.poses import PoseProjector, Poses, weighted
 from twin.identification.problem import Problem, Sides
 
+_LINEAR_MM = 1e-6  # increments below it have no second order (1e-15 mm), and the first is projected out anyhow
 _POSITIONS = 8  # whitened at a time: few enough to stay in the cache, enough to fill a matrix product
 
 
@@ -38,9 +39,9 @@ class CentreEquations:
     def build(cls, problem: Problem, unit_weights: bool) -> CentreEquations:
         layout = problem.layout
         whitening = _whitening(problem.observations.covariance, unit_weights)
-        projector = PoseProjector.of(layout, problem.poses, problem.local, problem.arms, whitening)
         weight = layout.pad(whitening)
-        carrier = _weighted(weight.swapaxes(2, 3), projector.q.reshape(*weight.shape[:3], 6))
+        projector = PoseProjector.of(layout, problem.poses, problem.local, problem.arms, weight)
+        carrier = weighted(weight.swapaxes(2, 3), projector.q.reshape(*weight.shape[:3], 6))
         by_position = problem.design.reshape(layout.positions, -1, problem.blocks.size)
         parts = carrier.reshape(projector.q.shape).transpose(0, 2, 1) @ by_position
         parts = parts.reshape(-1, problem.blocks.size)
@@ -59,12 +60,14 @@ class CentreEquations:
         layout = self.problem.layout
         left, local = sides
         white = self._whitened(left - poses.place(layout, local))
-        poses = poses.moved(self.projector.increments(white), self.problem.arms)
-        predicted = self.problem.change(z)
-        target = self._whitened(predicted + poses.place(layout, local) - left)
+        increments = self.projector.increments(white)
+        poses = poses.moved(increments, self.problem.arms)
+        if np.abs(increments).max() > _LINEAR_MM:
+            white = self._whitened(left - poses.place(layout, local))
+        target = self._whitened(self.problem.change(z)) - white if z.any() else -white
         parts = self.projector.parts(target[:, :, None]).reshape(-1)
-        weighted = _weighted(self.weight.swapaxes(2, 3), target.reshape(*self.weight.shape[:3], 1)).reshape(-1)
-        right = weighted @ self.problem.design.reshape(-1, len(z)) - parts @ self.parts
+        scaled = weighted(self.weight.swapaxes(2, 3), target.reshape(*self.weight.shape[:3], 1)).reshape(-1)
+        right = scaled @ self.problem.design.reshape(-1, len(z)) - parts @ self.parts
         return right, float(np.vdot(target, target) - parts @ parts), poses
 
     def remaining(self, sides: Sides, poses: Poses) -> Array:
@@ -76,7 +79,7 @@ class CentreEquations:
     def projected(self, size: int) -> Array:
         """(n, 3, size) whitened design of the first unknowns without what the pose increments can take."""
         layout = self.problem.layout
-        white = _weighted(self.weight, self.problem.design[..., :size]).reshape(layout.positions, -1, size)
+        white = weighted(self.weight, self.problem.design[..., :size]).reshape(layout.positions, -1, size)
         white -= self.projector.q @ self.parts.reshape(layout.positions, 6, -1)[:, :, :size]
         return layout.unpad(white.reshape(*self.weight.shape[:3], size))
 
@@ -91,7 +94,7 @@ class CentreEquations:
 
     def _whitened(self, residuals: Array) -> Array:
         layout = self.problem.layout
-        return layout.pad(_weighted(self.whitening, residuals[:, :, None])).reshape(layout.positions, -1)
+        return layout.pad(weighted(self.whitening, residuals[:, :, None])).reshape(layout.positions, -1)
 
 
 def _whitening(covariance: Array, unit_weights: bool) -> Array:
@@ -110,14 +113,6 @@ def _gram(weight: Array, design: Array) -> Array:
     gram, room = np.zeros((size, size)), np.empty((_POSITIONS, *design.shape[1:]))
     for start in range(0, len(design), _POSITIONS):
         piece = design[start : start + _POSITIONS]
-        white = _weighted(weight[start : start + _POSITIONS], piece, room[: len(piece)]).reshape(-1, size)
+        white = weighted(weight[start : start + _POSITIONS], piece, room[: len(piece)]).reshape(-1, size)
         gram += white.T @ white
     return gram
-
-
-def _weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
-    """W A for rows (..., 3, m); scaling alone where W is diagonal, as it is for one sigma per ball."""
-    diagonal = np.einsum("...ii->...i", weight)
-    if np.count_nonzero(weight) == np.count_nonzero(diagonal):
-        return np.asarray(np.multiply(rows, diagonal[..., None], out=out))
-    return np.asarray(np.matmul(weight, rows, out=out))

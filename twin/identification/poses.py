@@ -143,15 +143,16 @@ class PoseProjector:
     seen: int
 
     @classmethod
-    def of(cls, layout: Layout, poses: Poses, local: Array, arms: PoseArms, whitening: Array) -> PoseProjector:
-        """`whitening` (n, 3, 3): W with WᵀW the weight of a row."""
-        lever = poses.rotation[layout.index] @ (local - arms.middle[layout.index])[:, :, None]
-        lever = lever[:, :, 0] / arms.length[layout.index, None]
-        jacobian = np.zeros((len(local), 3, 6))
-        jacobian[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        jacobian[:, [0, 1, 2], [4, 5, 3]] = lever[:, [2, 0, 1]]
-        jacobian[:, [0, 1, 2], [5, 3, 4]] = -lever[:, [1, 2, 0]]
-        white = layout.pad(whitening @ jacobian).reshape(layout.positions, -1, 6)
+    def of(cls, layout: Layout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
+        """`weight` (K, width, 3, 3): W of each place, WᵀW the inverse covariance, zero in the empty ones."""
+        lever = (layout.pad(local) - arms.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
+        lever /= arms.length[:, None, None]
+        jacobian = np.zeros((*lever.shape, 6))
+        for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            jacobian[:, :, one, one] = 1.0
+            jacobian[:, :, three, 3 + one] = lever[:, :, two]
+            jacobian[:, :, two, 3 + one] = -lever[:, :, three]
+        white = weighted(weight, jacobian).reshape(layout.positions, -1, 6)
         gram = white.transpose(0, 2, 1) @ white
         back = _inverse_root(gram)
         if back is not None:
@@ -173,6 +174,14 @@ class PoseProjector:
     def remove(self, white: Array) -> Array:
         """(I - Q Qᵀ) A for whitened equations (K, 3 width, m)."""
         return white - self.q @ self.parts(white)
+
+
+def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
+    """W A for rows (..., 3, m); scaling alone where W is diagonal, as it is for one sigma per ball."""
+    diagonal = np.einsum("...ii->...i", weight)
+    if np.count_nonzero(weight) == np.count_nonzero(diagonal):
+        return np.asarray(np.multiply(rows, diagonal[..., None], out=out))
+    return np.asarray(np.matmul(weight, rows, out=out))
 
 
 def _inverse_root(gram: Array) -> Array | None:
