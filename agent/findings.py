@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from agent.outcome import Proof
 from agent.plans.position import MeasuredBall
 from agent.report import VolumetricSummary, volumetric_summary
 from agent.settings import TableSettings
+from drivers.clock import utc_timestamp
 from drivers.errors import MeasurementFault
 from twin.arrays import Array
 from twin.artefact import Artefact
@@ -95,6 +97,22 @@ def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Seq
         chi2_normalised=expected.chi2_normalised,
         reason=reason or "better than before and as predicted",
     )
+
+
+def provenance(job: Job, run_id: str) -> dict[str, str]:
+    """What an estimate of this run rests on, for its file and the journal."""
+    chosen = job.settings.identification
+    return {
+        "run_id": run_id,
+        "time": utc_timestamp(),
+        "software": f"volcal {version('volcal')}",
+        "machine": job.settings.machine.name,
+        "artefact": job.settings.artefact.name,
+        "certificate": job.artefact.certificate,
+        "prior": "family" if chosen.prior else "none",
+        "weights": chosen.weights,
+        "table_tool": job.settings.tool,
+    }
 
 
 def _judgement(share: float, largest_share: float, chi2: float, largest_chi2: float) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.execution.journal import RunJournal
 from agent.files import write_all_atomically
-from agent.findings import Finding
+from agent.findings import Finding, provenance
 from agent.job import Job
 from agent.outcome import Outcome, Proof
 from agent.report import (
@@ -51,21 +51,6 @@ def write_results(job: Job, outcome: Outcome, progress: Progress, journal: RunJo
     }
     write_all_atomically(directory, texts)
     return replace(outcome, report=directory / "report.html")
-
-
-def provenance(job: Job, run_id: str) -> dict[str, str]:
-    chosen = job.settings.identification
-    return {
-        "run_id": run_id,
-        "time": utc_timestamp(),
-        "software": f"volcal {version('volcal')}",
-        "machine": job.settings.machine.name,
-        "artefact": job.settings.artefact.name,
-        "certificate": job.artefact.certificate,
-        "prior": "family" if chosen.prior else "none",
-        "weights": chosen.weights,
-        "table_tool": job.settings.tool,
-    }
 
 
 def _positions(job: Job, progress: Progress) -> tuple[Position, ...]:

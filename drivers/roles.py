@@ -154,6 +154,10 @@ class Machine(Protocol):
 
     def resume(self) -> None: ...
 
+    def reset(self) -> None:
+        """Clear a fault whose cause is gone; moves nothing, and does nothing where there is no fault.
+        Raises CommandRejected while the cause lasts."""
+
     def stop(self) -> None:
         """Stop motion now; idempotent, and safe to call in any state."""
 

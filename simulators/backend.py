@@ -93,6 +93,10 @@ class SimulatedMachineDevice:
         self._catch_up()
         self._controller.resume()
 
+    def reset(self) -> None:
+        self._catch_up()
+        self._controller.reset()
+
     def probe_status(self) -> ProbeStatus:
         self._catch_up()
         controller = self._controller

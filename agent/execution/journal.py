@@ -57,7 +57,7 @@ class Journal:
         except sqlite3.IntegrityError as error:
             raise Busy(f"run {run_id} exists already", file=str(self.path)) from error
         assert cursor.lastrowid is not None  # noqa: S101  an INSERT has one
-        return RunJournal(self._connection, cursor.lastrowid, clock)
+        return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
 
     def read_balls(self, run_id: str) -> list[dict[str, Any]]:
         """The ball records of a run in the order measured, whether or not the run came to an end."""
@@ -87,7 +87,8 @@ class RunSummary:
 class RunJournal:
     """What one run writes. Implements the engine's `StepJournal`."""
 
-    def __init__(self, connection: sqlite3.Connection, run: int, clock: Clock) -> None:
+    def __init__(self, connection: sqlite3.Connection, run: int, run_id: str, clock: Clock) -> None:
+        self.run_id = run_id
         self._connection = connection
         self._run = run
         self._clock = clock

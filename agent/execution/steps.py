@@ -74,6 +74,13 @@ class CheckPermissions:
 
 
 @dataclass(frozen=True, slots=True)
+class ResetFault:
+    """Clear a fault of the controller whose cause is gone; nothing moves."""
+
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
 class CheckProbe:
     """Raises MeasurementFault where the probe is not loaded, not healthy, or deflected."""
 
@@ -142,6 +149,7 @@ Step: TypeAlias = (
     | ReadTemperatures
     | ReadPosition
     | CheckPermissions
+    | ResetFault
     | CheckProbe
     | AskOperator
     | Dwell
@@ -157,5 +165,5 @@ T = TypeVar("T")
 Plan: TypeAlias = Generator[Step, Any, T]
 """Yields steps, is sent their results, returns its conclusion."""
 
-ACTING = (MoveTo, TouchTowards, HomeMount, OrientTo, AskOperator, Dwell, StageTable, ActivateBank)
+ACTING = (MoveTo, TouchTowards, HomeMount, OrientTo, ResetFault, AskOperator, Dwell, StageTable, ActivateBank)
 """Steps that move or change something: durable in the journal before they begin."""

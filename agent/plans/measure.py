@@ -15,6 +15,7 @@ from agent.execution.steps import (
     CheckProbe,
     Plan,
     ReadPosition,
+    ReadTemperatures,
     Record,
 )
 from agent.plans.position import MeasuredPosition, PositionRules, PositionTask, measure_position
@@ -100,6 +101,7 @@ def measure_positions(
     """Measure every position of `order`. `known`: corrections of station places found earlier in this run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
+    yield ReadTemperatures(f"{order.prefix}/temperatures")
     here = np.array((yield ReadPosition(f"{order.prefix}/here")))
     corrections: dict[int, Array] = dict(known or {})
     standing = order.standing_at

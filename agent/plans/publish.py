@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from agent.execution.encoding import table_digest
-from agent.execution.steps import ActivateBank, Plan, ReadActiveBank, ReadTable, Record, StageTable
+from agent.execution.steps import ActivateBank, Plan, ReadActiveBank, ReadTable, Record, ResetFault, StageTable
 from drivers.errors import ReadBackMismatch, StoreError
 from drivers.roles import TableImage
 
@@ -50,8 +50,15 @@ def stage_table(bank: int, table: TableImage) -> Plan[None]:
     yield Record("publish/staged", "decision", {"bank": bank, "crc32": table_digest(table)})
 
 
+def restore(bank: int, *, after_fault: bool) -> Plan[None]:
+    """Make the former `bank` act again. A controller in fault takes no table command, so its fault is cleared."""
+    if after_fault:
+        yield ResetFault("restore/reset")
+    yield from activate("restore", bank)
+
+
 def activate(prefix: str, bank: int) -> Plan[None]:
-    """Activate `bank` and read back that it acts; also the way a former bank is restored."""
+    """Activate `bank` and read back that it acts."""
     yield ActivateBank(f"{prefix}/activate", bank)
     active = yield ReadActiveBank(f"{prefix}/active-bank")
     if active != bank:

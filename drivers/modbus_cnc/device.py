@@ -14,7 +14,7 @@ from drivers.modbus_cnc.codes import ACTIVATIONS, NO_TEMPERATURE, Code, fault_te
 from drivers.modbus_cnc.diagnosis import diagnose
 from drivers.modbus_cnc.motion import Motion
 from drivers.modbus_cnc.probing import Probing
-from drivers.modbus_cnc.registers import Limits
+from drivers.modbus_cnc.registers import Command, Limits
 from drivers.modbus_cnc.session import Session
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.modbus_cnc.store import Store
@@ -85,6 +85,9 @@ class ModbusCnc:
 
     def resume(self) -> None:
         self._session.urgent(Code.RESUME)
+
+    def reset(self) -> None:
+        self._session.command(Command(Code.RESET))
 
     def stop(self) -> None:
         """STOP; reconnects for it when the connection was lost. Does nothing on a device that is closed."""

@@ -1,4 +1,4 @@
-"""Position set file: CSV `station,azimuth_deg,elevation_deg`, in the order in which they are measured."""
+"""Position set file, CSV or TOML: `station`, `azimuth_deg`, `elevation_deg`, in the order of measuring."""
 
 from __future__ import annotations
 
@@ -8,13 +8,43 @@ import math
 from collections.abc import Iterable
 
 from twin.errors import DataError, FormatError
+from twin.formats.toml_reading import Strict, read_toml
 from twin.position_set import Position
 
 COLUMNS = ("station", "azimuth_deg", "elevation_deg")
 
 
+class _Listed(Strict):
+    station: int
+    azimuth_deg: float
+    elevation_deg: float
+
+
+class _PositionDocument(Strict):
+    positions: list[_Listed]
+
+
 def parse_positions(text: str, source: str) -> tuple[Position, ...]:
-    """Positions from CSV text. FormatError names `source`, row (the header is row 1) and column."""
+    """Positions from CSV text, or from TOML text (``[[positions]]``) where `source` ends in ``.toml``.
+
+    FormatError names `source`, row (the header is row 1) and column, or the key.
+    """
+    positions = _from_toml(text, source) if source.endswith(".toml") else _from_csv(text, source)
+    _refuse_none_or_twice(positions, source)
+    return tuple(positions)
+
+
+def _from_toml(text: str, source: str) -> list[Position]:
+    positions = []
+    for index, listed in enumerate(read_toml(text, source, _PositionDocument).positions):
+        try:
+            positions.append(Position(listed.station, listed.azimuth_deg, listed.elevation_deg))
+        except DataError as error:
+            raise FormatError(error.message, hint=error.hint, file=source, key=f"positions[{index}]") from None
+    return positions
+
+
+def _from_csv(text: str, source: str) -> list[Position]:
     reader = csv.reader(io.StringIO(text))
     header = [name.strip() for name in next(reader, [])]
     if sorted(header) != sorted(COLUMNS):
@@ -24,8 +54,7 @@ def parse_positions(text: str, source: str) -> tuple[Position, ...]:
     for row, cells in enumerate(reader, start=2):
         if any(cell.strip() for cell in cells):
             positions.append(_position(dict(zip(header, cells, strict=False)), source, row))
-    _refuse_none_or_twice(positions, source)
-    return tuple(positions)
+    return positions
 
 
 def format_positions(positions: Iterable[Position]) -> str:
