@@ -16,7 +16,7 @@ from twin.identification.distances import DistanceEquations
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.options import Options
 from twin.identification.outliers import contradicting_rows
-from twin.identification.poses import Layout, rigid_poses
+from twin.identification.poses import Poses, rigid_poses
 from twin.identification.prior import parameter_prior
 from twin.identification.problem import Problem, build_problem
 from twin.identification.solution import Solution, solve
@@ -144,15 +144,20 @@ def _misfit(whole: Problem, solution: Solution, options: Options) -> Misfit | No
 
 def _residuals(whole: Problem, settled: _Settled, solution: Solution) -> Array:
     """(n, 3) mm in the order of the observations given; each position at its pose of the solution."""
-    kept = settled.kept
+    kept, poses = settled.kept, solution.poses
     left, local = solution.sides if kept.all() else whole.sides(solution.z)
-    layout = Layout.of(settled.problem.observations.position)
-    poses = solution.poses
     if isinstance(solution.equations, DistanceEquations):
-        poses = rigid_poses(layout, local[kept], left[kept])
-    place = np.searchsorted(np.unique(whole.observations.position[kept]), whole.observations.position)
-    place = np.minimum(place, layout.positions - 1)
-    rotated = (poses.rotation[place] @ local[:, :, None])[:, :, 0]
+        poses = rigid_poses(settled.problem.layout, local[kept], left[kept])
+    if not kept.all():
+        poses = _spread(poses, whole, kept)
     residuals = np.empty_like(left)
-    residuals[whole.layout.order] = left - rotated - poses.translation[place]
+    residuals[whole.layout.order] = left - poses.place(whole.layout, local)
     return residuals
+
+
+def _spread(poses: Poses, whole: Problem, kept: Mask) -> Poses:
+    """Poses of all positions; one of which no row is kept takes that of a neighbour."""
+    position = whole.observations.position
+    place = np.searchsorted(np.unique(position[kept]), np.unique(position))
+    place = np.minimum(place, len(poses.rotation) - 1)
+    return Poses(poses.rotation[place], poses.translation[place])
