@@ -16,7 +16,7 @@ from twin.identification.poses import PoseProjector, Poses, weighted
 from twin.identification.problem import Problem, Sides
 
 _LINEAR_MM = 1e-6  # increments below it have no second order (1e-15 mm), and the first is projected out anyhow
-_POSITIONS = 8  # whitened at a time: few enough to stay in the cache, enough to fill a matrix product
+_POSITIONS = 16  # whitened at a time: few enough to stay in the cache, enough to fill a matrix product
 
 
 @dataclass(frozen=True, eq=False)
