@@ -1,0 +1,138 @@
+"""The same ideal machine played in this process, and behind Modbus TCP, CANopen and the control channel."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.clock import Clock, LockstepClock, VirtualClock, WatchedClock
+from drivers.registry import DeviceContext, create_device
+from drivers.roles import CompensationStore, Machine, MotionState, Operator, Probe, RotaryMount, Thermometer
+from simulators.backend import SimulatedMachineDevice
+from simulators.scenario import read_scenario
+from simulators.wire.machine_on_wires import Links, MachineOnWires
+from simulators.world.world import World
+
+SCENARIO = Path(__file__).resolve().parents[2] / "config" / "simulators" / "case-study.toml"
+TOOL = np.array([0.0, 250.0, 0.0])
+REACH = 15.5
+"""Radius of the ball and of the tip together."""
+ANY = ("127.0.0.1", 0)
+_channels = itertools.count()
+
+
+class StoppedError(Exception):
+    """What breaks a wait off."""
+
+
+@dataclass
+class Interrupt:
+    """Raises from the clock's sleeps once machine time has come to `at_s`."""
+
+    clock: Clock
+    at_s: float | None = None
+
+    def check(self) -> None:
+        if self.at_s is not None and self.clock.now() >= self.at_s:
+            self.at_s = None
+            raise StoppedError
+
+    def after(self, duration_s: float) -> None:
+        self.at_s = self.clock.now() + duration_s
+
+
+@dataclass
+class Played:
+    """Every role of one machine. `world` is only looked at."""
+
+    machine: Machine
+    probe: Probe
+    mount: RotaryMount
+    store: CompensationStore
+    thermometer: Thermometer
+    operator: Operator
+    clock: Clock
+    interrupt: Interrupt
+    world: World
+
+    def ball(self, number: int) -> np.ndarray:
+        """(3,): axis positions at which the tip of this perfect machine would be in the middle of the ball."""
+        return np.array(self.world.workpiece.standing(self.world.now).balls[number]) - TOOL
+
+    def before(self, number: int, distance_mm: float = 25.0) -> np.ndarray:
+        """Bring the tip in front of the ball, coming along +Y; returns the ball's axis position."""
+        centre = self.ball(number)
+        self.machine.move_to(np.array([centre[0], 0.0, centre[2]]), feed_mm_per_s=None, guarded=True)
+        self.machine.move_to(centre - [0.0, distance_mm, 0.0], feed_mm_per_s=None, guarded=True)
+        return centre
+
+    def come_to_rest(self) -> None:
+        for _ in range(100):
+            if self.machine.status().state is not MotionState.MOVING:
+                return
+            self.clock.sleep(0.1)
+        raise AssertionError("the machine does not come to rest")
+
+
+@contextmanager
+def in_process() -> Iterator[Played]:
+    clock = VirtualClock()
+    interrupt = Interrupt(clock)
+    watched = WatchedClock(clock, interrupt.check)
+    world = World(read_scenario(SCENARIO).made_ideal())
+    device = SimulatedMachineDevice(world, watched)
+    device.open()
+    yield Played(*[device] * 6, watched, interrupt, world)  # type: ignore[arg-type]
+    device.close()
+
+
+@contextmanager
+def on_wires() -> Iterator[Played]:
+    machine = MachineOnWires(
+        read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, can=f"virtual:contract-{next(_channels)}")
+    )
+    machine.start()
+    assert machine.time is not None
+    clock = LockstepClock(*machine.time.address)
+    interrupt = Interrupt(clock)
+    watched = WatchedClock(clock, interrupt.check)
+    ready = machine.ready_line()
+    devices = {
+        "cnc": ("modbus-cnc", ready["modbus"]),
+        "mount": ("canopen-mount", {**ready["can"], **drives(ready["can_nodes"])}),
+        "operator": ("simulated-operator", ready["control"]),
+    }
+    opened: dict[str, Any] = {}
+    try:
+        for name, (driver, options) in devices.items():
+            opened[name] = create_device(driver, options, DeviceContext(name, watched, Path()))
+            opened[name].open()
+        cnc = opened["cnc"]
+        yield Played(cnc, cnc, opened["mount"], cnc, cnc, opened["operator"], watched, interrupt, machine.world)
+    finally:
+        for device in reversed(opened.values()):
+            device.close()
+        clock.close()
+        machine.close()
+
+
+def drives(nodes: dict[str, int]) -> dict[str, Any]:
+    limits = {"azimuth": 180.0, "elevation": 90.0}
+    return {
+        axis: {
+            "node_id": node,
+            "encoder_counts_per_revolution": 131072,
+            "gear_motor_revolutions": 100,
+            "lower_deg": -limits[axis],
+            "upper_deg": limits[axis],
+            "speed_deg_per_s": 20.0,
+            "acceleration_deg_per_s2": 40.0,
+        }
+        for axis, node in nodes.items()
+    }
