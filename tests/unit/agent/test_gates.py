@@ -1,0 +1,77 @@
+"""Every gate at its limit: what passes just below does not just above."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from agent.gates import Gate, GateLimits, require, table_gates
+from drivers.errors import GateRefused
+from drivers.roles import Activation, StoreLimits
+from twin.errors import DataError
+from twin.table import Anchor, CompensationTable
+
+LIMITS = GateLimits(2.0, 30, 0.5, 300.0, 0.5, False)
+STORE = StoreLimits((1, 2), (64, 64, 64), 20000, 1e-4, 0.2, Activation.IMMEDIATE)
+
+
+def table(corrections: np.ndarray, *, outside: bool = False) -> CompensationTable:
+    shape = corrections.shape[:3]
+    return CompensationTable(
+        x=np.array([0.0, 100.0]),
+        y=np.array([0.0, 50.0]),
+        z=np.array([0.0, 200.0]),
+        corrections=corrections,
+        tool_offset=np.zeros(3),
+        anchor=Anchor(np.zeros(3)),
+        extrapolated=np.full(shape, outside),
+    )
+
+
+def verdicts(of: CompensationTable, limits: GateLimits = LIMITS) -> dict[str, bool]:
+    return {gate.name: gate.passed for gate in table_gates(of, STORE, limits)}
+
+
+def test_correction_is_held_to_the_smaller_of_both_limits() -> None:
+    corrections = np.full((2, 2, 2, 3), 0.1999)
+    assert verdicts(table(corrections))["correction"]
+    corrections[1, 1, 1, 2] = -0.2001
+    assert not verdicts(table(corrections))["correction"]
+
+
+@pytest.mark.parametrize(("axis", "spacing_mm"), [(0, 100.0), (1, 50.0), (2, 200.0)])
+def test_slope_is_per_mm_along_each_axis(axis: int, spacing_mm: float) -> None:
+    corrections = np.zeros((2, 2, 2, 3))
+    upper = [slice(None)] * 3
+    upper[axis] = slice(1, 2)
+    corrections[tuple(upper)] = 0.499e-3 * spacing_mm
+    assert verdicts(table(corrections))["slope"]
+    corrections[tuple(upper)] = 0.501e-3 * spacing_mm
+    assert not verdicts(table(corrections))["slope"]
+
+
+def test_extrapolation_needs_its_flag() -> None:
+    flat = np.zeros((2, 2, 2, 3))
+    assert verdicts(table(flat))["extrapolation"]
+    assert not verdicts(table(flat, outside=True))["extrapolation"]
+    allowed = GateLimits(2.0, 30, 0.5, 300.0, 0.5, True)
+    assert verdicts(table(flat, outside=True), allowed)["extrapolation"]
+
+
+def test_refusal_names_every_gate_that_did_not_pass() -> None:
+    gates = [Gate("fit", False, 3.0, 2.0, "x"), Gate("gain", True, 0.1, 0.5, "y"), Gate("slope", False, 1.0, 0.5, "z")]
+    with pytest.raises(GateRefused) as caught:
+        require(gates)
+    assert "gate fit: 3 against 2" in str(caught.value)
+    assert "gate slope" in str(caught.value)
+    assert "gate gain" not in str(caught.value)
+    require([gates[1]])
+
+
+def test_table_with_something_that_is_no_number_cannot_even_be_made() -> None:
+    corrections = np.zeros((2, 2, 2, 3))
+    corrections[0, 0, 0, 0] = math.nan
+    with pytest.raises(DataError, match="finite"):
+        table(corrections)

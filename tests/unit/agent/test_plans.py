@@ -1,0 +1,166 @@
+"""Plans are pure: the same settings and the same results give the same steps, whatever the results were."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.execution import steps as s
+from agent.execution.encoding import encode_step
+from agent.job import Job, load_settings, prepare_job
+from agent.plans.measure import MeasuringOrder, measure_positions
+from agent.plans.publish import choose_bank, stage_table
+from agent.plans.recover import withdraw
+from drivers.errors import MeasurementFault, ReadBackMismatch, StoreError, VolcalError
+from drivers.roles import Miss, Orientation, TableImage, Touch
+from twin.position_set import Position
+
+CONFIG = Path(__file__).resolve().parents[3] / "config" / "case-study.toml"
+JOB: Job = prepare_job(load_settings(CONFIG), CONFIG.parent)
+ORDER = MeasuringOrder("measure", (Position(1, 45.0, 0.0), Position(2, 0.0, 45.0)), 1)
+CONTACT_MM = JOB.rules.probing.contact_mm
+FEED_MM_PER_S = JOB.rules.probing.feed_mm_per_s
+Answer = tuple[bool, float]
+
+
+def played_through(plan: s.Plan[Any], results: Iterator[Any]) -> tuple[list[s.Step], str]:
+    """Every step that the plan yields when it is sent `results` in turn, and how it ended."""
+    seen: list[s.Step] = []
+    result = None
+    try:
+        while True:
+            seen.append(plan.send(result))
+            result = next(results)
+    except StopIteration:
+        return seen, "done"
+    except VolcalError as error:
+        return seen, str(error)
+
+
+class Answers:
+    """A machine made of chance: touches scatter about where they should be, or miss. Keeps what it said."""
+
+    def __init__(self, touches: Iterator[Answer]) -> None:
+        self._touches = touches
+        self.said: list[Any] = []
+
+    def to(self, step: s.Step) -> Any:
+        self.said.append(self._answer(step))
+        return self.said[-1]
+
+    def _answer(self, step: s.Step) -> Any:
+        match step:
+            case s.TouchTowards():
+                hit, off_mm = next(self._touches, (True, 0.0))
+                away = np.array(step.target_mm) + off_mm
+                return (Touch if hit else Miss)((away[0], away[1], away[2]))
+            case s.ReadPosition():
+                return 0.0, 0.0, 0.0
+            case s.ReadTemperatures():
+                return {"artefact": 20.0}
+            case s.OrientTo():
+                return Orientation(step.azimuth_deg, step.elevation_deg)
+        return None
+
+
+def recorded(touches: list[Answer]) -> tuple[list[s.Step], str, list[Any]]:
+    """The plan as it went for `touches`: its steps, its end, and every result."""
+    answers = Answers(iter(touches))
+    plan = measure_positions(ORDER, JOB.layout, JOB.rules)
+    seen: list[s.Step] = []
+    result = None
+    try:
+        while True:
+            seen.append(plan.send(result))
+            result = answers.to(seen[-1])
+    except StopIteration:
+        return seen, "done", answers.said
+    except VolcalError as error:
+        return seen, str(error), answers.said
+
+
+scatter = st.floats(-0.02, 0.02) | st.floats(-3.0, 3.0)
+some_touches = st.lists(st.tuples(st.booleans() | st.just(True), scatter), max_size=400)
+
+
+@settings(deadline=None, max_examples=40)
+@given(some_touches)
+def test_rebuilt_plan_yields_the_same_steps_for_the_recorded_results(touches: list[Answer]) -> None:
+    steps, end, results = recorded(touches)
+    again, end_again = played_through(measure_positions(ORDER, JOB.layout, JOB.rules), iter(results))
+    assert end_again == end
+    assert [(x.key, type(x), encode_step(x)) for x in again] == [(x.key, type(x), encode_step(x)) for x in steps]
+
+
+@settings(deadline=None, max_examples=40)
+@given(some_touches)
+def test_no_key_comes_twice_and_no_step_is_changed_afterwards(touches: list[Answer]) -> None:
+    steps, _, _ = recorded(touches)
+    keys = [step.key for step in steps]
+    assert len(keys) == len(set(keys))
+    for step in steps:
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            step.key = "other"  # type: ignore[misc]
+
+
+@settings(deadline=None, max_examples=40)
+@given(some_touches)
+def test_every_move_is_guarded_and_every_touch_slow(touches: list[Answer]) -> None:
+    steps, _, _ = recorded(touches)
+    for step in steps:
+        if isinstance(step, s.MoveTo):
+            assert step.guarded
+        if isinstance(step, s.TouchTowards):
+            assert step.feed_mm_per_s == FEED_MM_PER_S
+
+
+def test_nothing_but_misses_ends_at_the_first_ball_and_names_it() -> None:
+    steps, end, _ = recorded([(False, 0.0)] * 400)
+    assert "end ball 0 was not found" in end
+    assert "station-1/az45-el0/ball-00" in end
+    balls = [x for x in steps if isinstance(x, s.Record) and x.kind == "ball"]
+    assert balls == []
+    assert MeasurementFault.exit_code == 4
+
+
+def table(value: int) -> TableImage:
+    return TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.full((2, 2, 2, 3), value, dtype=np.int32))
+
+
+@pytest.mark.parametrize(("banks", "active", "chosen"), [((1, 2), 0, 1), ((1, 2), 1, 2), ((0, 1, 2), 2, 1)])
+def test_bank_that_does_not_act_is_chosen(banks: tuple[int, ...], active: int, chosen: int) -> None:
+    assert choose_bank(banks, active) == chosen
+
+
+def test_store_with_one_bank_has_no_place_for_a_second_table() -> None:
+    with pytest.raises(StoreError, match="no inactive bank"):
+        choose_bank((0, 1), 1)
+
+
+@pytest.mark.parametrize("back", [None, table(2)])
+def test_wrong_read_back_ends_the_plan(back: TableImage | None) -> None:
+    plan = stage_table(1, table(1))
+    assert isinstance(next(plan), s.StageTable)
+    assert isinstance(plan.send(None), s.ReadTable)
+    with pytest.raises(ReadBackMismatch):
+        plan.send(back)
+
+
+def test_withdrawal_goes_back_along_the_stylus_before_anything_else() -> None:
+    plan = withdraw(JOB.rules.course, np.array([0.0, 1.0, 0.0]), 45.0)
+    next(plan)
+    assert isinstance(plan.send(None), s.ReadPosition)
+    first = plan.send((100.0, 200.0, 300.0))
+    assert isinstance(first, s.MoveTo)
+    assert first.target_mm == (100.0, 155.0, 300.0)
+    assert first.guarded
+    second = plan.send(None)
+    assert isinstance(second, s.MoveTo)
+    assert second.target_mm == (100.0, 0.0, 300.0)
