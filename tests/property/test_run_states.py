@@ -1,0 +1,111 @@
+"""The run's states under any order of requests: what is entered, journaled and announced never differ."""
+
+from __future__ import annotations
+
+import sqlite3
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from agent.conduct import Announcement, Conduct
+from agent.execution.journal import FILE_NAME, Journal
+from agent.execution.states import FINAL, RunState
+from drivers.clock import VirtualClock
+
+# Written by hand from the design's line of states, not from the table under test.
+CHAIN = [
+    RunState.IDLE,
+    RunState.PREFLIGHT,
+    RunState.MEASURING,
+    RunState.IDENTIFYING,
+    RunState.STAGING,
+    RunState.ACTIVATING,
+    RunState.VERIFYING,
+    RunState.COMPLETE,
+]
+
+
+class RunStates(RuleBasedStateMachine):
+    """Any state is asked for at any time; the journal is read by a connection of its own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.folder = tempfile.TemporaryDirectory()
+        self.journal = Journal(Path(self.folder.name))
+        run = self.journal.start_run("run", "calibrate", {}, "0", VirtualClock())
+        self.heard: list[Announcement] = []
+        self.conduct = Conduct(run, self.heard.append)
+        self.entered = [RunState.IDLE]
+
+    @rule(state=st.sampled_from(RunState), reason=st.text(max_size=20))
+    def ask(self, state: RunState, reason: str) -> None:
+        before = self.conduct.state
+        try:
+            self.conduct.enter(state, reason)
+        except ValueError:
+            assert self.conduct.state is before
+        else:
+            self.entered.append(state)
+
+    @precondition(lambda self: self.conduct.state in CHAIN[:-1])
+    @rule()
+    def go_on(self) -> None:
+        """The way forward is open from every state of the line."""
+        following = CHAIN[CHAIN.index(self.conduct.state) + 1]
+        self.conduct.enter(following)
+        self.entered.append(following)
+
+    @precondition(lambda self: self.conduct.state not in FINAL)
+    @rule()
+    def break_off(self) -> None:
+        """From anywhere it can be aborted and comes to an end."""
+        if self.conduct.state is not RunState.ABORTING:
+            self.conduct.enter(RunState.ABORTING, "button")
+            self.entered.append(RunState.ABORTING)
+        self.conduct.enter(RunState.ABORTED, "button")
+        self.entered.append(RunState.ABORTED)
+
+    @invariant()
+    def the_journal_knows_the_state(self) -> None:
+        with sqlite3.connect(Path(self.folder.name) / FILE_NAME) as other:
+            ((state, ended),) = other.execute("SELECT state, ended FROM runs").fetchall()
+        other.close()
+        assert state == self.conduct.state.value
+        assert (ended is not None) == (self.conduct.state in FINAL)
+
+    @invariant()
+    def everybody_heard_of_everything_once(self) -> None:
+        assert [a.data["state"] for a in self.heard] == [s.value for s in self.entered[1:]]
+
+    @invariant()
+    def nothing_follows_an_end(self) -> None:
+        assert not any(state in FINAL for state in self.entered[:-1])
+
+    @invariant()
+    def no_table_is_activated_without_measurement_and_identification(self) -> None:
+        if RunState.ACTIVATING in self.entered:
+            done = self.entered[: self.entered.index(RunState.ACTIVATING)]
+            assert {RunState.PREFLIGHT, RunState.MEASURING, RunState.IDENTIFYING, RunState.STAGING} <= set(done)
+
+    def teardown(self) -> None:
+        self.journal.close()
+        self.folder.cleanup()
+
+
+TestRunStates = RunStates.TestCase
+TestRunStates.settings = settings(max_examples=25, stateful_step_count=20, deadline=None)
+
+
+def test_a_jump_over_the_proof_is_refused() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        journal = Journal(Path(folder))
+        conduct = Conduct(journal.start_run("r", "calibrate", {}, "0", VirtualClock()), lambda _: None)
+        for state in CHAIN[1:6]:
+            conduct.enter(state)
+        with pytest.raises(ValueError, match="no way from activating to complete"):
+            conduct.enter(RunState.COMPLETE)
+        journal.close()
