@@ -23,6 +23,7 @@ from drivers.roles import TableImage
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 from twin.formats.table_file import parse_table
 
+pytestmark = pytest.mark.timeout(180)
 ACTING_KINDS = {step.__name__ for step in ACTING}
 
 
