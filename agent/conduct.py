@@ -35,13 +35,17 @@ class Conduct:
         if not may_follow(self.state, state):
             raise ValueError(f"no way from {self.state.value} to {state.value}")
         self.state = state
-        self._journal.state(state, reason, final=state in FINAL)
-        self._listener(Announcement("state", reason or state.value, {"state": state.value}))
+        try:
+            self._journal.state(state, reason, final=state in FINAL)
+        finally:
+            self._listener(Announcement("state", reason or state.value, {"state": state.value}))
 
     def note(self, text: str, **data: object) -> None:
         """Something worth remembering that changes nothing."""
-        self._journal.event("note", {"text": text, **data})
-        self._listener(Announcement("note", text, data))
+        try:
+            self._journal.event("note", {"text": text, **data})
+        finally:
+            self._listener(Announcement("note", text, data))
 
     def progress(self, text: str, **data: object) -> None:
         """For who watches only; not journaled."""

@@ -8,7 +8,7 @@ from agent.files import translated
 from agent.job import Job
 from agent.observing import no_correction, observations_of
 from agent.plans.measure import Measured
-from drivers.errors import PlanRefused
+from drivers.errors import ConfigurationError
 from twin.identification import Estimate, Options, identify, predicted_vce
 from twin.volumetric import Volumetric, evaluation_grid
 
@@ -23,7 +23,7 @@ class Expectation:
 def expect(job: Job, rehearsed: Measured) -> Expectation:
     """Rank and predicted VCE of the set as rehearsed, held-out positions left aside.
 
-    Raises PlanRefused where the set cannot identify the machine.
+    Raises ConfigurationError where the set cannot identify the machine.
     """
     estimate = rehearsed_estimate(job, rehearsed)
     grid = evaluation_grid(job.machine.model.ranges_mm)
@@ -34,7 +34,7 @@ def expect(job: Job, rehearsed: Measured) -> Expectation:
 def rehearsed_estimate(job: Job, rehearsed: Measured) -> Estimate:
     """What the balls of the rehearsal identify: its covariance is that of the night to come.
 
-    Raises PlanRefused where the set cannot identify the machine.
+    Raises ConfigurationError where the set cannot identify the machine.
     """
     chosen = job.settings.identification
     options = Options(
@@ -44,6 +44,6 @@ def rehearsed_estimate(job: Job, rehearsed: Measured) -> Estimate:
         estimate_scales=False,
         outliers="none",
     )
-    with translated(PlanRefused, position_set=job.settings.procedure.position_set):
+    with translated(ConfigurationError, key="procedure.position_set", set=job.settings.procedure.position_set):
         observations = observations_of(job.balls_of(rehearsed, held_out=False), job.tool_offset_mm, no_correction)
         return identify(job.machine.model, observations, job.artefact, job.machine.family, options)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from agent.plans.measure import FEWEST_BALLS, Layout, Measured, MeasuringOrder, 
 from agent.plans.position import Course, MeasuredBall, PositionRules
 from agent.plans.probing import BallLimits, Probing, Search, approach_directions
 from agent.settings import Settings, parse_settings
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, UserError
 from drivers.registry import check_options
 from twin.access import accessible, standing_scene
 from twin.arrays import Array
@@ -24,6 +25,8 @@ from twin.artefact import Artefact
 from twin.formats.toml_reading import validated
 from twin.machine_description import MachineDescription
 from twin.position_set import Position, positions_of
+
+POSITION_FILES = (".csv", ".toml")
 
 STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
 """The probe geometry describes probes that point along +Y, as the ram of the case study does."""
@@ -84,6 +87,15 @@ def load_settings(path: Path) -> Settings:
     return settings
 
 
+@contextmanager
+def naming(config: Path) -> Iterator[None]:
+    """Errors of the user's making inside name the settings file, unless they name another file already."""
+    try:
+        yield
+    except UserError as error:
+        raise error.at(file=str(config)) from error.__cause__
+
+
 def prepare_job(settings: Settings, base: Path) -> Job:
     """Load what the settings name and check that it fits together. Raises ConfigurationError.
 
@@ -121,6 +133,8 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         gate_limits=GateLimits(**settings.gates.model_dump()),
     )
     _refuse_nothing_reachable(job)
+    if settings.procedure.position_set.endswith(POSITION_FILES):
+        _refuse_unreachable_entry(job)
     return job
 
 
@@ -134,7 +148,8 @@ def with_overrides(
     """Settings with what the command line says instead; validated again."""
     document = settings.model_dump()
     if position_set is not None:
-        document["procedure"]["position_set"] = position_set
+        is_file = position_set.endswith(POSITION_FILES)
+        document["procedure"]["position_set"] = str(Path(position_set).resolve()) if is_file else position_set
     if stations:
         document["procedure"]["stations"] = list(stations)
         document["verification"]["stations"] = [
@@ -163,7 +178,7 @@ def _check_devices(settings: Settings) -> None:
 def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple[Position, ...]:
     """Named sets, or a file of positions."""
     name = settings.procedure.position_set
-    if name.endswith((".csv", ".toml")):
+    if name.endswith(POSITION_FILES):
         listed = load_positions(base / name)
         unknown = sorted({p.station for p in listed} - set(range(1, len(settings.stations.places_mm) + 1)))
         if unknown:
@@ -261,12 +276,26 @@ def _course(settings: Settings, machine: MachineDescription) -> Course:
 
 
 def _refuse_nothing_reachable(job: Job) -> None:
-    for position in job.positions:
-        mask = job.layout.reachable(position, job.layout.predicted(position, np.zeros(3)))
-        if mask.sum() >= FEWEST_BALLS:
-            return
-    raise ConfigurationError(
-        "no position has three balls within the travel",
-        key="stations.places_mm",
-        hint="check the stations' places, the mount's shaft and the tool offset",
-    )
+    if all(_reached(job, position) < FEWEST_BALLS for position in job.positions):
+        raise ConfigurationError(
+            "no position has three balls within the travel",
+            key="stations.places_mm",
+            hint="check the stations' places, the mount's shaft and the tool offset",
+        )
+
+
+def _refuse_unreachable_entry(job: Job) -> None:
+    """A named set leaves out what a machine cannot reach, and counts it; a list of one's own means every entry."""
+    for number, position in enumerate(job.positions, start=1):
+        reached = _reached(job, position)
+        if reached < FEWEST_BALLS:
+            raise ConfigurationError(
+                f"position {number} (station {position.station}, azimuth {position.azimuth_deg:g}°, elevation "
+                f"{position.elevation_deg:g}°) has {reached} balls within reach, three are needed",
+                file=job.settings.procedure.position_set,
+                hint="leave it out, or choose another orientation or station",
+            )
+
+
+def _reached(job: Job, position: Position) -> int:
+    return int(job.layout.reachable(position, job.layout.predicted(position, np.zeros(3))).sum())

@@ -11,7 +11,7 @@ from agent.execution.steps import Plan, Point, Step
 from agent.job import Job
 from agent.plans.measure import Measured, measure_positions
 from drivers.clock import VirtualClock, wall_seconds
-from drivers.errors import DeviceError, MeasurementFault, PlanRefused
+from drivers.errors import ConfigurationError, DeviceError, MeasurementFault, PlanRefused
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,9 @@ def rehearse(job: Job, start_mm: Point | None = None) -> Rehearsal:
 
 
 def _require_proof(verified: Measured) -> None:
-    """Raise PlanRefused where nothing could be measured with the new table active: it would act unproved."""
+    """Raise ConfigurationError where nothing could be measured with the new table active: it would act unproved."""
     if not verified.positions:
-        raise PlanRefused(
+        raise ConfigurationError(
             "no held-out position has three balls within reach, so a new table could not be proved",
             key="verification.positions_deg",
             hint="choose orientations that the machine reaches at the stations of `verification`",

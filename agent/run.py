@@ -26,7 +26,7 @@ from agent.plans.measure import Measured, measure_positions
 from agent.plans.recover import withdraw
 from agent.rig import Rig
 from agent.table_image import image_of, table_of
-from drivers.errors import Aborted, GateRefused, LinkError, MeasurementFault, VolcalError
+from drivers.errors import Aborted, GateRefused, JournalFailed, LinkError, MeasurementFault, VolcalError
 from drivers.roles import TableImage
 from twin.formats.estimate_file import format_estimate
 
@@ -68,11 +68,7 @@ class CalibrationRun:
     def carry_out(self) -> Progress:
         """Run to a final state. Errors of the house end in `progress.error`, never in a traceback."""
         try:
-            self._calibrate()
-        except GateRefused as refusal:
-            self.progress.error = refusal
-            self._journal.decision("refused", {"reason": str(refusal)})
-            self._conduct.enter(RunState.REFUSED, str(refusal))
+            self._calibrate_or_refuse()
         except VolcalError as error:
             self.progress.error = error
             self._leave_safely(error)
@@ -81,6 +77,14 @@ class CalibrationRun:
             self._leave_safely(VolcalError(f"defect in the agent: {defect!r}", hint="please report it"))
             raise
         return self.progress
+
+    def _calibrate_or_refuse(self) -> None:
+        try:
+            self._calibrate()
+        except GateRefused as refusal:
+            self.progress.error = refusal
+            self._journal.decision("refused", {"reason": str(refusal)})
+            self._conduct.enter(RunState.REFUSED, str(refusal))
 
     def _calibrate(self) -> None:
         progress, enter = self.progress, self._conduct.enter
@@ -137,28 +141,33 @@ class CalibrationRun:
         """Stop, withdraw, restore; whatever cannot be done is said beside the first cause."""
         aborted = isinstance(error, Aborted)
         self._supervisor.shield()
-        self._conduct.enter(RunState.ABORTING, str(error))
-        complaints = self._rig.stop()
+        if isinstance(error, JournalFailed):
+            self._engine = self._engine.without_journal()
+        complaints = _attempt("record the state", lambda: self._conduct.enter(RunState.ABORTING, str(error)))
+        complaints += self._rig.stop()
         if not isinstance(error, LinkError):
             complaints += _attempt("bring the axes to a standstill", self._rig.await_standstill)
             complaints += _attempt("withdraw the probe", self._withdraw)
         not_restored = self._attempt_restore()
         complaints += not_restored
-        for complaint in complaints:
-            self._conduct.note(complaint)
         reason = "; ".join([str(error), *complaints])
-        self._conduct.enter(RunState.ABORTED if aborted and not not_restored else RunState.FAULTED, reason)
+        end = RunState.ABORTED if aborted and not not_restored else RunState.FAULTED
+        _attempt("record the end", lambda: self._conduct.enter(end, reason))
 
     def _withdraw(self) -> None:
         probing = self._job.rules.probing
         self._engine.run(withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm))
 
     def _attempt_restore(self) -> list[str]:
+        """Empty where the former bank acts; a journal that fails on the way is done without."""
         found = self.progress.found
         if found is None or self.progress.active_bank == found.bank:
             return []
         try:
             self._restore(after_fault=True)
+        except JournalFailed:
+            self._engine = self._engine.without_journal()
+            return self._attempt_restore()
         except VolcalError as failure:
             return [f"bank {found.bank} could not be made active again: {failure}"]
         return []
@@ -168,7 +177,7 @@ class CalibrationRun:
         assert found is not None  # noqa: S101  read before anything is written
         self._engine.run(publish.restore(found.bank, after_fault=after_fault))
         self.progress.active_bank = found.bank
-        self._journal.table("restored", found.bank, found.table)
+        _attempt("record what was restored", lambda: self._journal.table("restored", found.bank, found.table))
 
 
 def _attempt(what: str, action: Callable[[], None]) -> list[str]:

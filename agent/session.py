@@ -26,7 +26,7 @@ from agent.run import CalibrationRun, Progress
 from agent.settings import ClockSettings
 from agent.writing import write_results
 from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, WatchedClock, utc_timestamp, wall_seconds
-from drivers.errors import PlanRefused, VolcalError
+from drivers.errors import PlanRefused, UserError, VolcalError
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class _Session:
             progress = self._on(rig)
         except VolcalError as error:
             progress.error = error
-            refused = isinstance(error, PlanRefused)
+            refused = isinstance(error, (PlanRefused, UserError))
             self._conduct.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
         minutes = (self._clock.now() - started_s) / 60.0
         outcome = self._outcome(progress, minutes, wall_seconds() - began)

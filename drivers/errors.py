@@ -24,6 +24,7 @@
         ├── GateRefused           the estimate must not become a table
         ├── MeasurementFault      a ball, a probe check or a drift is out of its limits
         ├── PlanDiverged          recorded steps do not fit the rebuilt plan
+        ├── JournalFailed         what happens can no longer be made durable (disk full, disk gone)
         ├── Busy                  another run owns the machine
         └── Aborted               somebody asked for it                               exit code 5
 
@@ -139,6 +140,10 @@ class MeasurementFault(RunError):
 
 
 class PlanDiverged(RunError):
+    pass
+
+
+class JournalFailed(RunError):
     pass
 
 

@@ -148,7 +148,8 @@ class Machine(Protocol):
 
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         """Straight line to `target_mm`; `None` is rapid. A guarded move that trips the probe stops and
-        raises `GuardTripped`. Returns when the axes are in position."""
+        raises `GuardTripped`, its fault cleared, so that the way back out is open. Returns when the axes are in
+        position."""
 
     def hold(self) -> None: ...
 

@@ -175,8 +175,11 @@ class SimulatedMachineDevice:
         self._sleep_until(self._motion_ends_s)
         controller = self._controller
         if controller.motion is MotionState.FAULT:
-            error = GuardTripped if kind is Kind.GUARDED and not self._crashed() else MotionFault
-            raise error(controller.fault, hint="move the probe free, then clear the fault at the machine")
+            fault = controller.fault
+            if kind is Kind.GUARDED and not self._crashed():
+                controller.reset()
+                raise GuardTripped(fault, hint="see what the probe touched")
+            raise MotionFault(fault, hint="move the probe free, then clear the fault at the machine")
 
     def _crashed(self) -> bool:
         return bool(self.world.collisions) and self._controller.fault.startswith("collision")

@@ -17,7 +17,7 @@ from agent.cli.errors import fail, reported
 from agent.cli.watching import watching
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.job import load_settings, prepare_job, with_overrides
+from agent.job import load_settings, naming, prepare_job, with_overrides
 from agent.outcome import Outcome
 from agent.session import Ended, Request, calibrate
 from agent.settings import Settings
@@ -73,7 +73,8 @@ def calibrate_command(
     settings = with_overrides(
         load_settings(config), position_set=position_set, stations=stations, formulation=formulation
     )
-    ended = run_calibration(settings, Path.cwd())
+    with naming(config):
+        ended = run_calibration(settings, config.resolve().parent)
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
     else:

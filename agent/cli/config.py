@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
-from agent.job import load_settings, prepare_job
+from agent.job import load_settings, naming, prepare_job
 from agent.settings import Settings
 
 
@@ -23,7 +23,8 @@ def config_group() -> None:
 def check(file: Path) -> None:
     """Read the settings and every file they name; no device is touched."""
     settings = load_settings(file)
-    job = prepare_job(settings, Path.cwd())
+    with naming(file):
+        job = prepare_job(settings, file.resolve().parent)
     click.echo(
         f"{file}: good. Machine {job.machine.name}, artefact {job.artefact.name}, "
         f"{len(job.positions)} positions, {len(settings.devices)} devices."

@@ -15,7 +15,7 @@ import agent
 from agent.cli.calibrate import conclude, run_calibration, summary_table
 from agent.cli.errors import reported
 from agent.files import translated
-from agent.job import load_settings, with_overrides
+from agent.job import load_settings, naming, with_overrides
 from agent.session import Ended
 from agent.settings import Settings
 from agent.simulator_process import SimulatorProcess
@@ -68,7 +68,8 @@ def demo_command(
         before = _aligned_um(simulator.ask("truth"), "active")
         connected = connect(settings, simulator.ready, out)
         click.echo(_introduction(simulator.ready), err=True)
-        ended = run_calibration(connected, Path.cwd())
+        with naming(config):
+            ended = run_calibration(connected, config.resolve().parent)
         truth = _truth_after(simulator, before)
     if as_json:
         click.echo(json.dumps(_document(ended, truth), allow_nan=False))

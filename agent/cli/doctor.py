@@ -11,7 +11,7 @@ from rich.table import Table
 
 from agent.assembly import assemble, make_clock
 from agent.cli.errors import reported
-from agent.job import load_settings, prepare_job
+from agent.job import load_settings, naming, prepare_job
 from agent.settings import Settings
 from drivers.clock import LockstepClock
 from drivers.errors import DeviceError
@@ -25,8 +25,10 @@ from drivers.roles import Device, Finding
 def doctor_command(config: Path, as_json: bool) -> None:
     """Check settings, links and devices without moving anything."""
     settings = load_settings(config)
-    prepare_job(settings, Path.cwd())
-    findings = examine(settings)
+    base = config.resolve().parent
+    with naming(config):
+        prepare_job(settings, base)
+    findings = examine(settings, base)
     if as_json:
         document = {name: [vars(f) for f in lines] for name, lines in findings.items()}
         click.echo(json.dumps(document))
@@ -36,11 +38,11 @@ def doctor_command(config: Path, as_json: bool) -> None:
         raise SystemExit(DeviceError.exit_code)
 
 
-def examine(settings: Settings) -> dict[str, list[Finding]]:
+def examine(settings: Settings, base: Path) -> dict[str, list[Finding]]:
     """Findings of every device; one that cannot be opened is a finding too, and the others still follow."""
     clock = make_clock(settings.clock)
     try:
-        rig = assemble(settings, clock, Path.cwd())
+        rig = assemble(settings, clock, base)
         return {name: _examined(device) for name, device in rig.devices.items()}
     finally:
         if isinstance(clock, LockstepClock):

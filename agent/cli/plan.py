@@ -12,7 +12,7 @@ from rich.table import Table
 from agent.cli.calibrate import procedure_options
 from agent.cli.errors import reported
 from agent.expectation import Expectation, expect
-from agent.job import Job, load_settings, prepare_job, with_overrides
+from agent.job import Job, load_settings, naming, prepare_job, with_overrides
 from agent.plans.measure import position_key
 from agent.rehearsal import Rehearsal, rehearse
 
@@ -34,7 +34,8 @@ def plan_command(
     settings = with_overrides(
         load_settings(config), position_set=position_set, stations=stations, formulation=formulation
     )
-    job = prepare_job(settings, Path.cwd())
+    with naming(config):
+        job = prepare_job(settings, config.resolve().parent)
     rehearsal = rehearse(job)
     expectation = expect(job, rehearsal.measured)
     if as_json:

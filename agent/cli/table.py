@@ -16,7 +16,7 @@ from agent.assembly import assemble, make_clock
 from agent.cli.errors import reported
 from agent.execution.encoding import table_digest
 from agent.files import write_all_atomically
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, load_settings, naming, prepare_job
 from agent.rig import Rig
 from agent.table_image import table_of
 from drivers.clock import LockstepClock
@@ -89,9 +89,11 @@ def _facts(image: TableImage | None) -> dict[str, object] | None:
 @contextmanager
 def _connected(config: Path) -> Iterator[tuple[Job, Rig]]:
     settings = load_settings(config)
-    job = prepare_job(settings, Path.cwd())
+    base = config.resolve().parent
+    with naming(config):
+        job = prepare_job(settings, base)
     clock = make_clock(settings.clock)
-    rig = assemble(settings, clock, Path.cwd())
+    rig = assemble(settings, clock, base)
     rig.open()
     try:
         yield job, rig

@@ -41,6 +41,10 @@ class Engine:
         self._journal = journal
         self._observer = observer
 
+    def without_journal(self) -> Engine:
+        """The same actions and observer, for a way out that must be gone although it cannot be written down."""
+        return Engine(self._actions, None, self._observer)
+
     def run(self, plan: Plan[T]) -> T:
         """Run `plan` to its end and return its conclusion.
 

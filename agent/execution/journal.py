@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
@@ -20,7 +20,7 @@ from agent.execution.encoding import encode_result, encode_step, table_digest, t
 from agent.execution.states import RunState
 from agent.execution.steps import ReadTemperatures, Record, Step
 from drivers.clock import Clock, utc_timestamp
-from drivers.errors import Busy, ConfigurationError
+from drivers.errors import Busy, ConfigurationError, JournalFailed
 from drivers.roles import TableImage
 
 FILE_NAME = "journal.sqlite"
@@ -96,14 +96,14 @@ class RunJournal:
 
     def begin(self, step: Step) -> None:
         self._ordinal += 1
-        self._connection.execute(
+        self._execute(
             "INSERT INTO steps (run, ordinal, key, kind, detail, begun) VALUES (?,?,?,?,?,?)",
             (self._run, self._ordinal, step.key, type(step).__name__, encode_step(step), self._clock.now()),
         )
 
     def finish(self, step: Step, result: object, *, begun: bool) -> None:
         if begun:
-            self._connection.execute(
+            self._execute(
                 "UPDATE steps SET finished = ?, result = ? WHERE run = ? AND ordinal = ?",
                 (self._clock.now(), encode_result(result), self._run, self._ordinal),
             )
@@ -117,7 +117,7 @@ class RunJournal:
 
     def fail(self, step: Step, error: BaseException) -> None:
         with self._transaction():
-            self._connection.execute(
+            self._execute(
                 "UPDATE steps SET error = ? WHERE run = ? AND ordinal = ? AND key = ?",
                 (str(error), self._run, self._ordinal, step.key),
             )
@@ -127,13 +127,11 @@ class RunJournal:
         self._insert_event(kind, record)
 
     def decision(self, kind: str, record: Mapping[str, Any]) -> None:
-        self._connection.execute(
-            "INSERT INTO decisions VALUES (?,?,?,?)", (self._run, utc_timestamp(), kind, to_json(record))
-        )
+        self._execute("INSERT INTO decisions VALUES (?,?,?,?)", (self._run, utc_timestamp(), kind, to_json(record)))
 
     def estimate(self, record: str) -> None:
         """`record` is the estimate file's JSON text."""
-        self._connection.execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
+        self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
         """Keep a whole table: ``backup`` before anything is written, ``staged``, ``restored``."""
@@ -147,14 +145,14 @@ class RunJournal:
                 to_json(image.shape),
                 image.counts.astype(">i4").tobytes(),
             )
-        self._connection.execute(
+        self._execute(
             "INSERT INTO tables VALUES (?,?,?,?,?,?,?,?,?,?)",
             (self._run, utc_timestamp(), role, bank, *values),
         )
 
     def state(self, state: RunState, reason: str = "", *, final: bool = False) -> None:
         with self._transaction():
-            self._connection.execute(
+            self._execute(
                 "UPDATE runs SET state = ?, reason = ?, ended = ? WHERE run = ?",
                 (state.value, reason or None, utc_timestamp() if final else None, self._run),
             )
@@ -162,7 +160,7 @@ class RunJournal:
 
     def temperature_history(self) -> list[tuple[float, dict[str, float]]]:
         """(machine minutes since the first step, names to °C), in order."""
-        rows = self._connection.execute(
+        rows = self._execute(
             "SELECT (finished - (SELECT min(begun) FROM steps WHERE run = ?)) / 60.0, record "
             "FROM temperatures JOIN steps USING (run, ordinal) WHERE run = ? ORDER BY ordinal",
             (self._run, self._run),
@@ -171,9 +169,7 @@ class RunJournal:
 
     def event_lines(self) -> list[tuple[str, str, str]]:
         """(timestamp, kind, text) of what happened, for people."""
-        rows = self._connection.execute(
-            "SELECT at, kind, record FROM events WHERE run = ? ORDER BY rowid", (self._run,)
-        )
+        rows = self._execute("SELECT at, kind, record FROM events WHERE run = ? ORDER BY rowid", (self._run,))
         return [(at, kind, _in_words(json.loads(record))) for at, kind, record in rows]
 
     def _write_record(self, step: Record) -> None:
@@ -186,7 +182,7 @@ class RunJournal:
 
     def _write_reading(self, step: Step, result: object) -> None:
         now = self._clock.now()
-        self._connection.execute(
+        self._execute(
             "INSERT INTO steps VALUES (?,?,?,?,?,?,?,?,NULL)",
             (
                 self._run,
@@ -203,25 +199,33 @@ class RunJournal:
             self._insert_keyed("temperatures", step.key, result)
 
     def _insert_keyed(self, table: str, key: str, record: Mapping[str, Any]) -> None:
-        self._connection.execute(
+        self._execute(
             f"INSERT INTO {table} VALUES (?,?,?,?)",  # noqa: S608  table is one of our own two names
             (self._run, self._ordinal, key, to_json(record)),
         )
 
     def _insert_event(self, kind: str, record: Mapping[str, Any]) -> None:
-        self._connection.execute(
-            "INSERT INTO events VALUES (?,?,?,?)", (self._run, utc_timestamp(), kind, to_json(record))
-        )
+        self._execute("INSERT INTO events VALUES (?,?,?,?)", (self._run, utc_timestamp(), kind, to_json(record)))
+
+    def _execute(self, statement: str, values: Sequence[object] = ()) -> sqlite3.Cursor:
+        """Raises JournalFailed where the database cannot take it: then nothing may move any more."""
+        try:
+            return self._connection.execute(statement, values)
+        except sqlite3.Error as error:
+            raise JournalFailed(
+                f"the journal cannot be written: {error}", hint="check the disk under `state_directory`"
+            ) from error
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        self._connection.execute("BEGIN IMMEDIATE")
+        self._execute("BEGIN IMMEDIATE")
         try:
             yield
         except BaseException:
-            self._connection.execute("ROLLBACK")
+            if self._connection.in_transaction:  # a full disk has rolled back by itself
+                self._execute("ROLLBACK")
             raise
-        self._connection.execute("COMMIT")
+        self._execute("COMMIT")
 
 
 def _in_words(record: Mapping[str, Any]) -> str:

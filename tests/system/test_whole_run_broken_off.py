@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from nights import Night, memory_directory, rows, short_document, states
 
+from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.rig import Rig
-from drivers.errors import Aborted, CommandRejected, LinkLost, ReadBackMismatch
+from drivers.errors import Aborted, CommandRejected, JournalFailed, LinkLost, ReadBackMismatch
 from drivers.roles import TableImage
 
 FORMER = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
@@ -222,3 +223,36 @@ def test_table_that_reads_back_differently_is_never_activated(broken: Broken, mo
     assert ended.outcome.state is RunState.FAULTED
     assert rows(broken.state, "SELECT key FROM steps WHERE kind = 'ActivateBank'") == []
     assert night.active == 0
+
+
+@pytest.mark.parametrize("place", [("touch_towards", 30), ("activate", 1), ("touch_towards", 190)], ids=place_name)
+def test_full_disk_stops_the_run_and_the_table_is_as_it_was_all_the_same(
+    broken: Broken, monkeypatch, place: tuple[str, int]
+) -> None:
+    """What cannot be written down must not go on; the way out does not wait for the disk."""
+
+    def fill_disk() -> None:
+        def full(*_: object) -> None:
+            raise JournalFailed("the journal cannot be written: database or disk is full")
+
+        monkeypatch.setattr(RunJournal, "_execute", full)
+
+    ended = broken.run(Tripwire, place, fill_disk)
+    assert isinstance(ended.error, JournalFailed)
+    assert ended.outcome.state is RunState.FAULTED
+    assert (broken.night.active, broken.former_acts) == (1, True)
+    assert broken.at_rest
+
+
+def test_door_that_opened_during_the_proof_does_not_keep_the_new_table(broken: Broken) -> None:
+    """A controller in fault takes no table command: its fault is cleared first."""
+
+    def open_door() -> None:
+        world = broken.night.world
+        assert world is not None
+        world.controller.fail("door opened")
+
+    ended = broken.run(Tripwire, ("touch_towards", 190), open_door)
+    assert ended.outcome.state is RunState.FAULTED
+    assert (broken.night.active, broken.former_acts) == (1, True)
+    assert ("restore/reset",) in rows(broken.state, "SELECT key FROM steps")

@@ -74,8 +74,8 @@ SETTINGS = {
 }
 
 
-# What only several files together show: the key alone says where; or another file is the one that is wrong.
-FOUND_TOGETHER = ("no such tool", "no machine file", "proved by what it was made of", "no room to park")
+# Another file is the one that is wrong, and the one that is named.
+FOUND_TOGETHER = ("no machine file",)
 
 
 @pytest.mark.parametrize("what", SETTINGS)
@@ -113,7 +113,8 @@ def test_no_settings_at_all(good: str) -> None:
 POSITIONS = {
     "station without a place": ("7,0,0", 2, ["station 7", "p.csv", "stations.places_mm"]),
     "out of reach": ("1,90,0", 2, ["no position has three balls within the travel"]),
-    "one position only": ("1,45,0", 4, ["cannot tell machine from artefact", "p.csv"]),
+    "one out of reach": ("1,45,0\n1,0,45\n1,90,0", 2, ["position 3", "0 balls within reach", "p.csv"]),
+    "one position only": ("1,45,0", 2, ["cannot tell machine from artefact", "p.csv"]),
     "no number": ("1,45,up", 2, ["'up' is not a finite number", "p.csv", "row 2", "column elevation_deg"]),
     "twice": ("1,45,0\n1,45,0", 2, ["p.csv", "row 3"]),
     "none": ("", 2, ["no position is listed", "p.csv"]),
@@ -159,7 +160,7 @@ def test_proof_out_of_reach_is_refused_before_anything_moves(good: str) -> None:
     Path("volcal.toml").write_text(good.replace("[verification]", "[verification]\npositions_deg = [[90.0, 0.0]]"))
     Path("p.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n")
     code, line = refused("plan", "--position-set", "p.csv")
-    assert code == 4
+    assert code == 2
     assert "verification.positions_deg" in line
 
 
@@ -186,7 +187,7 @@ def test_run_that_preflight_refuses_writes_no_result(monkeypatch, tmp_path: Path
     settings = document(tmp_path / "state", procedure={"position_set": "p.csv"}, verification={"stations": [1]})
     (tmp_path / "volcal.toml").write_text(toml(settings))
     result = CliRunner().invoke(main, ["calibrate", "--json"])
-    assert result.exit_code == 4
+    assert result.exit_code == 2
     outcome = json.loads(result.stdout)
     assert outcome["state"] == "refused"
     assert outcome["touches"] == 0
