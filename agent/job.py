@@ -298,4 +298,4 @@ def _refuse_unreachable_entry(job: Job) -> None:
 
 
 def _reached(job: Job, position: Position) -> int:
-    return int(job.layout.reachable(position, job.layout.predicted(position, np.zeros(3))).sum())
+    return int(job.layout.reachable(position, job.layout.nominal(position)).sum())

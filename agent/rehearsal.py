@@ -71,5 +71,5 @@ def whole_procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
     """Everything that moves: the set with the held-out positions, then the held-out positions again."""
     measured = yield from measure_positions(job.measuring, job.layout, job.rules)
     order = job.verifying(measured.standing_at)
-    verified = yield from measure_positions(order, job.layout, job.rules, measured.corrections)
+    verified = yield from measure_positions(order, job.layout, job.rules, measured.standings)
     return measured, verified

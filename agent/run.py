@@ -125,7 +125,7 @@ class CalibrationRun:
         job, progress = self._job, self.progress
         assert progress.finding is not None  # noqa: S101  identified before anything was staged
         order = job.verifying(measured.standing_at)
-        progress.verified = self._engine.run(measure_positions(order, job.layout, job.rules, measured.corrections))
+        progress.verified = self._engine.run(measure_positions(order, job.layout, job.rules, measured.standings))
         before = job.balls_of(measured, held_out=True)
         after = job.balls_of(progress.verified, held_out=True)
         progress.proof = prove(job, progress.finding, before, after)

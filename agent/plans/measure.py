@@ -21,6 +21,7 @@ from agent.execution.steps import (
 from agent.plans.position import MeasuredPosition, PositionRules, PositionTask, measure_position
 from drivers.roles import OperatorRequest, OperatorTask
 from twin.position_set import MountGeometry, Position, mount_pose, reachable
+from twin.standing import Standing
 
 Array = NDArray[np.float64]
 
@@ -45,10 +46,10 @@ class Layout:
     upper_mm: Array
     accessible: Mapping[Position, NDArray[np.bool_]]
 
-    def predicted(self, position: Position, correction: Array) -> Array:
-        """Axis positions (N, 3) of all balls of `position` when the mount stands `correction` off its place."""
+    def nominal(self, position: Position) -> Array:
+        """Axis positions (N, 3) of all balls of `position` when the mount stands where it is said to stand."""
         pose = mount_pose(
-            self.places_mm[position.station] + correction,
+            self.places_mm[position.station],
             self.mount,
             math.radians(position.azimuth_deg),
             math.radians(position.elevation_deg),
@@ -81,7 +82,7 @@ class Measured:
     left_out: tuple[str, ...]
     unreachable_balls: int
     standing_at: int | None
-    corrections: Mapping[int, Array]
+    standings: Mapping[int, Standing]
 
     @property
     def touches(self) -> int:
@@ -96,24 +97,25 @@ def measure_positions(
     order: MeasuringOrder,
     layout: Layout,
     rules: PositionRules,
-    known: Mapping[int, Array] | None = None,
+    known: Mapping[int, Standing] | None = None,
 ) -> Plan[Measured]:
-    """Measure every position of `order`. `known`: corrections of station places found earlier in this run."""
+    """Measure every position of `order`. `known`: how the mount was found to stand earlier in this run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
     yield ReadTemperatures(f"{order.prefix}/temperatures")
     here = np.array((yield ReadPosition(f"{order.prefix}/here")))
-    corrections: dict[int, Array] = dict(known or {})
-    standing = order.standing_at
+    standings: dict[int, Standing] = dict(known or {})
+    stands_at = order.standing_at
     done: list[MeasuredPosition] = []
     left_out: list[str] = []
     unreachable = 0
     for index, position in enumerate(order.positions):
-        if position.station != standing:
-            standing = yield from _carry_to(order.prefix, position.station, index)
-            corrections.pop(position.station, None)
-        correction = corrections.get(position.station, np.zeros(3))
-        predicted = layout.predicted(position, correction)
+        if position.station != stands_at:
+            stands_at = yield from _carry_to(order.prefix, position.station, index)
+            standings.pop(position.station, None)
+        standing = standings.get(position.station, Standing.as_stated())
+        nominal = layout.nominal(position)
+        predicted = standing.carried(nominal)
         mask = layout.reachable(position, predicted)
         unreachable += int(mask.size - mask.sum())
         key = f"{order.prefix}/{position_key(position)}"
@@ -123,10 +125,10 @@ def measure_positions(
             continue
         task = PositionTask(key, index, position.station, position.azimuth_deg, position.elevation_deg, predicted, mask)
         measured = yield from measure_position(task, here, rules)
-        corrections[position.station] = correction + measured.offset_mm
+        standings[position.station] = standing.having_found(nominal[measured.ball_numbers], measured.centres_mm)
         here = np.array((yield ReadPosition(f"{key}/here")))
         done.append(measured)
-    return Measured(tuple(done), tuple(left_out), unreachable, standing, corrections)
+    return Measured(tuple(done), tuple(left_out), unreachable, stands_at, standings)
 
 
 def position_key(position: Position) -> str:

@@ -95,13 +95,21 @@ class MeasuredBall:
 
 @dataclass(frozen=True)
 class MeasuredPosition:
-    """`offset_mm` (3,): how far the artefact stood from its prediction; `drift_mm` (3,): first ball again."""
+    """What one position gave; `drift_mm` (3,): by how much the first ball was found elsewhere at the end."""
 
     balls: tuple[MeasuredBall, ...]
     lost: int
     touches: int
-    offset_mm: Array
     drift_mm: Array
+
+    @property
+    def ball_numbers(self) -> list[int]:
+        return [ball.ball for ball in self.balls]
+
+    @property
+    def centres_mm(self) -> Array:
+        """(n, 3) axis positions as displayed, in the order of `balls`."""
+        return np.array([ball.found.centre_mm for ball in self.balls])
 
 
 @dataclass(frozen=True)
@@ -132,9 +140,7 @@ def measure_position(task: PositionTask, here: Array, rules: PositionRules) -> P
         yield from measuring.ball(ball, aligned[ball])
     drift = yield from measuring.drift(first, found_first, rules.drift_limit_mm)
     yield MoveTo(f"{task.key}/leave", point(course.retreated(course.above(found_first.centre_mm, probing))))
-    ends = np.array([found_first.centre_mm, found_last.centre_mm])
-    offset = (ends - task.predicted_mm[[first, last]]).mean(axis=0)
-    return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, offset, drift)
+    return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, drift)
 
 
 class _Measuring:

@@ -1,0 +1,49 @@
+"""Learning how a mount stands, against motions made by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from twin.standing import Standing
+
+LINE = np.column_stack([np.linspace(-700.0, 700.0, 5), np.zeros(5), np.zeros(5)])
+CROSS = np.column_stack([np.zeros(5), np.zeros(5), np.linspace(-700.0, 700.0, 5)])
+SHIFT = np.array([0.3, -0.2, 0.1])
+TILT = 5e-4
+
+
+def turned_about_y(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """By plain trigonometry: a rotation by TILT about Y, then SHIFT."""
+    out = points.copy()
+    x, z = points[:, 0] - middle[0], points[:, 2] - middle[2]
+    out[:, 0] = middle[0] + math.cos(TILT) * x + math.sin(TILT) * z
+    out[:, 2] = middle[2] - math.sin(TILT) * x + math.cos(TILT) * z
+    return out + SHIFT
+
+
+def test_before_anything_was_found_nothing_is_moved() -> None:
+    assert Standing.as_stated().carried(LINE) is LINE
+
+
+def test_a_tilted_mount_is_met_in_an_orientation_not_yet_measured() -> None:
+    middle = np.array([10.0, 20.0, 30.0])
+    standing = Standing.as_stated().having_found(LINE, turned_about_y(LINE, middle))
+    assert standing.carried(CROSS) == pytest.approx(turned_about_y(CROSS, middle), abs=1e-3)
+
+
+def test_a_turn_about_the_bars_own_axis_is_not_made_up() -> None:
+    noise = np.random.default_rng(3).normal(0.0, 1e-3, LINE.shape)
+    carried = Standing.as_stated().having_found(LINE, LINE + SHIFT + noise).carried(CROSS)
+    assert carried == pytest.approx(CROSS + SHIFT, abs=5e-3)
+
+
+def test_further_balls_show_what_the_first_left_open() -> None:
+    about_x = CROSS.copy()
+    about_x[:, 1] = -TILT * CROSS[:, 2]
+    standing = Standing.as_stated().having_found(LINE, LINE).having_found(CROSS, about_x)
+    beside = np.array([[0.0, 100.0, 500.0]])
+    expected = np.array([[0.0, 100.0 - TILT * 500.0, 500.0 + TILT * 100.0]])
+    assert standing.carried(beside) == pytest.approx(expected, abs=1e-3)
