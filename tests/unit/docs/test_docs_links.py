@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([ROOT / "README.md", ROOT / "systemd" / "README.md", *(ROOT / "docs").rglob("*.md")])
 ROOTED = re.compile(r"^(agent|benchmarks|config|docs|drivers|simulators|systemd|tests|twin)/[\w./-]*$")
 
