@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from agent.execution.steps import Point
@@ -41,6 +42,16 @@ def make_clock(settings: ClockSettings) -> Clock:
                     key="clock",
                     hint="start `volcal simulate --clock lockstep` first, or use kind = 'real'",
                 ) from error
+
+
+@contextmanager
+def closed_after(clock: Clock) -> Iterator[Clock]:
+    """`clock` for the block; a connection to a simulator's time server ends with it."""
+    try:
+        yield clock
+    finally:
+        if isinstance(clock, LockstepClock):
+            clock.close()
 
 
 def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from agent.assembly import LOCKSTEP_SLICE_S, assemble, make_clock
-from agent.conduct import Announcement, Conduct, Listener
+from agent.assembly import LOCKSTEP_SLICE_S, assemble, closed_after, make_clock
+from agent.conduct import Conduct, Listener
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.run_lock import run_lock
@@ -23,7 +23,6 @@ from agent.outcome import Outcome
 from agent.rehearsal import Rehearsal, rehearse
 from agent.rig import Rig
 from agent.run import CalibrationRun, Progress
-from agent.settings import ClockSettings
 from agent.writing import write_results
 from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, WatchedClock, utc_timestamp, wall_seconds
 from drivers.errors import PlanRefused, UserError, VolcalError
@@ -56,7 +55,7 @@ def calibrate(request: Request) -> Ended:
     with (
         run_lock(settings.state_directory, run_id),
         _journal(settings.state_directory) as journal,
-        _clock(settings.clock) as outer,
+        closed_after(make_clock(settings.clock)) as outer,
     ):
         supervisor = Supervisor(outer)
         request.interrupts(supervisor)
@@ -183,17 +182,3 @@ def _journal(directory: Path) -> Iterator[Journal]:
         yield journal
     finally:
         journal.close()
-
-
-@contextmanager
-def _clock(settings: ClockSettings) -> Iterator[Clock]:
-    clock = make_clock(settings)
-    try:
-        yield clock
-    finally:
-        if isinstance(clock, LockstepClock):
-            clock.close()
-
-
-def ignore(_: Announcement) -> None:
-    """A listener for runs that nobody watches."""

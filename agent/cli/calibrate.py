@@ -23,9 +23,6 @@ from agent.session import Ended, Request, calibrate
 from agent.settings import Settings
 from drivers.errors import GateRefused
 
-NOT_IMPROVED = 4
-"""Exit code where the machine was left as it was found because the proof failed; see `drivers.errors`."""
-
 
 def _station_list(_: click.Context, __: click.Parameter, text: str | None) -> list[int] | None:
     if text is None:

@@ -9,11 +9,10 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from agent.assembly import assemble, make_clock
+from agent.assembly import assemble, closed_after, make_clock
 from agent.cli.errors import reported
 from agent.job import load_settings, naming, prepare_job
 from agent.settings import Settings
-from drivers.clock import LockstepClock
 from drivers.errors import DeviceError
 from drivers.roles import Device, Finding
 
@@ -40,13 +39,9 @@ def doctor_command(config: Path, as_json: bool) -> None:
 
 def examine(settings: Settings, base: Path) -> dict[str, list[Finding]]:
     """Findings of every device; one that cannot be opened is a finding too, and the others still follow."""
-    clock = make_clock(settings.clock)
-    try:
+    with closed_after(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)
         return {name: _examined(device) for name, device in rig.devices.items()}
-    finally:
-        if isinstance(clock, LockstepClock):
-            clock.close()
 
 
 def _examined(device: Device) -> list[Finding]:

@@ -12,14 +12,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from agent.assembly import assemble, make_clock
+from agent.assembly import assemble, closed_after, make_clock
 from agent.cli.errors import reported
 from agent.execution.encoding import table_digest
 from agent.files import write_all_atomically
 from agent.job import Job, load_settings, naming, prepare_job
 from agent.rig import Rig
 from agent.table_image import table_of
-from drivers.clock import LockstepClock
 from drivers.errors import InputError
 from drivers.roles import TableImage
 from twin.formats.table_file import format_side_file, format_table
@@ -92,12 +91,10 @@ def _connected(config: Path) -> Iterator[tuple[Job, Rig]]:
     base = config.resolve().parent
     with naming(config):
         job = prepare_job(settings, base)
-    clock = make_clock(settings.clock)
-    rig = assemble(settings, clock, base)
-    rig.open()
-    try:
-        yield job, rig
-    finally:
-        rig.close()
-        if isinstance(clock, LockstepClock):
-            clock.close()
+    with closed_after(make_clock(settings.clock)) as clock:
+        rig = assemble(settings, clock, base)
+        rig.open()
+        try:
+            yield job, rig
+        finally:
+            rig.close()
