@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.files import load_artefact, load_machine, load_positions, read_text, translated
 from agent.gates import GateLimits
-from agent.plans.measure import FEWEST_BALLS, Layout, Measured, MeasuringOrder, by_station
+from agent.plans.measure import Measured, MeasuringOrder, by_station
 from agent.plans.position import Course, MeasuredBall, PositionRules
-from agent.plans.probing import BallLimits, Probing, Search, approach_directions
+from agent.plans.probing import BallLimits, Probing, Search
 from agent.settings import Settings, parse_settings
 from drivers.errors import ConfigurationError, UserError
 from drivers.registry import check_options
-from twin.access import accessible, standing_scene
 from twin.arrays import Array
 from twin.artefact import Artefact
 from twin.formats.toml_reading import validated
+from twin.layout import Layout
 from twin.machine_description import MachineDescription
 from twin.position_set import Position, positions_of
+from twin.procedure import FEWEST_BALLS, Procedure
+from twin.touch_pattern import approach_directions, centre_covariance
 
 POSITION_FILES = (".csv", ".toml")
 
@@ -52,6 +52,13 @@ class Job:
     @property
     def tool_offset_mm(self) -> Array:
         return np.asarray(self.machine.tools[self.settings.tool], dtype=np.float64)
+
+    @property
+    def procedure(self) -> Procedure:
+        """The same as the mathematics sees it: no devices, no order."""
+        probing = self.rules.probing
+        covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
+        return Procedure({self.settings.tool: self.layout}, covariance)
 
     @property
     def measuring(self) -> MeasuringOrder:
@@ -128,7 +135,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         held_out=held_out,
         stations=used,
         verified_stations=verified,
-        layout=_layout(settings, machine, artefact, probing, (*positions, *held_out)),
+        layout=_layout(settings, machine, artefact, probing),
         rules=PositionRules(probing, _course(settings, machine), settings.procedure.drift_limit_um * MM_PER_UM),
         gate_limits=GateLimits(**settings.gates.model_dump()),
     )
@@ -187,10 +194,21 @@ def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple
                 file=name,
                 key="stations.places_mm",
             )
-        return listed
+        return tuple(_with_tool_of_run(p, number, settings) for number, p in enumerate(listed, start=1))
     with translated(ConfigurationError, key="procedure.position_set"):
         everywhere = positions_of(name, len(settings.stations.places_mm))
     return tuple(p for p in everywhere if p.station in stations)
+
+
+def _with_tool_of_run(position: Position, number: int, settings: Settings) -> Position:
+    if position.tool not in (None, settings.tool):
+        raise ConfigurationError(
+            f"position {number} is to be measured with tool '{position.tool}', the run has '{settings.tool}'",
+            file=settings.procedure.position_set,
+            key="tool",
+            hint="a run has one tool: make one file for each, and fuse the runs' estimates",
+        )
+    return replace(position, tool=None)
 
 
 def _refuse_overlap(positions: Sequence[Position], held_out: Sequence[Position]) -> None:
@@ -224,39 +242,20 @@ def _probing(settings: Settings, artefact: Artefact) -> Probing:
     )
 
 
-def _layout(
-    settings: Settings,
-    machine: MachineDescription,
-    artefact: Artefact,
-    probing: Probing,
-    positions: Sequence[Position],
-) -> Layout:
+def _layout(settings: Settings, machine: MachineDescription, artefact: Artefact, probing: Probing) -> Layout:
     travel = np.array(machine.limits)
     below, above = probing.room_mm
-    places = {n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)}
     return Layout(
+        artefact=artefact,
         mount=settings.mount,
-        places_mm=places,
-        balls_mm=artefact.balls,
+        probe=settings.probe,
+        places_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
         tool_offset_mm=np.asarray(machine.tools[settings.tool], dtype=np.float64),
         lower_mm=travel[:, 0] + below,
         upper_mm=travel[:, 1] - above,
-        accessible={p: _accessible(settings, artefact, probing, p, places[p.station]) for p in positions},
+        contact_mm=probing.contact_mm,
+        approach_mm=probing.wide.approach_mm,
     )
-
-
-def _accessible(
-    settings: Settings, artefact: Artefact, probing: Probing, position: Position, place_mm: Array
-) -> NDArray[np.bool_]:
-    centres, scene = standing_scene(
-        artefact,
-        settings.probe,
-        settings.mount,
-        place_mm=place_mm,
-        azimuth_rad=math.radians(position.azimuth_deg),
-        elevation_rad=math.radians(position.elevation_deg),
-    )
-    return accessible(centres, scene, contact_mm=probing.contact_mm, approach_mm=probing.wide.approach_mm)
 
 
 def _course(settings: Settings, machine: MachineDescription) -> Course:

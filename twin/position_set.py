@@ -28,11 +28,12 @@ SETS: dict[str, tuple[tuple[float, float], ...]] = {
 
 @dataclass(frozen=True)
 class Position:
-    """One orientation of the artefact at one station (counted from 1)."""
+    """One orientation of the artefact at one station (counted from 1); `tool`: with which, None for that of the run."""
 
     station: int
     azimuth_deg: float
     elevation_deg: float
+    tool: str | None = None
 
     def __post_init__(self) -> None:
         if self.station < 1:

@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-import agent
+from agent.case import CASE_STUDY, SHIPPED
 from agent.cli.calibrate import conclude, run_calibration, summary_table
 from agent.cli.errors import reported
 from agent.files import translated
@@ -21,8 +21,6 @@ from agent.settings import Settings
 from agent.simulator_process import SimulatorProcess
 from drivers.errors import ConfigurationError, LinkError
 from twin.formats.toml_reading import validated
-
-SHIPPED = Path(agent.__file__).resolve().parents[1] / "config"
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Truth:
 
 
 @click.command("demo")
-@click.option("--config", type=click.Path(path_type=Path), default=SHIPPED / "case-study.toml", help="Settings.")
+@click.option("--config", type=click.Path(path_type=Path), default=CASE_STUDY, help="Settings.")
 @click.option(
     "--scenario",
     type=click.Path(path_type=Path),

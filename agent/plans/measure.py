@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.execution.steps import (
     AskOperator,
@@ -20,46 +18,10 @@ from agent.execution.steps import (
 )
 from agent.plans.position import MeasuredPosition, PositionRules, PositionTask, measure_position
 from drivers.roles import OperatorRequest, OperatorTask
-from twin.position_set import MountGeometry, Position, mount_pose, reachable
+from twin.layout import Layout
+from twin.position_set import Position
+from twin.procedure import FEWEST_BALLS
 from twin.standing import Standing
-
-Array = NDArray[np.float64]
-
-FEWEST_BALLS = 3
-"""A position with fewer says nothing: its pose takes six unknowns."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where the artefact can stand, which axis positions the machine can take, which balls the probe gets at.
-
-    `places_mm`: station number → (3,) foot of the mount in the workpiece frame. `balls_mm` (N, 3) in the artefact
-    frame. `lower_mm`, `upper_mm` (3,): travel less what touching needs of it. `accessible`: position → (N,) whether
-    nothing of artefact or mount stands in the way of the probe.
-    """
-
-    mount: MountGeometry
-    places_mm: Mapping[int, Array]
-    balls_mm: Array
-    tool_offset_mm: Array
-    lower_mm: Array
-    upper_mm: Array
-    accessible: Mapping[Position, NDArray[np.bool_]]
-
-    def nominal(self, position: Position) -> Array:
-        """Axis positions (N, 3) of all balls of `position` when the mount stands where it is said to stand."""
-        pose = mount_pose(
-            self.places_mm[position.station],
-            self.mount,
-            math.radians(position.azimuth_deg),
-            math.radians(position.elevation_deg),
-        )
-        return pose.centre + self.balls_mm @ pose.rotation.T - self.tool_offset_mm
-
-    def reachable(self, position: Position, predicted: Array) -> NDArray[np.bool_]:
-        """(N,): balls of `position` inside the travel with nothing in the way."""
-        inside = reachable(predicted, self.lower_mm, self.upper_mm, np.zeros(3))
-        return np.logical_and(inside, self.accessible[position])
 
 
 @dataclass(frozen=True)

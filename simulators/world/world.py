@@ -9,9 +9,10 @@ from simulators.world.controller import Controller
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
 from simulators.world.thermal import Thermal
-from simulators.world.truth import TrueMachine, Truth, draw_machine, perfect_machine
+from simulators.world.truth import Truth
 from simulators.world.turning import TurnCrash, first_turn_crash
 from simulators.world.workpiece import Workpiece
+from twin.true_machine import TrueMachine, draw_machine, perfect_machine
 
 MOUNT = "mount"
 

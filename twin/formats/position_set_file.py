@@ -1,4 +1,5 @@
-"""Position set file, CSV or TOML: `station`, `azimuth_deg`, `elevation_deg`, in the order of measuring."""
+"""Position set file, CSV or TOML: `station`, `azimuth_deg`, `elevation_deg`, in the order of measuring; `tool` where
+several are used (an empty cell is the tool of the run)."""
 
 from __future__ import annotations
 
@@ -12,12 +13,14 @@ from twin.formats.toml_reading import Strict, read_toml
 from twin.position_set import Position
 
 COLUMNS = ("station", "azimuth_deg", "elevation_deg")
+TOOL = "tool"
 
 
 class _Listed(Strict):
     station: int
     azimuth_deg: float
     elevation_deg: float
+    tool: str | None = None
 
 
 class _PositionDocument(Strict):
@@ -38,7 +41,7 @@ def _from_toml(text: str, source: str) -> list[Position]:
     positions = []
     for index, listed in enumerate(read_toml(text, source, _PositionDocument).positions):
         try:
-            positions.append(Position(listed.station, listed.azimuth_deg, listed.elevation_deg))
+            positions.append(Position(**listed.model_dump()))
         except DataError as error:
             raise FormatError(error.message, hint=error.hint, file=source, key=f"positions[{index}]") from None
     return positions
@@ -47,8 +50,8 @@ def _from_toml(text: str, source: str) -> list[Position]:
 def _from_csv(text: str, source: str) -> list[Position]:
     reader = csv.reader(io.StringIO(text))
     header = [name.strip() for name in next(reader, [])]
-    if sorted(header) != sorted(COLUMNS):
-        hint = f"The first line must be {','.join(COLUMNS)}"
+    if sorted(header) not in (sorted(COLUMNS), sorted((*COLUMNS, TOOL))):
+        hint = f"The first line must be {','.join(COLUMNS)}, and {TOOL} where several are used"
         raise FormatError(f"columns are {','.join(header) or 'missing'}", hint=hint, file=source, row=1)
     positions: list[Position] = []
     for row, cells in enumerate(reader, start=2):
@@ -59,17 +62,24 @@ def _from_csv(text: str, source: str) -> list[Position]:
 
 def format_positions(positions: Iterable[Position]) -> str:
     """CSV text of `positions`, as `parse_positions` reads it."""
-    lines = [f"{p.station},{p.azimuth_deg:.10g},{p.elevation_deg:.10g}" for p in positions]
-    return "\n".join([",".join(COLUMNS), *lines, ""])
+    listed = list(positions)
+    columns = (*COLUMNS, TOOL) if any(p.tool for p in listed) else COLUMNS
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for p in listed:
+        cells = (p.station, f"{p.azimuth_deg:.10g}", f"{p.elevation_deg:.10g}", p.tool or "")
+        writer.writerow(cells[: len(columns)])
+    return text.getvalue()
 
 
 def _position(cells: dict[str, str], source: str, row: int) -> Position:
     station = _number(cells, "station", source, row)
     if station != int(station):
         raise FormatError(f"station {station} is no whole number", file=source, row=row, column="station")
-    angles = (_number(cells, name, source, row) for name in COLUMNS[1:])
+    azimuth, elevation = (_number(cells, name, source, row) for name in COLUMNS[1:])
     try:
-        return Position(int(station), *angles)
+        return Position(int(station), azimuth, elevation, cells.get(TOOL, "").strip() or None)
     except DataError as error:
         raise FormatError(error.message, hint=error.hint, file=source, row=row) from None
 
