@@ -113,14 +113,22 @@ def _directions(
     largest = float(np.linalg.eigvalsh(form)[-1])
     found = []
     for pivot, direction in _sparse_basis(null):
-        parts = np.flatnonzero(np.abs(direction) > _PART * np.abs(direction).max())
-        parts = np.concatenate(([pivot], parts[parts != pivot]))
+        parts = _parts(direction, pivot)
         changes = bool(direction @ form @ direction > _FIELD_NULL * largest) and bool(scale[pivot] > 0.0)
         names = [model.names[part] for part in parts]
         loadings = {model.names[part]: float(direction[part] * scale[part]) for part in parts}
         how = _circumstance(tool_offsets, seer, changes) if scale[pivot] > 0.0 else FIXED
         found.append((pivot, NullDirection(_text(names, how), loadings, changes, how)))
     return tuple(direction for _, direction in sorted(found, key=lambda pair: pair[0]))
+
+
+def _parts(direction: Array, pivot: int) -> list[int]:
+    """The pivot, then what else takes part: in the model's order, or the largest first where they are too many."""
+    size = np.abs(direction)
+    others = [int(part) for part in np.flatnonzero(size > _PART * size.max()) if part != pivot]
+    if len(others) > _MANY_PARTNERS:
+        others.sort(key=lambda part: -size[part])
+    return [pivot, *others]
 
 
 def _sparse_basis(null: Array) -> list[tuple[int, Array]]:
@@ -152,13 +160,10 @@ def _circumstance(tool_offsets: Array, seer: str, changes: bool) -> str:
 def _text(names: list[str], how: str) -> str:
     if len(names) == 1:
         return f"{names[0]}: not seen {how}"
-    return f"{names[0]} merges with {_listing(names[1:])}: not told apart {how}"
-
-
-def _listing(names: list[str]) -> str:
-    if len(names) > _MANY_PARTNERS:
-        return f"{', '.join(names[:_MANY_PARTNERS])} and {len(names) - _MANY_PARTNERS} more"
-    return " and ".join(names)
+    if len(names) > 1 + _MANY_PARTNERS:
+        leading = ", ".join(names[1 : 1 + _MANY_PARTNERS])
+        return f"{names[0]} mixed with {len(names) - 1} others, most of all {leading}: not told apart {how}"
+    return f"{names[0]} merges with {' and '.join(names[1:])}: not told apart {how}"
 
 
 def _group_text(members: list[NullDirection]) -> str:

@@ -47,6 +47,11 @@ class Observations:
     def size(self) -> int:
         return len(self.ball)
 
+    @property
+    def used_tool_offsets(self) -> Array:
+        """(U, 3) mm of the tools with which at least one ball was found."""
+        return np.asarray(self.tool_offsets[np.unique(self.tool)])
+
     def where(self, mask: np.ndarray[Any, Any]) -> Observations:
         """The rows that `mask` (n,) bool or index selects."""
         rows = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "tool_offsets"}

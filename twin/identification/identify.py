@@ -122,7 +122,7 @@ def _estimate(whole: Problem, settled: _Settled, solution: Solution, options: Op
         degrees_of_freedom=solution.freedom,
         rejected=tuple(named),
         scales=solution.scales,
-        tool_offsets=seen.tool_offsets,
+        tool_offsets=seen.used_tool_offsets,
         misfit=_misfit(whole, solution, options),
         information=solution.equations.matrix[block, block],
         prior_scale=whole.prior.scale,

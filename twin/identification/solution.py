@@ -101,7 +101,7 @@ def _precision(problem: Problem, matrix: Array, options: Options) -> Precision:
 
 
 def _refuse_open_field(problem: Problem, information: Array) -> None:
-    tools = problem.observations.tool_offsets
+    tools = problem.observations.used_tool_offsets
     seen = observability(problem.model, information, problem.prior.scale, tools)
     unseen = [direction for direction in seen.null_directions if direction.changes_field]
     if unseen:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from measured_set import RANGES, TOOL, bar, case_study, measured
@@ -60,3 +62,13 @@ def test_a_parameter_that_the_family_excludes_is_named_as_such() -> None:
     scale[MODEL.index("EXX[3]")] = 0.0
     found = field_observability(MODEL, scale, TOOL[None])
     assert any("EXX[3]: not seen because the family holds it" in direction.text for direction in found.null_directions)
+
+
+def test_a_tool_that_was_not_used_says_nothing_of_what_is_seen() -> None:
+    """A machine file may list more tools than a night uses."""
+    seen = measured("S3", 4, bar(), lambda X, t: np.zeros_like(X), np.random.default_rng(0))
+    listed = dataclasses.replace(seen, tool_offsets=np.array([TOOL, 1.8 * TOOL]))
+    plain = Options(outliers="none", estimate_scales=False, use_prior=False)
+    estimate = identify(MODEL, listed, bar(), FAMILY, plain)
+    assert estimate.tool_offsets.tolist() == [TOOL.tolist()]
+    assert "EBY[1..4]: not seen with one straight probe along Y" in estimate.null_summary
