@@ -6,12 +6,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twin.arrays import Array
 from twin.error_model import ErrorModel
+from twin.identification.carried_over import CarriedOver
+from twin.identification.evidence import OrderEvidence, at_bounds
 from twin.identification.misfit import MisfitModes
 from twin.identification.normal import Scales
 from twin.identification.options import Formulation
+from twin.identification.unknowns import Unknowns
 from twin.observability import NullDirection, Observability, observability, summary
 
 
@@ -38,8 +42,9 @@ class Estimate:
 
     `residuals_mm` (n, 3) in the order of the observations, rejected rows included; `chi2_normalised`: squared residuals
     in units of the stated noise per degree of freedom; `rejected`: (position, ball, tool) of the rows left out;
-    `scales`: found for noise, prior and misfit; `information` (p, p): of the measurements alone in units of
-    `prior_scale` (p,); `misfit`: None where it was switched off.
+    `scales`: found for noise, prior and misfit; `misfit`: None where it was switched off; `information` (p, p): of the
+    measurements alone in units of `prior_scale`; `z` (P,), `z_covariance` (P, P): of all `unknowns` together;
+    `order_evidence`: how likely each Legendre order was, best first, where the order was chosen by it.
     """
 
     model: ErrorModel
@@ -54,7 +59,28 @@ class Estimate:
     tool_offsets: Array
     misfit: Misfit | None = field(repr=False)
     information: Array = field(repr=False)
-    prior_scale: Array = field(repr=False)
+    unknowns: Unknowns = field(repr=False)
+    z: Array = field(repr=False)
+    z_covariance: Array = field(repr=False)
+    order_evidence: tuple[OrderEvidence, ...] = ()
+
+    def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOver:
+        """What it knows, as the prior of a later estimate.
+
+        `process_noise` (p,) standard deviations (mm or rad) by which each parameter may have changed in a night.
+        """
+        known = CarriedOver(self.unknowns, self.z, self.z_covariance, self.scales)
+        return known if process_noise is None else known.after(process_noise, nights)
+
+    @property
+    def prior_scale(self) -> Array:
+        """(p,) mm or rad: the unit of each parameter, its standard deviation in the family."""
+        return self.unknowns.scale
+
+    @property
+    def scales_at_bounds(self) -> tuple[str, ...]:
+        """In words, which scale ran into its bounds: there the stated uncertainty is a guess."""
+        return at_bounds(self.scales)
 
     @property
     def standard_uncertainty(self) -> Array:

@@ -22,6 +22,16 @@ from twin.identification.normal import Normal, Posterior, Precision, Scales
 
 
 @dataclass(frozen=True)
+class OrderEvidence:
+    """How likely a model is whose error motions of X, Y, Z have these Legendre `orders`; `relative_log` is zero for the
+    likeliest of those compared."""
+
+    orders: tuple[int, int, int]
+    relative_log: float
+    scales: Scales
+
+
+@dataclass(frozen=True)
 class ScalePrior:
     """Log-normal prior of a scale: median 1, `factor` one standard deviation, within `low` ... `high`."""
 
@@ -41,6 +51,8 @@ class ScalePrior:
 NOISE = ScalePrior(3.0, 0.3, 10.0)
 PRIOR = ScalePrior(1.5, 0.3, 3.0)
 MISFIT = ScalePrior(3.0, 0.1, 10.0)
+_NAMES = ("touch noise", "family prior", "misfit")
+_AT_BOUND = 1e-3  # of a log scale
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 
 _ACCURACY = 1e-3  # gradient per equation: leaves a log scale right to about 0.01, far below what any set can tell
@@ -49,9 +61,8 @@ _ACCURACY = 1e-3  # gradient per equation: leaves a log scale right to about 0.0
 def likely_scales(normal: Normal, precision: Precision, start: Scales) -> Scales:
     """Scales at the maximum of the marginal likelihood times their own priors."""
     free = _free_scales(precision)
-    used = zip((start.noise, start.prior, start.misfit), free, strict=True)
-    log_start: Logs = np.array([math.log(scale) for scale, is_free in used if is_free])
-    cost = _cost(normal, precision, free)
+    log_start: Logs = np.log(start.values)[free]
+    cost = _cost(normal, precision, start)
     bounds = [prior.bounds for prior, used in zip((NOISE, PRIOR, MISFIT), free, strict=True) if used]
     found = minimize(
         cost,
@@ -61,26 +72,44 @@ def likely_scales(normal: Normal, precision: Precision, start: Scales) -> Scales
         bounds=bounds,
         options={"maxiter": 40, "gtol": _ACCURACY, "ftol": 1e-10},
     )
-    return _scales(np.asarray(found.x), free)
+    return _scales(np.asarray(found.x), free, start)
+
+
+def log_evidence(normal: Normal, precision: Precision, scales: Scales) -> float:
+    """Log marginal likelihood times the priors of the scales, but for what only the rows and their covariances say."""
+    logs = np.log(scales.values)[_free_scales(precision)]
+    return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
+
+
+def at_bounds(scales: Scales) -> tuple[str, ...]:
+    """In words, which scale stands at its lower or upper bound."""
+    found = []
+    for name, value, prior in zip(_NAMES, scales.values, (NOISE, PRIOR, MISFIT), strict=True):
+        for bound in (prior.low, prior.high):
+            if abs(math.log(value / bound)) < _AT_BOUND:
+                found.append(f"{name}: {bound:g} times as stated, as far as its scale may go")
+    return tuple(found)
 
 
 def _free_scales(precision: Precision) -> list[bool]:
+    """Of noise, prior and misfit: what is known from before has its scale already."""
     blocks = precision.blocks
-    return [True, precision.parameters is None, blocks.misfit.stop > blocks.misfit.start]
+    return [True, precision.takes(blocks.parameters), precision.takes(blocks.misfit)]
 
 
-def _scales(logs: Array, free: list[bool]) -> Scales:
-    values = np.ones(3)
+def _scales(logs: Array, free: list[bool], others: Scales) -> Scales:
+    values = np.array(others.values)
     values[free] = np.exp(logs)
     noise, prior, misfit = values.tolist()
     return Scales(noise, prior, misfit)
 
 
-def _cost(normal: Normal, precision: Precision, free: list[bool]) -> Callable[[Logs], tuple[float, Array]]:
+def _cost(normal: Normal, precision: Precision, others: Scales) -> Callable[[Logs], tuple[float, Array]]:
+    free = _free_scales(precision)
     deviations = np.array([prior.log_deviation for prior in (NOISE, PRIOR, MISFIT)])[free]
 
     def cost(logs: Logs) -> tuple[float, Array]:
-        scales = _scales(logs, free)
+        scales = _scales(logs, free, others)
         value, gradient = negative_log_likelihood(normal, precision, scales)
         value += float(((logs / deviations) ** 2).sum())
         return value / normal.rows, (gradient[free] + 2.0 * logs / deviations**2) / normal.rows
@@ -92,13 +121,14 @@ def negative_log_likelihood(normal: Normal, precision: Precision, scales: Scales
     """Twice the negative log marginal likelihood, but for a constant, and its derivatives (3,) by the log scales."""
     blocks, variance = precision.blocks, scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
-    z = posterior.solve(normal.right / variance)
-    prior = precision.matrix(scales) if precision.parameters is not None else None
+    right = normal.right / variance + precision.pull
+    z = posterior.solve(right)
+    prior = precision.matrix(scales) if precision.known is not None else None
     weighted_z = prior @ z if prior is not None else precision.diagonal(scales) * z
     variances = posterior.variances if prior is None else np.diagonal(posterior.covariance)
     taken = variances * precision.diagonal(scales)
     trace = float(taken.sum()) if prior is None else float((prior * posterior.covariance).sum())
-    value = normal.rows * math.log(variance) + normal.square / variance - float(normal.right @ z) / variance
+    value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
     noise = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
     pulls = [2.0 * _pull(block, taken, weighted_z, z) for block in (blocks.parameters, blocks.misfit)]
@@ -112,8 +142,8 @@ def _pull(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
 
 
 def _log_determinant(precision: Precision, scales: Scales) -> float:
-    """ln det of the prior precision, but for the constant part of a given parameter precision."""
+    """ln det of the prior precision, but for the constant part of what is known."""
     diagonal = np.log(precision.diagonal(scales))
-    if precision.parameters is not None:
-        diagonal[precision.blocks.parameters] = 0.0
+    if precision.known is not None:
+        diagonal[precision.known.taken] = 0.0
     return float(diagonal.sum())

@@ -17,7 +17,6 @@ from twin.identification.estimate import Estimate, Misfit
 from twin.identification.options import Options
 from twin.identification.outliers import contradicting_rows
 from twin.identification.poses import Poses, rigid_poses
-from twin.identification.prior import parameter_prior
 from twin.identification.problem import Problem, build_problem
 from twin.identification.solution import Solution, solve
 from twin.observations import Observations
@@ -52,12 +51,27 @@ def identify(
     if family.model != model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     _check_set(observations)
-    whole = build_problem(model, observations, artefact, parameter_prior(model, family, options), options)
-    settled = _without_outliers(whole, options) if options.outliers == "reject" else _everything(whole)
-    solution = settled.solution
-    if solution is None or options.formulation != "centres" or options.weights != "full":
-        solution = solve(settled.problem, options, options.formulation)
-    return _estimate(whole, settled, solution, options)
+    whole = build_problem(family, observations, artefact, options)
+    return _estimate(whole, _settled(whole, options), options)
+
+
+def kept_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
+    """(n,) which rows `identify` would keep."""
+    _check_set(observations)
+    whole = build_problem(family, observations, artefact, options)
+    kept = np.empty(observations.size, dtype=bool)
+    kept[whole.layout.order] = _settled(whole, options).kept
+    return kept
+
+
+def identify_kept(
+    family: Family, observations: Observations, artefact: Artefact, options: Options, kept: Mask
+) -> Estimate:
+    """`identify` with the rows `kept` (n,) and no other; those left out count as rejected."""
+    whole = build_problem(family, observations, artefact, options)
+    chosen = kept[whole.layout.order]
+    problem = whole if chosen.all() else whole.without(chosen)
+    return _estimate(whole, _Settled(problem, chosen, None), options)
 
 
 def _check_set(observations: Observations) -> None:
@@ -76,8 +90,10 @@ def _check_set(observations: Observations) -> None:
         )
 
 
-def _everything(whole: Problem) -> _Settled:
-    return _Settled(whole, np.ones(whole.observations.size, dtype=bool), None)
+def _settled(whole: Problem, options: Options) -> _Settled:
+    if options.outliers == "none":
+        return _Settled(whole, np.ones(whole.observations.size, dtype=bool), None)
+    return _without_outliers(whole, options)
 
 
 def _without_outliers(whole: Problem, options: Options) -> _Settled:
@@ -107,38 +123,42 @@ def _refuse_chaos(kept: Mask) -> None:
         )
 
 
-def _estimate(whole: Problem, settled: _Settled, solution: Solution, options: Options) -> Estimate:
-    block = whole.blocks.parameters
+def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
+    solution = settled.solution or solve(settled.problem, options, options.formulation)
+    block, unknowns = whole.blocks.parameters, whole.unknowns
     seen = whole.observations
     dropped = np.flatnonzero(~settled.kept)
     named = [(int(seen.position[row]), int(seen.ball[row]), int(seen.tool[row])) for row in dropped]
     return Estimate(
-        model=whole.model,
+        model=unknowns.model,
         formulation=options.formulation,
-        parameters=whole.prior.parameters(solution.z[block]),
-        covariance=whole.prior.physical_covariance(solution.covariance[block, block]),
+        parameters=unknowns.parameters(solution.z),
+        covariance=unknowns.physical_covariance(solution.covariance[block, block]),
         residuals_mm=_residuals(whole, settled, solution),
         chi2_normalised=solution.chi2,
         degrees_of_freedom=solution.freedom,
         rejected=tuple(named),
         scales=solution.scales,
         tool_offsets=seen.used_tool_offsets,
-        misfit=_misfit(whole, solution, options),
+        misfit=_misfit(whole, solution),
         information=solution.equations.matrix[block, block],
-        prior_scale=whole.prior.scale,
+        unknowns=unknowns,
+        z=solution.z,
+        z_covariance=solution.covariance,
     )
 
 
-def _misfit(whole: Problem, solution: Solution, options: Options) -> Misfit | None:
-    if whole.modes is None:
+def _misfit(whole: Problem, solution: Solution) -> Misfit | None:
+    unknowns = whole.unknowns
+    if unknowns.modes is None:
         return None
     own, misfit = whole.blocks.parameters, whole.blocks.misfit
     return Misfit(
-        modes=whole.modes,
-        amplitude_mm=options.misfit_mm,
+        modes=unknowns.modes,
+        amplitude_mm=unknowns.misfit_mm,
         coefficients=solution.z[misfit],
         covariance=solution.covariance[misfit, misfit],
-        cross_covariance=whole.prior.scale[:, None] * solution.covariance[own, misfit],
+        cross_covariance=unknowns.scale[:, None] * solution.covariance[own, misfit],
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg.blas import dtrsm
@@ -11,7 +12,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 
 from twin.arrays import Array
 from twin.errors import SingularSet
-from twin.identification.problem import Blocks
+from twin.identification.unknowns import Blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +37,45 @@ class Scales:
     prior: float = 1.0
     misfit: float = 1.0
 
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """Noise, prior, misfit."""
+        return self.noise, self.prior, self.misfit
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Joint prior of some of the unknowns: their `precision` (P, P) and its product with their mean `pull` (P,), both
+    zero outside of `taken` (P,) bool. Scales do not act on it."""
+
+    taken: np.ndarray[Any, np.dtype[np.bool_]]
+    precision: Array
+    pull: Array
+
+    @classmethod
+    def held(cls, blocks: Blocks, precision: Array) -> Known:
+        """Parameters at zero with a given precision (p, p)."""
+        taken, full = np.zeros(blocks.size, dtype=bool), np.zeros((blocks.size, blocks.size))
+        taken[blocks.parameters] = True
+        full[blocks.parameters, blocks.parameters] = precision
+        return cls(taken, full, np.zeros(blocks.size))
+
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """Prior precision of z at scale 1: `parameters` (p, p) or None for the unit matrix; all else is the unit matrix."""
+    """Prior precision of z at scale 1: what is `known`, and the unit matrix with mean zero for all else."""
 
     blocks: Blocks
-    parameters: Array | None = None
+    known: Known | None = None
+
+    def takes(self, block: slice) -> bool:
+        """Whether a block is there and none of it is known, so that its scale is free."""
+        return block.stop > block.start and (self.known is None or not self.known.taken[block].any())
+
+    @property
+    def pull(self) -> Array:
+        """(P,) precision times prior mean."""
+        return np.zeros(self.blocks.size) if self.known is None else self.known.pull
 
     def matrix(self, scales: Scales) -> Array:
         """(P, P)."""
@@ -53,10 +86,9 @@ class Precision:
     def add_to(self, matrix: Array, scales: Scales) -> None:
         """Add the precision to a matrix (P, P) in place."""
         diagonal = self.diagonal(scales)
-        if self.parameters is not None:
-            block = self.blocks.parameters
-            matrix[block, block] += self.parameters
-            diagonal[block] = 0.0
+        if self.known is not None:
+            matrix += self.known.precision
+            diagonal[self.known.taken] = 0.0
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from twin.arrays import Array
 from twin.errors import DataError
+from twin.identification.carried_over import CarriedOver
 
 Formulation = Literal["centres", "distances"]
 Weights = Literal["full", "unit"]
@@ -19,8 +20,8 @@ class Options:
 
     `formulation`: ball centres with free poses, or pairwise distances (the published method).
     `use_prior`: the family as Gaussian prior; off, directions that the data leave open stay zero.
-    `prior_standard_deviation` (p,) mm or rad instead of the family's. `prior_mean` (p,) and `prior_covariance` (p, p)
-    carry over an earlier estimate, `prior_covariance` taking the place of the standard deviations.
+    `prior_standard_deviation` (p,) mm or rad instead of the family's.
+    `carried_over`: what an earlier estimate knows of machine, artefact and misfit, instead of family and certificate.
     `weights`: the observations' covariances, or all coordinates or distances alike (then without nuisance blocks).
     `estimate_scales`: scales of touch noise, prior and misfit by maximum marginal likelihood; off, all are 1.
     `outliers`: reject and refit by studentised residuals, or keep all.
@@ -32,8 +33,7 @@ class Options:
     formulation: Formulation = "centres"
     use_prior: bool = True
     prior_standard_deviation: Array | None = None
-    prior_mean: Array | None = None
-    prior_covariance: Array | None = None
+    carried_over: CarriedOver | None = None
     weights: Weights = "full"
     estimate_scales: bool = True
     outliers: OutlierPolicy = "reject"
@@ -51,6 +51,16 @@ class Options:
             raise DataError(f"misfit_mm must not be negative, not {self.misfit_mm}")
         if not self.temperature_standard_uncertainty_k >= 0.0:
             raise DataError("temperature_standard_uncertainty_k must not be negative")
+        if self.carried_over is not None:
+            self._check_carried()
+
+    def _check_carried(self) -> None:
+        """What is carried over is a prior of everything, and has its units already."""
+        if not self.use_prior or self.weights != "full":
+            hint = "switch the prior on and take full weights, or start without the earlier estimate"
+            raise DataError("an estimate can only be carried over with prior and full weights", hint=hint)
+        if self.prior_standard_deviation is not None:
+            raise DataError("give either prior standard deviations or an estimate carried over, not both")
 
 
 def _check_word(name: str, value: str, known: tuple[str, ...]) -> None:

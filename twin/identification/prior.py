@@ -1,75 +1,84 @@
-"""The Gaussian prior of the parameters, and the units in which they are solved for."""
+"""The unknowns of a set and their units: from family and certificate, or from an earlier estimate."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from twin.arrays import Array, as_vector
-from twin.error_model import ErrorModel
+from twin.artefact import Artefact
 from twin.errors import DataError
 from twin.family import Family
+from twin.identification.misfit import MisfitModes, misfit_modes
 from twin.identification.options import Options
-
-_SMALLEST_VARIANCE = 1e-12  # of the largest, in units of the scale
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterPrior:
-    """E = mean + scale · z. `covariance` (p, p) of z; None for the unit matrix."""
-
-    mean: Array
-    scale: Array
-    covariance: Array | None = None
-
-    def parameters(self, z: Array) -> Array:
-        """(p,) in mm or rad from z (p,)."""
-        return np.asarray(self.mean + self.scale * z)
-
-    def physical_covariance(self, unit: Array) -> Array:
-        """Covariance (p, p) of the parameters from that of z."""
-        return np.asarray(unit * np.multiply.outer(self.scale, self.scale))
-
-    def unit_covariance(self) -> Array:
-        """(p, p) of z."""
-        return np.eye(len(self.scale)) if self.covariance is None else self.covariance
-
-    def precision(self) -> Array | None:
-        """Inverse of the covariance of z, its smallest variances bounded from below; None for the unit matrix."""
-        if self.covariance is None:
-            return None
-        values, vectors = np.linalg.eigh(self.covariance)
-        bounded = np.maximum(values, _SMALLEST_VARIANCE * max(float(values[-1]), _SMALLEST_VARIANCE))
-        return np.asarray((vectors / bounded) @ vectors.T)
+from twin.identification.unknowns import ArtefactErrors, Unknowns
+from twin.observations import Observations
 
 
-def parameter_prior(model: ErrorModel, family: Family, options: Options) -> ParameterPrior:
-    """Prior from the options, else from the family. DataError for a wrong shape or an impossible covariance."""
-    mean = np.zeros(model.size)
-    if options.prior_mean is not None:
-        mean = as_vector(options.prior_mean, model.size, "prior mean")
-    scale = options.prior_standard_deviation
+def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options: Options) -> Unknowns:
+    """Unknowns of a set, in the units of the family or of what is carried over.
+
+    Raises DataError for a prior of zero, of the wrong shape, or that of another model.
+    """
+    errors, carried = _artefact_errors(artefact, options), options.carried_over
+    if carried is None:
+        modes = _modes(family, seen) if options.misfit_mm > 0.0 else None
+        return Unknowns(family.model, _scale(family, options), errors, modes, options.misfit_mm)
+    old = carried.unknowns
+    if old.model != family.model:
+        raise DataError("the estimate carried over belongs to another model", hint="identify the model that it is of")
+    if old.artefact.belong_to(artefact):
+        thermometer = old.artefact.thermometer_standard_uncertainty_k
+        thermometer = thermometer or options.temperature_standard_uncertainty_k
+        errors = replace(old.artefact, thermometer_standard_uncertainty_k=thermometer)
+    if old.modes is None and options.misfit_mm > 0.0:
+        return Unknowns(old.model, old.scale, errors, _modes(family, seen), options.misfit_mm)
+    return Unknowns(old.model, old.scale, errors, old.modes, old.misfit_mm)
+
+
+def _scale(family: Family, options: Options) -> Array:
+    model, scale = family.model, options.prior_standard_deviation
     if scale is None:
         scale = family.prior_standard_deviation
     scale = as_vector(scale, model.size, "prior standard deviation")
     if (scale < 0.0).any():
         raise DataError("a prior standard deviation is negative", parameter=model.names[int(np.argmin(scale))])
-    if options.prior_covariance is None:
-        return ParameterPrior(mean, scale)
-    return ParameterPrior(mean, scale, _in_units(np.asarray(options.prior_covariance, dtype=np.float64), scale))
+    if not scale.any():
+        raise DataError(
+            "every prior standard deviation is zero, so there is nothing to identify",
+            hint="give the family of the machine half-widths above zero ([model.family])",
+        )
+    return scale
 
 
-def _in_units(covariance: Array, scale: Array) -> Array:
-    size = len(scale)
-    if covariance.shape != (size, size) or not np.isfinite(covariance).all():
-        raise DataError(f"the prior covariance must be a finite ({size}, {size}) matrix")
-    symmetric_factor(covariance, "the prior covariance")
-    used = np.where(scale > 0.0, scale, 1.0)
-    return np.asarray(covariance / np.multiply.outer(used, used))
+def _artefact_errors(artefact: Artefact, options: Options) -> ArtefactErrors:
+    return ArtefactErrors(
+        balls=artefact.balls,
+        cte_per_k=artefact.cte_per_k,
+        certificate=_certificate_factor(artefact.covariance),
+        cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
+        thermometer_standard_uncertainty_k=options.temperature_standard_uncertainty_k,
+    )
 
 
-def symmetric_factor(covariance: Array, name: str) -> Array:
+def _certificate_factor(covariance: Array) -> Array:
+    """(3N, m) without the directions in which the certificate is perfect."""
+    diagonal = np.diagonal(covariance)
+    if np.count_nonzero(covariance) == np.count_nonzero(diagonal):
+        factor = np.diag(np.sqrt(diagonal))
+    else:
+        factor = _symmetric_factor(covariance, "the covariance of the certificate")
+    return factor[:, np.abs(factor).max(axis=0) > 0.0]
+
+
+def _modes(family: Family, seen: Observations) -> MisfitModes:
+    main_tool = int(np.bincount(seen.tool).argmax())
+    x, y, z = seen.tool_offsets[main_tool].tolist()
+    return misfit_modes(family.model, (x, y, z))
+
+
+def _symmetric_factor(covariance: Array, name: str) -> Array:
     """L with L Lᵀ = covariance for a positive semi-definite matrix; DataError otherwise."""
     scale = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     scale = np.where(scale > 0.0, scale, 1.0)

@@ -17,12 +17,14 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact import Artefact
-from twin.error_model import ErrorModel
 from twin.errors import DataError
-from twin.identification.misfit import MisfitModes, misfit_modes
+from twin.family import Family
+from twin.identification.carried_over import known_to
+from twin.identification.normal import Known
 from twin.identification.options import Options
 from twin.identification.poses import Layout, PoseArms, Poses, rigid_poses
-from twin.identification.prior import ParameterPrior, symmetric_factor
+from twin.identification.prior import unknowns_of
+from twin.identification.unknowns import ArtefactErrors, Blocks, Unknowns
 from twin.machine_model import deviation_basis, exact_deviation
 from twin.observations import Observations
 
@@ -32,35 +34,19 @@ Sides = tuple[Array, Array]  # of the exact equations: workpiece points (n, 3) a
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
-    """Unknowns of the artefact. `balls` (N, 3) mm; `certificate` (3N, m) factor of the certificate's covariance (m = 0
-    for a perfect one); `strain_rows` (n, s) strain of each row per unit of each thermal unknown."""
+    """Errors of the artefact at the rows: `strain_rows` (n, s) strain of each row per unit of each thermal unknown."""
 
-    balls: Array
-    certificate: Array
+    errors: ArtefactErrors
     strain_rows: Array
 
     def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
         """Change (n, 3) of the artefact's points in its own frame."""
         change = np.zeros((len(ball), 3))
         if z_certificate.size:
-            change += (self.certificate @ z_certificate).reshape(-1, 3)[ball]
+            change += (self.errors.certificate @ z_certificate).reshape(-1, 3)[ball]
         if z_strain.size:
-            change += self.balls[ball] * (self.strain_rows @ z_strain)[:, None]
+            change += self.errors.balls[ball] * (self.strain_rows @ z_strain)[:, None]
         return change
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Where each kind of unknown stands in z."""
-
-    parameters: slice
-    certificate: slice
-    strain: slice
-    misfit: slice
-
-    @property
-    def size(self) -> int:
-        return int(self.misfit.stop)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +58,9 @@ class Problem:
     repeats another row of its position.
     """
 
-    model: ErrorModel
-    prior: ParameterPrior
+    unknowns: Unknowns
+    known: Known | None
     nuisance: Nuisance
-    modes: MisfitModes | None
     blocks: Blocks
     observations: Observations
     layout: Layout
@@ -88,7 +73,7 @@ class Problem:
         """Both sides at z; the artefact points are yet to be placed by a pose."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
-        if self.modes is not None:
+        if self.unknowns.modes is not None:
             left += self.change(_only(z, blocks.misfit))
         change = self.nuisance.displacement(seen.ball, z[blocks.certificate], z[blocks.strain])
         return left, self.local + change
@@ -109,13 +94,13 @@ class Problem:
 
     def deviation(self, z: Array) -> Array:
         """Exact model deviation (n, 3) mm at the rows."""
-        seen, parameters = self.observations, self.prior.parameters(z[self.blocks.parameters])
+        seen, parameters = self.observations, self.unknowns.parameters(z)
         deviation = np.zeros_like(seen.axis_positions)
         if not parameters.any():
             return deviation
         for tool, rows in _rows_by_tool(seen.tool):
             offset = seen.tool_offsets[tool]
-            deviation[rows] = exact_deviation(self.model, seen.axis_positions[rows], offset, parameters)
+            deviation[rows] = exact_deviation(self.unknowns.model, seen.axis_positions[rows], offset, parameters)
         return deviation
 
     def without(self, kept: np.ndarray[Any, Any]) -> Problem:
@@ -139,25 +124,25 @@ class Problem:
         )
 
 
-def build_problem(
-    model: ErrorModel, observations: Observations, artefact: Artefact, prior: ParameterPrior, options: Options
-) -> Problem:
-    """Problem at the rigid poses of the measured points. DataError for a ball that the artefact does not have."""
+def build_problem(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Problem:
+    """Problem at the rigid poses of the measured points.
+
+    DataError for a ball that the artefact does not have and for a prior that cannot be used.
+    """
     _check_balls(observations, artefact)
     layout = Layout.of(observations.position)
     seen = observations if _is_sorted(layout.order) else observations.where(layout.order)
     local = _artefact_points(artefact, seen)
     poses = rigid_poses(layout, local, tool_points(seen))
-    nuisance = _nuisance(artefact, seen, options)
-    modes = _modes(model, seen) if options.misfit_mm > 0.0 else None
-    blocks = _blocks(model.size, nuisance, modes)
-    design = _design(blocks, _Field(model, prior, modes, options.misfit_mm), nuisance, seen, layout, poses)
+    unknowns = unknowns_of(family, artefact, seen, options)
+    warmer_k = seen.temperature_c - artefact.reference_temperature_c
+    nuisance = Nuisance(unknowns.artefact, unknowns.artefact.strain_rows(warmer_k))
+    design = _design(unknowns, nuisance, seen, layout, poses)
     return Problem(
-        model=model,
-        prior=prior,
+        unknowns=unknowns,
+        known=None if options.carried_over is None else known_to(unknowns, options.carried_over),
         nuisance=nuisance,
-        modes=modes,
-        blocks=blocks,
+        blocks=unknowns.blocks,
         observations=seen,
         layout=layout,
         local=local,
@@ -205,59 +190,11 @@ def _artefact_points(artefact: Artefact, seen: Observations) -> Array:
     return np.asarray(points + bent[group, seen.ball])
 
 
-def _nuisance(artefact: Artefact, seen: Observations, options: Options) -> Nuisance:
-    difference = seen.temperature_c - artefact.reference_temperature_c
-    columns = []
-    if artefact.cte_standard_uncertainty_per_k > 0.0 and difference.any():
-        columns.append(artefact.cte_standard_uncertainty_per_k * difference)
-    if options.temperature_standard_uncertainty_k > 0.0:
-        strain = artefact.cte_per_k * options.temperature_standard_uncertainty_k
-        columns.append(np.full(seen.size, strain))
-    strain_rows = np.stack(columns, axis=1) if columns else np.zeros((seen.size, 0))
-    return Nuisance(artefact.balls, _certificate_factor(artefact.covariance), strain_rows)
-
-
-def _certificate_factor(covariance: Array) -> Array:
-    diagonal = np.diagonal(covariance)
-    if np.count_nonzero(covariance) == np.count_nonzero(diagonal):
-        factor = np.diag(np.sqrt(diagonal))
-    else:
-        factor = symmetric_factor(covariance, "the covariance of the certificate")
-    return factor[:, np.abs(factor).max(axis=0) > 0.0]
-
-
-def _modes(model: ErrorModel, seen: Observations) -> MisfitModes:
-    x, y, z = seen.tool_offsets[_main_tool(seen)].tolist()
-    return misfit_modes(model, (x, y, z))
-
-
 def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:
     """Each tool in use with its rows; with a single one a slice, which copies nothing."""
     if (tools == tools[0]).all():
         return [(int(tools[0]), slice(None))]
     return [(int(tool), np.flatnonzero(tools == tool)) for tool in np.unique(tools)]
-
-
-def _main_tool(seen: Observations) -> int:
-    return int(np.bincount(seen.tool).argmax())
-
-
-def _blocks(parameters: int, nuisance: Nuisance, modes: MisfitModes | None) -> Blocks:
-    ends = np.cumsum(
-        [parameters, nuisance.certificate.shape[1], nuisance.strain_rows.shape[1], modes.size if modes else 0]
-    ).tolist()
-    starts = [0, *ends[:-1]]
-    return Blocks(*(slice(start, end) for start, end in zip(starts, ends, strict=True)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Field:
-    """What the deviation at a row is made of."""
-
-    model: ErrorModel
-    prior: ParameterPrior
-    modes: MisfitModes | None
-    misfit_mm: float
 
 
 def _laid_out(layout: Layout, rows: Array) -> Array:
@@ -266,36 +203,35 @@ def _laid_out(layout: Layout, rows: Array) -> Array:
     return laid.reshape(layout.positions, layout.width, *rows.shape[1:])
 
 
-def _design(
-    blocks: Blocks, field: _Field, nuisance: Nuisance, seen: Observations, layout: Layout, poses: Poses
-) -> Array:
+def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: Layout, poses: Poses) -> Array:
     """(K·width, 3, P)."""
-    source = layout.source
+    source, blocks = layout.source, unknowns.blocks
     at, tool = seen.axis_positions[source], seen.tool[source]
     if blocks.size == blocks.parameters.stop and (tool == tool[0]).all():
-        return deviation_basis(field.model, at, seen.tool_offsets[tool[0]], field.prior.scale)
+        return deviation_basis(unknowns.model, at, seen.tool_offsets[tool[0]], unknowns.scale)
     design = np.empty((len(source), 3, blocks.size))
     for number, rows in _rows_by_tool(tool):
-        _fill_field(design, rows, blocks, field, at[rows], seen.tool_offsets[number])
+        _fill_field(design, rows, unknowns, at[rows], seen.tool_offsets[number])
     rotation = np.repeat(poses.rotation, layout.width, axis=0)
     _fill_artefact(design, blocks, nuisance, source, seen.ball[source], rotation)
     return design
 
 
 def _fill_field(
-    design: Array, rows: slice | np.ndarray[Any, Any], blocks: Blocks, field: _Field, at: Array, tool_offset: Array
+    design: Array, rows: slice | np.ndarray[Any, Any], unknowns: Unknowns, at: Array, tool_offset: Array
 ) -> None:
-    basis = deviation_basis(field.model, at, tool_offset)
-    design[rows, :, blocks.parameters] = basis * field.prior.scale
-    if field.modes is not None:
-        at_hand = basis if (tool_offset == field.modes.tool_offset).all() else None
-        design[rows, :, blocks.misfit] = field.misfit_mm * field.modes.at(at, at_hand)
+    basis, blocks, modes = deviation_basis(unknowns.model, at, tool_offset), unknowns.blocks, unknowns.modes
+    design[rows, :, blocks.parameters] = basis * unknowns.scale
+    if modes is not None:
+        at_hand = basis if (tool_offset == modes.tool_offset).all() else None
+        design[rows, :, blocks.misfit] = unknowns.misfit_mm * modes.at(at, at_hand)
 
 
 def _fill_artefact(
     design: Array, blocks: Blocks, nuisance: Nuisance, source: Rows, ball: Rows, rotation: Array
 ) -> None:
-    certificate = nuisance.certificate.reshape(len(nuisance.balls), 3, -1)
+    errors = nuisance.errors
+    certificate = errors.certificate.reshape(len(errors.balls), 3, -1)
     design[:, :, blocks.certificate] = -(rotation @ certificate[ball])
-    stretched = (rotation @ nuisance.balls[ball][:, :, None])[:, :, 0]
+    stretched = (rotation @ errors.balls[ball][:, :, None])[:, :, 0]
     design[:, :, blocks.strain] = -stretched[:, :, None] * nuisance.strain_rows[source][:, None, :]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,11 +10,12 @@ from twin.arrays import Array
 from twin.errors import SingularSet
 from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
-from twin.identification.evidence import likely_scales
-from twin.identification.normal import Normal, Posterior, Precision, Scales
+from twin.identification.evidence import likely_scales, log_evidence
+from twin.identification.normal import Known, Normal, Posterior, Precision, Scales
 from twin.identification.options import Formulation, Options
 from twin.identification.poses import Poses
-from twin.identification.problem import Blocks, Problem, Sides
+from twin.identification.problem import Problem, Sides
+from twin.identification.unknowns import Blocks
 from twin.observability import null_space, observability, summary
 
 _MAX_STEPS = 8
@@ -47,14 +48,28 @@ def solve(problem: Problem, options: Options, formulation: Formulation) -> Solut
     equations = _equations(problem, formulation, unit_weights=False)
     precision = _precision(problem, equations.matrix, options)
     start, poses, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
-    scales = likely_scales(start, precision, Scales()) if options.estimate_scales else Scales()
+    scales = _start_scales(options)
+    if options.estimate_scales:
+        scales = likely_scales(start, precision, scales)
     posterior = Posterior.of(equations.matrix, precision, scales)
-    z, normal, poses, sides = _iterate(equations, posterior, scales.noise**2, start, poses)
+    gain = _Gain(posterior, scales.noise**2, precision.pull)
+    z, normal, poses, sides = _iterate(equations, gain, start, poses)
     covariance = posterior.covariance
     taken = float(np.vdot(covariance, equations.matrix)) / scales.noise**2
     freedom = max(equations.rows - taken, 1.0)
     chi2 = normal.misfit_square(z) / freedom
     return Solution(equations, precision, scales, posterior, covariance, z, poses, sides, chi2, freedom)
+
+
+def evidence_of(problem: Problem, options: Options) -> tuple[float, Scales]:
+    """Log evidence of ball centres with full weights, but for what only the rows say, and the likeliest scales."""
+    equations = _equations(problem, "centres", unit_weights=False)
+    normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
+    precision = _precision(problem, equations.matrix, options)
+    scales = _start_scales(options)
+    if options.estimate_scales:
+        scales = likely_scales(normal, precision, scales)
+    return log_evidence(normal, precision, scales), scales
 
 
 def _equations(problem: Problem, formulation: Formulation, unit_weights: bool) -> Equations:
@@ -70,18 +85,34 @@ def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[Normal, Poses
     return Normal(equations.matrix, right, square, equations.rows), poses, sides
 
 
-def _iterate(
-    equations: Equations, posterior: Posterior, variance: float, normal: Normal, poses: Poses
-) -> tuple[Array, Normal, Poses, Sides]:
+def _start_scales(options: Options) -> Scales:
+    """All one, but for those that are carried over with what they led to."""
+    carried = options.carried_over
+    return Scales() if carried is None else replace(carried.scales, noise=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Gain:
+    """z for the right side of normal equations."""
+
+    posterior: Posterior
+    variance: float
+    pull: Array
+
+    def of(self, normal: Normal) -> Array:
+        return self.posterior.solve(normal.right / self.variance + self.pull)
+
+
+def _iterate(equations: Equations, gain: _Gain, normal: Normal, poses: Poses) -> tuple[Array, Normal, Poses, Sides]:
     """Gauss-Newton: exact residuals, one factorisation; the field is linear to nanometres, so two steps do.
 
     The sides at the last z are those of the step before, carried on by the design: a step below `_CONVERGED` leaves
     less than 1e-9 mm to the second order.
     """
-    z = posterior.solve(normal.right / variance)
+    z = gain.of(normal)
     for _ in range(_MAX_STEPS):
         normal, poses, sides = _normal(equations, z, poses)
-        previous, z = z, posterior.solve(normal.right / variance)
+        previous, z = z, gain.of(normal)
         if float(np.abs(z - previous).max()) < _CONVERGED:
             return z, normal, poses, equations.problem.sides_after(sides, z - previous)
     raise SingularSet(
@@ -93,16 +124,16 @@ def _iterate(
 def _precision(problem: Problem, matrix: Array, options: Options) -> Precision:
     """Unit prior; with the prior off, only directions that the measurements leave open are held at zero."""
     if options.use_prior:
-        return Precision(problem.blocks, problem.prior.precision())
+        return Precision(problem.blocks, problem.known)
     block = problem.blocks.parameters
     if options.formulation == "centres" and options.weights == "full":
         _refuse_open_field(problem, matrix[block, block])
-    return Precision(problem.blocks, _held(matrix[block, block]))
+    return Precision(problem.blocks, Known.held(problem.blocks, _held(matrix[block, block])))
 
 
 def _refuse_open_field(problem: Problem, information: Array) -> None:
     tools = problem.observations.used_tool_offsets
-    seen = observability(problem.model, information, problem.prior.scale, tools)
+    seen = observability(problem.unknowns.model, information, problem.unknowns.scale, tools)
     unseen = [direction for direction in seen.null_directions if direction.changes_field]
     if unseen:
         raise SingularSet(
@@ -117,8 +148,8 @@ def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -
     equations = _equations(problem, formulation, unit_weights=True)
     block, size = problem.blocks.parameters, problem.blocks.size
     information = equations.matrix[block, block]
-    alone = Blocks(block, *(slice(block.stop, block.stop) for _ in range(3)))
-    precision = Precision(alone, problem.prior.precision() if options.use_prior else _held(information))
+    alone = Blocks.of(block.stop, 0, 0, 0)
+    precision = Precision(alone, None if options.use_prior else Known.held(alone, _held(information)))
     posterior = Posterior.of(information, precision, Scales())
     z, poses = np.zeros(size), problem.poses
     for _ in range(_MAX_STEPS):
@@ -150,7 +181,7 @@ def _sandwich(equations: Equations, posterior: Posterior, problem: Problem) -> t
     gram, total = equations.noise_gram(block.stop)
     others, noise = posterior.solve(shared), posterior.solve(gram)
     kept = np.eye(block.stop) - posterior.solve(own)
-    error = kept @ problem.prior.unit_covariance() @ kept.T + posterior.solve(noise.T) + others @ others.T
+    error = kept @ kept.T + posterior.solve(noise.T) + others @ others.T
     full = np.eye(blocks.size)
     full[block, block] = error
     full[block, rest] = -others

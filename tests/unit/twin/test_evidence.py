@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from twin.identification.evidence import likely_scales, negative_log_likelihood
-from twin.identification.normal import Normal, Precision, Scales
-from twin.identification.problem import Blocks
+from twin.identification.normal import Known, Normal, Precision, Scales
+from twin.identification.unknowns import Blocks
 
 BLOCKS = Blocks(slice(0, 4), slice(4, 6), slice(6, 6), slice(6, 9))
 
@@ -38,7 +38,7 @@ def test_differences_of_the_likelihood_are_those_of_the_dense_density() -> None:
 @pytest.mark.parametrize("given", [None, np.diag([1.0, 2.0, 3.0, 4.0]) + 0.3])
 def test_gradient_is_that_of_differences(given: np.ndarray | None) -> None:
     _, _, normal = equations(2)
-    precision = Precision(BLOCKS, given)
+    precision = Precision(BLOCKS, None if given is None else Known.held(BLOCKS, given))
     at = np.log([1.3, 1.0 if given is not None else 0.7, 1.9])
     gradient = negative_log_likelihood(normal, precision, Scales(*np.exp(at)))[1]
     for k in range(3) if given is None else (0, 2):

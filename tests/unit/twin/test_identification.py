@@ -126,7 +126,7 @@ def test_a_covariance_taken_as_prior_equals_measuring_both_at_once() -> None:
     position = np.concatenate((first.position, second.position + 100))
     both = Observations(position=position, tool_offsets=first.tool_offsets, **joined)
     last_night = identify(model, first, artefact, family, PLAIN)
-    carried = dataclasses.replace(PLAIN, prior_mean=last_night.parameters, prior_covariance=last_night.covariance)
+    carried = dataclasses.replace(PLAIN, carried_over=last_night.carried_over())
     in_turn = identify(model, second, artefact, family, carried)
     at_once = identify(model, both, artefact, family, PLAIN)
     scale = family.prior_standard_deviation

@@ -1,0 +1,117 @@
+"""What the shared unknowns of an identification stand for, each in units of its prior standard deviation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.artefact import Artefact
+from twin.error_model import ErrorModel
+from twin.identification.misfit import MisfitModes
+
+_SAME = 1e-9  # of the largest variance: how far two covariances of one certificate may differ
+
+Indices = np.ndarray[Any, np.dtype[np.int64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Where each kind of unknown stands in z."""
+
+    parameters: slice
+    certificate: slice
+    strain: slice
+    misfit: slice
+
+    @classmethod
+    def of(cls, parameters: int, certificate: int, strain: int, misfit: int) -> Blocks:
+        """One after the other, of these sizes."""
+        ends = np.cumsum([parameters, certificate, strain, misfit]).tolist()
+        return cls(*(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)))
+
+    @property
+    def size(self) -> int:
+        return int(self.misfit.stop)
+
+
+@dataclass(frozen=True, eq=False)
+class ArtefactErrors:
+    """What is not known of one artefact, and which artefact that is.
+
+    `balls` (N, 3) mm and `cte_per_k` as certified; `certificate` (3N, m) factor of the certificate's covariance, m = 0
+    for a perfect one; standard uncertainties of the CTE (1/K) and of the thermometer (K), 0 for none.
+    """
+
+    balls: Array
+    cte_per_k: float
+    certificate: Array
+    cte_standard_uncertainty_per_k: float
+    thermometer_standard_uncertainty_k: float
+
+    @property
+    def strains(self) -> tuple[str, ...]:
+        """Thermal unknowns in their order."""
+        doubts = (
+            ("cte", self.cte_standard_uncertainty_per_k),
+            ("thermometer", self.thermometer_standard_uncertainty_k),
+        )
+        return tuple(name for name, doubt in doubts if doubt > 0.0)
+
+    def strain_rows(self, warmer_k: Array) -> Array:
+        """(n, s) strain per unit of each thermal unknown for rows so much (n,) warmer than the reference."""
+        columns = {
+            "cte": self.cte_standard_uncertainty_per_k * warmer_k,
+            "thermometer": np.full(len(warmer_k), self.cte_per_k * self.thermometer_standard_uncertainty_k),
+        }
+        chosen = [columns[name] for name in self.strains]
+        return np.stack(chosen, axis=1) if chosen else np.zeros((len(warmer_k), 0))
+
+    def belong_to(self, artefact: Artefact) -> bool:
+        """Whether the artefact and its certificate are the same."""
+        if self.balls.shape != artefact.balls.shape or not np.array_equal(self.balls, artefact.balls):
+            return False
+        doubt = (self.cte_per_k, self.cte_standard_uncertainty_per_k)
+        difference = np.abs(self.certificate @ self.certificate.T - artefact.covariance).max()
+        return bool(
+            doubt == (artefact.cte_per_k, artefact.cte_standard_uncertainty_per_k)
+            and difference <= _SAME * np.abs(artefact.covariance).max()
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """z (P,): parameters = `scale` (p,) mm or rad · z, certificate and strain of `artefact`, misfit = `misfit_mm` ·
+    `modes` · z."""
+
+    model: ErrorModel
+    scale: Array
+    artefact: ArtefactErrors
+    modes: MisfitModes | None
+    misfit_mm: float
+
+    @property
+    def blocks(self) -> Blocks:
+        misfit = 0 if self.modes is None else self.modes.size
+        return Blocks.of(self.model.size, self.artefact.certificate.shape[1], len(self.artefact.strains), misfit)
+
+    def name(self, index: int) -> str:
+        """For people: `EXX[1]`, `certificate 3`, `strain cte`, `misfit 12`."""
+        blocks = self.blocks
+        if index < blocks.certificate.start:
+            return self.model.names[index]
+        if index < blocks.strain.start:
+            return f"certificate {index - blocks.certificate.start}"
+        if index < blocks.misfit.start:
+            return f"strain {self.artefact.strains[index - blocks.strain.start]}"
+        return f"misfit {index - blocks.misfit.start}"
+
+    def parameters(self, z: Array) -> Array:
+        """(p,) in mm or rad from z (P,)."""
+        return np.asarray(self.scale * z[self.blocks.parameters])
+
+    def physical_covariance(self, unit: Array) -> Array:
+        """Covariance (p, p) of the parameters from that of their z."""
+        return np.asarray(unit * np.multiply.outer(self.scale, self.scale))
