@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulators.world.field import TableField, TipShift
-from simulators.world.motion import Path
 from simulators.world.workpiece import Standing
 from twin.geometry import Point, added
+from twin.motion import Path, entry
 
 
 @dataclass(frozen=True)
@@ -94,21 +94,6 @@ class ContactSolver:
             points = [(x, y, z) for x, y, z in apparent.tolist()]
             self._near = kept = (standing, self._shift.table, points)
         return kept[2]
-
-
-def entry(tip: Point, path: Path, centre: Point, reach: float) -> float | None:
-    """Distance along `path` at which a tip that starts at `tip` comes within `reach` of `centre` from outside."""
-    mx, my, mz = tip[0] - centre[0], tip[1] - centre[1], tip[2] - centre[2]
-    dx, dy, dz = path.direction
-    closing = mx * dx + my * dy + mz * dz
-    if closing >= 0.0:
-        return None
-    outside = mx * mx + my * my + mz * mz - reach * reach
-    discriminant = closing * closing - outside
-    if outside < 0.0 or discriminant < 0.0:
-        return None
-    distance = outside / (math.sqrt(discriminant) - closing)
-    return distance if distance <= path.length else None
 
 
 def _closing(tip: Point, direction: Point, centre: Point) -> float:

@@ -20,7 +20,6 @@ from simulators.world.contact import ContactSolver
 from simulators.world.course import Command, Course, Kind, Outlook, course_of
 from simulators.world.field import FieldOfMany, TipShift
 from simulators.world.foresight import Foresight
-from simulators.world.motion import MotionLaw, straight, trapezoid
 from simulators.world.play import Play
 from simulators.world.tables import TableBanks
 from simulators.world.thermal import Thermal
@@ -29,6 +28,7 @@ from simulators.world.workpiece import Workpiece
 from twin.arrays import Array
 from twin.geometry import Point, point
 from twin.machine_description import MachineDescription
+from twin.motion import MotionLaw, straight, trapezoid
 
 LIMIT_TOLERANCE_MM = 1e-6
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from simulators.world.motion import MotionLaw, Path
 from twin.bodies import TIP, ball_name
 from twin.geometry import Point
+from twin.motion import MotionLaw, Path
 
 
 class Kind(Enum):

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.world.motion import MotionLaw, Phase, straight, trapezoid
+from twin.motion import MotionLaw, Phase, straight, trapezoid
 
 
 def test_a_long_move_ramps_cruises_and_ramps() -> None:

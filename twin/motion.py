@@ -151,3 +151,18 @@ def straight(start: Point, target: Point) -> Path:
     if length == 0.0:
         return Path(start, (0.0, 0.0, 0.0), 0.0)
     return Path(start, (x / length, y / length, z / length), length)
+
+
+def entry(tip: Point, path: Path, centre: Point, reach: float) -> float | None:
+    """Distance along `path` at which a tip that starts at `tip` comes within `reach` of `centre` from outside."""
+    mx, my, mz = tip[0] - centre[0], tip[1] - centre[1], tip[2] - centre[2]
+    dx, dy, dz = path.direction
+    closing = mx * dx + my * dy + mz * dz
+    if closing >= 0.0:
+        return None
+    outside = mx * mx + my * my + mz * mz - reach * reach
+    discriminant = closing * closing - outside
+    if outside < 0.0 or discriminant < 0.0:
+        return None
+    distance = outside / (math.sqrt(discriminant) - closing)
+    return distance if distance <= path.length else None
