@@ -87,7 +87,7 @@ def assemble_rehearsal(job: Job, clock: VirtualClock, start_mm: Point | None) ->
         "probe": vars(settings.probe),
         "stations_mm": [list(place) for place in settings.stations.places_mm],
         "standing_at": settings.stations.standing_at or 1,
-        "mount_behaviour": settings.timing.model_dump(),
+        "mount_behaviour": settings.timing.model_dump(include={"speed_deg_per_s", "acceleration_deg_per_s2"}),
         "ideal": True,
     }
     if start_mm is not None:

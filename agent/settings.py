@@ -106,10 +106,18 @@ class VerificationSettings(Strict):
 
 
 class TimingSettings(Strict):
-    """What the dry run must know of the mount to predict the machine time; the axes' figures are the machine file's."""
+    """What must be known to predict the machine time; the axes' figures are the machine file's.
+
+    Speed and acceleration are the mount's. The latencies come on top of the motion of each command; that of a turn
+    includes the mount's settling. The simulated operator carries the artefact in no time.
+    """
 
     speed_deg_per_s: PositiveFloat = 20.0
     acceleration_deg_per_s2: PositiveFloat = 40.0
+    command_latency_s: float = Field(default=0.0, ge=0.0, le=60.0)
+    touch_latency_s: float = Field(default=0.0, ge=0.0, le=60.0)
+    turn_latency_s: float = Field(default=0.0, ge=0.0, le=600.0)
+    carrying_minutes: float = Field(default=0.0, ge=0.0, le=600.0)
 
 
 class PreflightSettings(Strict):
