@@ -89,7 +89,7 @@ def write_atomically(path: Path, text: str) -> None:
     write_all_atomically(path.parent, {path.name: text})
 
 
-def write_all_atomically(directory: Path, texts: Mapping[str, str]) -> None:
+def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -> None:
     """Write several files of one directory (made if missing); nothing appears unless all could be written.
 
     Every file is complete on the disk under a temporary name before the first is given its own.
@@ -97,11 +97,11 @@ def write_all_atomically(directory: Path, texts: Mapping[str, str]) -> None:
     staged: dict[Path, Path] = {}
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
+        for name, content in contents.items():
             target = directory / name
             if target.is_dir():
                 raise InputError("a directory stands where a file is to be written", file=str(target))
-            staged[target] = _stage(directory, name, text)
+            staged[target] = _stage(directory, name, content)
         for target, temporary in staged.items():
             temporary.replace(target)
         _sync_directory(directory)
@@ -117,11 +117,11 @@ def write_all_atomically(directory: Path, texts: Mapping[str, str]) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def _stage(directory: Path, name: str, text: str) -> Path:
+def _stage(directory: Path, name: str, content: str | bytes) -> Path:
     handle, temporary = tempfile.mkstemp(dir=directory, prefix=f".{name}.")
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(text.encode())
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fchmod(file.fileno(), FILE_MODE)
             os.fsync(file.fileno())

@@ -30,6 +30,8 @@ OWN_COMMANDS = {
     "doctor": "agent.cli.doctor:doctor_command",
     "identify": "agent.cli.identify:identify",
     "plan": "agent.cli.plan:plan_command",
+    "study": "agent.cli.study:study_command",
+    "rank": "agent.cli.rank:rank_command",
     "table": "agent.cli.table:table_group",
 }
 

@@ -1,0 +1,156 @@
+"""`volcal study`: a study of the procedure by name, with its figure and its numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Literal
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from agent.case import CASE_STUDY, load_case
+from agent.cli.errors import reported
+from agent.files import translated
+from agent.job import naming
+from agent.settings import IdentificationSettings
+from agent.studies import STUDIES
+from agent.studies.study import StudyCase, StudyResult
+from agent.studies.workers import LocalWorkers, Workers
+from agent.studies.writing import document, ready_folder, write_result
+from drivers.clock import wall_seconds
+from drivers.errors import ConfigurationError
+from twin.identification import Options
+
+PATH = click.Path(path_type=Path)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What the command line says of the identification; None: as the settings say."""
+
+    formulation: Literal["centres", "distances"] | None
+    prior: Literal["on", "off"] | None
+    weights: Literal["full", "unit"] | None
+
+    def options(self, settings: IdentificationSettings) -> Options:
+        return Options(
+            formulation=self.formulation or settings.formulation,
+            use_prior=settings.prior if self.prior is None else self.prior == "on",
+            weights=self.weights or settings.weights,
+        )
+
+
+@click.command("study")
+@click.argument("name", type=click.Choice(sorted(STUDIES)), metavar="NAME")
+@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings [default: the shipped case study].")
+@click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of that of the settings.")
+@click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of that of the settings.")
+@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations evenly along X.")
+@click.option("--set", "position_set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
+@click.option("--formulation", type=click.Choice(["centres", "distances"]))
+@click.option("--prior", type=click.Choice(["on", "off"]))
+@click.option("--weights", type=click.Choice(["full", "unit"]))
+@click.option("--machines", type=click.IntRange(min=1), default=500, show_default=True, help="How many to draw.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Same seed, same numbers.")
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes [default: one for each core].")
+@click.option("--cluster", metavar="ADDRESS", help="Dask scheduler (tcp://HOST:PORT) whose workers do the work.")
+@click.option("--out", type=PATH, default=Path("studies"), show_default=True, metavar="DIR")
+@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@reported
+def study_command(
+    *,
+    name: str,
+    config: Path,
+    machine: Path | None,
+    artefact: Path | None,
+    stations: int | None,
+    position_set: str | None,
+    formulation: Literal["centres", "distances"] | None,
+    prior: Literal["on", "off"] | None,
+    weights: Literal["full", "unit"] | None,
+    machines: int,
+    seed: int,
+    workers: int | None,
+    cluster: str | None,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Study the procedure without a machine; writes NAME.png, NAME.svg, NAME.csv and NAME.json into DIR."""
+    started = wall_seconds()
+    ready_folder(out)
+    job = load_case(config, machine=machine, artefact=artefact, stations=stations)
+    chosen = Chosen(formulation, prior, weights)
+    with naming(config), hired(workers, cluster) as team, progress_bars() as progress, translated(ConfigurationError):
+        case = StudyCase(
+            job=job,
+            options=chosen.options(job.settings.identification),
+            seed=seed,
+            machines=machines,
+            workers=team,
+            progress=progress,
+            position_set=position_set,
+        )
+        result = found(name, case)
+    files = write_result(result, out)
+    said = {**document(result), "wall_seconds": round(wall_seconds() - started, 3)}
+    if as_json:
+        click.echo(
+            json.dumps({**said, "files": {suffix: str(path) for suffix, path in files.items()}}, allow_nan=False)
+        )
+    else:
+        _show(result, files)
+
+
+def found(name: str, case: StudyCase) -> StudyResult:
+    """The result of a study, with what its numbers rest on in the summary."""
+    module, _, attribute = STUDIES[name].partition(":")
+    run: Callable[[StudyCase], StudyResult] = getattr(import_module(module), attribute)
+    result = run(case)
+    return replace(result, summary={**case.facts, **result.summary})
+
+
+@contextmanager
+def hired(workers: int | None, cluster: str | None) -> Iterator[Workers]:
+    """Workers on this computer or on a cluster, sent home after the block."""
+    if cluster is not None and workers is not None:
+        raise ConfigurationError("--workers are those of this computer, --cluster has its own", hint="give one of them")
+    with LocalWorkers(workers) as team:
+        yield team
+
+
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """One bar for each thing that is done, on stderr."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    tasks: dict[str, TaskID] = {}
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+
+        def show(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what)
+            bars.update(tasks[what], completed=done, total=total)
+
+        yield show
+
+
+def _show(result: StudyResult, files: dict[str, Path]) -> None:
+    table = Table(title=result.title, title_justify="left", show_header=False)
+    for key, value in document(result).items():
+        if isinstance(value, (str, int, float)) and key not in ("study", "title"):
+            table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(table)
+    for path in files.values():
+        console.print(str(path), markup=False)

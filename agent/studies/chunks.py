@@ -1,0 +1,72 @@
+"""Items handed to a worker together, and how one that fails is named.
+
+What runs in a worker's process is here, and nothing that a worker does not need.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Generic, TypeVar
+
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+from drivers.errors import InputError, VolcalError
+from twin.errors import TwinError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_LONGEST_NAME = 60
+
+
+@dataclass(frozen=True)
+class Chunk(Generic[Item]):
+    """Some items of a list, from number `first` on."""
+
+    first: int
+    items: Sequence[Item]
+
+    def run(self, task: Callable[[Item], Result]) -> list[Result]:
+        """The results, each computed by itself with one thread; whatever fails is named as error of the one tree."""
+        results: list[Result] = []
+        with threadpool_limits(limits=1):
+            for number, item in enumerate(self.items, start=self.first):
+                try:
+                    results.append(task(item))
+                except Exception as error:
+                    raise _named(error, _name(number, item)) from error
+        return results
+
+
+def chunked(items: Sequence[Item], most: int) -> list[Chunk[Item]]:
+    """At most `most` chunks of equal size but for the last one."""
+    size = max(1, -(-len(items) // max(most, 1)))
+    return [Chunk(start, items[start : start + size]) for start in range(0, len(items), size)]
+
+
+def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
+    """In a worker: the results of a chunk for a pickled task."""
+    return chunk.run(_unpickled(task))
+
+
+@lru_cache(maxsize=2)
+def _unpickled(task: bytes) -> Callable[[Any], Any]:
+    """Kept, because one task comes with many chunks."""
+    unpickled: Callable[[Any], Any] = pickle.loads(task)  # noqa: S301  pickled by the process that started this work
+    return unpickled
+
+
+def _named(error: Exception, item: str) -> VolcalError:
+    if isinstance(error, VolcalError):
+        return error.at(item=item)
+    if isinstance(error, TwinError):
+        return InputError(error.message, hint=error.hint, **error.where).at(item=item)
+    return VolcalError(f"the computation failed: {type(error).__name__}: {error}", item=item)
+
+
+def _name(number: int, item: object) -> str:
+    text = repr(item)
+    return str(number) if text == str(number) or len(text) > _LONGEST_NAME else f"{number}: {text}"

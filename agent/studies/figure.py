@@ -1,0 +1,113 @@
+"""How the figures of studies look: light background, one set of colours, labels with units.
+
+The colours are Okabe and Ito's, which people with any of the common colour deficiencies tell apart; the map colours
+(viridis) grow evenly in lightness. The same drawing is given as PNG and as SVG.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+INK = "#1b2430"
+QUIET = "#5a6675"
+GRID = "#dfe4e9"
+BLUE = "#0072b2"
+ORANGE = "#d55e00"
+GREEN = "#009e73"
+PURPLE = "#cc79a7"
+SKY = "#56b4e9"
+AMBER = "#e69f00"
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, INK)
+"""Colours of series, in the order in which they are used."""
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""Markers of series, so that no colour alone tells two apart."""
+
+MAP_COLOURS = "viridis"
+BAND_OPACITY = 0.22
+
+DOTS_PER_INCH = 150
+
+Draw = Callable[[Figure], None]
+
+_SETTINGS: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.image_inline": True,
+    "font.family": "sans-serif",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.prop_cycle": cycler(color=SERIES),
+    "lines.linewidth": 1.5,
+    "lines.markersize": 4.5,
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+    "axes.facecolor": "white",
+    "savefig.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "image.cmap": MAP_COLOURS,
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One drawing in both forms."""
+
+    png: bytes
+    svg: str
+
+
+def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
+    """Draw a figure of `size_in` (width, height) inches under the house style; the same input gives the same bytes."""
+    with mpl.rc_context(_SETTINGS):
+        mpl.rcParams["svg.hashsalt"] = name
+        figure = Figure(figsize=size_in, dpi=DOTS_PER_INCH)
+        draw(figure)
+        return Picture(_png(figure), _svg(figure))
+
+
+def from_zero(axes: Axes, label: str) -> None:
+    """Label the ordinate and let it begin at zero, as a length in µm should."""
+    axes.set_ylabel(label)
+    axes.set_ylim(bottom=0.0)
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
+    return buffer.getvalue()
+
+
+def _svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    unstamped = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    FigureCanvasSVG(figure).print_svg(buffer, metadata=unstamped)  # type: ignore[no-untyped-call]
+    return buffer.getvalue()

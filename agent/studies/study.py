@@ -1,0 +1,115 @@
+"""What a study is given and what it gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from agent.files import load_positions
+from agent.job import POSITION_FILES, Job
+from agent.studies.figure import Draw
+from agent.studies.workers import Workers
+from twin.arrays import Array
+from twin.artefact import Artefact
+from twin.identification import Options
+from twin.machine_description import MachineDescription
+from twin.position_set import Position, positions_of
+from twin.procedure import Procedure
+from twin.reality import Reality
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Cell = str | int | float | bool | None
+
+Progress = Callable[[str, int, int], None]
+"""Is told what is being done, how much of it is done, and how much there is."""
+
+
+@dataclass(frozen=True, eq=False)
+class StudyCase:
+    """`options`: how to identify; `machines`: how many to draw; `position_set`: what `--set` says, None for the set of
+    the settings."""
+
+    job: Job
+    options: Options
+    seed: int
+    machines: int
+    workers: Workers
+    progress: Progress
+    position_set: str | None = None
+
+    @property
+    def machine(self) -> MachineDescription:
+        return self.job.machine
+
+    @property
+    def artefact(self) -> Artefact:
+        return self.job.artefact
+
+    @property
+    def procedure(self) -> Procedure:
+        return self.job.procedure
+
+    @property
+    def tool_offset(self) -> Array:
+        """(3,) mm."""
+        return self.job.tool_offset_mm
+
+    @property
+    def reality(self) -> Reality:
+        """What procedures meet in this case: machines of the family with the deflection of the machine file."""
+        return Reality.of_case(self.machine)
+
+    def positions(self, expression: str | None = None) -> tuple[Position, ...]:
+        """Positions of `S1`, `S1+S3` … or of a position file, at the stations of the case; by default those that the
+        user asked for. Raises TwinError for an unknown set, UserError for a file."""
+        expression = expression or self.position_set
+        if expression is None:
+            return self.job.positions
+        if expression.endswith(POSITION_FILES):
+            return load_positions(Path(expression))
+        return tuple(
+            position for position in positions_of(expression, max(self.stations)) if position.station in self.stations
+        )
+
+    @property
+    def stations(self) -> tuple[int, ...]:
+        """Numbers of the stations at which named sets are measured."""
+        return tuple(self.job.settings.procedure.stations or self.procedure.stations)
+
+    def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:
+        """The results of `task` for all items, in their order, by the workers; `what` is shown as progress."""
+        total = len(items)
+        return self.workers.map(task, items, lambda done: self.progress(what, done, total))
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """What the numbers of a study rest on, for its summary."""
+        return {
+            "machine": self.machine.name,
+            "artefact": self.artefact.name,
+            "balls": self.artefact.count,
+            "stations": len(self.stations),
+            "set": self.position_set or self.job.settings.procedure.position_set,
+            "formulation": self.options.formulation,
+            "prior": self.options.use_prior,
+            "weights": self.options.weights,
+            "machines": self.machines,
+            "seed": self.seed,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class StudyResult:
+    """A table (`columns`, whose names carry units, and `rows`), the `summary` that JSON can hold, and the figure:
+    `draw` puts it on an empty one of `size_in` inches under the style of `agent.studies.figure`."""
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[Sequence[Cell]]
+    summary: Mapping[str, object]
+    draw: Draw
+    size_in: tuple[float, float] = (7.0, 4.2)
