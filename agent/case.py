@@ -17,9 +17,15 @@ CASE_STUDY = SHIPPED / "case-study.toml"
 
 
 def load_case(
-    config: Path, *, machine: Path | None = None, artefact: Path | None = None, stations: int | None = None
+    config: Path,
+    *,
+    machine: Path | None = None,
+    artefact: Path | None = None,
+    stations: int | None = None,
+    tool: str | None = None,
 ) -> Job:
-    """The job of a settings file, with another machine or artefact file, or with `stations` places evenly along X.
+    """The job of a settings file, with another machine or artefact file, with `stations` places evenly along X, or with
+    another of the machine's tools.
 
     Raises ConfigurationError naming file and key.
     """
@@ -30,6 +36,8 @@ def load_case(
             chosen["machine"] = machine.resolve()
         if artefact is not None:
             chosen["artefact"] = artefact.resolve()
+        if tool is not None:
+            chosen["tool"] = tool
         settings = settings.model_copy(update=chosen)
         if stations is not None:
             settings = _with_stations(settings, stations)

@@ -104,6 +104,11 @@ def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
     return tuple(_group_text(members) for members in groups.values())
 
 
+def listed(names: Sequence[str]) -> str:
+    """`EXX`, `EXX and EYY`, `EXX, EYY and EZZ`."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
 def _directions(
     model: ErrorModel, null: Array, scale: Array, tool_offsets: Array, seer: str
 ) -> tuple[NullDirection, ...]:
@@ -163,7 +168,7 @@ def _text(names: list[str], how: str) -> str:
     if len(names) > 1 + _MANY_PARTNERS:
         leading = ", ".join(names[1 : 1 + _MANY_PARTNERS])
         return f"{names[0]} mixed with {len(names) - 1} others, most of all {leading}: not told apart {how}"
-    return f"{names[0]} merges with {' and '.join(names[1:])}: not told apart {how}"
+    return f"{names[0]} merges with {listed(names[1:])}: not told apart {how}"
 
 
 def _group_text(members: list[NullDirection]) -> str:

@@ -44,6 +44,13 @@ class Trial:
     tool: OtherTool | None = None
     added: str = ""
 
+    @property
+    def kind(self) -> str:
+        """The same for trials of which one is enough."""
+        if self.tool is None:
+            return self.added or "again"
+        return f"lateral {AXES[self.tool.axis]}" if self.tool.lateral else "length"
+
 
 @dataclass(frozen=True, eq=False)
 class Gain:
@@ -58,6 +65,12 @@ class Gain:
     def rank(self) -> int:
         """Parameters more than before."""
         return self.after.rank - self.before.rank
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Names of error motions, squareness and cross-effect that some null direction held before, and none after."""
+        hidden = _hidden(self.after)
+        return tuple(name for name in _hidden(self.before) if name not in hidden)
 
     @property
     def unseen_removed_mm(self) -> float:
@@ -116,6 +129,12 @@ def gains(set_up: SetUp, before: Visibility, views: Sequence[Viewpoint]) -> tupl
         if more > 0:
             found.append(Gain(trial, before, visibility(trial.set_up.estimate(), views), more))
     return tuple(sorted(found, key=lambda gain: -gain.unseen_removed_mm))
+
+
+def _hidden(seen: Visibility) -> tuple[str, ...]:
+    """What takes part in a null direction, in the model's order: EBY for EBY[1], EBY[2], …"""
+    names = {name for direction in seen.null_directions for name in direction.loadings}
+    return tuple(dict.fromkeys(p.error for p in seen.model.parameters if p.name in names))
 
 
 def _other(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> OtherTool:

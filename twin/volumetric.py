@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
+from twin.chain import AXES
 from twin.error_model import ErrorModel, Ranges
 from twin.errors import DataError, ModelError
 from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
 
 _CHUNK = 2000  # grid points whose basis is held at a time
+_END_TOLERANCE = 1e-9  # of the range
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,35 @@ class Volumetric:
 
 
 def evaluation_grid(ranges_mm: Ranges, shape: tuple[int, int, int] = (60, 20, 20)) -> Array:
-    """Axis positions (n, 3) of a regular grid over the ranges, ends included; x slowest, z fastest."""
-    nodes = [np.linspace(low, high, count) for (low, high), count in zip(ranges_mm, shape, strict=True)]
-    return np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+    """Axis positions (n, 3) of a regular grid over the ranges, ends included; x slowest, z fastest.
+
+    Raises ModelError for fewer than two points along an axis.
+    """
+    x, y, z = (np.linspace(low, high, max(count, 0)) for (low, high), count in zip(ranges_mm, shape, strict=True))
+    return covering_grid(ranges_mm, (x, y, z))
+
+
+def covering_grid(ranges_mm: Ranges, nodes: tuple[ArrayLike, ArrayLike, ArrayLike]) -> Array:
+    """Axis positions (n, 3) of the grid with these nodes (mm) along X, Y, Z; x slowest, z fastest.
+
+    Raises ModelError naming the axis where the nodes do not ascend from one end of the range to the other: a rms over
+    less than the workspace is no volumetric error.
+    """
+    lines = [np.asarray(line, dtype=np.float64) for line in nodes]
+    for axis, line, (low, high) in zip(AXES, lines, ranges_mm, strict=True):
+        _refuse_gap(axis, line, low, high)
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _refuse_gap(axis: str, nodes: Array, low: float, high: float) -> None:
+    hint = f"Give at least two ascending points from {low:g} to {high:g} mm"
+    if nodes.ndim != 1 or len(nodes) < 2 or not np.isfinite(nodes).all() or not (np.diff(nodes) > 0.0).all():
+        given = "points that do not ascend" if nodes.size > 1 else "1 point" if nodes.size else "no points"
+        raise ModelError(f"a grid with {given} does not cover the workspace", hint=hint, axis=axis)
+    room = _END_TOLERANCE * (high - low)
+    if nodes[0] > low + room or nodes[-1] < high - room:
+        message = f"the grid from {nodes[0]:g} to {nodes[-1]:g} mm does not cover the workspace"
+        raise ModelError(message, hint=hint, axis=axis)
 
 
 def rms(deviation: Array) -> float:

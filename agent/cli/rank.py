@@ -1,0 +1,141 @@
+"""`volcal rank`: what a set-up will see of a machine, what stays hidden, and what would show more."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Literal
+
+import click
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from agent.case import CASE_STUDY
+from agent.cli.errors import reported
+from agent.ranking import Question, Ranking, rank
+from agent.report.wording import number, plural, point
+from twin.visibility import Visibility
+from twin.visibility_trials import Gain
+from twin.visibility_wording import UM_PER_MM, effect, proposal
+
+PATH = click.Path(path_type=Path)
+MILLIONTHS = 1e3, 1e6
+"""µm per mm and µrad per rad."""
+
+
+def _shape(_: click.Context, __: click.Parameter, text: str) -> tuple[int, int, int]:
+    try:
+        x, y, z = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise click.BadParameter("write points along X, Y and Z, such as 60x20x20") from None
+    return x, y, z
+
+
+@click.command("rank")
+@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings: mount, stations, probe. [default: case study]")
+@click.option("--machine", type=PATH, help="Machine file (TOML) instead of that of the settings.")
+@click.option("--artefact", type=PATH, help="Artefact file (TOML) instead of that of the settings.")
+@click.option("--set", "position_set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
+@click.option("--stations", type=click.IntRange(min=1), help="So many, evenly along X, instead of the settings'.")
+@click.option("--tool", "tools", multiple=True, metavar="NAME", help="Tool to measure with; once for each of several.")
+@click.option("--formulation", type=click.Choice(["centres", "distances"]))
+@click.option(
+    "--grid", "grid_shape", default="60x20x20", show_default=True, callback=_shape, help="Points over the workspace."
+)
+@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@reported
+def rank_command(
+    *,
+    config: Path,
+    machine: Path | None,
+    artefact: Path | None,
+    position_set: str | None,
+    stations: int | None,
+    tools: tuple[str, ...],
+    formulation: Literal["centres", "distances"] | None,
+    grid_shape: tuple[int, int, int],
+    as_json: bool,
+) -> None:
+    """What a set-up will see of a machine, and what would show more; nothing is measured, no device is touched."""
+    found = rank(Question(config, machine, artefact, position_set, stations, tools, formulation, grid_shape))
+    if as_json:
+        click.echo(json.dumps(found.as_json(), allow_nan=False))
+        return
+    _show(found, Console(highlight=False, soft_wrap=True))
+
+
+def _show(found: Ranking, console: Console) -> None:
+    console.print(_headline(found), markup=False)
+    console.print(_fields_table(found))
+    console.print(
+        "Unseen: what the estimate will not follow of a machine of the family. Blind: the part of it\n"
+        "that no repetition of these positions shows. VCE: with a table made for that tool.\n"
+    )
+    seen = found.seen
+    console.print(f"Seen: {seen.rank} of {seen.model.size} parameters, conditioning {number(seen.conditioning)}.")
+    for line in seen.null_summary:
+        console.print(f"  {line}", markup=False)
+    console.print(_sigma_table(seen))
+    console.print("What would show more, the most first:")
+    for place, gain in enumerate(_first_of_each_kind(found.advice), start=1):
+        console.print(f"{place:3d}. {proposal(gain.trial)}:\n     {effect(gain)}", markup=False)
+
+
+def _first_of_each_kind(advice: Sequence[Gain]) -> list[Gain]:
+    """Of lengths, and of styli along one axis, only the best."""
+    best: dict[str, Gain] = {}
+    for gain in advice:
+        best.setdefault(gain.trial.kind, gain)
+    return list(best.values())
+
+
+def _headline(found: Ranking) -> str:
+    planned, procedure = found.planned, found.set_up.procedure
+    tools = ", ".join(f"{name} {point(layout.tool_offset_mm)}" for name, layout in procedure.layouts.items())
+    left = f"; {plural(len(planned.left_out), 'position')} out of reach" if planned.left_out else ""
+    return (
+        f"{found.job.machine.name}, {procedure.artefact.name}, {found.position_set} at "
+        f"{plural(len(procedure.stations), 'station')}, {tools}\n"
+        f"{plural(len(planned.positions), 'position')}, {plural(planned.observations.size, 'ball')}{left}"
+    )
+
+
+def _fields_table(found: Ranking) -> Table:
+    table = Table(title="rms over the workspace in µm, best rigid motion taken out", title_justify="left")
+    table.add_column("tool")
+    table.add_column("measured")
+    for head in ("no table", "unseen", "blind", "VCE to expect"):
+        table.add_column(head, justify="right")
+    for at, vce in zip(found.seen.fields, found.vce, strict=True):
+        values = (UM_PER_MM * at.prior_mm, UM_PER_MM * at.unseen_mm, UM_PER_MM * at.blind_mm, vce.aligned_um)
+        table.add_row(escape(at.tool), "yes" if at.measured else "no", *(f"{value:.2f}" for value in values))
+    return table
+
+
+def _sigma_table(seen: Visibility) -> Table:
+    """Standard deviations by error and order, before and after."""
+    rows = [(error, list(cells)) for error, cells in _sigma_rows(seen)]
+    table = Table(title="standard deviation, before → after, in µm and µrad", title_justify="left")
+    table.add_column("error")
+    for order in range(1, max(max((o for o, _ in cells), default=1) for _, cells in rows) + 1):
+        table.add_column(f"order {order}", justify="right")
+    for error, cells in rows:
+        by_order = dict(cells)
+        table.add_row(escape(error), *(by_order.get(order, "") for order in range(1, len(table.columns))))
+    return table
+
+
+def _sigma_rows(seen: Visibility) -> Iterator[tuple[str, Iterator[tuple[int, str]]]]:
+    """Error name, or that of a single term, with (order, text); a term without order stands in the first column."""
+    parts = zip(seen.model.parameters, seen.prior_sigma.tolist(), seen.posterior_sigma.tolist(), strict=True)
+    named = ((p.error if p.order else p.name, max(p.order, 1), _change(p.unit, a, b)) for p, a, b in parts)
+    for error, cells in groupby(named, key=lambda cell: cell[0]):
+        yield error, ((order, text) for _, order, text in cells)
+
+
+def _change(unit: Literal["mm", "rad"], before: float, after: float) -> str:
+    factor = MILLIONTHS[unit == "rad"]
+    return f"{factor * before:.2g} → {factor * after:.2g}"
