@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from twin.arrays import Array, as_vector
 from twin.chain import AXES
 from twin.deflection import DeflectionGrid
-from twin.error_model import ErrorModel, Ranges
+from twin.error_model import ERROR_MOTIONS, ErrorModel, Ranges
 from twin.errors import ModelError
-from twin.family import Family
+from twin.family import Family, family_from_amplitudes
 
 Triple = tuple[float, float, float]
 
@@ -50,6 +50,17 @@ class MachineDescription:
             hint = "Outside a grid nothing is extrapolated: export it over the whole travel"
             message = f"the deflection grid ({spans} mm) does not cover the travel"
             raise ModelError(message, hint=hint, key="deflection.grid")
+
+    def of_order(self, order: int) -> MachineDescription:
+        """The same machine with the same Legendre order for all 18 error motions, its family from the amplitudes."""
+        orders = dict.fromkeys(ERROR_MOTIONS, order)
+        return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))
+
+    def with_model(self, model: ErrorModel) -> MachineDescription:
+        """The same machine described by another model; ModelError for one of other axes."""
+        if (model.chain, model.ranges_mm) != (self.model.chain, self.model.ranges_mm):
+            raise ModelError(f"the model is not of the machine {self.name}: its chain or its axis ranges differ")
+        return replace(self, model=model, family=family_from_amplitudes(model, self.amplitudes))
 
     def tool(self, name: str) -> Array:
         """Offset (3,) of the tool called `name`; ModelError names the known ones."""

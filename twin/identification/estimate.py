@@ -44,7 +44,7 @@ class Estimate:
     in units of the stated noise per degree of freedom; `rejected`: (position, ball, tool) of the rows left out;
     `scales`: found for noise, prior and misfit; `misfit`: None where it was switched off; `information` (p, p): of the
     measurements alone in units of `prior_scale`; `z` (P,), `z_covariance` (P, P): of all `unknowns` together;
-    `order_evidence`: how likely each Legendre order was, best first, where the order was chosen by it.
+    `order_evidence`: how likely each Legendre order was, where the order was chosen by it.
     """
 
     model: ErrorModel

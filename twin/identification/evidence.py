@@ -23,12 +23,12 @@ from twin.identification.normal import Normal, Posterior, Precision, Scales
 
 @dataclass(frozen=True)
 class OrderEvidence:
-    """How likely a model is whose error motions of X, Y, Z have these Legendre `orders`; `relative_log` is zero for the
-    likeliest of those compared."""
+    """Log evidence of a Legendre order, zero for the likeliest of those compared, and the scales that led to it."""
 
-    orders: tuple[int, int, int]
+    order: int
     relative_log: float
     scales: Scales
+    chosen: bool
 
 
 @dataclass(frozen=True)
