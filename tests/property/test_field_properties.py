@@ -36,18 +36,19 @@ def test_a_chain_survives_its_text(chain):
     assert parse_chain(str(chain)) == chain
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(chains, tools, st.integers(1, 6), seeds)
 def test_exact_and_linear_agree_within_five_nanometres_for_the_family(chain, tool, order, seed):
-    """Every coefficient at the border of the family, signs at random: the largest machines there are."""
+    """Every coefficient at the border of the family, signs at random: the largest machines there are. The axes are on
+    either side of the bed, in any order; the difference is largest where levers and travels are, at the corners."""
     rng = np.random.default_rng(seed)
     model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, order, CROSS_TERMS)
     largest = family_from_amplitudes(model, CASE_STUDY_AMPLITUDES).half_widths * rng.choice([-1.0, 1.0], model.size)
     corners = np.array(list(itertools.product(*CASE_STUDY_RANGES)))
-    points = np.vstack((corners, rng.uniform(*np.array(CASE_STUDY_RANGES).T, (40, 3))))
+    points = np.vstack((corners, evaluation_grid(CASE_STUDY_RANGES, (9, 5, 5))))
     exact = exact_deviation(model, points, tool, largest)
     linear = linear_deviation(model, points, tool, largest)
-    assert np.abs(exact - linear).max() < 5e-6
+    assert np.linalg.norm(exact - linear, axis=1).max() < 5e-6
 
 
 @settings(max_examples=30, deadline=None)
