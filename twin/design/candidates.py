@@ -1,0 +1,124 @@
+"""Positions that could be measured, each reduced to what it tells of the shared unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.arrays import Array
+from twin.design.field_form import FieldForm
+from twin.errors import DataError
+from twin.family import Family
+from twin.identification.centres import CentreEquations
+from twin.identification.normal import Precision, Scales
+from twin.identification.options import Options
+from twin.identification.problem import Problem, build_problem
+from twin.position_set import Position
+from twin.procedure import Planned, Procedure
+from twin.volumetric import Volumetric
+
+Indices = NDArray[np.intp]
+
+_SEEN = 1e-13  # of the largest information of a position: what is below it the prior knows better by far
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """N positions in the order of station, azimuth, elevation, tool.
+
+    `balls` (N,) within reach of each; `factors` (N, r, P) W of each, WᵀW its information about the shared unknowns z
+    with its pose projected out (rows of zero where it tells less than others); `precision` (P, P) of z before anything
+    is measured; `form` the criterion.
+    """
+
+    positions: tuple[Position, ...]
+    balls: Indices
+    factors: Array
+    precision: Array
+    form: FieldForm
+
+    @property
+    def count(self) -> int:
+        return len(self.positions)
+
+    def of(self, chosen: Sequence[int] | Indices) -> Candidates:
+        """Only the `chosen` ones, in their order."""
+        kept = np.asarray(chosen, dtype=np.intp)
+        positions = tuple(self.positions[index] for index in kept)
+        return replace(self, positions=positions, balls=self.balls[kept], factors=self.factors[kept])
+
+    def covariance(self, chosen: Sequence[int] | Indices) -> Array:
+        """(P, P) of z once the `chosen` ones have been measured."""
+        rows = self.factors[np.asarray(chosen, dtype=np.intp)].reshape(-1, self.factors.shape[2])
+        inverse = np.linalg.inv(self.precision + rows.T @ rows)
+        return np.asarray(0.5 * (inverse + inverse.T))
+
+    def vce(self, chosen: Sequence[int] | Indices) -> Volumetric:
+        """Expected volumetric compensated error once the `chosen` ones have been measured; of none: what there is."""
+        return self.form.expected(self.covariance(chosen))
+
+
+def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
+    """Azimuth and elevation in degrees, all around and from nadir to zenith. DataError for a step not dividing 90°.
+
+    Holders make the artefact lopsided, so no two of them are the same: turned by half a turn and mirrored in elevation,
+    the bar lies along the same line with its balls on the other side of the mount.
+    """
+    steps = 90.0 / step_deg if step_deg > 0.0 else 0.0
+    if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
+        raise DataError(
+            f"a grid of {step_deg:g}° does not divide 90°",
+            hint="choose for instance 10, 15, 22.5, 30 or 45",
+            key="grid",
+        )
+    count = round(steps)
+    azimuths = [index * step_deg for index in range(1 - 2 * count, 2 * count + 1)]
+    elevations = [index * step_deg for index in range(-count, count + 1)]
+    return tuple(product(azimuths, elevations))
+
+
+def candidates_of(
+    procedure: Procedure,
+    positions: Sequence[Position],
+    family: Family,
+    options: Options,
+    grid: ArrayLike,
+    tool_offset: ArrayLike,
+) -> Candidates:
+    """What each of `positions` tells; those with fewer than three balls within reach are left out, doubles count once.
+
+    `grid` (n, 3) mm and `tool_offset` (3,): where and for which tool the error field is to become small. Formulation
+    and scales of `options` do not matter: ball centres, and noise, prior and misfit as stated. DataError where nothing
+    is within reach.
+    """
+    planned = procedure.planned(sorted(set(positions), key=_order))
+    problem = build_problem(family, planned.observations, procedure.artefact, options)
+    return Candidates(
+        positions=planned.positions,
+        balls=_balls(planned),
+        factors=_factors(problem),
+        precision=Precision(problem.blocks, problem.known).matrix(Scales()),
+        form=FieldForm.build(problem.unknowns, grid, tool_offset),
+    )
+
+
+def _order(position: Position) -> tuple[int, float, float, str]:
+    return position.station, position.azimuth_deg, position.elevation_deg, position.tool or ""
+
+
+def _balls(planned: Planned) -> Indices:
+    return np.bincount(planned.observations.position, minlength=len(planned.positions))
+
+
+def _factors(problem: Problem) -> Array:
+    """(N, r, P): the rows of each position turned so that the six that its pose has taken fall away."""
+    size = problem.blocks.size
+    rows = CentreEquations.build(problem, unit_weights=False).projected(size)
+    rows = problem.layout.pad(rows).reshape(problem.layout.positions, -1, size)
+    strengths, directions = np.linalg.eigh(rows @ rows.transpose(0, 2, 1))
+    used = (strengths > _SEEN * strengths.max()).any(axis=0)
+    return np.asarray(directions[:, :, used].transpose(0, 2, 1) @ rows)

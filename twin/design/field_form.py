@@ -1,0 +1,81 @@
+"""The criterion: mean square of what stays of the error field, as a quadratic form of all shared unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points, as_vector
+from twin.identification.unknowns import Unknowns
+from twin.machine_model import deviation_basis
+from twin.rigid_motion import rigid_fields
+from twin.volumetric import Volumetric
+
+_CHUNK = 2000  # grid points whose fields are held at a time
+
+
+@dataclass(frozen=True, eq=False)
+class FieldForm:
+    """`raw`, `aligned` (P, P) mm²: trace(form · C) is the expected mean square, over a grid, of the field whose
+    unknowns z (P,) have the covariance C; aligned after the best rigid motion. Certificate and strain are no field.
+    """
+
+    raw: Array
+    aligned: Array
+
+    @classmethod
+    def build(cls, unknowns: Unknowns, axis_positions: ArrayLike, tool_offset: ArrayLike) -> FieldForm:
+        """Form over a grid of axis positions (n, 3) mm for the tool (3,) mm whose field counts."""
+        grid, offset = as_points(axis_positions, "axis positions"), as_vector(tool_offset, 3, "tool offset")
+        fields = _Fields(unknowns, offset)
+        middle, size_mm = grid.mean(axis=0) + offset, max(float(np.ptp(grid, axis=0).max()), 1.0)
+        gram, shared, motion = np.zeros((fields.size, fields.size)), np.zeros((6, fields.size)), np.zeros((6, 6))
+        for start in range(0, len(grid), _CHUNK):
+            chunk = grid[start : start + _CHUNK]
+            field = fields.at(chunk).reshape(-1, fields.size)
+            rigid = rigid_fields(chunk + offset, middle, size_mm).reshape(-1, 6)
+            gram += field.T @ field
+            shared += rigid.T @ field
+            motion += rigid.T @ rigid
+        aligned = gram - shared.T @ np.linalg.lstsq(motion, shared, rcond=1e-12)[0]
+        return cls(fields.spread(gram / len(grid)), fields.spread(0.5 * (aligned + aligned.T) / len(grid)))
+
+    def expected(self, covariance: Array) -> Volumetric:
+        """Root of the expected mean squares for a covariance (P, P)."""
+        raw, aligned = (float(np.vdot(form, covariance)) for form in (self.raw, self.aligned))
+        return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fields:
+    """The unknowns that are fields: parameters and misfit."""
+
+    unknowns: Unknowns
+    offset: Array
+
+    @property
+    def places(self) -> Array:
+        blocks = self.unknowns.blocks
+        return np.r_[blocks.parameters, blocks.misfit]
+
+    @property
+    def size(self) -> int:
+        return len(self.places)
+
+    def at(self, points: Array) -> Array:
+        """(n, 3, size) mm per unit of each."""
+        unknowns = self.unknowns
+        basis = deviation_basis(unknowns.model, points, self.offset)
+        fields = basis * unknowns.scale
+        if unknowns.modes is None:
+            return np.asarray(fields)
+        at_hand = basis if (self.offset == unknowns.modes.tool_offset).all() else None
+        return np.concatenate((fields, unknowns.misfit_mm * unknowns.modes.at(points, at_hand)), axis=2)
+
+    def spread(self, form: Array) -> Array:
+        """(P, P) from (size, size)."""
+        full = np.zeros((self.unknowns.blocks.size,) * 2)
+        full[np.ix_(self.places, self.places)] = form
+        return full

@@ -1,0 +1,144 @@
+"""What a design is to reach: a number of positions, a slot of time, or a volumetric compensated error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.design.search import Mask, Room, Search, Selection
+from twin.errors import DataError
+
+FEWEST_POSITIONS = 2
+"""Fewer cannot tell machine from artefact, whatever the prior says."""
+
+
+@dataclass(frozen=True)
+class Positions:
+    """So many positions; time does not matter."""
+
+    count: int
+
+    def reached(self, search: Search) -> tuple[int, ...]:
+        """Indices of the chosen candidates. DataError where there are not as many."""
+        if self.count < FEWEST_POSITIONS:
+            raise DataError(
+                f"{self.count} position(s) cannot tell machine from artefact",
+                hint="ask for two or more",
+                key="positions",
+            )
+        room = _up_to(self.count, search.candidates.count)
+        grown = _last(search, Selection.of(search.candidates), room, per_minute=False)
+        if len(grown.chosen) < self.count:
+            raise DataError(
+                f"only {len(grown.chosen)} positions can be measured, {self.count} are asked for",
+                hint="take a finer grid or more stations",
+                key="positions",
+            )
+        return search.exchanged(grown, room).chosen
+
+
+@dataclass(frozen=True)
+class Slot:
+    """As good as it can be within so many machine minutes."""
+
+    minutes: float
+
+    def reached(self, search: Search) -> tuple[int, ...]:
+        """Indices of the chosen candidates. DataError where two positions take longer, saying how long."""
+        shortest = search.prices.pairs()
+        if self.minutes < shortest.min():
+            raise DataError(
+                f"{self.minutes:g} min are too short: machine and artefact are told apart by two positions, and the "
+                f"shortest two take {shortest.min():.1f} min",
+                hint="give a longer slot, fewer touches or fewer balls",
+                key="slot",
+            )
+
+        def room(chosen: Sequence[int]) -> Mask:
+            if not chosen:
+                return np.asarray(shortest <= self.minutes)
+            return np.asarray(search.prices.total(chosen) + search.prices.adding(chosen) <= self.minutes)
+
+        return _settled(search, room).chosen
+
+
+@dataclass(frozen=True)
+class Target:
+    """As short as it can be with an expected VCE (mm, aligned) no larger than this."""
+
+    vce_mm: float
+
+    def reached(self, search: Search) -> tuple[int, ...]:
+        """Indices of the chosen candidates. DataError where all of them together do not reach it, saying what they
+        do."""
+        candidates, wanted = search.candidates, self.vce_mm**2
+        floor = candidates.vce(range(candidates.count)).aligned_mm
+        if self.vce_mm < floor:
+            raise _unattainable(self.vce_mm, floor, candidates.count)
+        selection = Selection.of(candidates)
+        for selection in search.grown(selection, _up_to(candidates.count, candidates.count), per_minute=True):
+            if selection.value <= wanted and len(selection.chosen) >= FEWEST_POSITIONS:
+                return _thinned(search, selection, wanted).chosen
+        raise _unattainable(self.vce_mm, float(np.sqrt(selection.value)), len(selection.chosen))
+
+
+Goal = Positions | Slot | Target
+
+
+def _up_to(count: int, candidates: int) -> Room:
+    return lambda chosen: np.full(candidates, len(chosen) < count)
+
+
+def _last(search: Search, selection: Selection, room: Room, *, per_minute: bool) -> Selection:
+    for selection in search.grown(selection, room, per_minute=per_minute):
+        pass
+    return selection
+
+
+def _settled(search: Search, room: Room) -> Selection:
+    """Grown by gain per minute and by gain alone, the better one exchanged, and filled up with what room that made."""
+    start = Selection.of(search.candidates)
+    grown = [_last(search, start, room, per_minute=per_minute) for per_minute in (True, False)]
+    selection = min(grown, key=lambda one: one.value)
+    while True:
+        exchanged = search.exchanged(selection, room)
+        filled = _last(search, exchanged, room, per_minute=False)
+        if len(filled.chosen) == len(exchanged.chosen):
+            return filled
+        selection = filled
+
+
+def _thinned(search: Search, selection: Selection, wanted: float) -> Selection:
+    """Exchange, and do without whatever the value allows; ends when nothing more can be spared."""
+    while True:
+        minutes = search.prices.total(selection.chosen)
+
+        def room(chosen: Sequence[int], minutes: float = minutes) -> Mask:
+            return np.asarray(search.prices.total(chosen) + search.prices.adding(chosen) <= minutes)
+
+        selection = search.exchanged(selection, room)
+        spared = _spared(selection, wanted)
+        if len(spared.chosen) == len(selection.chosen):
+            return selection
+        selection = spared
+
+
+def _spared(selection: Selection, wanted: float) -> Selection:
+    while len(selection.chosen) > FEWEST_POSITIONS:
+        order, losses = selection.by_rising_loss()
+        if selection.value + losses[0] > wanted:
+            break
+        selection = selection.without(order[0])
+    return selection
+
+
+def _unattainable(wanted_mm: float, floor_mm: float, positions: int) -> DataError:
+    return DataError(
+        f"a VCE of {1e3 * wanted_mm:.2f} µm cannot be reached: with all {positions} positions that can be measured "
+        f"{1e3 * floor_mm:.2f} µm are left",
+        hint="what stays is noise, certificate and what no table holds; take more touches, a better certificate or "
+        "another target",
+        key="target-vce",
+    )

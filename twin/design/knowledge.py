@@ -1,0 +1,93 @@
+"""What is known once some positions have been measured, and what each further one would add.
+
+With the covariance C of the unknowns, the criterion's form Q and a position's factor W, measuring it lowers
+trace(Q C) by
+
+    trace((1 + W C Wᵀ)⁻¹ W C Q C Wᵀ)
+
+(Woodbury), so two small matrices per candidate are all that a search needs. Measuring a position changes C by a matrix
+U Uᵀ of the position's rank, and the small matrices of all candidates follow from one product of their factors with U
+and C Q U: nothing is computed anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
+
+from twin.arrays import Array
+from twin.design.candidates import Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """`factors` (n, r, P) of the candidates looked at; `form` Q and `covariance` C (P, P); `spread` W C Wᵀ and `weight`
+    W C Q C Wᵀ (n, r, r); `value` trace(Q C) mm²."""
+
+    factors: Array
+    form: Array
+    covariance: Array
+    spread: Array
+    weight: Array
+    value: float
+
+    @classmethod
+    def start(cls, factors: Array, form: Array, covariance: Array) -> Knowledge:
+        carried = factors @ covariance
+        return cls(
+            factors=factors,
+            form=form,
+            covariance=covariance,
+            spread=carried @ factors.transpose(0, 2, 1),
+            weight=carried @ form @ carried.transpose(0, 2, 1),
+            value=float(np.vdot(form, covariance)),
+        )
+
+    def of(self, looked_at: Indices) -> Knowledge:
+        """The same, looking only at some of the candidates."""
+        return replace(
+            self, factors=self.factors[looked_at], spread=self.spread[looked_at], weight=self.weight[looked_at]
+        )
+
+    def gains(self) -> Array:
+        """(n,) mm² by which measuring each candidate once more lowers the value."""
+        return _ratios(np.eye(self.spread.shape[1]) + self.spread, self.weight)
+
+    def losses(self, measured: Indices) -> Array:
+        """(m,) mm² by which doing without each of the `measured` ones raises the value."""
+        return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
+
+    def measured(self, factor: Array) -> Knowledge:
+        """After measuring a position of `factor` (r, P)."""
+        return self._changed(factor, -1.0)
+
+    def unmeasured(self, factor: Array) -> Knowledge:
+        """Before a position of `factor` (r, P) that is part of what was measured."""
+        return self._changed(factor, 1.0)
+
+    def _changed(self, factor: Array, sign: float) -> Knowledge:
+        """C + sign U Uᵀ with U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ."""
+        carried = factor @ self.covariance
+        root, _ = dpotrf(np.eye(len(factor)) - sign * (carried @ factor.T), lower=1)
+        u = dtrtrs(root, carried, lower=1)[0].T
+        through = self.form @ u
+        inner = u.T @ through
+        size = u.shape[1]
+        both = self.factors.reshape(-1, len(u)) @ np.concatenate((u, self.covariance @ through), axis=1)
+        both = both.reshape(*self.factors.shape[:2], 2 * size)
+        seen, drawn = both[:, :, :size], both[:, :, size:]
+        across = sign * (drawn @ seen.transpose(0, 2, 1))
+        return replace(
+            self,
+            covariance=self.covariance + sign * (u @ u.T),
+            spread=self.spread + sign * (seen @ seen.transpose(0, 2, 1)),
+            weight=self.weight + across + across.transpose(0, 2, 1) + (seen @ inner) @ seen.transpose(0, 2, 1),
+            value=self.value + sign * float(np.trace(inner)),
+        )
+
+
+def _ratios(below: Array, above: Array) -> Array:
+    """(n,) trace(below⁻¹ above) of symmetric matrices (n, r, r)."""
+    return np.einsum("nij,nij->n", np.linalg.inv(below), above)

@@ -1,0 +1,114 @@
+"""The search: add the best position again and again, then exchange while that helps.
+
+Every gain is exact at every step. Lazy evaluation, which trusts that gains only fall, is not used: for the trace
+criterion a position may gain from another one, so it would be wrong, and with `Knowledge` it would save little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.design.candidates import Candidates
+from twin.design.knowledge import Knowledge
+from twin.design.prices import Prices
+
+Mask = NDArray[np.bool_]
+Room = Callable[[Sequence[int]], Mask]
+"""Which candidates (N,) there is room for beside those already chosen."""
+
+_BETTER = 1e-9  # relative fall of the value below which an exchange is not worth making
+_MOST_ROUNDS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Some of the candidates and what is known once they are measured."""
+
+    chosen: tuple[int, ...]
+    knowledge: Knowledge
+
+    @classmethod
+    def of(cls, candidates: Candidates, chosen: Sequence[int] = ()) -> Selection:
+        covariance = candidates.covariance(chosen)
+        return cls(tuple(chosen), Knowledge.start(candidates.factors, candidates.form.aligned, covariance))
+
+    @property
+    def value(self) -> float:
+        """mm²: expected mean square of the aligned field that stays."""
+        return self.knowledge.value
+
+    @property
+    def free(self) -> Mask:
+        """(N,) candidates that are not chosen."""
+        free = np.ones(len(self.knowledge.factors), dtype=bool)
+        free[list(self.chosen)] = False
+        return free
+
+    def having(self, index: int) -> Selection:
+        return Selection((*self.chosen, index), self.knowledge.measured(self.knowledge.factors[index]))
+
+    def without(self, index: int) -> Selection:
+        kept = tuple(other for other in self.chosen if other != index)
+        return Selection(kept, self.knowledge.unmeasured(self.knowledge.factors[index]))
+
+    def by_rising_loss(self) -> tuple[list[int], Array]:
+        """The chosen ones, the most dispensable first, and by how much the value rises without each."""
+        losses = self.knowledge.losses(np.array(self.chosen, dtype=np.intp))
+        order = np.argsort(losses, kind="stable")
+        return [self.chosen[place] for place in order], losses[order]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """`passes`: whether a candidate can really be measured; it is asked late and once, because finding out is dear.
+    `worthwhile`: a round of exchanges that lowers the value by a smaller share is the last one.
+    """
+
+    candidates: Candidates
+    prices: Prices
+    passes: Callable[[int], bool] = lambda _: True
+    worthwhile: float = 5e-3
+
+    def grown(self, selection: Selection, room: Room, *, per_minute: bool) -> Iterator[Selection]:
+        """Selections of one position more each, always the best by gain, or by gain per minute; ends when there is no
+        room."""
+        while True:
+            worth = selection.knowledge.gains()
+            if per_minute:
+                worth = worth / self.prices.adding(selection.chosen)
+            best = self._best(worth, room(selection.chosen) & selection.free, 0.0)
+            if best is None:
+                return
+            selection = selection.having(best)
+            yield selection
+
+    def exchanged(self, selection: Selection, room: Room) -> Selection:
+        """Each chosen position in turn, the most dispensable first, gives way to the best that there is room for, where
+        that lowers the value (Fedorov's exchange)."""
+        for _ in range(_MOST_ROUNDS):
+            before = selection.value
+            for index in selection.by_rising_loss()[0]:
+                selection = self._given_way(selection, index, room)
+            if selection.value > before * (1.0 - max(self.worthwhile, _BETTER)):
+                break
+        return selection
+
+    def _given_way(self, selection: Selection, index: int, room: Room) -> Selection:
+        rest = selection.without(index)
+        needed = rest.value - selection.value * (1.0 - _BETTER)
+        best = self._best(rest.knowledge.gains(), room(rest.chosen) & selection.free, needed)
+        return selection if best is None else rest.having(best)
+
+    def _best(self, worth: Array, allowed: Mask, above: float) -> int | None:
+        """The candidate of most worth that is allowed, passes and is worth more than `above`."""
+        left = np.where(allowed, worth, -np.inf)
+        while left[best := int(np.argmax(left))] > above:
+            if self.passes(best):
+                return best
+            left[best] = -np.inf
+        return None
