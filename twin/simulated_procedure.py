@@ -7,7 +7,7 @@ is the exact product of transforms, not its linear form.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,14 +15,12 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array
 from twin.artefact import Artefact
-from twin.deflection import DeflectionGrid
-from twin.error_model import CROSS_TERMS, ERROR_MOTIONS, ErrorModel
-from twin.errors import ModelError
+from twin.field_form import FieldForm
 from twin.identification.estimate import Estimate
 from twin.observations import Observations
 from twin.reality import Reality
 from twin.true_machine import TrueMachine
-from twin.volumetric import QuadraticForm, Volumetric
+from twin.volumetric import Volumetric
 
 Numbers = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -56,71 +54,27 @@ def simulated_observations(
     return replace(planned, axis_positions=found, temperature_c=shown_c)
 
 
-@dataclass(frozen=True, eq=False)
-class CompensatedForm:
-    """Mean square of the true field less that of a compensation, as quadratic form of both parameter vectors.
-
-    `form` is over a model that holds all terms of both, with the deflection as fixed field; `of_truth` (q,) and
-    `of_estimate` (p,) are the places of their parameters in it.
-    """
-
-    form: QuadraticForm
-    of_truth: Numbers
-    of_estimate: Numbers
-
-    @classmethod
-    def build(
-        cls,
-        truth: ErrorModel,
-        model: ErrorModel,
-        deflection: DeflectionGrid | None,
-        grid: ArrayLike,
-        tool_offset: ArrayLike,
-    ) -> CompensatedForm:
-        """Form for machines of the model `truth` compensated by `model`, over grid positions (n, 3).
-
-        ModelError where the two are not of the same chain and ranges, or the deflection does not cover the grid.
-        """
-        common = common_model(truth, model)
-        form = QuadraticForm.build(common, grid, tool_offset)
-        if deflection is not None:
-            form = form.with_field(deflection.at(form.axis_positions))
-        places = [np.array([common.index(name) for name in part.names], dtype=np.int64) for part in (truth, model)]
-        return cls(form, places[0], places[1])
-
-    @classmethod
-    def of(cls, reality: Reality, model: ErrorModel, grid: ArrayLike, tool_offset: ArrayLike) -> CompensatedForm:
-        """The same for the machines of a reality."""
-        return cls.build(reality.family.model, model, reality.deflection, grid, tool_offset)
-
-    def left(self, truths: Array, estimates: Array) -> tuple[Array, Array]:
-        """VCE of m machines, raw and aligned (m,) mm; `truths` (m, q), `estimates` (m, p)."""
-        return self.form.values(self._spread(truths, self.of_truth) - self._spread(estimates, self.of_estimate))
-
-    def before(self, truths: Array) -> tuple[Array, Array]:
-        """VE of m machines without compensation, raw and aligned (m,) mm."""
-        return self.form.values(self._spread(truths, self.of_truth))
-
-    def _spread(self, parameters: Array, places: Numbers) -> Array:
-        vectors = np.zeros((len(parameters), self.form.model.size))
-        vectors[:, places] = parameters
-        return vectors
+def errors_before(form: FieldForm, truths: Array) -> tuple[Array, Array]:
+    """VE of machines with parameters (m, t) of the true family, raw and aligned (m,) in mm."""
+    return form.form.values(_spread(form, truths, form.true))
 
 
-def true_vce(estimate: Estimate, truth: TrueMachine, form: CompensatedForm) -> Volumetric:
+def errors_left(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array, Array]:
+    """VCE of machines (m, t) compensated by estimates (m, p), raw and aligned (m,) in mm."""
+    return form.form.values(_spread(form, truths, form.true) - _spread(form, estimates, form.own))
+
+
+def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> Volumetric:
     """Volumetric error that `truth` is left with under the compensation of `estimate`."""
-    raw, aligned = form.left(truth.parameters[None, :], estimate.parameters[None, :])
+    raw, aligned = errors_left(form, truth.parameters[None, :], estimate.parameters[None, :])
     return Volumetric(float(raw[0]), float(aligned[0]))
 
 
-def common_model(first: ErrorModel, second: ErrorModel) -> ErrorModel:
-    """The smallest model that holds every term of both. ModelError for another chain or other ranges."""
-    if first.chain != second.chain or first.ranges_mm != second.ranges_mm:
-        hint = "draw the true machines from the same machine file"
-        raise ModelError("truth and model are of another chain or of other axis ranges", hint=hint)
-    orders = {error: max(first.orders[error], second.orders[error]) for error in ERROR_MOTIONS}
-    used = {*first.cross_effect, *second.cross_effect}
-    return ErrorModel(first.chain, first.ranges_mm, orders, tuple(term for term in CROSS_TERMS if term in used))
+def _spread(form: FieldForm, parameters: Array, places: Numbers) -> Array:
+    """(m, u) parameters of the joint model."""
+    vectors = np.zeros((len(parameters), form.size))
+    vectors[:, places] = parameters
+    return vectors
 
 
 def _real_artefact(artefact: Artefact, reality: Reality, rng: np.random.Generator) -> tuple[Artefact, float]:
