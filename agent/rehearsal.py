@@ -1,8 +1,11 @@
-"""Preflight: the complete plan on the simulated machine with virtual time, before anything moves."""
+"""Preflight: the complete plan on the simulated machine with virtual time, before anything moves.
+
+The simulated machine moves as the real one does; what its commands cost besides, `agent.time_model` adds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from agent.assembly import assemble_rehearsal
@@ -10,17 +13,21 @@ from agent.execution.engine import Engine
 from agent.execution.steps import Plan, Point, Step
 from agent.job import Job
 from agent.plans.measure import Measured, measure_positions
+from agent.time_model import TimeModel, time_model
+from agent.timing import TimedStep
 from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError, MeasurementFault, PlanRefused
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What the run will be. `timeline`: step key → seconds of machine time when that step is done."""
+    """What the run will be. `timeline`: step key → seconds of machine time when that step is done; `steps`: those that
+    take time, in order."""
 
     measured: Measured
     verified: Measured
     timeline: Mapping[str, float]
+    steps: Sequence[TimedStep]
     machine_seconds: float
     wall_seconds: float
     commands: int
@@ -39,14 +46,10 @@ def rehearse(job: Job, start_mm: Point | None = None) -> Rehearsal:
     began = wall_seconds()
     clock = VirtualClock()
     rig = assemble_rehearsal(job, clock, start_mm)
-    timeline: dict[str, float] = {}
-
-    def note(step: Step, _: object) -> None:
-        timeline[step.key] = clock.now()
-
+    times = _Times(clock, time_model(job.machine, job.settings.timing))
     rig.open()
     try:
-        measured, verified = Engine(rig.actions(), observer=note).run(whole_procedure(job))
+        measured, verified = Engine(rig.actions(), observer=times.note).run(whole_procedure(job))
     except (DeviceError, MeasurementFault) as error:
         raise PlanRefused(
             f"preflight: {error.message}", hint="nothing was moved; the plan must change", **error.where
@@ -54,7 +57,26 @@ def rehearse(job: Job, start_mm: Point | None = None) -> Rehearsal:
     finally:
         rig.close()
     _require_proof(verified)
-    return Rehearsal(measured, verified, timeline, clock.now(), wall_seconds() - began, len(timeline))
+    wall_s = wall_seconds() - began
+    return Rehearsal(measured, verified, times.timeline, times.steps, clock.now(), wall_s, len(times.timeline))
+
+
+class _Times:
+    """Notes when each step is done. The simulated machine's motion has moved the clock; the rest is added here."""
+
+    def __init__(self, clock: VirtualClock, model: TimeModel) -> None:
+        self._clock = clock
+        self._model = model
+        self._last_s = clock.now()
+        self.timeline: dict[str, float] = {}
+        self.steps: list[TimedStep] = []
+
+    def note(self, step: Step, _: object) -> None:
+        motion_s, beyond_s = self._clock.now() - self._last_s, self._model.beyond_motion_s(step)
+        self._clock.sleep(beyond_s)
+        self._last_s = self.timeline[step.key] = self._clock.now()
+        if motion_s or beyond_s:
+            self.steps.append(TimedStep(step, motion_s, beyond_s))
 
 
 def _require_proof(verified: Measured) -> None:

@@ -14,7 +14,7 @@ from agent.execution.steps import AskOperator, MoveTo, OrientTo, Point, Step, To
 from agent.settings import TimingSettings
 from drivers.roles import OperatorTask
 from twin.machine_description import MachineDescription
-from twin.motion import straight, trapezoid
+from twin.motion import straight, trapezoid, travel_s
 
 S_PER_MIN = 60.0
 
@@ -39,7 +39,7 @@ class TimeModel:
         """Straight from rest to rest, latency not included; rapid without a feed."""
         path = straight(start_mm, target_mm)
         speed = min(feed_mm_per_s or math.inf, path.largest(self.rapid_mm_per_s))
-        return trapezoid(0.0, path.length, speed, path.largest(self.acceleration_mm_per_s2)).end_s
+        return travel_s(path.length, speed, path.largest(self.acceleration_mm_per_s2))
 
     def touch_s(
         self, start_mm: Point, target_mm: Point, feed_mm_per_s: float, trip_mm: float | None
@@ -60,7 +60,7 @@ class TimeModel:
     def turn_s(self, start_deg: tuple[float, float], target_deg: tuple[float, float]) -> float:
         """Azimuth and elevation at once, latency not included."""
         way_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
-        return trapezoid(0.0, way_deg, self.turn_deg_per_s, self.turn_deg_per_s2).end_s
+        return travel_s(way_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
 
     def beyond_motion_s(self, step: Step) -> float:
         """What `step` takes besides motion: its latency, or the operator's time."""

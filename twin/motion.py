@@ -108,9 +108,8 @@ class MotionLaw:
 
 def trapezoid(start_s: float, length: float, speed: float, acceleration: float) -> MotionLaw:
     """From rest to rest over `length`; a triangle where `speed` is not reached."""
-    top = min(speed, math.sqrt(acceleration * length))
-    ramp_s, ramp = top / acceleration, 0.5 * top * top / acceleration
-    cruise_s = max(length - 2.0 * ramp, 0.0) / top if top > 0.0 else 0.0
+    top, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
+    ramp = 0.5 * top * top / acceleration
     return MotionLaw(
         (
             Phase(start_s, ramp_s, 0.0, 0.0, acceleration),
@@ -118,6 +117,19 @@ def trapezoid(start_s: float, length: float, speed: float, acceleration: float) 
             Phase(start_s + ramp_s + cruise_s, ramp_s, length - ramp, top, -acceleration),
         )
     )
+
+
+def travel_s(length: float, speed: float, acceleration: float) -> float:
+    """How long `trapezoid` takes."""
+    _, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
+    return ramp_s + cruise_s + ramp_s
+
+
+def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[float, float, float]:
+    """Top speed, seconds of one ramp and seconds at top speed."""
+    top = min(speed, math.sqrt(acceleration * length))
+    cruise_s = max(length - top * top / acceleration, 0.0) / top if top > 0.0 else 0.0
+    return top, top / acceleration, cruise_s
 
 
 @dataclass(frozen=True)
@@ -138,10 +150,11 @@ class Path:
 
     def largest(self, per_axis: Sequence[float]) -> float:
         """Largest speed (or acceleration) along the path that keeps every axis within its own."""
-        return min(
-            (limit / abs(part) for limit, part in zip(per_axis, self.direction, strict=True) if part != 0.0),
-            default=min(per_axis),
-        )
+        largest = math.inf
+        for limit, part in zip(per_axis, self.direction, strict=True):
+            if part != 0.0 and limit < largest * abs(part):
+                largest = limit / abs(part)
+        return largest if largest < math.inf else min(per_axis)
 
 
 def straight(start: Point, target: Point) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -15,6 +16,7 @@ from agent.expectation import Expectation, expect
 from agent.job import Job, load_settings, naming, prepare_job, with_overrides
 from agent.plans.measure import position_key
 from agent.rehearsal import Rehearsal, rehearse
+from agent.timing import PARTS, minutes_by_part
 
 
 @click.command("plan")
@@ -46,6 +48,7 @@ def plan_command(
         for key, seconds in rehearsal.timeline.items():
             click.echo(f"{seconds:10.2f} s  {key}")
     console.print(_table(job, rehearsal, expectation))
+    console.print(_minutes_table(minutes_by_part(rehearsal.steps)))
 
 
 def _document(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> dict[str, object]:
@@ -60,6 +63,10 @@ def _document(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> dict[
         "balls": balls,
         "touches": rehearsal.measured.touches + rehearsal.verified.touches,
         "machine_minutes": round(rehearsal.machine_minutes, 3),
+        "minutes_by_station": {
+            str(station): {part: round(minutes, 3) for part, minutes in parts.items()}
+            for station, parts in minutes_by_part(rehearsal.steps).items()
+        },
         "steps": rehearsal.commands,
         "rank": expectation.rank,
         "parameters": expectation.parameters,
@@ -87,6 +94,17 @@ def _table(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> Table:
     ]
     for row in rows:
         table.add_row(*row)
+    return table
+
+
+def _minutes_table(minutes: Mapping[int, Mapping[str, float]]) -> Table:
+    """A row for each station, and one for all of them."""
+    table = Table("station", title="machine minutes")
+    for part in (*PARTS, "all"):
+        table.add_column(part, justify="right")
+    everywhere = {part: sum(parts[part] for parts in minutes.values()) for part in PARTS}
+    for name, parts in [*((str(station), parts) for station, parts in minutes.items()), ("all", everywhere)]:
+        table.add_row(name, *(f"{parts[part]:.2f}" for part in PARTS), f"{sum(parts.values()):.2f}")
     return table
 
 

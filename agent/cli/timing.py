@@ -1,0 +1,73 @@
+"""`volcal timing`: what a finished run took against what was predicted, and the settings that fit it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.cli.errors import reported
+from agent.execution.journal_reading import JournaledRun, read_run
+from agent.files import load_machine, translated
+from agent.settings import Settings
+from agent.time_model import S_PER_MIN, TimeModel, time_model
+from agent.timing_record import (
+    KindOfStep,
+    ObservedStep,
+    kinds_of_steps,
+    observed_steps,
+    refit,
+    suggested_settings,
+)
+from drivers.errors import InputError
+from twin.formats.toml_reading import validated
+
+
+@click.command("timing")
+@click.argument("run", type=click.Path(path_type=Path), metavar="RUN_DIR")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
+@reported
+def timing_command(run: Path, as_json: bool) -> None:
+    """Compare a run's step times with the prediction, and suggest latencies for the settings.
+
+    RUN_DIR is the folder of a run below its state directory; the journal stands beside it.
+    """
+    run = run.resolve()
+    model, observed = _observed(read_run(run.parent, run.name))
+    if not observed:
+        raise InputError("the run has no step to learn from", run=run.name, hint="choose one that measured something")
+    kinds, suggested = kinds_of_steps(model, observed), suggested_settings(refit(model, observed))
+    if as_json:
+        click.echo(json.dumps({"steps": [asdict(kind) for kind in kinds], "timing": suggested}, allow_nan=False))
+        return
+    Console().print(_table(kinds))
+    click.echo("[timing]")
+    for name, value in suggested.items():
+        click.echo(f"{name} = {value}")
+
+
+def _observed(recorded: JournaledRun) -> tuple[TimeModel, list[ObservedStep]]:
+    """The model that the run was predicted with, and its steps."""
+    with translated(InputError):
+        settings = validated(dict(recorded.settings), "settings of the run", Settings)
+    model = time_model(load_machine(settings.machine), settings.timing)
+    return model, observed_steps(recorded.steps, model)
+
+
+def _table(kinds: Sequence[KindOfStep]) -> Table:
+    """Minutes of all steps of a kind, milliseconds of one."""
+    table = Table(title="machine time of the run")
+    table.add_column("step", no_wrap=True)
+    for heading in ("count", "predicted\nmin", "observed\nmin", "set\nms", "suggested\nms", "rest (rms)\nms"):
+        table.add_column(heading, justify="right")
+    for kind in kinds:
+        minutes = (kind.predicted_s / S_PER_MIN, kind.observed_s / S_PER_MIN)
+        each_ms = (kind.latency_s * 1e3, kind.suggested_latency_s * 1e3, kind.rest_s * 1e3)
+        cells = [*(f"{value:.2f}" for value in minutes), *(f"{value:.1f}" for value in each_ms)]
+        table.add_row(kind.kind, str(kind.count), *cells)
+    return table
