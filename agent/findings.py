@@ -14,12 +14,12 @@ from agent.observing import Correction, no_correction, observations_of
 from agent.outcome import Proof
 from agent.plans.position import MeasuredBall
 from agent.report import VolumetricSummary, volumetric_summary
-from agent.settings import TableSettings
+from agent.settings import Order, TableSettings
 from drivers.clock import utc_timestamp
 from drivers.errors import MeasurementFault
 from twin.arrays import Array
 from twin.artefact import Artefact
-from twin.identification import Estimate, Options, identify, left_covariance
+from twin.identification import Estimate, Options, identify, identify_by_evidence, left_covariance
 from twin.machine_description import MachineDescription
 from twin.observations import Observations
 from twin.table import Anchor, CompensationTable, build_table, regular_nodes
@@ -45,10 +45,12 @@ def find(
     observations: Observations,
     options: Options,
     table: TableSettings,
+    order: Order,
 ) -> Finding:
     """Identify and build the table for `tool`. Raises TwinError."""
-    model, offset = machine.model, machine.tool(tool)
-    estimate = identify(model, observations, artefact, machine.family, options)
+    offset = machine.tool(tool)
+    estimate = estimate_machine(machine, artefact, observations, options, order)
+    model = estimate.model
     nodes = regular_nodes(model.ranges_mm, table.step_mm)
     wanted = table.anchor_mm or (0.0, 0.0, 0.0)
     anchor = Anchor(np.array([np.clip(w, low, high) for w, (low, high) in zip(wanted, model.ranges_mm, strict=True)]))
@@ -60,12 +62,39 @@ def find(
     )
 
 
+def estimate_machine(
+    machine: MachineDescription, artefact: Artefact, observations: Observations, options: Options, order: Order
+) -> Estimate:
+    """Identify with the order asked for.
+
+    An estimate that is carried over has its order; with the prior off no orders can be compared, and the evidence gives
+    way to the machine file. Raises TwinError.
+    """
+    if options.carried_over is not None:
+        machine = machine.with_model(options.carried_over.unknowns.model)
+    elif isinstance(order, int):
+        machine = machine.of_order(order)
+    elif order == "evidence" and options.use_prior:
+        return identify_by_evidence(lambda degree: machine.of_order(degree).family, observations, artefact, options)
+    return identify(machine.model, observations, artefact, machine.family, options)
+
+
+def order_text(estimate: Estimate) -> str:
+    """Legendre order of an estimate for people, and what the measurements said of others."""
+    used = sorted(set(estimate.model.orders.values()))
+    text = " and ".join(str(order) for order in used)
+    if not estimate.order_evidence:
+        return text
+    compared = ", ".join(f"{entry.order}: {entry.relative_log:.1f}" for entry in estimate.order_evidence)
+    return f"{text}, by evidence (ln, against the likeliest: {compared})"
+
+
 def find_machine(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Finding:
     """`find` for a run: `correction` is what the table that acted while measuring added. Raises TwinError."""
     chosen = job.settings.identification
     options = Options(formulation=chosen.formulation, use_prior=chosen.prior, weights=chosen.weights)
     observations = observations_of(balls, job.tool_offset_mm, correction)
-    return find(job.machine, job.artefact, job.settings.tool, observations, options, job.settings.table)
+    return find(job.machine, job.artefact, job.settings.tool, observations, options, job.settings.table, chosen.order)
 
 
 def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
@@ -111,6 +140,7 @@ def provenance(job: Job, run_id: str) -> dict[str, str]:
         "certificate": job.artefact.certificate,
         "prior": "family" if chosen.prior else "none",
         "weights": chosen.weights,
+        "order": str(chosen.order),
         "table_tool": job.settings.tool,
     }
 

@@ -2,34 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agent.files import load_artefact, load_balls, load_machine, translated, write_all_atomically
-from agent.findings import Finding, find
+from agent.files import load_artefact, load_balls, load_machine, read_text, translated, write_all_atomically
+from agent.findings import Finding, find, order_text
 from agent.gates import Gate, GateLimits, estimate_gates, table_gates
 from agent.report import Header, ReportData, name_of_positions, render_report
-from agent.settings import GateSettings, TableSettings
-from drivers.errors import ConfigurationError
+from agent.settings import GateSettings, Order, TableSettings
+from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
 from twin.artefact import Artefact
 from twin.formats.ball_file import BallFile
-from twin.formats.estimate_file import format_estimate
+from twin.formats.estimate_file import format_estimate, parse_estimate
 from twin.formats.table_file import checksum, format_side_file, format_table
-from twin.identification import Options
+from twin.identification import CarriedOver, Options, process_noise
 from twin.machine_description import MachineDescription
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
 """A file holds corrections of any size."""
 
+MM_PER_UM = 1e-3
+
 
 @dataclass(frozen=True)
 class Request:
-    """The files and how to identify. `tool` None: the tool with which most balls were found."""
+    """The files and how to identify. `tool` None: the tool with which most balls were found.
+
+    `carried_over`: an earlier estimate as prior, the machine having changed since by `process_noise_um` (rms of the
+    field over the workspace, rigidly aligned).
+    """
 
     balls: Path
     machine: Path
@@ -37,6 +43,9 @@ class Request:
     out: Path
     options: Options
     tool: str | None = None
+    order: Order = "evidence"
+    carried_over: Path | None = None
+    process_noise_um: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,7 @@ class Material:
     artefact: Artefact
     balls: BallFile
     tool: str
+    options: Options
 
 
 @dataclass(frozen=True)
@@ -73,6 +83,8 @@ class Result:
             "wall_seconds": round(wall_seconds, 3),
             "rank": estimate.rank,
             "parameters": estimate.model.size,
+            "orders": dict(estimate.model.orders),
+            "order_evidence": {str(entry.order): entry.relative_log for entry in estimate.order_evidence},
             "estimated_ve_um": volumetric.before_aligned.value_um,
             "predicted_vce_um": volumetric.after_aligned.value_um,
             "predicted_vce_raw_um": volumetric.after_raw.value_um,
@@ -92,7 +104,7 @@ def identify_files(request: Request, timestamp: str) -> Result:
     """
     material = read_material(request)
     with translated(file=str(request.balls)):
-        finding, gates = _gated(material, request.options)
+        finding, gates = _gated(material, request.order)
     result = Result(
         run_id=f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z",
         timestamp=timestamp,
@@ -111,13 +123,34 @@ def read_material(request: Request) -> Material:
     machine = load_machine(request.machine)
     artefact = load_artefact(request.artefact)
     balls = load_balls(request.balls, machine)
-    return Material(machine, artefact, balls, _table_tool(request, machine, balls))
+    tool = _table_tool(request, machine, balls)
+    options = request.options
+    if request.carried_over is not None:
+        known = _carried_over(request.carried_over, machine, tool, request.process_noise_um)
+        with translated(ConfigurationError):
+            options = replace(options, carried_over=known)
+    return Material(machine, artefact, balls, tool, options)
 
 
-def _gated(material: Material, options: Options) -> tuple[Finding, tuple[Gate, ...]]:
+def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOver:
+    """What an estimate file knows of this machine, the machine having changed since."""
+    text = read_text(path)
+    with translated(InputError, file=str(path)):
+        known = parse_estimate(text, str(path)).carried_over()
+        family = machine.with_model(known.unknowns.model).family
+        return known.after(process_noise(family, MM_PER_UM * process_noise_um, machine.tool(tool)))
+
+
+def _gated(material: Material, order: Order) -> tuple[Finding, tuple[Gate, ...]]:
     """Estimate and table, and what the gates of a machine would say. Raises TwinError."""
     finding = find(
-        material.machine, material.artefact, material.tool, material.balls.observations, options, TableSettings()
+        material.machine,
+        material.artefact,
+        material.tool,
+        material.balls.observations,
+        material.options,
+        TableSettings(),
+        order,
     )
     limits = GateLimits(**GateSettings().model_dump())
     gates = (
@@ -157,17 +190,25 @@ def _provenance(result: Result, request: Request) -> dict[str, str]:
         "machine": request.machine.name,
         "artefact": request.artefact.name,
         "certificate": result.material.artefact.certificate,
-        "prior": "family" if request.options.use_prior else "none",
+        "prior": _prior_text(request),
         "weights": request.options.weights,
+        "order": "carried over" if request.carried_over is not None else str(request.order),
         "table_tool": result.material.tool,
     }
+
+
+def _prior_text(request: Request) -> str:
+    if request.carried_over is not None:
+        return f"{request.carried_over.name}, changed since by {request.process_noise_um:g} µm rms"
+    return "family of the machine" if request.options.use_prior else "none"
 
 
 def _report_data(result: Result, request: Request, crc32: str) -> ReportData:
     material, finding, options = result.material, result.finding, request.options
     settings = {
-        "Prior": "family of the machine" if options.use_prior else "none",
+        "Prior": _prior_text(request),
         "Weights": "full covariances" if options.weights == "full" else "all alike",
+        "Legendre order": order_text(finding.estimate),
         "Ball centres from": request.balls.name,
     }
     header = Header(
@@ -206,6 +247,9 @@ def _warnings(material: Material, finding: Finding, options: Options) -> tuple[s
         notes.append(f"The table is made for the tool {material.tool}, with which nothing was measured.")
     if not options.use_prior:
         notes.append("Without the family what was not seen counts as zero: the stated uncertainties leave it out.")
+    notes.extend(
+        f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in finding.estimate.scales_at_bounds
+    )
     return tuple(notes)
 
 

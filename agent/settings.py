@@ -16,6 +16,7 @@ from twin.position_set import MountGeometry
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
 Coordinates = tuple[float, float, float]
+Order = Literal["evidence", "file"] | Annotated[int, Field(ge=1, le=15)]
 
 
 class ClockSettings(Strict):
@@ -75,9 +76,12 @@ class ProcedureSettings(Strict):
 
 
 class IdentificationSettings(Strict):
+    """`order` of the Legendre series: for which the measurements speak, that of the machine file, or a number."""
+
     formulation: Literal["centres", "distances"] = "centres"
     prior: bool = True
     weights: Literal["full", "unit"] = "full"
+    order: Order = "evidence"
 
 
 class TableSettings(Strict):

@@ -7,15 +7,26 @@ from pathlib import Path
 from typing import Literal
 
 import click
+from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.findings import order_text
 from agent.offline import Request, Result, identify_files
+from agent.settings import IdentificationSettings, Order
 from drivers.clock import utc_timestamp, wall_seconds
 from twin.identification import Options
 
 PATH = click.Path(path_type=Path)
+
+
+def _order(_context: click.Context, _option: click.Parameter, text: str) -> Order:
+    """`evidence`, `file`, or a number, as in the settings."""
+    try:
+        return IdentificationSettings.model_validate({"order": int(text) if text.isdecimal() else text}).order
+    except ValidationError:
+        raise click.BadParameter(f"'{text}' is neither evidence nor file nor a number from 1 to 15") from None
 
 
 @click.command()
@@ -44,6 +55,25 @@ PATH = click.Path(path_type=Path)
     show_default=True,
     help="Covariances of the balls and the certificate, or all alike.",
 )
+@click.option(
+    "--order",
+    metavar="evidence|file|N",
+    callback=_order,
+    default="evidence",
+    show_default=True,
+    help="Legendre order: for which the measurements speak, that of the machine file, or a number.",
+)
+@click.option(
+    "--carried-over",
+    type=PATH,
+    metavar="ESTIMATE.json",
+    help="An earlier estimate as prior instead of the family; its order is kept.",
+)
+@click.option(
+    "--process-noise-um",
+    type=click.FloatRange(min=0.0),
+    help="With --carried-over: rms over the workspace by which the machine may have changed since [default: 0].",
+)
 @click.option("--tool", metavar="NAME", help="Tool that the table is made for [default: the one used most].")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
 @reported
@@ -56,6 +86,9 @@ def identify(
     formulation: Literal["centres", "distances"],
     prior: Literal["on", "off"],
     weights: Literal["full", "unit"],
+    order: Order,
+    carried_over: Path | None,
+    process_noise_um: float | None,
     tool: str | None,
     as_json: bool,
 ) -> None:
@@ -66,7 +99,10 @@ def identify(
     """
     started = wall_seconds()
     options = Options(formulation=formulation, use_prior=prior == "on", weights=weights)
-    result = identify_files(Request(balls, machine, artefact, out, options, tool), utc_timestamp())
+    if process_noise_um is not None and carried_over is None:
+        raise click.UsageError("--process-noise-um says how an estimate has aged: give it with --carried-over")
+    request = Request(balls, machine, artefact, out, options, tool, order, carried_over, process_noise_um or 0.0)
+    result = identify_files(request, utc_timestamp())
     if as_json:
         click.echo(json.dumps(result.as_json(wall_seconds() - started)))
     else:
@@ -90,6 +126,7 @@ def _show(result: Result, seconds: float) -> None:
         f"{balls} balls, {len(estimate.rejected)} rejected; normalised χ² {estimate.chi2_normalised:.2f}; "
         f"rank {estimate.rank} of {estimate.model.size}; {seconds:.1f} s"
     )
+    console.print(f"Legendre order {order_text(estimate)}")
     for gate in result.gates:
         if not gate.passed:
             console.print(f"note: {gate.name} {gate.value:.3g} is beyond {gate.limit:.3g}: {gate.text}", style="yellow")

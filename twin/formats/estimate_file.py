@@ -1,4 +1,7 @@
-"""Estimate as JSON: parameters by ISO name with covariance, what was seen and what not, and where it came from."""
+"""Estimate as JSON: parameters by ISO name with covariance, what was seen and what not, and where it came from.
+
+It also holds all that the next estimate needs to take this one as its prior.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,13 @@ from twin.arrays import Array
 from twin.chain import parse_chain
 from twin.error_model import ErrorModel
 from twin.errors import FormatError, TwinError
+from twin.formats.carried_over_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.json_reading import read_json
 from twin.formats.toml_reading import Strict
-from twin.identification import Estimate
+from twin.identification import CarriedOver, Estimate, Scales
+from twin.identification.unknowns import Unknowns
 
-FORMAT = "volcal estimate 1"
+FORMAT = "volcal estimate 2"
 _ASYMMETRY = 1e-9
 _INDEFINITE = 1e-6
 
@@ -60,8 +65,17 @@ class RejectedSection(Strict):
     tool: int
 
 
+class OrderSection(Strict):
+    """`relative_log_evidence`: 0 for the likeliest of the orders compared."""
+
+    order: int
+    relative_log_evidence: float
+    chosen: bool
+    scales: ScalesSection
+
+
 class EstimateFile(Strict):
-    format: Literal["volcal estimate 1"]
+    format: Literal["volcal estimate 2"]
     provenance: dict[str, str]
     formulation: Literal["centres", "distances"]
     model: ModelSection
@@ -75,7 +89,10 @@ class EstimateFile(Strict):
     chi2_normalised: float
     degrees_of_freedom: float
     scales: ScalesSection
+    scales_at_bounds: tuple[str, ...]
+    order_evidence: tuple[OrderSection, ...]
     rejected: tuple[RejectedSection, ...]
+    carried_over: CarriedOverSection
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +103,14 @@ class StoredEstimate:
     parameters: Array
     covariance: Array
     tool_offsets: Array
+    unknowns: Unknowns
+    z: Array
+    z_covariance: Array
     document: EstimateFile
+
+    def carried_over(self) -> CarriedOver:
+        """As `Estimate.carried_over`; DataError for a covariance that is singular."""
+        return CarriedOver(self.unknowns, self.z, self.z_covariance, Scales(**self.document.scales.model_dump()))
 
 
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
@@ -109,9 +133,31 @@ def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
         "chi2_normalised": estimate.chi2_normalised,
         "degrees_of_freedom": estimate.degrees_of_freedom,
         "scales": vars(estimate.scales),
+        "scales_at_bounds": list(estimate.scales_at_bounds),
+        "order_evidence": [
+            {
+                "order": entry.order,
+                "relative_log_evidence": entry.relative_log,
+                "chosen": entry.chosen,
+                "scales": vars(entry.scales),
+            }
+            for entry in estimate.order_evidence
+        ],
         "rejected": [{"position": k, "ball": ball, "tool": tool} for k, ball, tool in estimate.rejected],
+        "carried_over": carried_over_document(estimate.unknowns, estimate.z, estimate.z_covariance),
     }
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    return _text(document) + "\n"
+
+
+def _text(value: object) -> str:
+    """JSON with the entries of objects and of lists of lists or objects on lines of their own."""
+    if isinstance(value, dict):
+        lines = ",\n".join(f"{json.dumps(key)}: {_text(entry)}" for key, entry in value.items())
+        return f"{{\n{lines}\n}}"
+    if isinstance(value, list) and value and isinstance(value[0], list | dict):
+        lines = ",\n".join(json.dumps(entry, allow_nan=False) for entry in value)
+        return f"[\n{lines}\n]"
+    return json.dumps(value, allow_nan=False)
 
 
 def parse_estimate(text: str, source: str) -> StoredEstimate:
@@ -124,11 +170,16 @@ def parse_estimate(text: str, source: str) -> StoredEstimate:
     except TwinError as error:
         raise FormatError(error.message, hint=error.hint, file=source, key="model") from None
     _check_names(document, model, source)
+    unknowns = read_unknowns(document.carried_over, model, source)
+    z, z_covariance = read_moments(document.carried_over, unknowns.blocks.size, source)
     return StoredEstimate(
         model=model,
         parameters=np.array([parameter.value for parameter in document.parameters]),
         covariance=_covariance(document, source),
         tool_offsets=np.array(document.tool_offsets_mm, dtype=np.float64),
+        unknowns=unknowns,
+        z=z,
+        z_covariance=z_covariance,
         document=document,
     )
 

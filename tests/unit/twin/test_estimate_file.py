@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from measured_set import TOOL, bar, case_study, measured
 
-from twin.errors import FormatError
+from twin.errors import DataError, FormatError
 from twin.formats.estimate_file import format_estimate, parse_estimate
-from twin.identification import Estimate, identify
+from twin.identification import Estimate, Options, identify, identify_by_evidence
 
 MODEL, FAMILY = case_study(3)
 
@@ -46,6 +46,60 @@ def test_people_find_names_units_and_null_directions() -> None:
     assert len(document["null_directions"]) == MODEL.size - document["rank"]
 
 
+def test_an_estimate_from_its_file_carries_over_as_the_one_in_hand() -> None:
+    known, stored = estimate().carried_over(), parse_estimate(text(), "e.json").carried_over()
+    second = measured("S2", 2, bar(7), lambda X, t: np.zeros_like(X), np.random.default_rng(2))
+    from_hand, from_file = (
+        identify(MODEL, second, bar(7), FAMILY, Options(carried_over=prior)) for prior in (known, stored)
+    )
+    assert stored.scales == known.scales
+    assert from_file.z == pytest.approx(from_hand.z, abs=1e-12)
+    assert from_file.z_covariance == pytest.approx(from_hand.z_covariance, abs=1e-12)
+
+
+def test_without_misfit_and_with_a_perfect_certificate_too() -> None:
+    seen = measured("S3", 2, bar(7), lambda X, t: np.zeros_like(X), np.random.default_rng(1))
+    plain = identify(MODEL, seen, bar(7), FAMILY, Options(misfit_mm=0.0))
+    stored = parse_estimate(format_estimate(plain, {}), "e.json")
+    assert stored.unknowns.modes is None
+    assert stored.z_covariance.shape == (MODEL.size, MODEL.size)
+
+
+def test_the_orders_that_were_compared_are_told() -> None:
+    seen = measured("S3", 2, bar(7), lambda X, t: np.zeros_like(X), np.random.default_rng(3))
+    chosen = identify_by_evidence(lambda order: case_study(order)[1], seen, bar(7), candidates=(2, 3))
+    orders = parse_estimate(format_estimate(chosen, {}), "e.json").document.order_evidence
+    assert [entry.order for entry in orders] == [2, 3]
+    assert [entry.order for entry in orders if entry.chosen] == [chosen.model.highest_order[0]]
+    assert parse_estimate(text(), "e.json").document.order_evidence == ()
+
+
+def test_a_singular_covariance_is_told_when_it_is_to_be_carried_over() -> None:
+    stored = parse_estimate(with_carried(covariance=zeros_in_row(8)), "e.json")
+    with pytest.raises(DataError, match="singular") as caught:
+        stored.carried_over()
+    assert caught.value.where["unknown"] == MODEL.names[8]
+
+
+def carried() -> dict:
+    return json.loads(text())["carried_over"]
+
+
+def with_carried(**changes: object) -> str:
+    return changed(carried_over={**carried(), **changes})
+
+
+def with_misfit(**changes: object) -> str:
+    return with_carried(misfit={**carried()["misfit"], **changes})
+
+
+def zeros_in_row(row: int) -> list[list[float]]:
+    covariance = carried()["covariance"]
+    for place, values in enumerate(covariance[row:], start=row):
+        values[:] = [0.0] * len(values) if place == row else [0.0 if k == row else v for k, v in enumerate(values)]
+    return covariance
+
+
 def changed(**changes: object) -> str:
     return json.dumps({**json.loads(text()), **changes})
 
@@ -75,6 +129,11 @@ def with_covariance(row: int, column: int, value: float) -> str:
         (lambda: with_covariance(1, 0, 1.0), "not symmetric", "covariance"),
         (lambda: with_covariance(0, 0, -1.0), "not symmetric|positive", "covariance"),
         (lambda: changed(covariance=[[1.0]]), "rows of", "covariance"),
+        (lambda: with_carried(mean=[1.0]), "numbers are needed", "carried_over.mean"),
+        (lambda: with_carried(scale=[1.0]), "numbers are needed", "carried_over.scale"),
+        (lambda: with_carried(covariance=[[1.0]]), "lower triangle", "carried_over.covariance"),
+        (lambda: with_misfit(removed=[[1.0]]), "numbers are needed", "carried_over.misfit.removed"),
+        (lambda: with_misfit(mixing=[[[1.0]]]), "list is too short", "carried_over.misfit.mixing[1]"),
     ],
 )
 def test_what_does_not_fit_is_named(bad: object, words: str, key: str | None) -> None:
