@@ -1,0 +1,247 @@
+"""Whole procedures by simulation, against the closed form: the volumetric error of many machines before and after.
+
+Each machine is drawn, measured and identified by itself, twice with the same random numbers: as a run identifies
+(scales of noise, prior and misfit from the data, contradicting balls rejected), and with all scales as stated, which is
+what the closed form speaks of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.studies.figure import BAND_OPACITY, BLUE, GREEN, INK, ORANGE, from_zero
+from agent.studies.study import StudyCase, StudyResult
+from agent.studies.workers import generator
+from twin.arrays import Array
+from twin.artefact import Artefact
+from twin.error_budget import budget_of
+from twin.family import Family
+from twin.field_form import FieldForm
+from twin.identification import Options, identify
+from twin.observations import Observations
+from twin.reality import Reality
+from twin.simulated_procedure import draw_truth, errors_before, errors_left, simulated_observations
+from twin.volumetric import Volumetric, evaluation_grid
+
+NAME = "monte-carlo"
+UM_PER_MM = 1e3
+COVERAGE_FACTOR = 2.0
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """One machine: parameters of the truth (t,) and of the estimate (p,), and how the identification went."""
+
+    truth: Array
+    estimate: Array
+    chi2_normalised: float
+    rejected: int
+
+
+@dataclass(frozen=True, eq=False)
+class WholeProcedure:
+    """Task: the number of a machine → what a procedure makes of it. The same number is the same machine, with the same
+    artefact, in every procedure of the same reality and seed."""
+
+    planned: Observations
+    artefact: Artefact
+    family: Family
+    reality: Reality
+    options: Options
+    tool_offset: Array
+    seed: int
+
+    @classmethod
+    def of(cls, case: StudyCase, planned: Observations, options: Options | None = None) -> WholeProcedure:
+        """Of the case's artefact and machines; by default with the case's options."""
+        chosen = options or case.options
+        family = case.machine.family
+        return cls(planned, case.artefact, family, case.reality, chosen, case.tool_offset, case.seed)
+
+    def __call__(self, number: int) -> Simulated:
+        rng = generator(self.seed, number)
+        truth = draw_truth(self.reality, rng, self.tool_offset)
+        seen = simulated_observations(self.planned, self.artefact, truth, self.reality, rng)
+        found = identify(self.family.model, seen, self.artefact, self.family, self.options)
+        return Simulated(truth.parameters, found.parameters, found.chi2_normalised, len(found.rejected))
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Volumetric errors (m,) in mm of m machines, raw and aligned."""
+
+    raw_mm: Array
+    aligned_mm: Array
+
+    @classmethod
+    def before(cls, form: FieldForm, machines: Sequence[Simulated]) -> Spread:
+        return cls(*errors_before(form, _truths(machines)))
+
+    @classmethod
+    def left(cls, form: FieldForm, machines: Sequence[Simulated]) -> Spread:
+        return cls(*errors_left(form, _truths(machines), np.array([machine.estimate for machine in machines])))
+
+    @property
+    def expected(self) -> Volumetric:
+        """Root of the mean square over the machines, what the closed form gives the expectation of."""
+        return Volumetric(*(float(np.sqrt(np.mean(values**2))) for values in (self.raw_mm, self.aligned_mm)))
+
+    @property
+    def standard_error(self) -> Volumetric:
+        """Of `expected`: that of the mean square, carried through the root."""
+        return Volumetric(*(_error_of_root(values) for values in (self.raw_mm, self.aligned_mm)))
+
+
+def run(case: StudyCase) -> StudyResult:
+    """VE and VCE of `case.machines` machines measured in the case's set."""
+    planned = case.procedure.planned(case.positions()).observations
+    grid = evaluation_grid(case.machine.model.ranges_mm)
+    form = FieldForm.build(case.machine.model, case.reality, grid, case.tool_offset)
+    stated = as_stated(case.options)
+    closed = budget_of(form, case.machine.family, case.artefact, planned, stated).expected
+    numbers = range(case.machines)
+    plain = case.map(WholeProcedure.of(case, planned, stated), numbers, "machines, scales as stated")
+    usual = case.map(WholeProcedure.of(case, planned), numbers, "machines, as a run identifies")
+    found = Comparison(closed, Spread.before(form, plain), Spread.left(form, plain), Spread.left(form, usual))
+    return StudyResult(
+        name=NAME,
+        title="Volumetric error of machines measured and identified one by one",
+        columns=COLUMNS,
+        rows=_rows(found, usual),
+        summary=_summary(case, found, usual, planned.size),
+        draw=partial(_draw, found=found),
+        size_in=(10.0, 4.2),
+    )
+
+
+def as_stated(options: Options) -> Options:
+    """The same with nothing learned but the parameters: an estimate linear in the measurements."""
+    return replace(options, estimate_scales=False, outliers="none")
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """`closed`: expectation in closed form; the others by simulation, `plain` of what `closed` speaks of."""
+
+    closed: Volumetric
+    before: Spread
+    plain: Spread
+    usual: Spread
+
+
+COLUMNS = (
+    "machine",
+    "ve_raw_um",
+    "ve_aligned_um",
+    "vce_raw_um",
+    "vce_aligned_um",
+    "vce_scales_as_stated_raw_um",
+    "vce_scales_as_stated_aligned_um",
+    "chi2_normalised",
+    "balls_rejected",
+)
+
+
+def _rows(found: Comparison, usual: Sequence[Simulated]) -> list[list[float]]:
+    errors = [UM_PER_MM * values for part in (found.before, found.usual, found.plain) for values in _both(part)]
+    return [
+        [number, *(float(values[number]) for values in errors), machine.chi2_normalised, machine.rejected]
+        for number, machine in enumerate(usual)
+    ]
+
+
+def _both(spread: Spread) -> tuple[Array, Array]:
+    return spread.raw_mm, spread.aligned_mm
+
+
+def _summary(case: StudyCase, found: Comparison, usual: Sequence[Simulated], balls: int) -> dict[str, object]:
+    return {
+        "balls_measured": balls,
+        "ve": _figures(found.before),
+        "vce": _figures(found.usual),
+        "vce_scales_as_stated": _figures(found.plain),
+        "vce_closed_form": {"raw_um": found.closed.raw_um, "aligned_um": found.closed.aligned_um},
+        "deviation_in_standard_errors": {
+            "raw": deviation(found.plain.expected.raw_mm, found.closed.raw_mm, found.plain.standard_error.raw_mm),
+            "aligned": deviation(
+                found.plain.expected.aligned_mm, found.closed.aligned_mm, found.plain.standard_error.aligned_mm
+            ),
+        },
+        "chi2_normalised_mean": float(np.mean([machine.chi2_normalised for machine in usual])),
+        "balls_rejected": sum(machine.rejected for machine in usual),
+    }
+
+
+def deviation(simulated_mm: float, closed_mm: float, error_mm: float) -> float | None:
+    """Simulation less closed form in standard errors; None where one machine alone gives none."""
+    return (simulated_mm - closed_mm) / error_mm if error_mm > 0.0 else None
+
+
+def _figures(spread: Spread) -> dict[str, object]:
+    """Root mean square with its standard error, median and the middle 95 % in µm."""
+    expected, error = spread.expected, spread.standard_error
+    figures: dict[str, object] = {}
+    for kind, values, mean_um, error_um in (
+        ("raw", spread.raw_mm, expected.raw_um, error.raw_um),
+        ("aligned", spread.aligned_mm, expected.aligned_um, error.aligned_um),
+    ):
+        low, median, high = (UM_PER_MM * np.percentile(values, (2.5, 50.0, 97.5))).tolist()
+        figures[f"{kind}_um"] = mean_um
+        figures[f"{kind}_standard_error_um"] = error_um
+        figures[f"{kind}_median_um"] = median
+        figures[f"{kind}_middle_95_um"] = [low, high]
+    return figures
+
+
+def _truths(machines: Sequence[Simulated]) -> Array:
+    return np.array([machine.truth for machine in machines])
+
+
+def _error_of_root(values_mm: Array) -> float:
+    squares = values_mm**2
+    if len(squares) < 2:
+        return 0.0
+    return float(squares.std(ddof=1) / np.sqrt(len(squares)) / (2.0 * np.sqrt(squares.mean())))
+
+
+def _draw(figure: Figure, *, found: Comparison) -> None:
+    left, right = figure.subplots(1, 2)
+    _draw_distribution(left, found)
+    _draw_convergence(right, found)
+
+
+def _draw_distribution(axes: Axes, found: Comparison) -> None:
+    for spread, colour, label in (
+        (found.before, ORANGE, "VE, not compensated"),
+        (found.usual, BLUE, "VCE, as a run identifies"),
+        (found.plain, GREEN, "VCE, scales as stated"),
+    ):
+        values = np.sort(spread.aligned_mm) * UM_PER_MM
+        axes.step(values, 100.0 * (np.arange(len(values)) + 1.0) / len(values), color=colour, label=label, where="post")
+    axes.set_xlabel("volumetric error, rigidly aligned / µm")
+    axes.set_xlim(left=0.0)
+    from_zero(axes, "share of the machines below / %")
+    axes.legend(loc="lower right")
+    axes.set_title("Distribution over the machines")
+
+
+def _draw_convergence(axes: Axes, found: Comparison) -> None:
+    """Root mean square over the first machines, with what it may be off by, and where it should go."""
+    squares = (UM_PER_MM * found.plain.aligned_mm) ** 2
+    count = np.arange(1, len(squares) + 1)
+    mean = np.cumsum(squares) / count
+    variance = np.maximum(np.cumsum(squares**2) / count - mean**2, 0.0)
+    error = COVERAGE_FACTOR * np.sqrt(variance / count) / (2.0 * np.sqrt(mean))
+    axes.fill_between(count, np.sqrt(mean) - error, np.sqrt(mean) + error, color=GREEN, alpha=BAND_OPACITY, lw=0.0)
+    axes.plot(count, np.sqrt(mean), color=GREEN, label="simulation, scales as stated, ± 2 standard errors")
+    axes.axhline(found.closed.aligned_um, color=INK, linestyle="--", label="closed form")
+    axes.set_xlabel("machines simulated")
+    from_zero(axes, "root mean square VCE, aligned / µm")
+    axes.legend(loc="lower right")
+    axes.set_title("Simulation and closed form")
