@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.arrays import Array, as_points
+from twin.arrays import Array
 from twin.artefact import Artefact
 from twin.error_model import ErrorModel
 from twin.errors import DataError
@@ -65,21 +65,24 @@ class ErrorBudget:
         """Root of the expected mean square VE over machines."""
         return self.field.before()
 
+    @cached_property
+    def total(self) -> Array:
+        """(u, u) second moments of all influences together, without the deflection."""
+        return np.asarray(np.sum(list(self.moments.values()), axis=0))
+
     def parameter_uncertainty(self) -> Array:
         """(p,) root mean square of true less identified parameters of the model identified, in mm or rad."""
-        total = np.diagonal(sum(self.moments.values(), start=np.zeros((self.field.size, self.field.size))))
-        return np.sqrt(np.maximum(total + self.bias**2, 0.0))[self.field.own]
+        squares = np.maximum(np.diagonal(self.total) + self.bias**2, 0.0)
+        return np.asarray(np.sqrt(squares[self.field.own]))
 
-    def field_uncertainty(self, axis_positions: ArrayLike) -> Array:
-        """Expected root mean square (n, 3) mm of the field left at axis positions (n, 3), per direction, raw."""
-        points = as_points(axis_positions, "axis positions")
-        form, deflection = self.field.form, self.field.reality.deflection
-        basis = deviation_basis(form.model, points, form.tool_offset)
-        fixed = basis @ self.bias
-        if deflection is not None:
-            fixed += deflected(deflection, points)
-        total = sum(self.moments.values(), start=np.zeros((self.field.size, self.field.size)))
-        return np.sqrt(np.maximum(np.einsum("nip,nip->ni", basis @ total, basis) + fixed**2, 0.0))
+    def field_uncertainty(self, axis_positions: ArrayLike, aligned: bool = False) -> Array:
+        """Expected root mean square (n, 3) mm of the field left at axis positions (n, 3), per direction.
+
+        `aligned`: less the rigid motion over the grid of the form, which no free artefact sees.
+        """
+        basis, deflection = self.field.columns_at(axis_positions, aligned)
+        squares = np.einsum("nip,nip->ni", basis @ self.total, basis) + (deflection + basis @ self.bias) ** 2
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
 def error_budget(
@@ -172,7 +175,7 @@ def _drift(problem: Problem, drift_mm: float) -> Array:
     layout = problem.layout
     if drift_mm == 0.0:
         return np.zeros((problem.observations.size, 3, 0))
-    number = layout.unpad(np.broadcast_to(np.arange(layout.width), (layout.positions, layout.width)).copy())
+    number = layout.unpad(np.tile(np.arange(float(layout.width)), (layout.positions, 1)))
     share = number / np.maximum(layout.counts - 1, 1)[layout.index]
     fields = np.zeros((len(share), 3, layout.positions, 3))
     fields[np.arange(len(share)), :, layout.index, :] = drift_mm * share[:, None, None] * np.eye(3)

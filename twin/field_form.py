@@ -8,17 +8,22 @@ evaluated once for a model, a reality and a tool.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.arrays import Array
+from twin.arrays import Array, as_points
 from twin.deflection import DeflectionGrid
 from twin.error_model import CROSS_TERMS, ERROR_MOTIONS, ErrorModel
 from twin.errors import ModelError
+from twin.machine_model import deviation_basis
 from twin.reality import Reality
+from twin.rigid_motion import rigid_fields
 from twin.volumetric import QuadraticForm, Volumetric
+
+_CHUNK = 2000  # grid points whose basis is held at a time
 
 Places = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -62,6 +67,44 @@ class FieldForm:
         """Mean square (raw, aligned) in mm² of the deflection plus the field of fixed parameters (u,)."""
         one = self.form.value(parameters)
         return one.raw_mm**2, one.aligned_mm**2
+
+    def columns_at(self, axis_positions: ArrayLike, aligned: bool = False) -> tuple[Array, Array]:
+        """Basis (n, 3, u) and deflection (n, 3) mm at axis positions (n, 3).
+
+        `aligned`: less the rigid motion that each has over the grid of the form.
+        """
+        points, form = as_points(axis_positions, "axis positions"), self.form
+        basis = deviation_basis(form.model, points, form.tool_offset)
+        fixed = self._fixed_at(points)
+        if aligned:
+            motions = self._motions_at(points)
+            shares = self._rigid_shares
+            basis -= motions @ shares[:, :-1]
+            fixed = fixed - motions @ shares[:, -1]
+        return basis, fixed
+
+    @cached_property
+    def _rigid_shares(self) -> Array:
+        """(6, u + 1) rigid motion in each column of the basis and in the deflection, by least squares over the grid."""
+        form = self.form
+        normal, shared = np.zeros((6, 6)), np.zeros((6, self.size + 1))
+        for start in range(0, len(form.axis_positions), _CHUNK):
+            points = form.axis_positions[start : start + _CHUNK]
+            motions = self._motions_at(points).reshape(-1, 6)
+            basis = deviation_basis(form.model, points, form.tool_offset).reshape(-1, self.size)
+            normal += motions.T @ motions
+            shared += motions.T @ np.column_stack((basis, self._fixed_at(points).reshape(-1)))
+        return np.asarray(np.linalg.lstsq(normal, shared, rcond=1e-12)[0])
+
+    def _motions_at(self, points: Array) -> Array:
+        """(n, 3, 6) rigid motions about the middle of the grid."""
+        grid = self.form.axis_positions
+        size_mm = max(float(np.ptp(grid, axis=0).max()), 1.0)
+        return rigid_fields(points, grid.mean(axis=0), size_mm)
+
+    def _fixed_at(self, points: Array) -> Array:
+        deflection = self.reality.deflection
+        return np.zeros_like(points) if deflection is None else deflected(deflection, points)
 
     def before(self) -> Volumetric:
         """Root of the expected mean square of the true machines' deviation."""
