@@ -17,6 +17,7 @@ from twin.arrays import Array, as_points, as_vector
 from twin.chain import AXES
 from twin.error_model import ErrorModel, Ranges
 from twin.errors import DataError, ModelError
+from twin.grid_sums import GridSums
 from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
 
@@ -118,11 +119,14 @@ class QuadraticForm:
         """Form for grid positions (n, 3) and tool offset (3,)."""
         points = as_points(axis_positions, "axis positions")
         offset = as_vector(tool_offset, 3, "tool offset")
-        motions = _rigid_motions(points + offset)
-        gram, shared = np.zeros((model.size, model.size)), np.zeros((motions.shape[1], model.size))
-        for chunk, basis in _basis_chunks(model, points, offset):
-            gram += basis.T @ basis
-            shared += motions[chunk].T @ basis
+        sums = GridSums.over(points, _degrees(model))
+        gram, shared = np.zeros((model.size, model.size)), np.zeros((6, model.size))
+        roots = np.sqrt(sums.weights).repeat(3)[:, None]
+        motions = _rigid_motions(sums.nodes + offset, sums.weights)
+        for rows, basis in _basis_chunks(model, sums.nodes, offset):
+            weighted = roots[rows] * basis
+            gram += weighted.T @ weighted
+            shared[: motions.shape[1]] += motions[rows].T @ weighted
         raw, aligned = gram / len(points), (gram - shared.T @ shared) / len(points)
         return cls(model, points, offset, raw, aligned, np.zeros(model.size), np.zeros(model.size))
 
@@ -131,17 +135,22 @@ class QuadraticForm:
         fixed = as_points(field, "field")
         if fixed.shape != self.axis_positions.shape:
             raise DataError(f"the field has {len(fixed)} points, the grid {len(self.axis_positions)}")
-        left = align_rigidly(self.axis_positions + self.tool_offset, fixed)
-        sums = np.zeros((2, self.model.size))
-        for chunk, basis in _basis_chunks(self.model, self.axis_positions, self.tool_offset):
-            sums += np.stack((fixed.reshape(-1)[chunk], left.reshape(-1)[chunk])) @ basis
-        raw_linear, aligned_linear = sums / len(fixed)
+        sums = GridSums.over(self.axis_positions, _degrees(self.model))
+        roots = np.sqrt(sums.weights).repeat(3)
+        motions = _rigid_motions(sums.nodes + self.tool_offset, sums.weights)
+        gathered = sums.gather(fixed).reshape(-1)
+        rigid = motions.T @ (gathered / roots)
+        both = np.stack((gathered, gathered - roots * (motions @ rigid)))
+        linear = np.zeros((2, self.model.size))
+        for rows, basis in _basis_chunks(self.model, sums.nodes, self.tool_offset):
+            linear += both[:, rows] @ basis
+        raw_linear, aligned_linear = linear / len(fixed)
         return replace(
             self,
             raw_linear=raw_linear,
             aligned_linear=aligned_linear,
             raw_constant=rms(fixed) ** 2,
-            aligned_constant=rms(left) ** 2,
+            aligned_constant=max(rms(fixed) ** 2 - float(rigid @ rigid) / len(fixed), 0.0),
         )
 
     def values(self, parameters: ArrayLike) -> tuple[Array, Array]:
@@ -180,11 +189,22 @@ def _basis_chunks(model: ErrorModel, points: Array, offset: Array) -> Iterator[t
         yield slice(3 * start, 3 * (start + len(chunk))), basis
 
 
-def _rigid_motions(points: Array) -> Array:
-    """Orthonormal basis (3n, r) of the small rigid motions of points (n, 3); r = 6 unless in line."""
+def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
+    """Orthonormal basis (3n, r) of the small rigid motions of points (n, 3), r = 6 unless in line.
+
+    `weights` (n,): of each point in a sum of squares; the basis is then that of the fields times their roots.
+    """
     middle = points.mean(axis=0)
     size = max(float(np.sqrt(np.mean((points - middle) ** 2))), 1e-12)
-    fields = rigid_fields(points, middle, size).reshape(-1, 6)
-    left, weights, _ = np.linalg.svd(fields, full_matrices=False)
-    used: Array = left[:, weights > 1e-9 * weights[0]]
+    fields = rigid_fields(points, middle, size)
+    if weights is not None:
+        fields *= np.sqrt(weights)[:, None, None]
+    left, sizes, _ = np.linalg.svd(fields.reshape(-1, 6), full_matrices=False)
+    used: Array = left[:, sizes > 1e-9 * sizes[0]]
     return used
+
+
+def _degrees(model: ErrorModel) -> tuple[int, int, int]:
+    """Highest powers of x, y, z in a column of the basis: that of a series or of the cross-effect, and a lever."""
+    x, y, z = (max(order, 2) + 1 for order in model.highest_order)
+    return x, y, z

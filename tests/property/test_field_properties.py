@@ -69,13 +69,15 @@ def test_what_linearisation_leaves_is_of_second_order(chain, tool, seed):
 @given(chains, tools, seeds)
 def test_the_quadratic_form_is_the_grid(chain, tool, seed):
     rng = np.random.default_rng(seed)
-    model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, 3)
+    model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, 3, CROSS_TERMS)
     errors = rng.uniform(-1.0, 1.0, model.size) * [1e-2 if p.unit == "mm" else 1e-5 for p in model.parameters]
-    grid = evaluation_grid(CASE_STUDY_RANGES, (4, 3, 3))
-    direct = volumetric_error(grid + tool, linear_deviation(model, grid, tool, errors))
-    value = QuadraticForm.build(model, grid, tool).value(errors)
-    assert abs(value.raw_mm - direct.raw_mm) <= 1e-9 * direct.raw_mm
-    assert abs(value.aligned_mm - direct.aligned_mm) <= 1e-9 * direct.raw_mm
+    grid = evaluation_grid(CASE_STUDY_RANGES, (9, 7, 8))  # more points than the form keeps of it
+    field = rng.normal(0.0, 3e-3, grid.shape)
+    form = QuadraticForm.build(model, grid, tool)
+    for value, fixed in ((form.value(errors), 0.0), (form.value(errors, field), field)):
+        direct = volumetric_error(grid + tool, linear_deviation(model, grid, tool, errors) + fixed)
+        assert abs(value.raw_mm - direct.raw_mm) <= 1e-9 * direct.raw_mm
+        assert abs(value.aligned_mm - direct.aligned_mm) <= 1e-9 * direct.raw_mm
 
 
 @settings(max_examples=40, deadline=None)

@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 
 from twin.chain import parse_chain
+from twin.deflection import CASE_STUDY_NODES, cantilever_deflection
 from twin.error_model import ErrorModel
 from twin.errors import DataError, ModelError
+from twin.family import family_from_amplitudes
 from twin.machine_model import linear_deviation
-from twin.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms, volumetric_error
+from twin.volumetric import QuadraticForm, align_rigidly, covering_grid, evaluation_grid, rms, volumetric_error
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)
@@ -75,6 +77,54 @@ def test_the_form_with_a_fixed_field():
         direct = volumetric_error(grid + TOOL, linear_deviation(MODEL, grid, TOOL, vector) + field)
         assert (raw[k], aligned[k]) == pytest.approx((direct.raw_mm, direct.aligned_mm), rel=1e-9)
         assert form.value(vector, field).raw_mm == pytest.approx(direct.raw_mm, rel=1e-9)
+
+
+def test_ve_and_vce_of_the_family_are_those_of_the_whole_grid():
+    """60×20×20 points one by one, with the deflection that no model holds; VCE is the form of truth less model."""
+    family = family_from_amplitudes(MODEL, {"positioning_um": 8.0, "straightness_um": 5.0, "rotation_urad": 4.6})
+    rng = np.random.default_rng(8)
+    truth, model = family.draw(rng, 3), family.draw(rng, 3)
+    grid = evaluation_grid(RANGES)
+    deflection = cantilever_deflection(*CASE_STUDY_NODES).at(grid)
+    form = QuadraticForm.build(MODEL, grid, TOOL).with_field(deflection)
+    for left in (truth, truth - model, truth - 0.99 * truth):
+        found = np.stack(form.values(left), axis=1)
+        for machine_left, (raw, aligned) in zip(left, found, strict=True):
+            direct = volumetric_error(grid + TOOL, linear_deviation(MODEL, grid, TOOL, machine_left) + deflection)
+            assert raw == pytest.approx(direct.raw_mm, rel=1e-9)
+            assert aligned == pytest.approx(direct.aligned_mm, rel=1e-9)
+
+
+def test_the_points_of_the_form_need_no_order():
+    grid = evaluation_grid(RANGES, (11, 10, 9))
+    shuffled = np.random.default_rng(5).permutation(grid)
+    one, other = (QuadraticForm.build(MODEL, points, TOOL) for points in (grid, shuffled))
+    largest = np.abs(other.raw).max()
+    np.testing.assert_allclose(one.raw, other.raw, rtol=0, atol=1e-12 * largest)
+    np.testing.assert_allclose(one.aligned, other.aligned, rtol=0, atol=1e-12 * largest)
+
+
+def test_a_grid_has_uneven_nodes_where_somebody_gives_them():
+    x, y, z = [0.0, 100.0, 4000.0], [0.0, 1300.0], [0.0, 700.0, 800.0, 1500.0]
+    grid = covering_grid(RANGES, (x, y, z))
+    assert grid.shape == (24, 3)
+    np.testing.assert_array_equal(grid[5], [0.0, 1300.0, 700.0])
+
+
+@pytest.mark.parametrize(
+    ("nodes", "words"),
+    [
+        (([0.0, 3900.0], [0.0, 1300.0], [0.0, 1500.0]), "from 0 to 3900 mm does not cover the workspace .axis X"),
+        (([0.0, 4000.0], [1.0, 1300.0], [0.0, 1500.0]), "from 1 to 1300 mm does not cover the workspace .axis Y"),
+        (([0.0, 4000.0], [0.0, 1300.0], [750.0]), "1 point does not cover the workspace .axis Z"),
+        (([0.0, 4000.0], [], [0.0, 1500.0]), "no points does not cover the workspace .axis Y"),
+        (([0.0, 4000.0], [0.0, 1300.0], [1500.0, 0.0]), "do not ascend does not cover the workspace .axis Z"),
+        (([0.0, np.nan, 4000.0], [0.0, 1300.0], [0.0, 1500.0]), "axis X"),
+    ],
+)
+def test_a_grid_that_does_not_cover_the_workspace(nodes, words):
+    with pytest.raises(ModelError, match=words):
+        covering_grid(RANGES, nodes)
 
 
 def test_the_expected_value_is_the_mean_over_draws():

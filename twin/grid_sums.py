@@ -1,0 +1,76 @@
+"""Sums of polynomial fields over a grid of axis positions, from far fewer points.
+
+The columns of a deviation basis are polynomials in the axis positions, of degree d in one of them. Over the points of
+one axis a polynomial of degree 2 d + 1 is summed exactly by d + 1 Gauss nodes of the discrete measure that has weight 1
+at every point (Golub and Welsch 1969): of 60×20×20 points 7×7×7 are left. A field that is no polynomial is gathered on
+the nodes by their Lagrange polynomials: summed against columns of degree d it is the same as on the grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class GridSums:
+    """Over `count` points Σ a(X)ᵀ b(X) = Σ `weights` a(`nodes`)ᵀ b(`nodes`) for columns a, b of the degrees given.
+
+    `nodes` (m, 3) mm, `weights` (m,). `spread`: Lagrange polynomials of the nodes at the points, (points, nodes) for
+    each axis; None where the nodes are the points.
+    """
+
+    count: int
+    nodes: Array
+    weights: Array
+    spread: tuple[Array, ...] | None
+
+    @classmethod
+    def over(cls, points: Array, degrees: tuple[int, int, int]) -> GridSums:
+        """For points (n, 3), columns of these degrees in x, y, z. Points that are no grid are summed one by one."""
+        lines = _lines(points)
+        if lines is None:
+            return cls(len(points), points, np.ones(len(points)), None)
+        rules = [_gauss(line, degree) for line, degree in zip(lines, degrees, strict=True)]
+        nodes = np.stack(np.meshgrid(*(rule[0] for rule in rules), indexing="ij"), axis=-1).reshape(-1, 3)
+        weights = np.einsum("i,j,k->ijk", *(rule[1] for rule in rules)).reshape(-1)
+        return cls(len(points), nodes, weights, tuple(rule[2] for rule in rules))
+
+    def gather(self, field: Array) -> Array:
+        """(m, 3): what a field (n, 3) at the points is on the nodes; Σ a(X)ᵀ f(X) = Σ a(nodes)ᵀ gathered."""
+        if self.spread is None:
+            return field
+        gathered = field.reshape(*(len(lagrange) for lagrange in self.spread), 3)
+        for lagrange in self.spread:  # each takes the leading axis and puts its nodes last
+            gathered = np.tensordot(gathered, lagrange, axes=(0, 0))
+        return np.moveaxis(gathered, 0, -1).reshape(-1, 3)
+
+
+def _lines(points: Array) -> tuple[Array, Array, Array] | None:
+    """The nodes along x, y, z of points (n, 3) on a grid, x slowest and z fastest; None where they are on none."""
+    x, y, z = points.T
+    deep = int(np.argmax(np.append(y != y[0], True) | np.append(x != x[0], True)))
+    plane = int(np.argmax(np.append(x != x[0], True)))
+    if plane % deep or len(points) % plane:
+        return None
+    lines = x[::plane], y[:plane:deep], z[:deep]
+    grid = points.reshape(*(len(line) for line in lines), 3)
+    ascending = all((np.diff(line) > 0.0).all() for line in lines)
+    same = all((grid[..., k] == np.expand_dims(lines[k], [a for a in range(3) if a != k])).all() for k in range(3))
+    return lines if ascending and same else None
+
+
+def _gauss(line: Array, degree: int) -> tuple[Array, Array, Array]:
+    """Nodes (d + 1), weights and Lagrange polynomials at the points (n, d + 1); the points where they are no more."""
+    if len(line) <= degree + 1:
+        return line, np.ones(len(line)), np.eye(len(line))
+    middle, half = 0.5 * (line[0] + line[-1]), 0.5 * (line[-1] - line[0])
+    at = (line - middle) / half
+    orthonormal = np.linalg.qr(np.polynomial.legendre.legvander(at, degree))[0]
+    nodes, vectors = np.linalg.eigh(orthonormal.T @ (at[:, None] * orthonormal))
+    # column j of `vectors` holds p_k(node j) times the root of its weight; p_0 is the same at every point
+    roots = vectors[0] / orthonormal[0, 0]
+    return middle + half * nodes, roots**2, orthonormal @ (vectors * roots)
