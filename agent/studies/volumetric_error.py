@@ -1,0 +1,140 @@
+"""How large the volumetric error of a family of machines is, and how it lies in the workspace of a typical one.
+
+No grid is evaluated for a machine: its volumetric error is a quadratic form of its parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.studies.figure import BLUE, INK, ORANGE
+from agent.studies.plane import Plane, draw_plane
+from agent.studies.study import StudyCase, StudyResult
+from agent.studies.workers import generator
+from twin.arrays import Array
+from twin.error_model import Ranges
+from twin.family import Family
+from twin.field_form import FieldForm
+from twin.volumetric import QuadraticForm, evaluation_grid
+
+NAME = "volumetric-error"
+PUBLISHED_MEDIAN_UM = 11.9
+MAP_HEIGHT_MM = 800.0
+PLANE_SHAPE = (81, 27)
+PERCENTS = (0.0, 1.0, 2.5, *np.arange(5.0, 100.0, 5.0).tolist(), 97.5, 99.0, 100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyErrors:
+    """Parameters (m, p) of machines drawn from a family and their volumetric errors (m,) in µm."""
+
+    parameters: Array
+    raw_um: Array
+    aligned_um: Array
+
+    @property
+    def typical(self) -> int:
+        """The machine whose raw volumetric error is nearest to the median."""
+        return int(np.abs(self.raw_um - np.median(self.raw_um)).argmin())
+
+
+def run(case: StudyCase) -> StudyResult:
+    """Distribution over `case.machines` machines, and the map of the one of median volumetric error."""
+    what, family = "volumetric error", case.reality.family
+    case.progress(what, 0, 2)
+    grid = evaluation_grid(family.model.ranges_mm)
+    field = FieldForm.build(family.model, case.reality, grid, case.tool_offset)
+    case.progress(what, 1, 2)
+    found = draw_family(family, field.form, case.machines, generator(case.seed, 0))
+    planes = median_planes(field, found.parameters[found.typical])
+    case.progress(what, 2, 2)
+    raw, aligned = (np.percentile(values, PERCENTS).tolist() for values in (found.raw_um, found.aligned_um))
+    return StudyResult(
+        name=NAME,
+        title="Volumetric error of the family",
+        columns=("percent_of_machines", "ve_raw_um", "ve_aligned_um"),
+        rows=list(zip(PERCENTS, raw, aligned, strict=True)),
+        summary=_summary(found),
+        draw=partial(_draw, found=found, planes=planes),
+        size_in=(10.0, 4.6),
+    )
+
+
+def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.random.Generator) -> FamilyErrors:
+    """Volumetric errors of `machines` of a family; `form` holds what acts on all of them."""
+    parameters = family.draw(rng, machines)
+    raw_mm, aligned_mm = form.values(parameters)
+    return FamilyErrors(parameters, 1e3 * raw_mm, 1e3 * aligned_mm)
+
+
+def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
+    """Length of the deviation at one height: as it is, and less the rigid motion that fits the workspace best."""
+    x_mm, y_mm, height_mm = _nodes(field.model.ranges_mm)
+    points = np.stack(np.meshgrid(x_mm, y_mm, [height_mm], indexing="ij"), axis=-1).reshape(-1, 3)
+    maps = []
+    for aligned in (False, True):
+        basis, deflection = field.columns_at(points, aligned)
+        length_mm = np.linalg.norm(basis @ parameters + deflection, axis=1)
+        maps.append(1e3 * length_mm.reshape(PLANE_SHAPE))
+    where = f"Z = {height_mm:g} mm"
+    return (
+        Plane(f"{where}, as defined", x_mm, y_mm, maps[0]),
+        Plane(f"{where}, best rigid motion of the workspace taken out", x_mm, y_mm, maps[1]),
+    )
+
+
+def _nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
+    """x, y and the height of the map: the published one, in a machine that does not reach it the middle."""
+    x, y, (low, high) = ranges_mm
+    height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)
+    return np.linspace(*x, PLANE_SHAPE[0]), np.linspace(*y, PLANE_SHAPE[1]), height_mm
+
+
+def _summary(found: FamilyErrors) -> dict[str, object]:
+    medians = {
+        "median_ve_raw_um": float(np.median(found.raw_um)),
+        "median_ve_aligned_um": float(np.median(found.aligned_um)),
+        "published_median_um": PUBLISHED_MEDIAN_UM,
+        "map_of_machine": found.typical,
+        "map_ve_raw_um": float(found.raw_um[found.typical]),
+    }
+    middle = {
+        f"{name}_p{percent:02d}_um": float(np.percentile(values, percent))
+        for name, values in (("ve_raw", found.raw_um), ("ve_aligned", found.aligned_um))
+        for percent in (5, 95)
+    }
+    return {**medians, **middle}
+
+
+def _draw(figure: Figure, found: FamilyErrors, planes: tuple[Plane, Plane]) -> None:
+    layout = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.35))
+    _draw_distribution(figure.add_subplot(layout[:, 0]), found)
+    top_um = max(float(plane.length_um.max()) for plane in planes)
+    maps = [figure.add_subplot(layout[row, 1]) for row in range(2)]
+    images = [draw_plane(axes, plane, top_um) for axes, plane in zip(maps, planes, strict=True)]
+    bar = figure.colorbar(images[0], ax=maps, shrink=0.9, pad=0.02)
+    bar.set_label("deviation of the median machine / µm")
+
+
+def _draw_distribution(axes: Axes, found: FamilyErrors) -> None:
+    below_legend = 0.76
+    bins = np.linspace(0.0, float(found.raw_um.max()), 61).tolist()
+    for values, colour, label in (
+        (found.aligned_um, ORANGE, "rigidly aligned"),
+        (found.raw_um, BLUE, "as defined"),
+    ):
+        median = float(np.median(values))
+        axes.hist(values, bins, color=colour, alpha=0.55, label=f"{label}, median {median:.1f} µm")
+        axes.axvline(median, ymax=below_legend, color=colour, linewidth=1.2)
+    published = f"published median {PUBLISHED_MEDIAN_UM} µm"
+    axes.axvline(PUBLISHED_MEDIAN_UM, ymax=below_legend, color=INK, linestyle="--", label=published)
+    axes.set_title(f"{len(found.raw_um)} machines of the family")
+    axes.set_xlabel("VE / µm")
+    axes.set_ylabel("machines")
+    axes.set_ylim(0.0, axes.get_ylim()[1] / below_legend)
+    axes.legend(loc="upper left")
