@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 from rich.console import Console
@@ -23,10 +23,13 @@ from agent.settings import IdentificationSettings
 from agent.studies import STUDIES
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import LocalWorkers, Workers
-from agent.studies.writing import document, ready_folder, write_result
+from agent.studies.writing import as_plain, document, ready_folder, write_result
 from drivers.clock import wall_seconds
 from drivers.errors import ConfigurationError
 from twin.identification import Options
+
+if TYPE_CHECKING:
+    from agent.studies.cluster import DaskWorkers
 
 PATH = click.Path(path_type=Path)
 
@@ -121,8 +124,18 @@ def hired(workers: int | None, cluster: str | None) -> Iterator[Workers]:
     """Workers on this computer or on a cluster, sent home after the block."""
     if cluster is not None and workers is not None:
         raise ConfigurationError("--workers are those of this computer, --cluster has its own", hint="give one of them")
-    with LocalWorkers(workers) as team:
+    with LocalWorkers(workers) if cluster is None else _cluster(cluster) as team:
         yield team
+
+
+def _cluster(address: str) -> DaskWorkers:
+    try:
+        module = import_module("agent.studies.cluster")
+    except ModuleNotFoundError as missing:
+        hint = "install it: pip install volcal[cluster]"
+        raise ConfigurationError(f"a cluster needs the package '{missing.name}'", hint=hint, key="--cluster") from None
+    workers: DaskWorkers = module.DaskWorkers(address)
+    return workers
 
 
 @contextmanager
@@ -147,10 +160,22 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
 
 def _show(result: StudyResult, files: dict[str, Path]) -> None:
     table = Table(title=result.title, title_justify="left", show_header=False)
-    for key, value in document(result).items():
-        if isinstance(value, (str, int, float)) and key not in ("study", "title"):
-            table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    for key, text in _lines(result.summary):
+        table.add_row(key, text)
     console = Console(highlight=False, soft_wrap=True)
     console.print(table)
     for path in files.values():
         console.print(str(path), markup=False)
+
+
+def _lines(summary: Mapping[str, object], under: str = "") -> Iterator[tuple[str, str]]:
+    """Name and value of whatever is a single value, that of inner mappings too; lists are left to the files."""
+    for key, value in summary.items():
+        name = f"{under}{key}".replace("_", " ")
+        plain = as_plain(value)
+        if isinstance(plain, dict):
+            yield from _lines(plain, f"{name}, ")
+        elif isinstance(plain, float):
+            yield name, f"{plain:.4g}"
+        elif isinstance(plain, (str, int)):
+            yield name, str(plain)

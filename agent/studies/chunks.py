@@ -6,14 +6,16 @@ What runs in a worker's process is here, and nothing that a worker does not need
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+import platform
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import version
 from typing import Any, Generic, TypeVar
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from drivers.errors import InputError, VolcalError
+from drivers.errors import ConfigurationError, InputError, VolcalError
 from twin.errors import TwinError
 
 Item = TypeVar("Item")
@@ -30,14 +32,13 @@ class Chunk(Generic[Item]):
     items: Sequence[Item]
 
     def run(self, task: Callable[[Item], Result]) -> list[Result]:
-        """The results, each computed by itself with one thread; whatever fails is named as error of the one tree."""
+        """The results, each computed by itself; whatever fails becomes an error of the one tree that names the item."""
         results: list[Result] = []
-        with threadpool_limits(limits=1):
-            for number, item in enumerate(self.items, start=self.first):
-                try:
-                    results.append(task(item))
-                except Exception as error:
-                    raise _named(error, _name(number, item)) from error
+        for number, item in enumerate(self.items, start=self.first):
+            try:
+                results.append(task(item))
+            except Exception as error:
+                raise _named(error, _name(number, item)) from error
         return results
 
 
@@ -48,8 +49,29 @@ def chunked(items: Sequence[Item], most: int) -> list[Chunk[Item]]:
 
 
 def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
-    """In a worker: the results of a chunk for a pickled task."""
-    return chunk.run(_unpickled(task))
+    """The results of a chunk for a pickled task, with one thread of the linear algebra from now on: sums split among
+    threads depend on their number."""
+    function = _unpickled(task)
+    threadpool_limits(limits=1)  # of what the task has loaded
+    return chunk.run(function)
+
+
+def run_chunk_alike(task: bytes, chunk: Chunk[Any], software: Mapping[str, str]) -> list[Any]:
+    """The same on another computer; ConfigurationError where its software is not the one that hands out the work."""
+    here = software_here()
+    for name, wanted in software.items():
+        if here[name] != wanted:
+            raise ConfigurationError(
+                f"a worker of the cluster has {name} {here[name]}, this computer {wanted}",
+                hint="numbers would depend on who computed them: install the same versions everywhere",
+            )
+    return run_chunk(task, chunk)
+
+
+def software_here() -> dict[str, str]:
+    """Versions of what the numbers of a study depend on."""
+    names = ("volcal", "numpy", "scipy")
+    return {"Python": ".".join(platform.python_version_tuple()[:2]), **{name: version(name) for name in names}}
 
 
 @lru_cache(maxsize=2)

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from agent.studies.chunks import Chunk, chunked, run_chunk
 from drivers.errors import ConfigurationError, RunError
@@ -72,11 +73,12 @@ class LocalWorkers:
             self._pool = None
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: Done) -> list[Result]:
+        pickled = pickle.dumps(task)
         if self.processes == 1 or len(items) < 2:
-            return _here(task, items, done)
+            return _here(pickled, items, done)
         chunks = chunked(items, CHUNKS_A_WORKER * self.processes)
         try:
-            return self._in_processes(pickle.dumps(task), chunks, done)
+            return self._in_processes(pickled, chunks, done)
         except BrokenProcessPool:
             self._stop()
             hint = "was memory short? Take fewer --workers"
@@ -118,11 +120,13 @@ class LocalWorkers:
         self._pool = None
 
 
-def _here(task: Callable[[Item], Result], items: Sequence[Item], done: Done) -> list[Result]:
+def _here(task: bytes, items: Sequence[Item], done: Done) -> list[Result]:
+    """In this process, from the same pickled task as everywhere: an array may come out of it laid out otherwise."""
     found: list[Result] = []
-    for chunk in chunked(items, len(items)):
-        found += chunk.run(task)
-        done(len(found))
+    with threadpool_limits(limits=1):
+        for chunk in chunked(items, len(items)):
+            found += run_chunk(task, chunk)
+            done(len(found))
     return found
 
 
