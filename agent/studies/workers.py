@@ -32,6 +32,9 @@ Done = Callable[[int], None]
 CHUNKS_A_WORKER = 8
 """So many that the last ones end together and the progress moves; so few that handing over costs nothing."""
 
+END_S = 5.0
+"""How long a process that was told to end is waited for."""
+
 
 class Workers(Protocol):
     """`map` gives the results in the order of the items. Task, items and results must be picklable: a task is a
@@ -114,9 +117,11 @@ class LocalWorkers:
         if self._pool is None:
             return
         self._pool.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
-            if child.pid not in self._others:
-                child.terminate()
+        own = [child for child in multiprocessing.active_children() if child.pid not in self._others]
+        for child in own:
+            child.terminate()
+        for child in own:
+            child.join(END_S)
         self._pool = None
 
 
