@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.arrays import Array
-from twin.design.field_form import FieldForm
+from twin.design.criterion import Criterion
 from twin.errors import DataError
 from twin.family import Family
 from twin.identification.centres import CentreEquations
@@ -39,7 +39,7 @@ class Candidates:
     balls: Indices
     factors: Array
     precision: Array
-    form: FieldForm
+    form: Criterion
 
     @property
     def count(self) -> int:
@@ -102,7 +102,7 @@ def candidates_of(
         balls=_balls(planned),
         factors=_factors(problem),
         precision=Precision(problem.blocks, problem.known).matrix(Scales()),
-        form=FieldForm.build(problem.unknowns, grid, tool_offset),
+        form=Criterion.build(problem.unknowns, grid, tool_offset),
     )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -77,11 +79,11 @@ class Target:
         floor = candidates.vce(range(candidates.count)).aligned_mm
         if self.vce_mm < floor:
             raise _unattainable(self.vce_mm, floor, candidates.count)
-        selection = Selection.of(candidates)
-        for selection in search.grown(selection, _up_to(candidates.count, candidates.count), per_minute=True):
-            if selection.value <= wanted and len(selection.chosen) >= FEWEST_POSITIONS:
-                return _thinned(search, selection, wanted).chosen
-        raise _unattainable(self.vce_mm, float(np.sqrt(selection.value)), len(selection.chosen))
+        start = best = Selection.of(candidates)
+        for best in search.grown(start, _up_to(candidates.count, candidates.count), per_minute=True):
+            if best.value <= wanted and len(best.chosen) >= FEWEST_POSITIONS:
+                return _thinned(search, best, wanted).chosen
+        raise _unattainable(self.vce_mm, float(np.sqrt(best.value)), len(best.chosen))
 
 
 Goal = Positions | Slot | Target
@@ -92,9 +94,8 @@ def _up_to(count: int, candidates: int) -> Room:
 
 
 def _last(search: Search, selection: Selection, room: Room, *, per_minute: bool) -> Selection:
-    for selection in search.grown(selection, room, per_minute=per_minute):
-        pass
-    return selection
+    """The last of the selections grown; the given one where there is no room at all."""
+    return deque(chain([selection], search.grown(selection, room, per_minute=per_minute)), maxlen=1).pop()
 
 
 def _settled(search: Search, room: Room) -> Selection:

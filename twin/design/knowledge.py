@@ -90,4 +90,4 @@ class Knowledge:
 
 def _ratios(below: Array, above: Array) -> Array:
     """(n,) trace(below⁻¹ above) of symmetric matrices (n, r, r)."""
-    return np.einsum("nij,nij->n", np.linalg.inv(below), above)
+    return np.asarray(np.einsum("nij,nij->n", np.linalg.inv(below), above))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Array
-from twin.design.candidates import Candidates
+from twin.design.candidates import Candidates, Indices
 from twin.design.knowledge import Knowledge
 from twin.design.prices import Prices
 
@@ -23,6 +23,7 @@ Room = Callable[[Sequence[int]], Mask]
 
 _BETTER = 1e-9  # relative fall of the value below which an exchange is not worth making
 _MOST_ROUNDS = 10
+_LOOKED_AT = 200  # candidates of which none is left out of an exchange
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,26 +90,42 @@ class Search:
 
     def exchanged(self, selection: Selection, room: Room) -> Selection:
         """Each chosen position in turn, the most dispensable first, gives way to the best that there is room for, where
-        that lowers the value (Fedorov's exchange)."""
+        that lowers the value (Fedorov's exchange). Each round looks at the candidates that promise most."""
         for _ in range(_MOST_ROUNDS):
             before = selection.value
-            for index in selection.by_rising_loss()[0]:
-                selection = self._given_way(selection, index, room)
+            chosen = self._round(selection, room)
+            selection = Selection.of(self.candidates, chosen)
             if selection.value > before * (1.0 - max(self.worthwhile, _BETTER)):
                 break
         return selection
 
-    def _given_way(self, selection: Selection, index: int, room: Room) -> Selection:
+    def _round(self, selection: Selection, room: Room) -> tuple[int, ...]:
+        kept = self._promising(selection)
+        place = {int(index): here for here, index in enumerate(kept)}
+        near = Selection(tuple(place[index] for index in selection.chosen), selection.knowledge.of(kept))
+        for index in near.by_rising_loss()[0]:
+            near = self._given_way(near, index, room, kept)
+        return tuple(int(kept[index]) for index in near.chosen)
+
+    def _promising(self, selection: Selection) -> Indices:
+        """The chosen ones and the half of all others that would gain most now, in the order of the candidates."""
+        gains = np.where(selection.free, selection.knowledge.gains(), np.inf)
+        count = max(len(gains) // 2, min(len(gains), _LOOKED_AT)) + len(selection.chosen)
+        return np.sort(np.argsort(-gains, kind="stable")[:count])
+
+    def _given_way(self, selection: Selection, index: int, room: Room, kept: Indices) -> Selection:
+        """`kept` (n,): which candidates the selection's numbers stand for."""
         rest = selection.without(index)
         needed = rest.value - selection.value * (1.0 - _BETTER)
-        best = self._best(rest.knowledge.gains(), room(rest.chosen) & selection.free, needed)
+        allowed = room([int(kept[other]) for other in rest.chosen])[kept] & selection.free
+        best = self._best(rest.knowledge.gains(), allowed, needed, kept)
         return selection if best is None else rest.having(best)
 
-    def _best(self, worth: Array, allowed: Mask, above: float) -> int | None:
+    def _best(self, worth: Array, allowed: Mask, above: float, kept: Indices | None = None) -> int | None:
         """The candidate of most worth that is allowed, passes and is worth more than `above`."""
         left = np.where(allowed, worth, -np.inf)
         while left[best := int(np.argmax(left))] > above:
-            if self.passes(best):
+            if self.passes(best if kept is None else int(kept[best])):
                 return best
             left[best] = -np.inf
         return None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.artefact import Artefact
-from twin.design.field_form import FieldForm
+from twin.design.criterion import Criterion
 from twin.family import Family
 from twin.identification.centres import CentreEquations
 from twin.identification.normal import Posterior, Precision, Scales
@@ -43,7 +43,7 @@ def valuation(
 ) -> Valuation:
     """Of ball centres where they will be found, identified with prior and full weights, scales as stated."""
     problem = build_problem(family, observations, artefact, options)
-    form = FieldForm.build(problem.unknowns, grid, tool_offset)
+    form = Criterion.build(problem.unknowns, grid, tool_offset)
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))
 
 
@@ -58,7 +58,7 @@ def valued(
 ) -> Valuation:
     """The same for an `after` that is known already, of whatever formulation and weights."""
     unknowns = build_problem(family, observations, artefact, options).unknowns
-    form = FieldForm.build(unknowns, grid, tool_offset)
+    form = Criterion.build(unknowns, grid, tool_offset)
     return Valuation(form.expected(np.eye(unknowns.blocks.size)), after)
 
 

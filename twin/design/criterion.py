@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
-from twin.identification.unknowns import Unknowns
+from twin.identification.unknowns import Indices, Unknowns
 from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
 from twin.volumetric import Volumetric
@@ -17,7 +17,7 @@ _CHUNK = 2000  # grid points whose fields are held at a time
 
 
 @dataclass(frozen=True, eq=False)
-class FieldForm:
+class Criterion:
     """`raw`, `aligned` (P, P) mm²: trace(form · C) is the expected mean square, over a grid, of the field whose
     unknowns z (P,) have the covariance C; aligned after the best rigid motion. Certificate and strain are no field.
     """
@@ -26,7 +26,7 @@ class FieldForm:
     aligned: Array
 
     @classmethod
-    def build(cls, unknowns: Unknowns, axis_positions: ArrayLike, tool_offset: ArrayLike) -> FieldForm:
+    def build(cls, unknowns: Unknowns, axis_positions: ArrayLike, tool_offset: ArrayLike) -> Criterion:
         """Form over a grid of axis positions (n, 3) mm for the tool (3,) mm whose field counts."""
         grid, offset = as_points(axis_positions, "axis positions"), as_vector(tool_offset, 3, "tool offset")
         fields = _Fields(unknowns, offset)
@@ -56,9 +56,10 @@ class _Fields:
     offset: Array
 
     @property
-    def places(self) -> Array:
+    def places(self) -> Indices:
         blocks = self.unknowns.blocks
-        return np.r_[blocks.parameters, blocks.misfit]
+        every = np.arange(blocks.size)
+        return np.concatenate((every[blocks.parameters], every[blocks.misfit]))
 
     @property
     def size(self) -> int:

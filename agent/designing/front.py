@@ -1,0 +1,59 @@
+"""The Pareto front: what every further minute buys."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.design.search import Search, Selection
+
+FEWEST_POSITIONS = 24
+"""A front goes at least so far."""
+
+
+@dataclass(frozen=True)
+class FrontPoint:
+    """A set that was looked at; `best`: no other is as good in less time. `design`: the one that was asked for."""
+
+    positions: int
+    minutes: float
+    vce_um: float
+    valuation: float
+    best: bool
+    design: bool
+
+
+def front_of(search: Search, chosen: Sequence[int], minutes: float) -> tuple[FrontPoint, ...]:
+    """Sets grown by gain per minute, and the design (`chosen`, priced `minutes`), by rising minutes."""
+    candidates = search.candidates
+    before = candidates.vce([]).aligned_um
+    furthest = max(FEWEST_POSITIONS, len(chosen))
+    start = Selection.of(candidates)
+    grown = search.grown(start, lambda taken: np.full(candidates.count, len(taken) < furthest), per_minute=True)
+    points = [
+        (len(one.chosen), search.prices.total(one.chosen), 1e3 * float(np.sqrt(one.value)), False) for one in grown
+    ]
+    points.append((len(chosen), minutes, candidates.vce(chosen).aligned_um, True))
+    points.sort(key=lambda point: (point[1], point[2]))
+    lowest, front = np.inf, []
+    for count, taken, vce, design in points:
+        front.append(FrontPoint(count, taken, vce, 100.0 * (1.0 - vce / before), vce < lowest, design))
+        lowest = min(lowest, vce)
+    return tuple(front)
+
+
+def format_front(points: Sequence[FrontPoint]) -> str:
+    """CSV text."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ("positions", "machine_minutes", "expected_vce_aligned_um", "valuation_percent", "on_front", "design")
+    )
+    for p in points:
+        words = ("yes" if p.best else "no", "yes" if p.design else "no")
+        writer.writerow((p.positions, f"{p.minutes:.3f}", f"{p.vce_um:.4f}", f"{p.valuation:.2f}", *words))
+    return text.getvalue()
