@@ -27,6 +27,7 @@ OWN_COMMANDS = {
     "calibrate": "agent.cli.calibrate:calibrate_command",
     "config": "agent.cli.config:config_group",
     "demo": "agent.cli.demo:demo_command",
+    "design": "agent.cli.design:design_command",
     "doctor": "agent.cli.doctor:doctor_command",
     "identify": "agent.cli.identify:identify",
     "plan": "agent.cli.plan:plan_command",

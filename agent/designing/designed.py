@@ -26,8 +26,8 @@ _LITTLE_MIN = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """`positions` in the order of measuring; `minutes` by the run's own plan; `held_out`: positions for the proof, empty
-    where none were asked for; `candidates`: from how many was chosen; `rehearsed`: whether a preflight has passed."""
+    """`positions` in the order of measuring; `minutes` by the run's own plan; `held_out`: positions for the proof, if any
+    were asked for; `candidates`: from how many was chosen; `rehearsed`: whether a preflight has passed."""
 
     setting: Setting
     positions: tuple[Position, ...]
@@ -69,10 +69,9 @@ def designed(setting: Setting, goal: Goal, *, verify: bool, rehearsable: bool, s
         minutes = setting.minutes(positions)
         front = front_of(search, chosen, minutes)
         balls = int(sum(candidates.balls[list(chosen)]))
-        found = Designed(
+        return Designed(
             setting, positions, minutes, Valuation(before, after), balls, held_out, front, candidates.count, rehearsable
         )
-        return found
     raise ConfigurationError(
         f"the preflight refused a position of each of {_MOST_TRIES} designs",
         hint="`volcal plan` tells what is in the way",

@@ -26,7 +26,7 @@ def most_telling(
     left = [list(group) for group in groups if not taken & set(group)]
     if len(left) < count:
         raise DataError(
-            f"{count} orientations are to be held out, {len(left)} are left that all stations of the verification reach",
+            f"{count} orientations are to be held out, {len(left)} are left that the verification's stations reach",
             hint="take a finer grid, fewer stations in `verification.stations`, or fewer positions",
         )
     measured, telling = list(chosen), []

@@ -1,0 +1,233 @@
+"""`volcal design`: choose the positions before anything moves; no device is touched."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.case import CASE_STUDY, load_case
+from agent.cli.errors import reported
+from agent.designing.comparing import Choice, compared
+from agent.designing.designed import Designed
+from agent.designing.figure import Rival
+from agent.designing.valued_set import valuation_of
+from agent.designing.variants import variants_of
+from agent.designing.writing import check_target, write_design
+from agent.job import Job, naming
+from agent.timing import machine_minutes
+from drivers.clock import wall_seconds
+from drivers.errors import InputError, UserError
+from twin.design.goals import Goal, Positions, Slot, Target
+from twin.position_set import Position
+
+PATH = click.Path(path_type=Path)
+_SLOT = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(min|h)?\s*")
+_MIN_PER = {None: 1.0, "min": 1.0, "h": 60.0}
+GOALS = "--slot, --positions or --target-vce"
+
+
+def _listed(kind: Callable[[str], Any]) -> Callable[[click.Context, click.Parameter, str | None], list[Any]]:
+    def callback(_: click.Context, __: click.Parameter, text: str | None) -> list[Any]:
+        try:
+            return [kind(part) for part in text.split(",")] if text else []
+        except ValueError:
+            raise click.BadParameter("write numbers separated by commas") from None
+
+    return callback
+
+
+def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
+    if text is None:
+        return None
+    match = _SLOT.fullmatch(text)
+    if match is None:
+        raise click.BadParameter("write a time such as 20min or 1.5h")
+    return float(match.group(1)) * _MIN_PER[match.group(2)]
+
+
+@click.command("design")
+@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings [default: the shipped case study].")
+@click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of that of the settings.")
+@click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of that of the settings.")
+@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations evenly along X.")
+@click.option("--slot", callback=_minutes, metavar="20min", help="As good as it can be in so much machine time.")
+@click.option("--positions", type=int, metavar="N", help="As good as it can be with N positions.")
+@click.option("--target-vce", type=float, metavar="µm", help="As short as it can be with this expected VCE (aligned).")
+@click.option("--grid-deg", type=float, default=15.0, show_default=True, help="Step of azimuth and elevation.")
+@click.option(
+    "--tool", "tools", multiple=True, metavar="NAME", help="Tools to choose from; the table is made for the first."
+)
+@click.option("--touches", callback=_listed(int), metavar="5,9", help="Touches a ball to choose from.")
+@click.option("--balls", callback=_listed(int), metavar="5,7,11", help="Numbers of balls to choose from.")
+@click.option("--theta-deg", callback=_listed(float), metavar="0,15,30", help="Tilts of the holders to choose from.")
+@click.option("--verify-set", is_flag=True, help="Also choose the positions held out for the proof.")
+@click.option("--out", type=PATH, default=Path("design.csv"), show_default=True, metavar="FILE.csv")
+@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@reported
+def design_command(
+    *,
+    config: Path,
+    machine: Path | None,
+    artefact: Path | None,
+    stations: int | None,
+    slot: float | None,
+    positions: int | None,
+    target_vce: float | None,
+    grid_deg: float,
+    tools: tuple[str, ...],
+    touches: list[int],
+    balls: list[int],
+    theta_deg: list[float],
+    verify_set: bool,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Choose the positions that leave the smallest volumetric compensated error, and write them as a position set."""
+    started = wall_seconds()
+    goal = _goal(slot, positions, target_vce)
+    check_target(out)
+    job = load_case(config, machine=machine, artefact=artefact, stations=stations)
+    with naming(config):
+        variants = variants_of(
+            job, config.resolve().parent, tools=tools, touches=touches, balls=balls, thetas_deg=theta_deg
+        )
+        console = Console(stderr=True)
+        with console.status("") as status:
+            choices = compared(variants, goal, grid_deg, verify=verify_set, say=lambda what: status.update(f"{what} …"))
+    best = next(choice for choice in choices if choice.best)
+    rivals = _rivals(job)
+    files = write_design(best.found, rivals, out)
+    seconds = wall_seconds() - started
+    if as_json:
+        click.echo(json.dumps(_document(choices, best, rivals, files, seconds), allow_nan=False))
+    else:
+        _show(choices, best, rivals, files, seconds)
+
+
+def _goal(slot: float | None, positions: int | None, target_vce: float | None) -> Goal:
+    given = [value for value in (slot, positions, target_vce) if value is not None]
+    if len(given) != 1:
+        said = "no goal is given" if not given else f"{len(given)} goals are given"
+        raise InputError(said, hint=f"give exactly one of {GOALS}")
+    if not (math.isfinite(given[0]) and given[0] > 0.0):
+        raise InputError(f"the goal must be above zero, not {given[0]:g}", key=GOALS)
+    if slot is not None:
+        return Slot(slot)
+    return Positions(positions) if positions is not None else Target(1e-3 * given[0])
+
+
+def _rivals(job: Job) -> list[Rival]:
+    """The set of the settings, where it can be measured at all."""
+    name = job.settings.procedure.position_set
+    try:
+        vce_um = valuation_of(job, job.positions).after.aligned_um
+    except UserError:
+        return []
+    return [Rival(f"{Path(name).name} of the settings", machine_minutes(job, job.positions).total, vce_um)]
+
+
+def _as_json(position: Position) -> dict[str, object]:
+    return {
+        "station": position.station,
+        "azimuth_deg": position.azimuth_deg,
+        "elevation_deg": position.elevation_deg,
+        "tool": position.tool,
+    }
+
+
+def _worth(found: Designed) -> dict[str, object]:
+    return {
+        "machine_minutes": round(found.minutes, 3),
+        "balls": found.balls,
+        "touches": found.touches,
+        "expected_ve_um": found.valuation.before.aligned_um,
+        "expected_vce_um": found.valuation.after.aligned_um,
+        "expected_vce_raw_um": found.valuation.after.raw_um,
+        "valuation": found.valuation.percent,
+    }
+
+
+def _document(
+    choices: list[Choice], best: Choice, rivals: list[Rival], files: list[Path], seconds: float
+) -> dict[str, object]:
+    found = best.found
+    return {
+        "positions": [_as_json(position) for position in found.positions],
+        **_worth(found),
+        "held_out": [_as_json(position) for position in found.held_out],
+        "candidates": found.candidates,
+        "rehearsed": found.rehearsed,
+        "front": [vars(point) for point in found.front],
+        "settings_sets": [vars(rival) for rival in rivals],
+        "variants": [_variant(choice) for choice in choices],
+        "files": [str(path) for path in files],
+        "wall_seconds": round(seconds, 3),
+    }
+
+
+def _variant(choice: Choice) -> dict[str, object]:
+    worth = _worth(choice.design) if choice.design else dict.fromkeys(("machine_minutes", "expected_vce_um"))
+    return {
+        "touches_per_ball": choice.variant.touches,
+        "artefact_balls": choice.variant.balls,
+        "theta_deg": choice.variant.theta_deg,
+        "best": choice.best,
+        "reason": choice.reason,
+        **worth,
+    }
+
+
+def _show(choices: list[Choice], best: Choice, rivals: list[Rival], files: list[Path], seconds: float) -> None:
+    found, console = best.found, Console(highlight=False, soft_wrap=True)
+    if len(choices) > 1:
+        console.print(_comparison(choices))
+    table = Table(title="position set by design", show_header=False, title_justify="left")
+    volumetric = found.valuation
+    rows = [
+        ("positions", f"{len(found.positions)} of {found.candidates} that are within reach, {found.balls} balls"),
+        ("machine time", f"{found.minutes:.1f} min"),
+        ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),
+        ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned ({volumetric.after.raw_um:.2f} as defined)"),
+        ("valuation", f"{volumetric.percent:.1f} % of the volumetric error removed"),
+        ("preflight", "rehearsed: no collision, no limit" if found.rehearsed else "vetted, not rehearsed"),
+        *((rival.name, f"{rival.vce_um:.2f} µm in {rival.minutes:.1f} min") for rival in rivals),
+        ("took", f"{seconds:.1f} s"),
+    ]
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    if found.held_out:
+        console.print(_verification(found), markup=False)
+    if best.variant.made_up:
+        console.print("note: this artefact is none of the settings'; have it made and calibrated first", style="yellow")
+    for path in files:
+        console.print(str(path), markup=False)
+
+
+def _verification(found: Designed) -> str:
+    """The lines for the settings."""
+    orientations = list(dict.fromkeys((p.azimuth_deg, p.elevation_deg) for p in found.held_out))
+    stations = sorted({p.station for p in found.held_out})
+    listed = ", ".join(f"[{azimuth:g}, {elevation:g}]" for azimuth, elevation in orientations)
+    return f"for the settings:\n[verification]\npositions_deg = [{listed}]\nstations = {stations}"
+
+
+def _comparison(choices: list[Choice]) -> Table:
+    table = Table("touches", "balls", "θ / °", "positions", "min", "VCE / µm", "valuation / %", "")
+    for choice in choices:
+        variant, found = choice.variant, choice.design
+        head = (str(variant.touches), str(variant.balls), f"{variant.theta_deg:g}")
+        if found is None:
+            table.add_row(*head, "", "", "", "", choice.reason)
+            continue
+        worth = (f"{found.minutes:.1f}", f"{found.valuation.after.aligned_um:.2f}", f"{found.valuation.percent:.1f}")
+        table.add_row(*head, str(len(found.positions)), *worth, "written" if choice.best else "")
+    return table
