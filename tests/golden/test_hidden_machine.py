@@ -1,24 +1,25 @@
 """A machine that the model cannot represent: does what is stated of it hold?
 
-The truth has Legendre orders up to 7, a deflection field, an artefact that is off within its certificate, touch noise
-and two gross errors; the model has order 5 and the certificate. Figures are over all seeds.
+The truth has Legendre orders up to 7, a deflection of a form that nobody here knows of, an artefact that is off within
+its certificate, touch noise and two gross errors; the model has the order that the evidence chooses, and the
+certificate. Figures are over all forms of deflection and all seeds.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-from twin.artefact import ball_bar
+from twin.artefact import Artefact, ball_bar
 from twin.chain import parse_chain
-from twin.deflection import CASE_STUDY_NODES, cantilever_deflection
 from twin.error_model import ErrorModel
 from twin.family import Family, family_from_amplitudes
-from twin.identification import Estimate, field_uncertainty, identify, predicted_vce
+from twin.identification import Estimate, Options, field_uncertainty, identify, identify_by_evidence, predicted_vce
 from twin.machine_model import exact_deviation
 from twin.observations import Observations
 from twin.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
@@ -38,8 +39,38 @@ AMPLITUDES = {
 CERTIFICATE_MM = 0.8e-3
 NOISE_MM = 1e-3
 SEEDS = range(6)
+Deflection = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 GROSS = {20: np.array([0.02, 0.0, 0.01]), 100: np.array([0.0, -0.05, 0.0])}
-DEFLECTION = cantilever_deflection(*CASE_STUDY_NODES)
+
+
+def leaning_column(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ram sag with a power law, a column that yields more and more with height, a rail that waves in X."""
+    return 2.0 * np.sin(3.0 * np.pi * z) * y, 3.0 * y**3 * z, -9.0 * y**2 * (0.5 + z) + 1.5 * np.sin(5.0 * np.pi * x)
+
+
+def soft_spot(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A foundation that yields in one place and between screws."""
+    sunk = np.exp(-(((x - 0.4) / 0.15) ** 2))
+    return 3.0 * sunk * z, 2.0 * np.cos(5.0 * x) * y * z, -8.0 * y**2.5 + 2.0 * np.sin(4.0 * np.pi * x) ** 2 * y
+
+
+def joined_rails(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rails of two pieces: a kink in X and a step in height where they meet, and a kink half-way up."""
+    step = np.tanh((x - 0.55) / 0.04)
+    return 2.0 * np.abs(z - 0.5) * y, 3.0 * np.abs(x - 0.55) * (0.5 + z), 1.2 * step - 6.0 * y**1.5
+
+
+def pendulum(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A cross-beam that swings with the place of its saddle: nothing is a product of one axis with a lever."""
+    swing = np.sin(np.pi * (x + 0.7 * y + 0.4 * z))
+    return (
+        2.0 * swing * z,
+        2.5 * np.cos(2.0 * (x - z)) * y,
+        -5.0 * np.log1p(y * (1.0 + z)) - 2.0 * swing * x * (1.0 - x),
+    )
+
+
+FORMS: dict[str, Deflection] = {form.__name__: form for form in (leaning_column, soft_spot, joined_rails, pendulum)}
 
 
 def family_of_order(order: int) -> Family:
@@ -51,21 +82,29 @@ def family_of_order(order: int) -> Family:
 class Night:
     truth: np.ndarray
     parameters: np.ndarray
+    form: str
+    certified: Artefact
     seen: Observations
     estimate: Estimate
 
 
-HIDDEN, OWN = family_of_order(7), family_of_order(5)
+HIDDEN = family_of_order(7)
+LOW, HIGH = np.array(RANGES).T
 GRID = evaluation_grid(RANGES, (20, 10, 10))
 
 
-def truth_at(points: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-    inside = np.clip(points, *np.array(RANGES).T)
-    return exact_deviation(HIDDEN.model, points, TOOL, parameters) + DEFLECTION.at(inside)
+def truth_at(points: np.ndarray, parameters: np.ndarray, form: str) -> np.ndarray:
+    share = (np.clip(points, LOW, HIGH) - LOW) / (HIGH - LOW)
+    deflection_um = np.stack(FORMS[form](*share.T), axis=1)
+    return exact_deviation(HIDDEN.model, points, TOOL, parameters) + 1e-3 * deflection_um
+
+
+def nights() -> Iterator[Night]:
+    return (night(form, seed) for form in FORMS for seed in SEEDS)
 
 
 @cache
-def night(seed: int) -> Night:
+def night(form: str, seed: int) -> Night:
     rng = np.random.default_rng(seed)
     parameters = HIDDEN.draw(rng, 1)[0]
     certified = ball_bar(
@@ -80,19 +119,18 @@ def night(seed: int) -> Night:
     slip = rng.normal(0.0, CERTIFICATE_MM, certified.balls.shape)
     real = dataclasses.replace(certified, balls=certified.balls + slip)
     places = station_places(4, RANGES[0], 560.0, 900.0, 750.0)
-    lower, upper = np.array(RANGES).T
     rows = []
     for number, position in enumerate(positions_of("S3", 4)):
         azimuth, elevation = math.radians(position.azimuth_deg), math.radians(position.elevation_deg)
         points = (
             mount_pose(places[position.station - 1], MountGeometry(), azimuth, elevation).applied(real.balls) - TOOL
         )
-        for ball in np.flatnonzero(reachable(points, lower, upper, np.full(3, 10.0))):
+        for ball in np.flatnonzero(reachable(points, LOW, HIGH, np.full(3, 10.0))):
             rows.append((number, ball, elevation, *points[ball]))
     table = np.array(rows)
     found = table[:, 3:]
     for _ in range(4):
-        found = table[:, 3:] - truth_at(found, parameters)
+        found = table[:, 3:] - truth_at(found, parameters, form)
     found = found + rng.normal(0.0, NOISE_MM, found.shape)
     for row, slip_mm in GROSS.items():
         found[row] += slip_mm
@@ -107,47 +145,64 @@ def night(seed: int) -> Night:
         elevation_rad=table[:, 2],
         tool_offsets=TOOL[None],
     )
-    estimate = identify(OWN.model, seen, certified, OWN)
-    return Night(truth_at(GRID, parameters), parameters, seen, estimate)
+    estimate = identify_by_evidence(family_of_order, seen, certified)
+    return Night(truth_at(GRID, parameters, form), parameters, form, certified, seen, estimate)
 
 
-def left(one: Night) -> np.ndarray:
-    return one.truth - exact_deviation(OWN.model, GRID, TOOL, one.estimate.parameters)
+def left_um(one: Night, estimate: Estimate) -> float:
+    """True aligned VCE."""
+    left = one.truth - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
+    return volumetric_error(GRID + TOOL, left).aligned_um
 
 
-def test_exactly_the_gross_errors_are_rejected() -> None:
-    for seed in SEEDS:
-        one = night(seed)
-        expected = {(int(one.seen.position[row]), int(one.seen.ball[row]), 0) for row in GROSS}
-        assert set(one.estimate.rejected) == expected
+def test_the_gross_errors_are_rejected_and_hardly_anything_else() -> None:
+    others = 0
+    for one in nights():
+        gross = {(int(one.seen.position[row]), int(one.seen.ball[row]), 0) for row in GROSS}
+        assert gross <= set(one.estimate.rejected)
+        others += len(one.estimate.rejected) - len(gross)
+    assert others <= 1
 
 
 def test_the_aligned_volumetric_error_falls_to_about_a_third() -> None:
-    before = [volumetric_error(GRID + TOOL, night(seed).truth).aligned_um for seed in SEEDS]
-    after = [volumetric_error(GRID + TOOL, left(night(seed))).aligned_um for seed in SEEDS]
+    before = [volumetric_error(GRID + TOOL, one.truth).aligned_um for one in nights()]
+    after = [left_um(one, one.estimate) for one in nights()]
     assert 7.0 < np.mean(before) < 13.0
-    assert np.mean(after) < 0.42 * np.mean(before)
+    assert np.mean(after) < 0.39 * np.mean(before)
     assert max(after) < 5.5
 
 
+def test_the_order_that_the_evidence_chooses_leaves_no_more_than_order_five_by_fiat() -> None:
+    """Nor does the modelled misfit: without it and at order 5 as ever, the most is left."""
+    five = family_of_order(5)
+
+    def by_fiat(one: Night, options: Options) -> float:
+        return left_um(one, identify(five.model, one.seen, one.certified, five, options))
+
+    chosen = np.mean([left_um(one, one.estimate) for one in nights()])
+    assert chosen < np.mean([by_fiat(one, Options()) for one in nights()])
+    assert chosen < 0.97 * np.mean([by_fiat(one, Options(misfit_mm=0.0)) for one in nights()])
+    orders = [one.estimate.model.highest_order[0] for one in nights()]
+    assert np.mean([order >= 6 for order in orders]) > 0.8
+
+
 def test_the_predicted_error_is_near_the_true_one() -> None:
-    ratios = []
-    for seed in SEEDS:
-        true = volumetric_error(GRID + TOOL, left(night(seed))).aligned_mm
-        ratios.append(predicted_vce(night(seed).estimate, GRID, TOOL).aligned_mm / true)
-    assert min(ratios) > 0.6
-    assert max(ratios) < 1.6
-    assert 0.85 < np.mean(ratios) < 1.35
+    ratios = np.array(
+        [predicted_vce(one.estimate, GRID, TOOL).aligned_um / left_um(one, one.estimate) for one in nights()]
+    )
+    assert ratios.min() > 0.6
+    assert ratios.max() < 1.6
+    assert 0.85 < ratios.mean() < 1.2
+    assert np.abs(ratios - 1.0).mean() < 0.25
 
 
 def test_the_field_lies_inside_its_stated_uncertainty() -> None:
     """At random points, after the one rigid motion that no artefact sees: squares near 1, few beyond two sigma."""
-    points = np.random.default_rng(77).uniform(*np.array(RANGES).T, (1500, 3))
+    points = np.random.default_rng(77).uniform(LOW, HIGH, (1500, 3))
     squares, beyond = [], []
-    for seed in SEEDS:
-        one = night(seed)
-        field = truth_at(points, one.parameters)
-        field = field - exact_deviation(OWN.model, points, TOOL, one.estimate.parameters)
+    for one in nights():
+        field = truth_at(points, one.parameters, one.form)
+        field = field - exact_deviation(one.estimate.model, points, TOOL, one.estimate.parameters)
         sigma = field_uncertainty(one.estimate, points, TOOL, aligned=True)
         ratio = aligned(points + TOOL, field) / sigma
         squares.append(np.mean(ratio**2))
@@ -168,17 +223,18 @@ def aligned(points: np.ndarray, field: np.ndarray) -> np.ndarray:
 
 
 def test_residuals_agree_with_the_stated_noise() -> None:
-    for seed in SEEDS:
-        assert 0.8 < night(seed).estimate.chi2_normalised < 1.35
+    for one in nights():
+        assert 0.8 < one.estimate.chi2_normalised < 1.35
 
 
 def test_the_table_does_to_the_machine_what_was_predicted() -> None:
     """Added to the commanded position, with trilinear reading, on the machine as it really is."""
-    one = night(SEEDS[0])
+    one = night("joined_rails", SEEDS[0])
+    model = one.estimate.model
     nodes = regular_nodes(RANGES, (100.0, 100.0, 100.0))
-    table = build_table(OWN.model, one.estimate.parameters, nodes, TOOL, Anchor(np.zeros(3)), one.seen.axis_positions)
+    table = build_table(model, one.estimate.parameters, nodes, TOOL, Anchor(np.zeros(3)), one.seen.axis_positions)
     correction = table.at(GRID)
-    compensated = correction + truth_at(GRID + correction, one.parameters)
+    compensated = correction + truth_at(GRID + correction, one.parameters, one.form)
     after = volumetric_error(GRID + TOOL, compensated).aligned_um
     assert after < 0.55 * volumetric_error(GRID + TOOL, one.truth).aligned_um
-    assert abs(after - volumetric_error(GRID + TOOL, left(one)).aligned_um) < 0.15
+    assert abs(after - left_um(one, one.estimate)) < 0.15

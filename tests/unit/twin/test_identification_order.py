@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from measured_set import TOOL, bar, case_study, measured
+from measured_set import AMPLITUDES, TOOL, bar, case_study, measured
 from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
 from twin.errors import DataError
-from twin.family import Family
+from twin.family import Family, family_from_amplitudes
 from twin.identification import Options, identify, identify_by_evidence
 from twin.identification.evidence import MISFIT, NOISE, PRIOR
 from twin.identification.misfit import misfit_modes
@@ -84,6 +84,20 @@ def test_the_chosen_order_is_the_highest_without_very_strong_evidence_against_it
     assert [order for order, entry in table.items() if entry.chosen] == [7]
     assert estimate.model == case_study(7)[0]
     assert table[2].relative_log < -5.0
+
+
+def test_a_family_that_does_not_fall_off_gets_no_higher_order_than_the_machine_has() -> None:
+    """Without the falling prior a higher order would follow noise: now the evidence speaks against it."""
+    flat = {**AMPLITUDES, "decay": 1.0, "positioning_um": [8.0, 5.0, 3.0], "rotation_urad": [4.6, 2.8, 2.0]}
+    flat["straightness_um"] = [5.5, 3.3]
+    for seed in (1, 2):
+        estimate = identify_by_evidence(
+            lambda order: family_from_amplitudes(case_study(order)[0], flat),
+            seen_of(4, seed, "S1+S2+S3", 4),
+            ARTEFACT,
+        )
+        assert estimate.model.highest_order == (4, 4, 4)
+        assert estimate.order_evidence[-1].relative_log < -20.0
 
 
 def test_it_is_the_estimate_of_that_order_and_of_the_balls_kept() -> None:
