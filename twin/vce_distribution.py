@@ -1,0 +1,130 @@
+"""How volumetric error and volumetric compensated error are distributed, given what an estimate knows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points, as_vector
+from twin.grid_sums import GridSums
+from twin.identification.estimate import Estimate
+from twin.machine_model import deviation_basis
+from twin.quadratic_distribution import QuadraticDistribution
+from twin.rigid_motion import rigid_fields
+from twin.volumetric import Volumetric
+
+_CHUNK = 2000  # points whose columns are held at a time
+
+
+@dataclass(frozen=True, eq=False)
+class VolumetricDistribution:
+    """Of the mean square over the workspace in mm², raw and after the best rigid motion."""
+
+    raw: QuadraticDistribution
+    aligned: QuadraticDistribution
+
+    @property
+    def expected(self) -> Volumetric:
+        """Root of the expected mean square."""
+        return Volumetric(math.sqrt(self.raw.mean), math.sqrt(self.aligned.mean))
+
+    @property
+    def median(self) -> Volumetric:
+        return self.quantile(0.5)
+
+    def quantile(self, probability: float) -> Volumetric:
+        """What the volumetric error stays below with this probability."""
+        raw, aligned = (math.sqrt(max(form.quantile(probability), 0.0)) for form in (self.raw, self.aligned))
+        return Volumetric(raw, aligned)
+
+    def limits(self, coverage: float = 0.95) -> tuple[Volumetric, Volumetric]:
+        """What it lies between, with equal chances on both sides."""
+        outside = 0.5 * (1.0 - coverage)
+        return self.quantile(outside), self.quantile(1.0 - outside)
+
+
+@dataclass(frozen=True, eq=False)
+class VolumetricDistributions:
+    """`before`: VE of the machine as it is; `left`: VCE, machine less compensation model."""
+
+    before: VolumetricDistribution
+    left: VolumetricDistribution
+
+
+def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
+    """VE and VCE over axis positions (n, 3), the machine distributed as `estimate` says: parameters and misfit.
+
+    DataError for a covariance that is none, or that is zero.
+    """
+    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    known = _Known.of(estimate)
+    forms = _forms(estimate, grid, offset)
+    none = np.zeros(len(known.mean))
+    still = np.concatenate((np.zeros(estimate.model.size), known.mean[estimate.model.size :]))
+
+    def distribution(mean: Array) -> VolumetricDistribution:
+        raw, aligned = (QuadraticDistribution.of(form, none, 0.0, mean, known.covariance) for form in forms)
+        return VolumetricDistribution(raw, aligned)
+
+    return VolumetricDistributions(before=distribution(known.mean), left=distribution(still))
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Mean (m,) and covariance (m, m) of the parameters and of the misfit's coefficients."""
+
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> _Known:
+        misfit = estimate.misfit
+        if misfit is None:
+            return cls(estimate.parameters, estimate.covariance)
+        cross = misfit.cross_covariance
+        return cls(
+            np.concatenate((estimate.parameters, misfit.coefficients)),
+            np.block([[estimate.covariance, cross], [cross.T, misfit.covariance]]),
+        )
+
+
+def _forms(estimate: Estimate, grid: Array, offset: Array) -> tuple[Array, Array]:
+    """(m, m) mean squares over the grid, raw and aligned."""
+    sums = GridSums.over(grid, _degrees(estimate))
+    middle, size_mm = sums.nodes.mean(axis=0), max(float(np.ptp(grid, axis=0).max()), 1.0)
+    size = len(_Known.of(estimate).mean)
+    normal, gram, common = np.zeros((6, 6)), np.zeros((size, size)), np.zeros((6, size))
+    for start in range(0, len(sums.nodes), _CHUNK):
+        chunk = sums.nodes[start : start + _CHUNK]
+        roots = np.sqrt(sums.weights[start : start + _CHUNK]).repeat(3)[:, None]
+        columns = roots * _columns(estimate, chunk, offset)
+        motions = roots * rigid_fields(chunk, middle, size_mm).reshape(-1, 6)
+        normal += motions.T @ motions
+        gram += columns.T @ columns
+        common += motions.T @ columns
+    rigid = common.T @ np.linalg.lstsq(normal, common, rcond=1e-12)[0]
+    return gram / len(grid), (gram - 0.5 * (rigid + rigid.T)) / len(grid)
+
+
+def _degrees(estimate: Estimate) -> tuple[int, int, int]:
+    """Highest powers of x, y, z in a column: a series or the cross-effect with a lever, or a mode of the misfit."""
+    modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
+    x, y, z = (
+        max(max(order, 2) + 1, *(degrees[axis] for degrees in modes), 0)
+        for axis, order in enumerate(estimate.model.highest_order)
+    )
+    return x, y, z
+
+
+def _columns(estimate: Estimate, points: Array, offset: Array) -> Array:
+    """(3n, m) mm per parameter and per coefficient of the misfit."""
+    basis = deviation_basis(estimate.model, points, offset)
+    misfit = estimate.misfit
+    if misfit is None:
+        return basis.reshape(-1, estimate.model.size)
+    modes = misfit.amplitude_mm * misfit.modes.at(points)
+    columns = np.concatenate((basis, modes), axis=2)
+    return np.asarray(columns.reshape(-1, columns.shape[2]))
