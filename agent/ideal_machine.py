@@ -55,7 +55,7 @@ class IdealMachine:
     def _touch(self, step: s.TouchTowards) -> Touch | Miss:
         path = straight(self._at_mm, step.target_mm)
         trip_mm = self._contact(path)
-        motion_s, self._at_mm = self._model.touch_s(self._at_mm, step.target_mm, step.feed_mm_per_s, trip_mm)
+        motion_s, self._at_mm = self._model.touch_s(path, step.feed_mm_per_s, trip_mm)
         self._took(step, motion_s)
         return Miss(self._at_mm) if trip_mm is None else Touch(path.at(trip_mm))
 
@@ -69,10 +69,12 @@ class IdealMachine:
 
     def _contact(self, path: Path) -> float | None:
         """Distance along `path` at which the first ball is met."""
-        reach = self._layout.contact_mm
-        met = (entry(path.start, path, ball, reach) for ball in self._balls)
-        distance = min((distance for distance in met if distance is not None), default=math.inf)
-        return None if distance == math.inf else distance
+        reach, first = self._layout.contact_mm, math.inf
+        for ball in self._balls:
+            distance = entry(path.start, path, ball, reach)
+            if distance is not None and distance < first:
+                first = distance
+        return first if first < math.inf else None
 
     def _took(self, step: s.Step, motion_s: float) -> None:
         self._spent(step, motion_s, self._model.beyond_motion_s(step))

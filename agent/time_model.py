@@ -14,7 +14,7 @@ from agent.execution.steps import AskOperator, MoveTo, OrientTo, Point, Step, To
 from agent.settings import TimingSettings
 from drivers.roles import OperatorTask
 from twin.machine_description import MachineDescription
-from twin.motion import straight, trapezoid, travel_s
+from twin.motion import Path, straight, trapezoid, travel_s
 
 S_PER_MIN = 60.0
 
@@ -41,21 +41,19 @@ class TimeModel:
         speed = min(feed_mm_per_s or math.inf, path.largest(self.rapid_mm_per_s))
         return travel_s(path.length, speed, path.largest(self.acceleration_mm_per_s2))
 
-    def touch_s(
-        self, start_mm: Point, target_mm: Point, feed_mm_per_s: float, trip_mm: float | None
-    ) -> tuple[float, Point]:
+    def touch_s(self, path: Path, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
         """Seconds, latency not included, and where the axes stand afterwards.
 
-        `trip_mm`: distance from the start at which the probe trips and the axes brake; None for a miss.
+        `trip_mm`: distance along `path` at which the probe trips and the axes brake; None for a miss.
         """
-        path = straight(start_mm, target_mm)
         speed = min(feed_mm_per_s, path.largest(self.rapid_mm_per_s))
         acceleration = path.largest(self.acceleration_mm_per_s2)
         law = trapezoid(0.0, path.length, speed, acceleration)
         if trip_mm is None:
-            return law.end_s, target_mm
-        law = law.braked(law.time_at(trip_mm), acceleration)
-        return law.end_s, path.at(law.end_distance)
+            return law.end_s, path.at(path.length)
+        trip_s = law.time_at(trip_mm)
+        speed = law.speed_at(trip_s)
+        return trip_s + speed / acceleration, path.at(trip_mm + 0.5 * speed * speed / acceleration)
 
     def turn_s(self, start_deg: tuple[float, float], target_deg: tuple[float, float]) -> float:
         """Azimuth and elevation at once, latency not included."""

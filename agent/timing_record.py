@@ -11,6 +11,7 @@ from agent.execution.journal_reading import JournaledStep
 from agent.execution.steps import Point
 from agent.time_model import S_PER_MIN, TimeModel
 from drivers.roles import OperatorTask
+from twin.motion import straight
 
 MOVE, TOUCH, TURN, CARRY = "MoveTo", "TouchTowards", "OrientTo", "AskOperator"
 KINDS = (MOVE, TOUCH, TURN, CARRY)
@@ -152,8 +153,8 @@ class _Replay:
             return None
         latched = step.result.get("touch")
         trip_mm = None if latched is None else math.dist(start_mm, latched)
-        target_mm, feed_mm_per_s = _triple(step.detail["target_mm"]), step.detail["feed_mm_per_s"]
-        motion_s, self._at_mm = self._model.touch_s(start_mm, target_mm, feed_mm_per_s, trip_mm)
+        path = straight(start_mm, _triple(step.detail["target_mm"]))
+        motion_s, self._at_mm = self._model.touch_s(path, step.detail["feed_mm_per_s"], trip_mm)
         return motion_s
 
     def _turn_s(self, target_deg: _Angles) -> float | None:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.motion import MotionLaw, Phase, straight, trapezoid
+from twin.motion import MotionLaw, Phase, straight, trapezoid, travel_s
 
 
 def test_a_long_move_ramps_cruises_and_ramps() -> None:
@@ -64,3 +64,15 @@ def test_the_law_is_the_integral_of_its_speed() -> None:
 
 def test_a_slowing_phase_gives_the_first_passage() -> None:
     assert Phase(0.0, 2.0, 0.0, 10.0, -5.0).time_at(7.5) == pytest.approx(1.0)
+
+
+@given(st.floats(0.0, 4000.0), st.floats(1.0, 400.0), st.floats(50.0, 2000.0))
+def test_a_travel_takes_as_long_as_its_law(length: float, speed: float, acceleration: float) -> None:
+    assert travel_s(length, speed, acceleration) == pytest.approx(
+        trapezoid(7.0, length, speed, acceleration).end_s - 7.0
+    )
+
+
+def test_a_travel_along_one_axis_does_not_ask_the_others() -> None:
+    assert straight((0.0, 0.0, 0.0), (0.0, -3.0, 0.0)).largest((1.0, 60.0, 2.0)) == 60.0
+    assert straight((1.0, 2.0, 3.0), (1.0, 2.0, 3.0)).largest((4.0, 3.0, 5.0)) == 3.0

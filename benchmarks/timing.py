@@ -1,0 +1,53 @@
+"""Machine time of a plan: walked on an ideal machine, against the dry run with physics."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable
+from time import perf_counter
+
+from agent.case import CASE_STUDY, load_case
+from agent.rehearsal import rehearse, whole_procedure
+from agent.timing import machine_minutes, position_minutes, walked
+
+REPEATS = 5
+
+
+def median_s(action: Callable[[], object]) -> float:
+    action()
+    times = []
+    for _ in range(REPEATS):
+        start = perf_counter()
+        action()
+        times.append(perf_counter() - start)
+    return statistics.median(times)
+
+
+def run() -> dict[str, float]:
+    job = load_case(CASE_STUDY)
+    walk_s = median_s(lambda: walked(job, whole_procedure(job)))
+    rehearsal_s = median_s(lambda: rehearse(job))
+    _, steps = walked(job, whole_procedure(job))
+    return {
+        "positions": float(len(job.positions)),
+        "set_ms": median_s(lambda: machine_minutes(job, job.positions)) * 1e3,
+        "position_ms": median_s(lambda: position_minutes(job, job.positions[0])) * 1e3,
+        "walk_ms": walk_s * 1e3,
+        "rehearsal_ms": rehearsal_s * 1e3,
+        "rehearsal_in_walks": rehearsal_s / walk_s,
+        "apart": abs(sum(timed.seconds for timed in steps) / rehearse(job).machine_seconds - 1.0),
+    }
+
+
+def main() -> None:
+    result = run()
+    print(f"set of {result['positions']:.0f} positions        {result['set_ms']:8.1f} ms   (at most 300)")
+    print(f"one position               {result['position_ms']:8.1f} ms   (at most 10)")
+    print(f"whole procedure, walked    {result['walk_ms']:8.1f} ms")
+    print(f"whole procedure, rehearsed {result['rehearsal_ms']:8.1f} ms")
+    print(f"rehearsal in walks         {result['rehearsal_in_walks']:8.2f} ×")
+    print(f"machine time apart by      {result['apart'] * 100.0:8.4f} %    (at most 1)")
+
+
+if __name__ == "__main__":
+    main()
