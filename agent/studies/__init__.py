@@ -4,6 +4,11 @@ A study is a function `run(case: StudyCase) -> StudyResult` in a module of this 
 """
 
 STUDIES: dict[str, str] = {
+    "ball-count": "agent.studies.ball_count:run",
+    "misalignment": "agent.studies.misalignment:run",
     "monte-carlo": "agent.studies.monte_carlo:run",
+    "strategy": "agent.studies.strategy:run",
+    "trajectory": "agent.studies.trajectory:run",
+    "volumetric-error": "agent.studies.volumetric_error:run",
 }
 """Name on the command line → "module:function"; imported only when asked for."""

@@ -23,13 +23,14 @@ class Way:
         return f"{self.options.formulation}, {self.options.weights} weights, {prior}"
 
     @property
-    def column(self) -> str:
-        """As a part of a column's name."""
-        return self.label.replace(",", "").replace(" ", "_")
+    def title(self) -> str:
+        """The label, saying which way is the published one."""
+        published = Way(PUBLISHED).label == self.label
+        return f"{self.label} (published method)" if published else self.label
 
 
 def ways(options: Options) -> tuple[Way, ...]:
-    """The way asked for first, then the published formulation with the family as prior, then as published; each once."""
+    """The way asked for first, then the published method with the family as prior, then as published; each once."""
     candidates = (options, replace(PUBLISHED, use_prior=True), PUBLISHED)
     found: dict[str, Way] = {}
     for candidate in candidates:

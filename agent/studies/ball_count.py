@@ -1,0 +1,125 @@
+"""How many balls a bar of given length needs: volumetric error left for 3 to 15 balls, and the share of the gain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.studies.bar import Bar
+from agent.studies.figure import INK, MARKERS, QUIET, SERIES
+from agent.studies.study import Cell, StudyCase, StudyResult
+from agent.studies.verdict_figure import BrokenAxes, draw_legend
+from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
+from agent.studies.ways import Way, ways
+from agent.studies.worth import Trial, Verdict, Worth
+from twin.volumetric import Volumetric
+
+NAME = "ball-count"
+COUNTS = tuple(range(3, 16))
+CHECKED = (3, 7, 11, 15)
+ENOUGH = 0.95
+PUBLISHED_BALLS = 7
+ACROSS = "balls over the same length"
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One way: verdict and share of the gain for each of `COUNTS`; a share is None where there is no gain at all."""
+
+    way: Way
+    verdicts: tuple[Verdict, ...]
+    shares: tuple[float | None, ...]
+
+    @property
+    def fewest(self) -> int | None:
+        """The smallest number of balls with `ENOUGH` of the gain."""
+        return next((n for n, share in zip(COUNTS, self.shares, strict=True) if share and share >= ENOUGH), None)
+
+
+def run(case: StudyCase) -> StudyResult:
+    """Bars of the case's length with 3 to 15 balls, in the case's set."""
+    bar, worth, chosen, positions = Bar.of(case.artefact), Worth(case), ways(case.options), case.positions()
+    trials = [Trial.of(case, bar.with_(balls=count), positions) for count in COUNTS]
+    rows = worth.judged(trials, chosen, [COUNTS.index(count) for count in CHECKED])
+    before = worth.before
+    curves = [
+        Curve(way, verdicts, gain_shares(verdicts, before))
+        for way, verdicts in zip(chosen, zip(*rows, strict=True), strict=True)
+    ]
+    return StudyResult(
+        name=NAME,
+        title="Number of balls over a constant length",
+        columns=("balls", *COLUMNS, "share_of_gain"),
+        rows=_rows(trials, curves),
+        summary=_summary(curves, rows, before),
+        draw=partial(_draw, curves=curves, before=before),
+        size_in=(10.0, 4.4),
+    )
+
+
+def gain_shares(verdicts: Sequence[Verdict], before: Volumetric) -> tuple[float | None, ...]:
+    """(VE - VCE) over that of the best count, rigidly aligned; None where not identified or nothing gains."""
+    left = [aligned_um(verdict) for verdict in verdicts]
+    best = min((value for value in left if value is not None), default=before.aligned_um)
+    if best >= before.aligned_um:
+        return (None,) * len(verdicts)
+    gain = before.aligned_um - best
+    return tuple(None if value is None else (before.aligned_um - value) / gain for value in left)
+
+
+def _rows(trials: Sequence[Trial], curves: Sequence[Curve]) -> list[tuple[Cell, ...]]:
+    return [
+        (count, *cells(curve.way.label, trial, verdict), share)
+        for curve in curves
+        for count, trial, verdict, share in zip(COUNTS, trials, curve.verdicts, curve.shares, strict=True)
+    ]
+
+
+def _summary(curves: Sequence[Curve], rows: Sequence[Sequence[Verdict]], before: Volumetric) -> dict[str, object]:
+    return {
+        "ve_raw_um": before.raw_um,
+        "ve_aligned_um": before.aligned_um,
+        "fewest_balls_with_95_percent": {curve.way.label: curve.fewest for curve in curves},
+        "published_fewest_balls": PUBLISHED_BALLS,
+        "vce_aligned_um": {
+            curve.way.label: {
+                str(count): aligned_um(verdict) for count, verdict in zip(COUNTS, curve.verdicts, strict=True)
+            }
+            for curve in curves
+        },
+        "not_identified": {
+            curve.way.label: [n for n, verdict in zip(COUNTS, curve.verdicts, strict=True) if verdict.expected is None]
+            for curve in curves
+        },
+        "worst_deviation_in_standard_errors": worst_deviation(rows),
+    }
+
+
+def _draw(figure: Figure, curves: Sequence[Curve], before: Volumetric) -> None:
+    left, right = figure.add_gridspec(1, 2)
+    panel = BrokenAxes.add(figure, left, [curve.verdicts for curve in curves], before)
+    for series, curve in enumerate(curves):
+        panel.draw_curve(COUNTS, curve.verdicts, series)
+    panel.draw_before(before)
+    panel.label("Volumetric error left", ACROSS)
+    panel.across(COUNTS[0] - 0.5, COUNTS[-1] + 0.5, COUNTS)
+    _draw_shares(figure.add_subplot(right), curves)
+    draw_legend(figure, [curve.way.title for curve in curves], before)
+
+
+def _draw_shares(axes: Axes, curves: Sequence[Curve]) -> None:
+    """The ways that gain anything, with the published number of balls."""
+    axes.axhline(100.0 * ENOUGH, color=QUIET, linestyle=":")
+    axes.axvline(PUBLISHED_BALLS, color=INK, linestyle="--", linewidth=1.0)
+    for series, curve in enumerate(curves):
+        shares = [(n, 100.0 * share) for n, share in zip(COUNTS, curve.shares, strict=True) if share is not None]
+        if shares:
+            axes.plot(*zip(*shares, strict=True), color=SERIES[series], marker=MARKERS[series], markersize=3.5)
+    axes.set_title(f"Share of the gain; published: {PUBLISHED_BALLS} balls give {100 * ENOUGH:g} %")
+    axes.set_xlabel(ACROSS)
+    axes.set_xticks(COUNTS)
+    axes.set_ylabel("share of the largest gain / %")

@@ -1,0 +1,143 @@
+"""Which sets to measure: volumetric error left against machine time for S1, S2, S3 and all their combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.studies.figure import SERIES
+from agent.studies.study import StudyCase, StudyResult
+from agent.studies.verdict_figure import BrokenAxes, draw_legend, draw_simulated
+from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
+from agent.studies.ways import Way, ways
+from agent.studies.worth import Trial, Verdict, Worth
+from agent.timing import machine_minutes
+from twin.position_set import SETS
+from twin.volumetric import Volumetric
+
+NAME = "strategy"
+PUBLISHED_CHOICE = "S3"
+EXPRESSIONS = tuple("+".join(sets) for size in range(1, len(SETS) + 1) for sets in combinations(SETS, size))
+
+_NAME_OFFSET = (5, 5)
+
+
+@dataclass(frozen=True, eq=False)
+class Strategy:
+    """A combination of sets: what it measures, how long it takes, and the verdict of each way."""
+
+    name: str
+    trial: Trial
+    minutes: float
+    verdicts: tuple[Verdict, ...]
+
+
+def run(case: StudyCase) -> StudyResult:
+    """All combinations of the published sets at the stations of the case."""
+    worth, chosen = Worth(case), ways(case.options)
+    sets = [case.positions(expression) for expression in EXPRESSIONS]
+    trials = [Trial.of(case, case.artefact, positions) for positions in sets]
+    minutes = [machine_minutes(case.job, positions).total for positions in sets]
+    rows = worth.judged(trials, chosen, range(len(trials)))
+    found = [Strategy(*parts) for parts in zip(EXPRESSIONS, trials, minutes, rows, strict=True)]
+    fronts = [front(found, way) for way in range(len(chosen))]
+    return StudyResult(
+        name=NAME,
+        title="Combinations of position sets against machine time",
+        columns=("sets", "machine_minutes", *COLUMNS, "on_pareto_front"),
+        rows=[
+            (one.name, one.minutes, *cells(way.label, one.trial, one.verdicts[number]), one.name in fronts[number])
+            for one in found
+            for number, way in enumerate(chosen)
+        ],
+        summary=_summary(found, chosen, fronts, worth.before),
+        draw=partial(_draw, found=found, chosen=chosen, fronts=fronts, before=worth.before),
+        size_in=(8.0, 5.6),
+    )
+
+
+def front(found: Sequence[Strategy], way: int) -> tuple[str, ...]:
+    """Names of the combinations that none beats in both machine time and VCE (rigidly aligned), fastest first."""
+    known = [(one.minutes, aligned_um(one.verdicts[way]), one.name) for one in found]
+    best, names = float("inf"), []
+    for _, value, name in sorted((minutes, value, name) for minutes, value, name in known if value is not None):
+        if value < best:
+            best = value
+            names.append(name)
+    return tuple(names)
+
+
+def _summary(
+    found: Sequence[Strategy], chosen: Sequence[Way], fronts: Sequence[tuple[str, ...]], before: Volumetric
+) -> dict[str, object]:
+    return {
+        "set": "all combinations of " + ", ".join(SETS),
+        "ve_raw_um": before.raw_um,
+        "ve_aligned_um": before.aligned_um,
+        "machine_minutes": {one.name: one.minutes for one in found},
+        "vce_aligned_um": {
+            way.label: {one.name: aligned_um(one.verdicts[number]) for one in found}
+            for number, way in enumerate(chosen)
+        },
+        "pareto_front": {way.label: list(names) for way, names in zip(chosen, fronts, strict=True)},
+        "published_choice": PUBLISHED_CHOICE,
+        "not_identified": {
+            way.label: [one.name for one in found if one.verdicts[number].expected is None]
+            for number, way in enumerate(chosen)
+        },
+        "worst_deviation_in_standard_errors": worst_deviation([one.verdicts for one in found]),
+    }
+
+
+def _draw(
+    figure: Figure,
+    found: Sequence[Strategy],
+    chosen: Sequence[Way],
+    fronts: Sequence[tuple[str, ...]],
+    before: Volumetric,
+) -> None:
+    panel = BrokenAxes.add(figure, figure.add_gridspec(1, 1)[0], [one.verdicts for one in found], before)
+    for way, names in enumerate(fronts):
+        _draw_way(panel, found, way, names)
+    panel.draw_before(before)
+    panel.across(0.0, 1.12 * max(one.minutes for one in found))
+    panel.label("Combinations of S1, S2, S3; lines: Pareto fronts", "machine time / min")
+    draw_legend(figure, [way.title for way in chosen], before)
+
+
+def _draw_way(panel: BrokenAxes, found: Sequence[Strategy], way: int, names: Sequence[str]) -> None:
+    """All combinations as small marks; those of the front large, named and joined."""
+    best = sorted((one for one in found if one.name in names), key=lambda one: one.minutes)
+    others = [one for one in found if one.name not in names and aligned_um(one.verdicts[way]) is not None]
+    panel.draw_curve([one.minutes for one in best], [one.verdicts[way] for one in best], way)
+    for axes in panel.parts:
+        axes.plot(
+            [one.minutes for one in others],
+            [aligned_um(one.verdicts[way]) or 0.0 for one in others],
+            "x",
+            color=SERIES[way],
+            markersize=5,
+        )
+        for one in others:
+            draw_simulated(axes, [one.minutes], [one.verdicts[way]], SERIES[way])
+    for one in found:
+        value = aligned_um(one.verdicts[way])
+        if value is not None:
+            _name(panel.part_of(value), one, value, bold=one.name in names)
+
+
+def _name(axes: Axes, one: Strategy, value_um: float, *, bold: bool) -> None:
+    axes.annotate(
+        one.name,
+        (one.minutes, value_um),
+        _NAME_OFFSET,
+        textcoords="offset points",
+        fontsize=7.5,
+        fontweight="bold" if bold else "normal",
+        bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0.0, "pad": 0.6},
+    )

@@ -1,0 +1,153 @@
+"""What compensation follows of a machine: deviation along Z of one true machine and of the models identified on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.studies.bar import Bar
+from agent.studies.figure import BAND_OPACITY, INK, SERIES
+from agent.studies.study import Cell, StudyCase, StudyResult
+from agent.studies.ways import Way, ways
+from agent.studies.workers import generator
+from agent.studies.worth import Trial, Worth
+from twin.arrays import Array
+from twin.chain import AXES
+from twin.error_model import Ranges
+from twin.simulated_procedure import draw_truth
+
+NAME = "trajectory"
+COUNTS = (3, 5, 11)
+POINTS = 151
+COVERAGE_FACTOR = 2.0
+STROKES = (":", "--", "-")
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Along the trajectory, less the rigid motion of the workspace, (n, 3) in µm: the machine M; for each number of
+    balls that can be identified the model C and the expected rms of M less C."""
+
+    z_mm: Array
+    machine_um: Array
+    models_um: dict[int, Array]
+    sigma_um: dict[int, Array]
+
+    def left_um(self, count: int) -> float | None:
+        """Rms length of M less C over the trajectory; None where there is no C."""
+        return _rms(self.machine_um - self.models_um[count]) if count in self.models_um else None
+
+    def expected_um(self, count: int) -> float | None:
+        """The same as expected over all machines."""
+        return _rms(self.sigma_um[count]) if count in self.sigma_um else None
+
+
+def run(case: StudyCase) -> StudyResult:
+    """Machine number 0 of the seed, measured with 3, 5 and 11 balls in the case's set."""
+    way, line = ways(case.options)[0], middle_line(case.machine.model.ranges_mm)
+    followed = follow(case, way, line)
+    where = f"X = {line[0, 0]:g} mm, Y = {line[0, 1]:g} mm"
+    return StudyResult(
+        name=NAME,
+        title="Deviation along Z: machine and compensation model",
+        columns=_columns(),
+        rows=_rows(followed),
+        summary=_summary(followed, line),
+        draw=partial(_draw, followed=followed, title=f"One machine at {where}, rigidly aligned; {way.title}"),
+        size_in=(10.0, 4.4),
+    )
+
+
+def middle_line(ranges_mm: Ranges) -> Array:
+    """(n, 3) axis positions over the whole of Z in the middle of X and Y."""
+    x, y, z = ranges_mm
+    line = np.tile([0.5 * sum(x), 0.5 * sum(y), 0.0], (POINTS, 1))
+    line[:, 2] = np.linspace(*z, POINTS)
+    return line
+
+
+def follow(case: StudyCase, way: Way, line: Array) -> Followed:
+    """Machine and models along axis positions `line` (n, 3)."""
+    worth, bar, positions = Worth(case), Bar.of(case.artefact), case.positions()
+    basis, deflection = worth.field.columns_at(line, aligned=True)
+    truth = draw_truth(case.reality, generator(case.seed, 0), case.tool_offset).parameters
+    models, sigma = {}, {}
+    for done, count in enumerate(COUNTS):
+        case.progress("numbers of balls", done, len(COUNTS))
+        trial = Trial.of(case, bar.with_(balls=count), positions)
+        budget = worth.budget(trial, way)
+        if budget is not None:
+            estimate = worth.procedure(trial, way)(0).estimate
+            models[count] = 1e3 * (basis[:, :, worth.field.own] @ estimate)
+            sigma[count] = 1e3 * budget.field_uncertainty(line, aligned=True)
+    case.progress("numbers of balls", len(COUNTS), len(COUNTS))
+    machine = 1e3 * (basis[:, :, worth.field.true] @ truth + deflection)
+    return Followed(line[:, 2], machine, models, sigma)
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
+def _columns() -> tuple[str, ...]:
+    names = [f"machine_{axis}_um" for axis in AXES]
+    for count in COUNTS:
+        names += [f"{count}_balls_{axis}_um" for axis in AXES]
+        names += [f"{count}_balls_expected_rms_{axis}_um" for axis in AXES]
+    return ("z_mm", *names)
+
+
+def _rows(followed: Followed) -> list[list[Cell]]:
+    parts = [followed.machine_um]
+    for count in COUNTS:
+        parts += [held.get(count, _nothing(followed)) for held in (followed.models_um, followed.sigma_um)]
+    table = np.column_stack([followed.z_mm, *parts])
+    return [[None if np.isnan(value) else value for value in row] for row in table.tolist()]
+
+
+def _nothing(followed: Followed) -> Array:
+    return np.full_like(followed.machine_um, np.nan)
+
+
+def _summary(followed: Followed, line: Array) -> dict[str, object]:
+    return {
+        "machine_number": 0,
+        "x_mm": float(line[0, 0]),
+        "y_mm": float(line[0, 1]),
+        "rms_before_um": _rms(followed.machine_um),
+        "rms_left_um": {str(count): followed.left_um(count) for count in COUNTS},
+        "rms_left_expected_um": {str(count): followed.expected_um(count) for count in COUNTS},
+        "not_identified": [count for count in COUNTS if count not in followed.models_um],
+    }
+
+
+def _draw(figure: Figure, followed: Followed, title: str) -> None:
+    panels = figure.subplots(1, 3, sharey=True)
+    for axis, panel in enumerate(panels):
+        _draw_direction(panel, followed, axis)
+    panels[0].set_ylabel("deviation / µm")
+    figure.suptitle(title, fontsize=9.5)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+
+
+def _draw_direction(panel: Axes, followed: Followed, axis: int) -> None:
+    z_mm = followed.z_mm
+    panel.plot(z_mm, followed.machine_um[:, axis], color=INK, linewidth=2.6, label="machine M")
+    for series, (count, model) in enumerate(followed.models_um.items()):
+        left = f", {followed.left_um(count):.1f} µm rms left here"
+        panel.plot(z_mm, model[:, axis], STROKES[series], color=SERIES[series], label=f"model C, {count} balls{left}")
+    if COUNTS[-1] in followed.models_um:
+        middle, reach = (
+            followed.models_um[COUNTS[-1]][:, axis],
+            COVERAGE_FACTOR * followed.sigma_um[COUNTS[-1]][:, axis],
+        )
+        band = f"C of {COUNTS[-1]} balls ± {COVERAGE_FACTOR:g} · expected rms"
+        panel.fill_between(
+            z_mm, middle - reach, middle + reach, color=SERIES[2], alpha=BAND_OPACITY, linewidth=0, label=band
+        )
+    panel.set_title(f"{AXES[axis]} direction")
+    panel.set_xlabel("Z / mm")

@@ -1,0 +1,127 @@
+"""Verdicts as curves over what was varied, on an axis broken where a way is far worse than no compensation at all.
+
+Below, linear and from zero, is what is worth comparing; above, logarithmic, what makes a machine worse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from agent.studies.figure import MARKERS, QUIET, SERIES
+from agent.studies.verdict_table import aligned_um
+from agent.studies.worth import Verdict
+from twin.volumetric import Volumetric
+
+FAR_BEYOND = 1.5
+"""Times VE: what is larger stands in the upper part."""
+
+TWO_STANDARD_ERRORS = 2.0
+HEADROOM = 1.12
+
+
+@dataclass(frozen=True, eq=False)
+class BrokenAxes:
+    """`lower`: linear from zero to `limit_um`; `upper`: logarithmic above it, None where nothing is there."""
+
+    lower: Axes
+    upper: Axes | None
+    limit_um: float
+
+    @classmethod
+    def add(
+        cls, figure: Figure, slot: SubplotSpec, rows: Sequence[Sequence[Verdict]], before: Volumetric
+    ) -> BrokenAxes:
+        """In a slot of the figure, with room for the closed form of `rows` and for VE."""
+        values = [value for row in rows for value in map(aligned_um, row) if value is not None]
+        beyond = [value for value in values if value > FAR_BEYOND * before.aligned_um]
+        near = [value for value in values if value <= FAR_BEYOND * before.aligned_um]
+        limit_um = HEADROOM * max([*near, before.aligned_um])
+        if not beyond:
+            lower, upper = figure.add_subplot(slot), None
+        else:
+            parts = slot.subgridspec(2, 1, height_ratios=(1.0, 2.4), hspace=0.06)
+            lower, upper = figure.add_subplot(parts[1]), figure.add_subplot(parts[0])
+            _break(lower, upper, (0.75 * min(beyond), 1.5 * max(beyond)))
+        lower.set_ylim(0.0, limit_um)
+        return cls(lower, upper, limit_um)
+
+    @property
+    def parts(self) -> tuple[Axes, ...]:
+        return (self.lower,) if self.upper is None else (self.lower, self.upper)
+
+    def part_of(self, value_um: float) -> Axes:
+        """Where a value is seen."""
+        return self.lower if self.upper is None or value_um <= self.limit_um else self.upper
+
+    @property
+    def top(self) -> Axes:
+        """The part that bears the title."""
+        return self.lower if self.upper is None else self.upper
+
+    def draw_curve(self, places: Sequence[float], verdicts: Sequence[Verdict], series: int) -> None:
+        """Closed form as a line with a gap where nothing is identified, the simulation as open squares."""
+        expected = [np.nan if value is None else value for value in map(aligned_um, verdicts)]
+        for axes in self.parts:
+            axes.plot(places, expected, color=SERIES[series], marker=MARKERS[series])
+            draw_simulated(axes, places, verdicts, SERIES[series])
+
+    def draw_before(self, before: Volumetric) -> None:
+        self.lower.axhline(before.aligned_um, color=QUIET, linestyle="--")
+
+    def label(self, title: str, across: str) -> None:
+        self.top.set_title(title)
+        self.lower.set_xlabel(across)
+        self.lower.set_ylabel("VCE, rigidly aligned / µm")
+
+    def across(self, low: float, high: float, ticks: Sequence[float] | None = None) -> None:
+        """The same abscissa for both parts."""
+        for axes in self.parts:
+            axes.set_xlim(low, high)
+            if ticks is not None:
+                axes.set_xticks(ticks)
+
+
+def draw_simulated(axes: Axes, places: Sequence[float], verdicts: Sequence[Verdict], colour: str) -> None:
+    """Simulated procedures as open squares with two standard errors."""
+    for place, verdict in zip(places, verdicts, strict=True):
+        if verdict.simulated is not None and verdict.standard_error is not None:
+            error = TWO_STANDARD_ERRORS * verdict.standard_error.aligned_um
+            value = verdict.simulated.aligned_um
+            axes.errorbar([place], [value], [error], color=colour, fmt="s", ms=8, mfc="none", capsize=3, elinewidth=1.0)
+
+
+def draw_legend(figure: Figure, titles: Sequence[str], before: Volumetric) -> None:
+    """Below the panels: the ways in the order of their series, VE, and what the open squares are."""
+    entries = [
+        Line2D([], [], color=SERIES[series], marker=MARKERS[series], label=title) for series, title in enumerate(titles)
+    ]
+    entries.append(Line2D([], [], color=QUIET, linestyle="--", label=f"not compensated, {before.aligned_um:.1f} µm"))
+    squares = "whole procedures simulated, ± 2 standard errors"
+    entries.append(Line2D([], [], color=QUIET, linestyle="", marker="s", markersize=8, mfc="none", label=squares))
+    figure.legend(handles=entries, loc="outside lower center", ncols=2)
+
+
+def plain_numbers(axes: Axes) -> None:
+    """10, 30, 100 instead of powers on a logarithmic ordinate."""
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _break(lower: Axes, upper: Axes, limits_um: tuple[float, float]) -> None:
+    upper.set_yscale("log")
+    upper.set_ylim(*limits_um)
+    plain_numbers(upper)
+    upper.spines["bottom"].set_visible(False)
+    upper.tick_params(axis="x", length=0, labelbottom=False)
+    slash = {"marker": [(-1, -0.5), (1, 0.5)], "markersize": 8, "linestyle": "none", "color": "k", "clip_on": False}
+    upper.plot([0], [0], transform=upper.transAxes, **slash)  # type: ignore[arg-type]
+    lower.plot([0], [1], transform=lower.transAxes, **slash)  # type: ignore[arg-type]

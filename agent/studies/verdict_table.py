@@ -1,0 +1,47 @@
+"""Verdicts as cells of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agent.studies.study import Cell
+from agent.studies.worth import Trial, Verdict
+from twin.volumetric import Volumetric
+
+COLUMNS = (
+    "identification",
+    "ball_centres",
+    "vce_raw_um",
+    "vce_aligned_um",
+    "simulated_vce_raw_um",
+    "simulated_vce_raw_standard_error_um",
+    "simulated_vce_aligned_um",
+    "simulated_vce_aligned_standard_error_um",
+)
+"""`vce_…` in closed form; an empty cell: not identified, or not simulated."""
+
+
+def cells(label: str, trial: Trial, verdict: Verdict) -> tuple[Cell, ...]:
+    """The cells of `COLUMNS`."""
+    measured = 0 if trial.planned is None else trial.planned.size
+    simulated, error = _both(verdict.simulated), _both(verdict.standard_error)
+    return (label, measured, *_both(verdict.expected), simulated[0], error[0], simulated[1], error[1])
+
+
+def aligned_um(verdict: Verdict) -> float | None:
+    """Closed form, rigidly aligned; None where nothing is identified."""
+    return None if verdict.expected is None else verdict.expected.aligned_um
+
+
+def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
+    """Largest distance of simulation from closed form, rigidly aligned, in standard errors; None without simulation."""
+    distances = [
+        abs(verdict.simulated.aligned_mm - verdict.expected.aligned_mm) / verdict.standard_error.aligned_mm
+        for verdict in (verdict for row in rows for verdict in row)
+        if verdict.expected is not None and verdict.simulated is not None and verdict.standard_error is not None
+    ]
+    return max(distances, default=None)
+
+
+def _both(value: Volumetric | None) -> tuple[float | None, float | None]:
+    return (None, None) if value is None else (value.raw_um, value.aligned_um)
