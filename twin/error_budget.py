@@ -26,7 +26,9 @@ from twin.identification.problem import Problem, build_problem
 from twin.linear_estimator import LinearEstimator
 from twin.machine_model import deviation_basis
 from twin.observations import Observations
+from twin.quadratic_distribution import QuadraticDistribution
 from twin.reality import Reality
+from twin.vce_distribution import VolumetricDistribution
 from twin.volumetric import Volumetric
 
 TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE = "touch noise", "certificate", "CTE", "temperature"
@@ -69,6 +71,15 @@ class ErrorBudget:
     def total(self) -> Array:
         """(u, u) second moments of all influences together, without the deflection."""
         return np.asarray(np.sum(list(self.moments.values()), axis=0))
+
+    @property
+    def distribution(self) -> VolumetricDistribution:
+        """Of VCE over machines, their parameters taken as Gaussian with the family's variances."""
+        form = self.field.form
+        return VolumetricDistribution(
+            QuadraticDistribution.of(form.raw, form.raw_linear, form.raw_constant, self.bias, self.total),
+            QuadraticDistribution.of(form.aligned, form.aligned_linear, form.aligned_constant, self.bias, self.total),
+        )
 
     def parameter_uncertainty(self) -> Array:
         """(p,) root mean square of true less identified parameters of the model identified, in mm or rad."""

@@ -17,6 +17,7 @@ from twin.field_form import FieldForm
 from twin.identification import identify
 from twin.identification.options import Options
 from twin.machine_model import exact_deviation
+from twin.motion_uncertainty import motion_uncertainty
 from twin.observations import Observations
 from twin.reality import Reality
 from twin.volumetric import evaluation_grid
@@ -120,7 +121,7 @@ def without_rigid_motion(field: np.ndarray) -> np.ndarray:
     return field - (flat @ np.linalg.lstsq(flat, field.reshape(-1), rcond=None)[0]).reshape(-1, 3)
 
 
-def agree(case: Case, reality: Reality, nights: int, seed: int = 1) -> None:
+def agree(case: Case, reality: Reality, nights: int, seed: int = 1) -> np.ndarray:
     """Within three standard deviations of the mean of the simulated squares."""
     children = np.random.SeedSequence(seed).spawn(nights)
     squares = np.array([night(case, reality, np.random.default_rng(child)) for child in children])
@@ -129,11 +130,20 @@ def agree(case: Case, reality: Reality, nights: int, seed: int = 1) -> None:
         doubt = found.std(ddof=1) / np.sqrt(nights)
         assert abs(found.mean() - wanted) < 3.0 * doubt, (found.mean() / wanted, doubt / wanted)
         assert doubt < 0.12 * wanted
+    return squares
 
 
 @pytest.mark.parametrize("case", [CENTRES, DISTANCES], ids=["centres", "distances, unit weights, no prior"])
 def test_the_closed_form_agrees_with_whole_procedures(case: Case) -> None:
-    agree(case, EVERYTHING, 150)
+    """The mean square, and half of the machines lie above the median, one in twenty outside of the 95 % limits."""
+    raw, aligned = np.sqrt(agree(case, EVERYTHING, 150)).T
+    distribution = closed(case, EVERYTHING).distribution
+    low, high = distribution.limits(0.95)
+    assert distribution.expected.raw_mm == pytest.approx(closed(case, EVERYTHING).expected.raw_mm, rel=1e-9)
+    for found, one in ((raw, "raw_mm"), (aligned, "aligned_mm")):
+        assert np.mean(found > getattr(distribution.median, one)) == pytest.approx(0.5, abs=3.0 * 0.5 / np.sqrt(150))
+        inside = (found > getattr(low, one)) & (found < getattr(high, one))
+        assert np.mean(inside) == pytest.approx(0.95, abs=3.0 * 0.218 / np.sqrt(150))
 
 
 MIXED = [
@@ -241,6 +251,23 @@ def test_parameters_are_as_uncertain_as_simulated() -> None:
     ratio = np.mean(squares, axis=0) / closed(CENTRES, reality).parameter_uncertainty() ** 2
     assert ratio.mean() == pytest.approx(1.0, abs=0.06)
     assert (np.abs(ratio - 1.0) < 5.0 * np.sqrt(2.0 / 60.0)).all()
+
+
+def test_error_motions_are_as_uncertain_as_their_curves() -> None:
+    """The curve of each error motion over its axis, from drawn coefficients."""
+    model, family = FAMILIES[4].model, FAMILIES[4]
+    factor = family.prior_standard_deviation[:, None] * np.random.default_rng(6).normal(size=(model.size, model.size))
+    found = motion_uncertainty(model, factor @ factor.T)
+    at = np.linspace(-1.0, 1.0, 4001)
+    for error in ("EXX", "EZX", "ECY"):
+        first = 2 if error == "EZX" else 1
+        coefficients = factor[[model.index(f"{error}[{order}]") for order in range(first, 5)]]
+        curves = np.polynomial.legendre.legval(at, np.vstack((np.zeros((first, model.size)), coefficients)))
+        assert found[error] == pytest.approx(np.sqrt((curves**2).sum(axis=0).mean()), rel=1e-3)
+    assert found["B0Z"] == pytest.approx(np.linalg.norm(factor[model.index("B0Z")]))
+    assert len(found) == 21
+    with pytest.raises(DataError, match="shape"):
+        motion_uncertainty(model, np.eye(3))
 
 
 def test_the_model_may_hold_more_than_the_machines_do() -> None:
