@@ -15,6 +15,7 @@ from agent.cli.main import main
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 MACHINE = CONFIG / "machines" / "case-study.toml"
 SETTINGS = CONFIG / "case-study.toml"
+COARSE = ("--grid", "20x10x10")
 MORE_TOOLS = """
 [tools.long]
 offset_mm = [0.0, 450.0, 0.0]
@@ -89,7 +90,7 @@ class TestCaseStudy:
         assert {one["added_set"] for one in advice if one["added_set"]} == {"S1", "S2"}
 
     def test_people_read_words(self) -> None:
-        text = said()
+        text = said(*COARSE)
         assert "Seen: 70 of 90 parameters" in text
         assert "EBZ[1..5]: not seen with one straight probe along Y" in text
         assert "CROSS[b1]" in text
@@ -113,7 +114,7 @@ def test_advice_comes_true(more_tools: Path) -> None:
 def test_a_file_may_say_which_tool_measures_what(more_tools: Path, tmp_path: Path) -> None:
     rows = [f"{s},{az},{el},{t}" for t in ("", "side") for s in (1, 2, 3, 4) for az, el in ((45, 0), (0, 45), (90, 45))]
     (tmp_path / "p.csv").write_text("\n".join(["station,azimuth_deg,elevation_deg,tool", *rows, ""]))
-    found = json.loads(said("--machine", more_tools, "--set", tmp_path / "p.csv", "--json"))
+    found = json.loads(said("--machine", more_tools, "--set", tmp_path / "p.csv", "--json", *COARSE))
     assert found["tools"] == ["probe", "side"]
     assert [field["measured"] for field in found["fields"]][:2] == [True, True]
     assert not any("EBY" in line for line in found["null_summary"])
@@ -121,7 +122,8 @@ def test_a_file_may_say_which_tool_measures_what(more_tools: Path, tmp_path: Pat
 
 def test_distances_see_less_of_a_poor_set() -> None:
     fields = [
-        json.loads(said("--set", "S2", "--formulation", way, "--json"))["fields"][0] for way in ("centres", "distances")
+        json.loads(said("--set", "S2", "--formulation", way, "--json", *COARSE))["fields"][0]
+        for way in ("centres", "distances")
     ]
     assert fields[0]["unseen_um"] < fields[1]["unseen_um"]
 
