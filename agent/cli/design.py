@@ -224,7 +224,8 @@ def _comparison(choices: list[Choice]) -> Table:
     table = Table("touches", "balls", "θ / °", "positions", "min", "VCE / µm", "valuation / %", "")
     for choice in choices:
         variant, found = choice.variant, choice.design
-        head = (str(variant.touches), str(variant.balls), f"{variant.theta_deg:g}")
+        theta = "as it is" if variant.theta_deg is None else f"{variant.theta_deg:g}"
+        head = (str(variant.touches), str(variant.balls), theta)
         if found is None:
             table.add_row(*head, "", "", "", "", choice.reason)
             continue

@@ -26,8 +26,8 @@ _LITTLE_MIN = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """`positions` in the order of measuring; `minutes` by the run's own plan; `held_out`: positions for the proof, if any
-    were asked for; `candidates`: from how many was chosen; `rehearsed`: whether a preflight has passed."""
+    """`positions` in the order of measuring; `minutes` by the run's own plan; `held_out`: positions for the proof where
+    they were asked for; `candidates`: from how many was chosen; `rehearsed`: whether a preflight has passed."""
 
     setting: Setting
     positions: tuple[Position, ...]

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.design.goals import FEWEST_POSITIONS
 from twin.design.search import Search, Selection
 
-FEWEST_POSITIONS = 24
-"""A front goes at least so far."""
+FURTHEST = 24
+"""Positions up to which a front goes at least."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,13 @@ def front_of(search: Search, chosen: Sequence[int], minutes: float) -> tuple[Fro
     """Sets grown by gain per minute, and the design (`chosen`, priced `minutes`), by rising minutes."""
     candidates = search.candidates
     before = candidates.vce([]).aligned_um
-    furthest = max(FEWEST_POSITIONS, len(chosen))
+    furthest = max(FURTHEST, len(chosen))
     start = Selection.of(candidates)
     grown = search.grown(start, lambda taken: np.full(candidates.count, len(taken) < furthest), per_minute=True)
     points = [
-        (len(one.chosen), search.prices.total(one.chosen), 1e3 * float(np.sqrt(one.value)), False) for one in grown
+        (len(one.chosen), search.prices.total(one.chosen), 1e3 * float(np.sqrt(one.value)), False)
+        for one in grown
+        if len(one.chosen) >= FEWEST_POSITIONS
     ]
     points.append((len(chosen), minutes, candidates.vce(chosen).aligned_um, True))
     points.sort(key=lambda point: (point[1], point[2]))

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
-import numpy as np
-
+from agent.files import translated
 from agent.job import Job, prepare_job
+from agent.studies.bar import Bar
 from drivers.errors import ConfigurationError
-from twin.artefact import Artefact, ball_bar
+from twin.artefact import Artefact
 
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """`jobs`: tool → job. `made_up`: the artefact is none that the settings name."""
+    """`jobs`: tool → job; `theta_deg` None and not `made_up`: the artefact that the settings name."""
 
     touches: int
     balls: int
-    theta_deg: float
+    theta_deg: float | None
     jobs: Mapping[str, Job]
     made_up: bool
 
@@ -37,39 +36,18 @@ def variants_of(
 ) -> list[Variant]:
     """Every combination; what is not given stays as the job has it. Raises ConfigurationError for an unknown tool."""
     made_up = bool(balls or thetas_deg)
-    theta_deg = math.degrees(tilt_of(job.artefact))
+    with translated(ConfigurationError, file=str(job.settings.artefact)):
+        bar = Bar.of(job.artefact) if made_up else None
+    tilts: list[float | None] = [*thetas_deg] or [None if bar is None else bar.tilt_deg]
     found = []
     for count, number, theta in product(
-        touches or [job.settings.procedure.touches_per_ball], balls or [job.artefact.count], thetas_deg or [theta_deg]
+        touches or [job.settings.procedure.touches_per_ball], balls or [job.artefact.count], tilts
     ):
-        artefact = bar_like(job.artefact, number, math.radians(theta)) if made_up else job.artefact
-        jobs = {tool: _job(job, base, tool, count, artefact) for tool in tools or [job.settings.tool]}
+        with translated(ConfigurationError, key="--touches, --balls or --theta-deg"):
+            artefact = job.artefact if bar is None else bar.with_(number, theta)
+            jobs = {tool: _job(job, base, tool, count, artefact) for tool in tools or [job.settings.tool]}
         found.append(Variant(count, number, theta, jobs, made_up))
     return found
-
-
-def bar_like(artefact: Artefact, balls: int, tilt_rad: float) -> Artefact:
-    """A nominal bar of the same length, holders, diameter, expansion and uncertainty with other balls."""
-    return ball_bar(
-        f"{artefact.name}, {balls} balls, θ {math.degrees(tilt_rad):g}°",
-        balls=balls,
-        length_mm=2.0 * artefact.half_length_mm,
-        tilt_rad=tilt_rad,
-        holder_length_mm=artefact.holder_length_mm,
-        ball_diameter_mm=artefact.ball_diameter_mm,
-        standard_uncertainty_mm=float(np.sqrt(np.mean(np.diagonal(artefact.covariance)))),
-        reference_temperature_c=artefact.reference_temperature_c,
-        cte_per_k=artefact.cte_per_k,
-        cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
-        sag_mm=artefact.sag_mm,
-    )
-
-
-def tilt_of(artefact: Artefact) -> float:
-    """Tilt of the holders in rad, from how far the balls stand off to the sides."""
-    if artefact.holder_length_mm <= 0.0:
-        return 0.0
-    return math.asin(min(float(np.abs(artefact.balls[:, 2]).max()) / artefact.holder_length_mm, 1.0))
 
 
 def _job(job: Job, base: Path, tool: str, touches: int, artefact: Artefact) -> Job:
@@ -79,6 +57,9 @@ def _job(job: Job, base: Path, tool: str, touches: int, artefact: Artefact) -> J
             key="--tool",
             hint=f"tools of {job.machine.name}: {', '.join(sorted(job.machine.tools))}",
         )
-    procedure = job.settings.procedure.model_copy(update={"touches_per_ball": touches})
+    chosen = job.settings.procedure
+    if (tool, touches, artefact) == (job.settings.tool, chosen.touches_per_ball, job.artefact):
+        return job
+    procedure = chosen.model_copy(update={"touches_per_ball": touches})
     own = prepare_job(job.settings.model_copy(update={"procedure": procedure, "tool": tool}), base)
     return replace(own, artefact=artefact, layout=replace(own.layout, artefact=artefact))

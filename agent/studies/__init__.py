@@ -4,6 +4,9 @@ A study is a function `run(case: StudyCase) -> StudyResult` in a module of this 
 """
 
 STUDIES: dict[str, str] = {
+    "design": "agent.studies.design:run",
+    "valuation": "agent.studies.valuation:run",
+    "uncertainty": "agent.studies.uncertainty:run",
     "ball-count": "agent.studies.ball_count:run",
     "misalignment": "agent.studies.misalignment:run",
     "monte-carlo": "agent.studies.monte_carlo:run",

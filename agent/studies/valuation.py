@@ -1,0 +1,166 @@
+"""Does the valuation number tell what a set is worth? Random sets: the number before, simulated procedures after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import spearmanr
+
+from agent.designing.valued_set import valuation_of
+from agent.studies.figure import BLUE, INK, ORANGE, from_zero
+from agent.studies.monte_carlo import Simulated, Spread, WholeProcedure
+from agent.studies.study import StudyCase, StudyResult
+from agent.studies.workers import generator
+from twin.design.candidates import orientation_grid
+from twin.errors import DataError
+from twin.field_form import FieldForm
+from twin.position_set import Position
+from twin.volumetric import evaluation_grid
+
+NAME = "valuation"
+GRID_DEG = 15.0
+RANDOM_SETS = 60
+SMALLEST, LARGEST = 2, 24
+NAMED = ("S1", "S2", "S3", "S1+S3", "S1+S2+S3")
+MACHINES_SHARE, FEWEST_MACHINES = 20, 4
+"""Each set meets the machines of the case divided by this, the same ones each."""
+COLUMNS = (
+    "set",
+    "positions",
+    "stations",
+    "valuation_percent",
+    "expected_vce_um",
+    "simulated_vce_um",
+    "standard_error_um",
+    "machines",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class EverySet:
+    """Task: the number of a set → what its procedure makes of all machines."""
+
+    procedures: Sequence[WholeProcedure]
+    machines: int
+
+    def __call__(self, number: int) -> list[Simulated]:
+        return [self.procedures[number](machine) for machine in range(self.machines)]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One set: its valuation (%) and expected VCE, rms of the simulated VCE with its standard error; aligned."""
+
+    name: str
+    positions: int
+    stations: int
+    valuation: float
+    expected_um: float
+    simulated_um: float
+    error_um: float
+
+
+def run(case: StudyCase) -> StudyResult:
+    """`RANDOM_SETS` random sets and the named ones, each by its valuation and by simulation."""
+    machines = max(FEWEST_MACHINES, case.machines // MACHINES_SHARE)
+    sets = [(name, tuple(case.positions(name))) for name in NAMED]
+    sets += [(f"random {number + 1}", chosen) for number, chosen in enumerate(random_sets(case, RANDOM_SETS))]
+    planned = [case.procedure.planned(positions) for _, positions in sets]
+    task = EverySet([WholeProcedure.of(case, one.observations) for one in planned], machines)
+    simulated = case.map(task, range(len(sets)), f"sets, {machines} machines each")
+    grid = evaluation_grid(case.machine.model.ranges_mm)
+    form = FieldForm.build(case.machine.model, case.reality, grid, case.tool_offset)
+    tried = [
+        _tried(case, name, one.positions, Spread.left(form, found))
+        for (name, _), one, found in zip(sets, planned, simulated, strict=True)
+    ]
+    before = Spread.before(form, simulated[0]).expected.aligned_um
+    return StudyResult(
+        name=NAME,
+        title="The valuation of a set against the error that is really left",
+        columns=COLUMNS,
+        rows=[(*vars(one).values(), machines) for one in tried],
+        summary=_summary(tried, before, machines),
+        draw=partial(_draw, tried=tried, before_um=before),
+    )
+
+
+def random_sets(case: StudyCase, count: int) -> list[tuple[Position, ...]]:
+    """Sets of 2 to 24 positions at one to all stations, each by chance out of what is within reach."""
+    reached = _within_reach(case)
+    found = []
+    for number in range(count):
+        rng = generator(case.seed, number)
+        stations = sorted({position.station for position in reached})
+        chosen = rng.choice(stations, size=int(rng.integers(1, len(stations) + 1)), replace=False)
+        offered = [position for position in reached if position.station in chosen]
+        size = min(round(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST + 1)))), LARGEST, len(offered))
+        found.append(tuple(offered[index] for index in sorted(rng.choice(len(offered), size=size, replace=False))))
+    return found
+
+
+def _within_reach(case: StudyCase) -> list[Position]:
+    offered = [Position(s, *angles) for s in case.procedure.stations for angles in orientation_grid(GRID_DEG)]
+    reached = list(case.procedure.planned(offered).positions)
+    if len(reached) < LARGEST:
+        raise DataError(f"only {len(reached)} positions are within reach", hint="take another machine or artefact")
+    return reached
+
+
+def _tried(case: StudyCase, name: str, positions: Sequence[Position], left: Spread) -> Tried:
+    worth = valuation_of(case.job, positions)
+    return Tried(
+        name=name,
+        positions=len(positions),
+        stations=len({position.station for position in positions}),
+        valuation=worth.percent,
+        expected_um=worth.after.aligned_um,
+        simulated_um=left.expected.aligned_um,
+        error_um=left.standard_error.aligned_um,
+    )
+
+
+def _summary(tried: Sequence[Tried], before_um: float, machines: int) -> dict[str, object]:
+    valuations, simulated = [one.valuation for one in tried], [one.simulated_um for one in tried]
+    return {
+        "set": f"{RANDOM_SETS} random sets and {', '.join(NAMED)}",
+        "machines": machines,
+        "sets": len(tried),
+        "simulated_ve_um": before_um,
+        "rank_correlation": float(-spearmanr(valuations, simulated).statistic),
+        "correlation": float(-np.corrcoef(valuations, simulated)[0, 1]),
+        "simulated_over_expected": float(np.median([one.simulated_um / one.expected_um for one in tried])),
+    }
+
+
+def _draw(figure: Figure, tried: Sequence[Tried], before_um: float) -> None:
+    axes = figure.subplots()
+    named = [one for one in tried if one.name in NAMED]
+    for group, colour, marker, label in (
+        ([one for one in tried if one not in named], BLUE, "o", "random sets of 2 to 24 positions"),
+        (named, ORANGE, "D", "named sets"),
+    ):
+        axes.errorbar(
+            [one.valuation for one in group],
+            [one.simulated_um for one in group],
+            [one.error_um for one in group],
+            fmt=marker,
+            color=colour,
+            elinewidth=0.8,
+            label=label,
+        )
+    for one in named:
+        axes.annotate(one.name, (one.valuation, one.simulated_um), (6, 4), textcoords="offset points")
+    axes.plot(
+        [0.0, 100.0], [before_um, 0.0], ":", color=INK, linewidth=0.9, label="VE of these machines, so much of it less"
+    )
+    rank = float(-spearmanr([one.valuation for one in tried], [one.simulated_um for one in tried]).statistic)
+    axes.set_xlabel("valuation before anything moves / %")
+    axes.set_xlim(0.0, 100.0)
+    axes.set_title(f"What {len(tried)} sets are worth, told before and found after (rank correlation {rank:.3f})")
+    from_zero(axes, "simulated VCE, rigidly aligned, rms over machines / µm")
+    axes.legend()
