@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import pickle
+import socket
+import struct
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError
 from typing import Any, Self, TypeVar
@@ -30,6 +32,9 @@ POLL_S = 2.0
 CLOSE_S = 5.0
 SCHEMES = ("tcp", "tls")
 
+_HEADER = struct.Struct("<Q")  # how many bytes of message follow
+_LONGEST_GREETING = 1 << 20
+
 
 class DaskWorkers:
     """The workers of the scheduler at `address`, connected within the block.
@@ -44,11 +49,13 @@ class DaskWorkers:
 
     def __enter__(self) -> Self:
         # What distributed logs about lost connections is said by the errors raised here.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        for name in ("distributed", "distributed.client"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
+            _greet(self._address)
             self._client = _client(self._address)
-        except (OSError, TimeoutError) as error:
-            hint = "is `dask scheduler` running, and may this computer reach it?"
+        except OSError as error:
+            hint = "is `dask scheduler` running there, and may this computer reach it?"
             raise LinkLost("no Dask scheduler answers", hint=hint, link=self._address) from error
         return self
 
@@ -139,6 +146,17 @@ class DaskWorkers:
     def _lost(self) -> LinkLost:
         hint = "start the study again; the same seed gives the same numbers"
         return LinkLost("the Dask scheduler is gone in the middle of the work", hint=hint, link=self._address)
+
+
+def _greet(address: str) -> None:
+    """A client waits without end for the greeting of whatever accepts its connection: look first whether one comes."""
+    parts = urlsplit(address)
+    if parts.scheme != "tcp":
+        return
+    with socket.create_connection((str(parts.hostname), int(parts.port or 0)), timeout=CONNECT_S) as connection:
+        header = connection.recv(_HEADER.size, socket.MSG_WAITALL)
+    if len(header) < _HEADER.size or _HEADER.unpack(header)[0] > _LONGEST_GREETING:
+        raise ConnectionError("this is no greeting of a Dask scheduler")
 
 
 def _client(address: str) -> Client:
