@@ -113,7 +113,7 @@ def _ranked(job: Job, name: str, set_up: SetUp, grid: Array) -> Ranking:
 def _set_up(job: Job, question: Question, name: str) -> SetUp:
     """Every position is measured with every tool asked for, unless a file says with which."""
     positions = _positions(job, question, name)
-    asked = question.tools or (job.settings.tool,)
+    asked = tuple(dict.fromkeys(question.tools)) or (job.settings.tool,)
     named = [position.tool for position in positions if position.tool]
     bare = SetUp(job.machine.model, job.machine.family, job.procedure, ())
     used = dict.fromkeys((*asked, *named))
