@@ -89,6 +89,11 @@ def order_text(estimate: Estimate) -> str:
     return f"{text}, by evidence (ln, against the likeliest: {compared})"
 
 
+def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
+    """What somebody should know of scales that could go no farther."""
+    return tuple(f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in estimate.scales_at_bounds)
+
+
 def find_machine(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Finding:
     """`find` for a run: `correction` is what the table that acted while measuring added. Raises TwinError."""
     chosen = job.settings.identification

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.files import load_artefact, load_balls, load_machine, read_text, translated, write_all_atomically
-from agent.findings import Finding, find, order_text
+from agent.findings import Finding, find, order_text, scale_warnings
 from agent.gates import Gate, GateLimits, estimate_gates, table_gates
 from agent.report import Header, ReportData, name_of_positions, render_report
 from agent.settings import GateSettings, Order, TableSettings
@@ -123,6 +123,10 @@ def read_material(request: Request) -> Material:
     machine = load_machine(request.machine)
     artefact = load_artefact(request.artefact)
     balls = load_balls(request.balls, machine)
+    if not machine.family.half_widths.any():
+        hint = "give the half-widths that machines of this kind have"
+        message = "every half-width of the family is zero, so there is nothing to identify"
+        raise ConfigurationError(message, hint=hint, file=str(request.machine), key="model.family")
     tool = _table_tool(request, machine, balls)
     options = request.options
     if request.carried_over is not None:
@@ -247,10 +251,7 @@ def _warnings(material: Material, finding: Finding, options: Options) -> tuple[s
         notes.append(f"The table is made for the tool {material.tool}, with which nothing was measured.")
     if not options.use_prior:
         notes.append("Without the family what was not seen counts as zero: the stated uncertainties leave it out.")
-    notes.extend(
-        f"A scale ran into its bounds. {text[0].upper()}{text[1:]}." for text in finding.estimate.scales_at_bounds
-    )
-    return tuple(notes)
+    return (*notes, *scale_warnings(finding.estimate))
 
 
 def _used_tools(material: Material) -> set[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.execution.journal import RunJournal
 from agent.files import write_all_atomically
-from agent.findings import Finding, provenance
+from agent.findings import Finding, order_text, provenance, scale_warnings
 from agent.job import Job
 from agent.outcome import Outcome, Proof
 from agent.report import (
@@ -75,6 +75,7 @@ def _report(
         settings={
             "Prior": "family of the machine" if job.settings.identification.prior else "none",
             "Weights": "full covariances" if job.settings.identification.weights == "full" else "all alike",
+            "Legendre order": order_text(finding.estimate),
             "Touches a ball": str(job.settings.procedure.touches_per_ball),
         },
     )
@@ -129,4 +130,4 @@ def _warnings(finding: Finding, outcome: Outcome) -> tuple[str, ...]:
         notes.append(f"{100.0 * share:.0f} % of the table's nodes lie outside the measured region.")
     if outcome.proof is None:
         notes.append("Nothing was measured with the table active: what is said about the time after is a prediction.")
-    return tuple(notes)
+    return (*notes, *scale_warnings(finding.estimate))

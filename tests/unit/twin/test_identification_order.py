@@ -90,14 +90,14 @@ def test_a_family_that_does_not_fall_off_gets_no_higher_order_than_the_machine_h
     """Without the falling prior a higher order would follow noise: now the evidence speaks against it."""
     flat = {**AMPLITUDES, "decay": 1.0, "positioning_um": [8.0, 5.0, 3.0], "rotation_urad": [4.6, 2.8, 2.0]}
     flat["straightness_um"] = [5.5, 3.3]
-    for seed in (1, 2):
-        estimate = identify_by_evidence(
-            lambda order: family_from_amplitudes(case_study(order)[0], flat),
-            seen_of(4, seed, "S1+S2+S3", 4),
-            ARTEFACT,
-        )
-        assert estimate.model.highest_order == (4, 4, 4)
-        assert estimate.order_evidence[-1].relative_log < -20.0
+    estimate = identify_by_evidence(
+        lambda order: family_from_amplitudes(case_study(order)[0], flat),
+        seen_of(4, 2, "S1+S2+S3", 4),
+        ARTEFACT,
+        candidates=(2, 4, 6, 9),
+    )
+    assert estimate.model.highest_order == (4, 4, 4)
+    assert estimate.order_evidence[-1].relative_log < -20.0
 
 
 def test_it_is_the_estimate_of_that_order_and_of_the_balls_kept() -> None:
