@@ -1,0 +1,197 @@
+"""Design on the case study: the criterion is the prediction of an identification, vetting the preflight's verdict."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from agent.case import CASE_STUDY, load_case
+from agent.designing.designed import designed
+from agent.designing.setting_up import Setting
+from agent.designing.valued_set import valuation_of
+from agent.designing.variants import variants_of
+from agent.designing.vetting import Vetting
+from agent.job import Job
+from agent.plans.measure import position_key
+from agent.rehearsal import rehearse
+from agent.timing import machine_minutes
+from drivers.errors import ConfigurationError, InputError, PlanRefused
+from twin.design.candidates import Candidates, candidates_of
+from twin.design.goals import Positions, Slot
+from twin.design.valuation import valuation
+from twin.identification import Options, identify, predicted_vce
+from twin.position_set import Position, positions_of
+from twin.volumetric import evaluation_grid
+
+AS_STATED = Options(estimate_scales=False, outliers="none")
+COARSE = (9, 5, 5)
+
+
+@cache
+def case() -> Job:
+    return load_case(CASE_STUDY)
+
+
+def candidates(positions: tuple[Position, ...]) -> Candidates:
+    job = case()
+    grid = evaluation_grid(job.machine.model.ranges_mm, COARSE)
+    return candidates_of(job.procedure, positions, job.machine.family, AS_STATED, grid, job.tool_offset_mm)
+
+
+@cache
+def of_s1_and_s3() -> Candidates:
+    return candidates(positions_of("S1+S3", 4))
+
+
+def predicted(positions: tuple[Position, ...]) -> tuple[float, float]:
+    """Predicted VCE of a real identification of what the set would measure."""
+    job = case()
+    seen = job.procedure.planned(positions).observations
+    estimate = identify(job.machine.model, seen, job.artefact, job.machine.family, AS_STATED)
+    vce = predicted_vce(estimate, evaluation_grid(job.machine.model.ranges_mm, COARSE), job.tool_offset_mm)
+    return vce.raw_mm, vce.aligned_mm
+
+
+@pytest.mark.parametrize("chosen", [(0, 9), (3, 4, 11, 20), tuple(range(32))])
+def test_the_criterion_is_the_predicted_vce_of_an_identification_of_the_set(chosen: tuple[int, ...]):
+    offered = of_s1_and_s3()
+    vce = offered.vce(chosen)
+    expected = predicted(tuple(offered.positions[index] for index in chosen))
+    assert (vce.raw_mm, vce.aligned_mm) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_value_carried_along_through_a_search_is_that_of_the_identification():
+    setting = Setting({case().settings.tool: case()}, 90.0)
+    offered = of_s1_and_s3()
+    chosen = Positions(6).reached(setting.search(offered))
+    raw, aligned = predicted(tuple(offered.positions[index] for index in chosen))
+    assert offered.vce(chosen).aligned_mm == pytest.approx(aligned, rel=1e-9)
+    assert offered.vce(chosen).raw_mm == pytest.approx(raw, rel=1e-9)
+
+
+def test_the_search_finds_the_best_pair_of_real_positions():
+    offered = of_s1_and_s3().of(range(10))
+    job = case()
+    search = replace(Setting({job.settings.tool: job}, 90.0).search(offered), worthwhile=0.0)
+    best = min(combinations(range(10), 2), key=lambda pair: offered.vce(pair).aligned_mm)
+    assert set(Positions(2).reached(search)) == set(best)
+
+
+def test_the_order_of_the_candidates_does_not_matter():
+    listed = positions_of("S1+S3", 4)
+    shuffled = tuple(np.random.default_rng(1).permutation(np.array(listed, dtype=object)))
+    one, other = of_s1_and_s3(), candidates((*shuffled, *listed[:5]))
+    assert one.positions == other.positions
+    np.testing.assert_array_equal(one.factors, other.factors)
+
+
+def test_the_valuation_is_one_less_the_share_of_the_error_that_stays():
+    job, offered = case(), of_s1_and_s3()
+    seen = job.procedure.planned(offered.positions).observations
+    grid = evaluation_grid(job.machine.model.ranges_mm, COARSE)
+    worth = valuation(job.machine.family, job.artefact, seen, AS_STATED, grid, job.tool_offset_mm)
+    _, aligned = predicted(offered.positions)
+    assert worth.after.aligned_mm == pytest.approx(aligned, rel=1e-9)
+    assert worth.percent == pytest.approx(100.0 * (1.0 - aligned / offered.vce([]).aligned_mm), rel=1e-9)
+    assert valuation_of(job, positions_of("S3", 4)).percent == pytest.approx(68.5, abs=0.1)
+
+
+def test_vetting_gives_the_verdict_of_the_preflight():
+    """Orientations at which the preflight was seen to stop, and some at which it passes."""
+    vetting = Vetting(case())
+    refused = [(-150.0, -90.0), (-90.0, -30.0), (60.0, 15.0), (120.0, -45.0)]
+    passed = [(0.0, 0.0), (45.0, 0.0), (90.0, 45.0), (-60.0, 0.0), (0.0, -75.0)]
+    for azimuth, elevation in (*refused, *passed):
+        position = Position(1, azimuth, elevation)
+        assert bool(vetting.hit(position)) is (not _rehearsed(position)) is ((azimuth, elevation) in refused)
+
+
+def _rehearsed(position: Position) -> bool:
+    try:
+        rehearse(replace(case(), positions=(position,), held_out=(Position(1, 30.0, 30.0),)))
+    except PlanRefused:
+        return False
+    return True
+
+
+def test_a_slot_holds_for_the_plan_as_a_whole_and_carries_cost_time():
+    settings = case().settings
+    timing = settings.timing.model_copy(update={"carrying_minutes": 4.0})
+    job = replace(case(), settings=settings.model_copy(update={"timing": timing}))
+    found = designed(Setting({"probe": job}, 45.0), Slot(22.0), verify=True, rehearsable=False, say=lambda _: None)
+    assert found.minutes == pytest.approx(machine_minutes(job, found.positions).total)
+    assert found.minutes <= 22.0
+    stations = [position.station for position in found.positions]
+    assert stations == sorted(stations)
+    free = designed(Setting({"probe": case()}, 45.0), Slot(22.0), verify=False, rehearsable=False, say=lambda _: None)
+    assert len(set(stations)) <= len({position.station for position in free.positions})
+    assert free.valuation.percent > found.valuation.percent > 0.0
+    _assert_held_out(job, found.positions, found.held_out)
+
+
+def _assert_held_out(job: Job, positions: tuple[Position, ...], held_out: tuple[Position, ...]) -> None:
+    assert not set(positions) & set(held_out)
+    assert not set(positions) & set(job.held_out)
+    orientations = {(position.azimuth_deg, position.elevation_deg) for position in held_out}
+    assert len(orientations) == len(job.settings.verification.positions_deg)
+    for azimuth, elevation in orientations:
+        assert all(Position(station, azimuth, elevation) in held_out for station in job.verified_stations)
+
+
+def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on(monkeypatch):
+    seen: list[tuple[Position, ...]] = []
+
+    def refusing_once(job: Job) -> None:
+        seen.append(job.positions)
+        if len(seen) == 1:
+            raise PlanRefused("preflight: collision", step=f"measure/{position_key(job.positions[1])}/ball-03/approach")
+
+    monkeypatch.setattr("agent.designing.designed.rehearse", refusing_once)
+    found = designed(Setting({"probe": case()}, 90.0), Positions(3), verify=False, rehearsable=True, say=lambda _: None)
+    assert len(seen) == 2
+    assert found.rehearsed
+    assert found.positions == seen[1]
+    assert seen[0][1] not in found.positions
+
+
+def test_variants_change_what_they_name_and_nothing_else(tmp_path):
+    ways = variants_of(case(), tmp_path, touches=[5, 9], balls=[5, 7], thetas_deg=[0.0])
+    assert [(way.touches, way.balls, way.theta_deg, way.made_up) for way in ways] == [
+        (5, 5, 0.0, True),
+        (5, 7, 0.0, True),
+        (9, 5, 0.0, True),
+        (9, 7, 0.0, True),
+    ]
+    job = ways[2].jobs["probe"]
+    assert job.artefact.count == job.layout.artefact.count == 5
+    assert len(job.rules.probing.directions) == 9
+    assert job.artefact.half_length_mm == pytest.approx(750.0, abs=0.1)
+    assert variants_of(case(), tmp_path)[0].jobs["probe"] is case()
+
+
+def test_more_touches_take_longer_and_tell_more(tmp_path):
+    few, many = (way.jobs["probe"] for way in variants_of(case(), tmp_path, touches=[5, 13]))
+    position = Position(1, 0.0, 0.0)
+    assert Vetting(many).minutes(position) > 1.2 * Vetting(few).minutes(position)
+    s3 = positions_of("S3", 4)
+    assert valuation_of(many, s3).percent > valuation_of(few, s3).percent
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"touches": [6]}, "no pattern of 6 touches"),
+        ({"balls": [1]}, "at least two balls"),
+        ({"tools": ["hammer"]}, "the machine has no tool 'hammer'"),
+    ],
+)
+def test_variants_that_cannot_be_are_refused(tmp_path, more, message):
+    with pytest.raises(ConfigurationError, match=message):
+        variants_of(case(), tmp_path, **more)
+
+
+def test_an_unreachable_goal_is_the_users_error():
+    with pytest.raises(InputError, match="shortest two take"):
+        designed(Setting({"probe": case()}, 90.0), Slot(1.0), verify=False, rehearsable=False, say=lambda _: None)
