@@ -106,11 +106,16 @@ class FieldForm:
         deflection = self.reality.deflection
         return np.zeros_like(points) if deflection is None else deflected(deflection, points)
 
+    @property
+    def family_moments(self) -> Array:
+        """(u, u) second moments of the true machines' parameters."""
+        variances = np.zeros(self.size)
+        variances[self.true] = self.reality.family.prior_standard_deviation**2
+        return np.diag(variances)
+
     def before(self) -> Volumetric:
         """Root of the expected mean square of the true machines' deviation."""
-        moments = np.zeros(self.size)
-        moments[self.true] = self.reality.family.prior_standard_deviation**2
-        return self.form.expected(np.diag(moments))
+        return self.form.expected(self.family_moments)
 
 
 def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:

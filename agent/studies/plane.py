@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
 from agent.studies.figure import MAP_COLOURS
 from twin.arrays import Array
+from twin.error_model import Ranges
+
+MAP_HEIGHT_MM = 800.0
+PLANE_SHAPE = (81, 27)
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,6 +24,13 @@ class Plane:
     x_mm: Array
     y_mm: Array
     length_um: Array
+
+
+def map_nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
+    """x, y and the height of the map: the published one, in a machine that does not reach it the middle."""
+    x, y, (low, high) = ranges_mm
+    height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)
+    return np.linspace(*x, PLANE_SHAPE[0]), np.linspace(*y, PLANE_SHAPE[1]), height_mm
 
 
 def draw_plane(axes: Axes, plane: Plane, top_um: float) -> AxesImage:

@@ -13,19 +13,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.studies.figure import BLUE, INK, ORANGE
-from agent.studies.plane import Plane, draw_plane
+from agent.studies.plane import PLANE_SHAPE, Plane, draw_plane, map_nodes
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
-from twin.error_model import Ranges
 from twin.family import Family
 from twin.field_form import FieldForm
 from twin.volumetric import QuadraticForm, evaluation_grid
 
 NAME = "volumetric-error"
 PUBLISHED_MEDIAN_UM = 11.9
-MAP_HEIGHT_MM = 800.0
-PLANE_SHAPE = (81, 27)
 PERCENTS = (0.0, 1.0, 2.5, *np.arange(5.0, 100.0, 5.0).tolist(), 97.5, 99.0, 100.0)
 
 
@@ -74,7 +71,7 @@ def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.rand
 
 def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
     """Length of the deviation at one height: as it is, and less the rigid motion that fits the workspace best."""
-    x_mm, y_mm, height_mm = _nodes(field.model.ranges_mm)
+    x_mm, y_mm, height_mm = map_nodes(field.model.ranges_mm)
     points = np.stack(np.meshgrid(x_mm, y_mm, [height_mm], indexing="ij"), axis=-1).reshape(-1, 3)
     maps = []
     for aligned in (False, True):
@@ -86,13 +83,6 @@ def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
         Plane(f"{where}, as defined", x_mm, y_mm, maps[0]),
         Plane(f"{where}, best rigid motion of the workspace taken out", x_mm, y_mm, maps[1]),
     )
-
-
-def _nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
-    """x, y and the height of the map: the published one, in a machine that does not reach it the middle."""
-    x, y, (low, high) = ranges_mm
-    height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)
-    return np.linspace(*x, PLANE_SHAPE[0]), np.linspace(*y, PLANE_SHAPE[1]), height_mm
 
 
 def _summary(found: FamilyErrors) -> dict[str, object]:

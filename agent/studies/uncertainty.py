@@ -1,0 +1,199 @@
+"""Where the error that compensation leaves comes from: contributions in closed form, each beside its own simulation.
+
+The day is not a perfect one: the artefact is warm, its thermometer errs, the machine drifts while a position is
+measured, and the true machines have higher Legendre orders than the model, and the deflection of the machine file. The
+estimator knows of the thermometer, not of the drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from agent.studies.monte_carlo import Spread, WholeProcedure, as_stated, deviation
+from agent.studies.study import StudyCase, StudyResult
+from agent.studies.uncertainty_figure import Checked, Found, draw
+from twin.error_budget import (
+    CERTIFICATE,
+    CTE,
+    DRIFT,
+    INFLUENCES,
+    MISFIT,
+    TEMPERATURE,
+    TOUCH_NOISE,
+    UNSEEN,
+    ErrorBudget,
+    budget_of,
+)
+from twin.error_model import ErrorModel
+from twin.family import Family, family_from_amplitudes
+from twin.field_form import FieldForm
+from twin.identification import Options
+from twin.machine_description import MachineDescription
+from twin.observations import Observations
+from twin.reality import Reality
+from twin.volumetric import Volumetric, evaluation_grid
+
+NAME = "uncertainty"
+TOGETHER = "all together"
+UM_PER_MM = 1e3
+
+ORDERS_BEYOND = 2
+"""Of the true machines beyond the model, as the simulated machine of the case study has them."""
+
+WARMER_K = 3.0
+"""The artefact than the reference temperature of its certificate."""
+
+THERMOMETER_K = 0.1
+DRIFT_MM = 0.5e-3
+
+COLUMNS = (
+    "influence",
+    "raw_um",
+    "aligned_um",
+    "share_of_aligned_square_percent",
+    "simulated_raw_um",
+    "simulated_aligned_um",
+    "standard_error_raw_um",
+    "standard_error_aligned_um",
+)
+
+
+def run(case: StudyCase) -> StudyResult:
+    """Contributions of the case's set, each simulated alone on `case.machines` machines, and all of them together."""
+    trial = _Trial.of(case)
+    reality = day(case)
+    budget = trial.budget(reality)
+    together = trial.simulated(reality, TOGETHER)
+    parts = [
+        Checked(name, budget.contributions[name], None if alone is None else trial.simulated(alone, name))
+        for name, alone in each_alone(reality, case.machine.model).items()
+    ]
+    return StudyResult(
+        name=NAME,
+        title="Where the error that compensation leaves comes from",
+        columns=COLUMNS,
+        rows=[_row(one, budget.expected) for one in (*parts, Checked(TOGETHER, budget.expected, together))],
+        summary=_conditions(reality, trial.planned.size) | _figures(budget, together),
+        draw=partial(draw, found=Found(tuple(parts), budget, together)),
+        size_in=(11.0, 7.0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """The case's set, identified by an estimator that knows its thermometer; scales as stated."""
+
+    case: StudyCase
+    planned: Observations
+    options: Options
+
+    @classmethod
+    def of(cls, case: StudyCase) -> _Trial:
+        planned = case.procedure.planned(case.positions()).observations
+        return cls(case, planned, replace(as_stated(case.options), temperature_standard_uncertainty_k=THERMOMETER_K))
+
+    def form(self, reality: Reality) -> FieldForm:
+        model = self.case.machine.model
+        return FieldForm.build(model, reality, evaluation_grid(model.ranges_mm), self.case.tool_offset)
+
+    def budget(self, reality: Reality) -> ErrorBudget:
+        case = self.case
+        return budget_of(self.form(reality), case.machine.family, case.artefact, self.planned, self.options)
+
+    def simulated(self, reality: Reality, what: str) -> Spread:
+        """VCE of the case's machines, drawn from this reality."""
+        task = replace(WholeProcedure.of(self.case, self.planned, self.options), reality=reality)
+        return Spread.left(self.form(reality), self.case.map(task, range(self.case.machines), what))
+
+
+def day(case: StudyCase) -> Reality:
+    """What the procedures of this study meet."""
+    return Reality(
+        family=richer_family(case.machine),
+        deflection=case.machine.deflection,
+        artefact_temperature_c=case.artefact.reference_temperature_c + WARMER_K,
+        thermometer_uncertainty_k=THERMOMETER_K,
+        drift_mm=DRIFT_MM,
+    )
+
+
+def richer_family(machine: MachineDescription) -> Family:
+    """The machine's family continued to higher orders, its amplitudes falling as they do."""
+    model = machine.model
+    orders = {error: order + ORDERS_BEYOND for error, order in model.orders.items()}
+    richer = ErrorModel(model.chain, model.ranges_mm, orders, model.cross_effect)
+    return family_from_amplitudes(richer, machine.amplitudes)
+
+
+def each_alone(reality: Reality, model: ErrorModel) -> Mapping[str, Reality | None]:
+    """Influence → the same reality with nothing but it. None for the mount: where it stands is free in every estimate,
+    so there is nothing to simulate."""
+    family = reality.family
+    own = np.isin(family.model.names, model.names)
+    nothing = Reality(
+        family=_part(family, np.zeros_like(own)),
+        touch_noise=False,
+        certificate=False,
+        cte=False,
+        artefact_temperature_c=reality.artefact_temperature_c,
+    )
+    alone = {
+        TOUCH_NOISE: replace(nothing, touch_noise=True),
+        CERTIFICATE: replace(nothing, certificate=True),
+        CTE: replace(nothing, cte=True),
+        TEMPERATURE: replace(nothing, thermometer_uncertainty_k=reality.thermometer_uncertainty_k),
+        DRIFT: replace(nothing, drift_mm=reality.drift_mm),
+        MISFIT: replace(nothing, family=_part(family, ~own), deflection=reality.deflection),
+        UNSEEN: replace(nothing, family=_part(family, own)),
+    }
+    return {name: alone.get(name) for name in INFLUENCES}
+
+
+def _part(family: Family, kept: np.ndarray[Any, np.dtype[np.bool_]]) -> Family:
+    return Family(family.model, family.half_widths * kept)
+
+
+def _row(one: Checked, expected: Volumetric) -> list[str | float | None]:
+    share = 100.0 * (one.closed.aligned_mm / expected.aligned_mm) ** 2
+    row: list[str | float | None] = [one.name, one.closed.raw_um, one.closed.aligned_um, share]
+    if one.simulated is None:
+        return [*row, None, None, None, None]
+    mean, error = one.simulated.expected, one.simulated.standard_error
+    return [*row, mean.raw_um, mean.aligned_um, error.raw_um, error.aligned_um]
+
+
+def _conditions(reality: Reality, balls: int) -> dict[str, object]:
+    return {
+        "balls_measured": balls,
+        "true_orders_beyond_the_model": ORDERS_BEYOND,
+        "artefact_temperature_c": reality.artefact_temperature_c,
+        "thermometer_uncertainty_k": reality.thermometer_uncertainty_k,
+        "drift_um": UM_PER_MM * reality.drift_mm,
+    }
+
+
+def _figures(budget: ErrorBudget, together: Spread) -> dict[str, object]:
+    expected, spread, error = budget.expected, together.expected, together.standard_error
+    (low, high), median = budget.distribution.limits(), budget.distribution.median
+    inside = (together.aligned_mm >= low.aligned_mm) & (together.aligned_mm <= high.aligned_mm)
+    return {
+        "ve_expected_aligned_um": budget.before.aligned_um,
+        "vce_expected_raw_um": expected.raw_um,
+        "vce_expected_aligned_um": expected.aligned_um,
+        "vce_simulated_raw_um": spread.raw_um,
+        "vce_simulated_aligned_um": spread.aligned_um,
+        "vce_median_aligned_um": median.aligned_um,
+        "vce_simulated_median_aligned_um": UM_PER_MM * float(np.median(together.aligned_mm)),
+        "vce_95_percent_limits_aligned_um": [low.aligned_um, high.aligned_um],
+        "simulated_inside_the_limits_percent": 100.0 * float(np.mean(inside)),
+        "deviation_in_standard_errors": {
+            "raw": deviation(spread.raw_mm, expected.raw_mm, error.raw_mm),
+            "aligned": deviation(spread.aligned_mm, expected.aligned_mm, error.aligned_mm),
+        },
+        "contributions_aligned_um": {name: part.aligned_um for name, part in budget.contributions.items()},
+    }
