@@ -99,7 +99,8 @@ class DaskWorkers:
             ready, pending = self._next(pending)
             alone_s = 0.0 if ready or self._workers(client) else alone_s + POLL_S
             if alone_s > FIRST_WORKER_S:
-                raise LinkTimeout("the Dask scheduler has no worker any more", link=self._address)
+                hint = "have they the same volcal[cluster], and memory enough?"
+                raise LinkTimeout("the Dask scheduler has no worker any more", hint=hint, link=self._address)
             for future in ready:
                 found[number[future.key]] = self._result(future)
                 finished += len(found[number[future.key]])
@@ -128,7 +129,7 @@ class DaskWorkers:
             raise self._lost() from error
         except (ImportError, RuntimeError, AttributeError, pickle.UnpicklingError) as error:
             hint = "install the same volcal[cluster] on scheduler and workers"
-            message = f"the cluster does not understand the work: {error}"
+            message = f"the cluster does not understand the work: {' '.join(str(error).split())}"
             raise ConfigurationError(message, hint=hint, link=self._address) from error
         return results
 
