@@ -35,6 +35,32 @@ def test_differences_of_the_likelihood_are_those_of_the_dense_density() -> None:
     assert ours[0] - ours[1] == pytest.approx(dense(one) - dense(other), rel=1e-9)
 
 
+def test_with_a_known_mean_and_covariance_too() -> None:
+    """What is known of parameters and misfit together, as one estimate carries it to the next; noise is free."""
+    design, y, normal = equations(5)
+    mixing = np.random.default_rng(6).normal(size=(7, 7))
+    mean, covariance = np.linspace(-1.0, 1.0, 7), mixing @ mixing.T + np.eye(7)
+    taken = np.array([True] * 4 + [False] * 2 + [True] * 3)
+    inverse, pull = np.zeros((9, 9)), np.zeros(9)
+    inverse[np.ix_(taken, taken)] = np.linalg.inv(covariance)
+    pull[taken] = np.linalg.solve(covariance, mean)
+    precision = Precision(BLOCKS, Known(taken, inverse, pull))
+
+    def dense(noise: float) -> float:
+        spread = np.eye(9)
+        spread[np.ix_(taken, taken)] = covariance
+        total = noise**2 * np.eye(len(y)) + design @ spread @ design.T
+        return -2.0 * float(multivariate_normal.logpdf(y, design[:, taken] @ mean, total))
+
+    ours = [negative_log_likelihood(normal, precision, Scales(noise, 2.0, 3.0))[0] for noise in (1.3, 0.8)]
+    assert ours[0] - ours[1] == pytest.approx(dense(1.3) - dense(0.8), rel=1e-9)
+    gradient = negative_log_likelihood(normal, precision, Scales(1.3))[1][0]
+    up, down = (negative_log_likelihood(normal, precision, Scales(1.3 * np.exp(s)))[0] for s in (1e-5, -1e-5))
+    assert gradient == pytest.approx((up - down) / 2e-5, rel=1e-5)
+    found = likely_scales(normal, precision, Scales(1.0, 2.0, 3.0))
+    assert (found.prior, found.misfit) == (2.0, 3.0)
+
+
 @pytest.mark.parametrize("given", [None, np.diag([1.0, 2.0, 3.0, 4.0]) + 0.3])
 def test_gradient_is_that_of_differences(given: np.ndarray | None) -> None:
     _, _, normal = equations(2)

@@ -178,6 +178,30 @@ class TestUncertainty:
         assert estimate.rejected == ()
 
 
+@pytest.mark.parametrize("prior", [True, False])
+@pytest.mark.parametrize("weights", ["full", "unit"])
+@pytest.mark.parametrize("formulation", ["centres", "distances"])
+def test_normalised_chi2_is_one_where_all_is_as_stated(formulation: str, weights: str, prior: bool) -> None:
+    """Truth, certificate and noise drawn as the priors say; noise that differs from ball to ball."""
+    model, family = case_study(3)
+    options = dataclasses.replace(PLAIN, formulation=formulation, weights=weights, use_prior=prior)
+    found = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        parameters = rng.normal(size=model.size) * family.prior_standard_deviation
+        certified = bar(9, sigma_mm=0.8e-3)
+        real = dataclasses.replace(certified, balls=certified.balls + rng.normal(0.0, 0.8e-3, (9, 3)))
+        seen = measured(
+            "S1+S2+S3", 3, real, lambda X, t, E=parameters: exact_deviation(model, X, t, E), rng, sigma_mm=1e-7
+        )
+        sigma_mm = rng.uniform(0.5e-3, 2e-3, seen.size)
+        noise = sigma_mm[:, None] * rng.normal(size=(seen.size, 3))
+        covariance = sigma_mm[:, None, None] ** 2 * np.eye(3)
+        seen = dataclasses.replace(seen, axis_positions=seen.axis_positions + noise, covariance=covariance)
+        found.append(identify(model, seen, certified, family, options).chi2_normalised)
+    assert np.mean(found) == pytest.approx(1.0, abs=0.06)
+
+
 class TestOutliers:
     def test_gross_errors_are_named_and_nothing_else(self) -> None:
         model, family, _, truth = machine(4, 16)
