@@ -1,0 +1,109 @@
+"""The study of contributions: its table adds up, its simulations stand beside it, its files are complete."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.case import CASE_STUDY, load_case
+from agent.studies.study import StudyCase, StudyResult
+from agent.studies.uncertainty import COLUMNS, TOGETHER, day, each_alone, richer_family, run
+from agent.studies.workers import LocalWorkers
+from agent.studies.writing import write_result
+from twin.error_budget import INFLUENCES
+from twin.identification import Options
+
+MACHINES = 40
+
+
+def case(machines: int = MACHINES) -> StudyCase:
+    return StudyCase(
+        job=load_case(CASE_STUDY, stations=2),
+        options=Options(),
+        seed=4,
+        machines=machines,
+        workers=LocalWorkers(1),
+        progress=lambda what, done, total: None,
+    )
+
+
+@cache
+def found() -> StudyResult:
+    return run(case())
+
+
+def table() -> dict[str, dict[str, float | None]]:
+    rows = (dict(zip(COLUMNS, row, strict=True)) for row in found().rows)
+    return {str(row.pop("influence")): row for row in rows}  # type: ignore[misc]
+
+
+def test_the_table_names_every_influence_and_the_whole() -> None:
+    assert list(table()) == [*INFLUENCES, TOGETHER]
+    assert table()["mount"]["aligned_um"] == 0.0
+    assert table()["mount"]["simulated_aligned_um"] is None
+
+
+@pytest.mark.parametrize("kind", ["raw_um", "aligned_um"])
+def test_squares_of_the_contributions_add_up(kind: str) -> None:
+    parts = [table()[name][kind] for name in INFLUENCES]
+    assert math.hypot(*parts) == pytest.approx(table()[TOGETHER][kind])
+    assert sum(table()[name]["share_of_aligned_square_percent"] for name in INFLUENCES) == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("name", [name for name in (*INFLUENCES, TOGETHER) if name != "mount"])
+def test_each_simulation_agrees_with_its_closed_form(name: str) -> None:
+    """A single influence of one unknown has a skew square: forty of them know their own spread badly."""
+    row = table()[name]
+    for kind in ("raw_um", "aligned_um"):
+        off = row[f"simulated_{kind}"] - row[kind]
+        assert abs(off) < 4.0 * row[f"standard_error_{kind}"] + 0.005 * row[kind]
+
+
+def test_nothing_is_simulated_twice_and_nothing_is_left_out() -> None:
+    one = case()
+    whole = day(one)
+    alone = [reality for reality in each_alone(whole, one.machine.model).values() if reality is not None]
+    assert len(alone) == len(INFLUENCES) - 1
+    variances = np.sum([reality.family.half_widths for reality in alone], axis=0)
+    assert variances == pytest.approx(whole.family.half_widths)
+    assert sum(reality.deflection is not None for reality in alone) == 1
+    for switch in ("touch_noise", "certificate", "cte"):
+        assert sum(getattr(reality, switch) for reality in alone) == 1
+    assert sum(reality.drift_mm for reality in alone) == whole.drift_mm
+    assert sum(reality.thermometer_uncertainty_k for reality in alone) == whole.thermometer_uncertainty_k
+
+
+def test_the_true_machines_are_the_family_with_higher_orders_beside() -> None:
+    machine = case().machine
+    family = richer_family(machine)
+    widths = dict(zip(family.model.names, family.half_widths, strict=True))
+    own = dict(zip(machine.model.names, machine.family.half_widths, strict=True))
+    assert {name: widths[name] for name in own} == pytest.approx(own)
+    assert family.model.size == machine.model.size + 18 * 2
+    assert 0.0 < widths["EXX[7]"] < widths["EXX[6]"] < widths["EXX[5]"]
+
+
+def test_the_limits_hold_the_machines() -> None:
+    summary = found().summary
+    low, high = summary["vce_95_percent_limits_aligned_um"]
+    assert low < summary["vce_median_aligned_um"] < summary["vce_expected_aligned_um"] < high
+    assert summary["simulated_inside_the_limits_percent"] >= 85.0
+
+
+def test_its_files_are_complete(tmp_path: Path) -> None:
+    files = write_result(found(), tmp_path)
+    rows = list(csv.DictReader(files["csv"].read_text(encoding="utf-8").splitlines()))
+    assert [row["influence"] for row in rows] == [*INFLUENCES, TOGETHER]
+    assert json.loads(files["json"].read_text(encoding="utf-8"))["contributions_aligned_um"]["mount"] == 0.0
+    assert files["png"].read_bytes().startswith(b"\x89PNG")
+    assert "Contributions" in files["svg"].read_text(encoding="utf-8")
+
+
+def test_the_same_seed_gives_the_same_numbers() -> None:
+    assert run(case(3)).rows == run(case(3)).rows
