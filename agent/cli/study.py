@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -21,7 +21,8 @@ from agent.files import translated
 from agent.job import naming
 from agent.settings import IdentificationSettings
 from agent.studies import STUDIES
-from agent.studies.study import StudyCase, StudyResult
+from agent.studies.study import Progress as StudyProgress
+from agent.studies.study import StudyCase, StudyResult, run_study
 from agent.studies.workers import LocalWorkers, Workers
 from agent.studies.writing import as_plain, document, ready_folder, write_result
 from drivers.clock import wall_seconds
@@ -100,7 +101,7 @@ def study_command(
             progress=progress,
             position_set=position_set,
         )
-        result = found(name, case)
+        result = run_study(name, case)
     files = write_result(result, out)
     said = {**document(result), "wall_seconds": round(wall_seconds() - started, 3)}
     if as_json:
@@ -109,14 +110,6 @@ def study_command(
         )
     else:
         _show(result, files)
-
-
-def found(name: str, case: StudyCase) -> StudyResult:
-    """The result of a study, with what its numbers rest on in the summary."""
-    module, _, attribute = STUDIES[name].partition(":")
-    run: Callable[[StudyCase], StudyResult] = getattr(import_module(module), attribute)
-    result = run(case)
-    return replace(result, summary={**case.facts, **result.summary})
 
 
 @contextmanager
@@ -139,7 +132,7 @@ def _cluster(address: str) -> DaskWorkers:
 
 
 @contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+def progress_bars() -> Iterator[StudyProgress]:
     """One bar for each thing that is done, on stderr."""
     columns = (
         TextColumn("{task.description}"),

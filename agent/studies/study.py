@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TypeVar
 
 from agent.files import load_positions
 from agent.job import POSITION_FILES, Job
+from agent.studies import STUDIES
 from agent.studies.figure import Draw
 from agent.studies.workers import Workers
 from twin.arrays import Array
@@ -113,3 +115,11 @@ class StudyResult:
     summary: Mapping[str, object]
     draw: Draw
     size_in: tuple[float, float] = (7.0, 4.2)
+
+
+def run_study(name: str, case: StudyCase) -> StudyResult:
+    """The result of the study of that name, with what its numbers rest on in the summary."""
+    module, _, attribute = STUDIES[name].partition(":")
+    run: Callable[[StudyCase], StudyResult] = getattr(import_module(module), attribute)
+    result = run(case)
+    return replace(result, summary={**case.facts, **result.summary})
