@@ -78,7 +78,7 @@ def _equations(problem: Problem, options: Options) -> CentreEquations | Distance
 def _posterior(matrix: Array, blocks: Blocks, options: Options) -> Posterior:
     """Prior off: only what the measurements leave open is held at zero."""
     if options.weights == "unit":
-        blocks = Blocks.of(blocks.parameters.stop, 0, 0, 0)
+        blocks = Blocks.of(blocks.parameters.stop, 0, 0)
     if options.use_prior:
         return Posterior.of(matrix, Precision(blocks), Scales())
     open_ = null_space(matrix[blocks.parameters, blocks.parameters])

@@ -13,7 +13,7 @@ from twin.arrays import Array
 from twin.error_model import ErrorModel
 from twin.errors import FormatError
 from twin.formats.toml_reading import Strict
-from twin.identification.misfit import MisfitModes
+from twin.identification.misfit import MISFIT_KINDS, MisfitModes
 from twin.identification.unknowns import ArtefactErrors, Unknowns
 
 Row = tuple[float, ...]
@@ -42,6 +42,8 @@ class MisfitSection(Strict):
     mixing: tuple[Rows, Rows, Rows]
     removed: Rows
     rigid: Rows
+    sizes: tuple[int, ...]
+    left_out: Row
 
 
 class CarriedOverSection(Strict):
@@ -80,6 +82,8 @@ def _misfit_document(modes: MisfitModes, rms_mm: float) -> dict[str, Any]:
         "mixing": modes.mixing.tolist(),
         "removed": modes.removed.tolist(),
         "rigid": modes.rigid.tolist(),
+        "sizes": list(modes.sizes),
+        "left_out": modes.left_out.tolist(),
     }
 
 
@@ -111,7 +115,16 @@ def _modes(section: MisfitSection, model: ErrorModel, source: str) -> MisfitMode
         mixing=_array(section.mixing, mixing, source, "misfit.mixing"),
         removed=_array(section.removed, (model.size, count), source, "misfit.removed"),
         rigid=_array(section.rigid, (6, count), source, "misfit.rigid"),
+        sizes=_sizes(section.sizes, count, source),
+        left_out=_array(section.left_out, (len(MISFIT_KINDS),), source, "misfit.left_out"),
     )
+
+
+def _sizes(sizes: tuple[int, ...], count: int, source: str) -> tuple[int, ...]:
+    if len(sizes) != len(MISFIT_KINDS) or min(sizes) < 0 or sum(sizes) != count:
+        message = f"{len(MISFIT_KINDS)} numbers that add up to {count} are needed here"
+        raise FormatError(message, file=source, key=f"{KEY}.misfit.sizes")
+    return sizes
 
 
 def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[Array, Array]:

@@ -56,7 +56,10 @@ class NullSection(Strict):
 class ScalesSection(Strict):
     noise: float
     prior: float
-    misfit: float
+    mixed: float
+    waves_x: float
+    waves_y: float
+    waves_z: float
 
 
 class RejectedSection(Strict):

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array
 from twin.error_model import ErrorModel
+from twin.identification.alternatives import Alternative
 from twin.identification.carried_over import CarriedOver
 from twin.identification.evidence import OrderEvidence, at_bounds
 from twin.identification.misfit import MisfitModes
@@ -22,13 +23,17 @@ from twin.observability import NullDirection, Observability, observability, summ
 @dataclass(frozen=True, eq=False)
 class Misfit:
     """What the data say about the fields beside the model: mode coefficients (q,), their covariance (q, q) and that
-    with the parameters (p, q); a field in mm is `amplitude_mm` · modes · coefficients."""
+    with the parameters (p, q); a field in mm is `amplitude_mm` · modes · coefficients.
+
+    `unresolved_mm2`: variance, per direction, of what is too short in space for the modes.
+    """
 
     modes: MisfitModes
     amplitude_mm: float
     coefficients: Array
     covariance: Array
     cross_covariance: Array
+    unresolved_mm2: float = 0.0
 
     def field(self, axis_positions: Array) -> Array:
         """Expected misfit (n, 3) mm at axis positions (n, 3)."""
@@ -44,6 +49,7 @@ class Estimate:
     in units of the stated noise per degree of freedom; `rejected`: (position, ball, tool) of the rows left out;
     `scales`: found for noise, prior and misfit; `misfit`: None where it was switched off; `information` (p, p): of the
     measurements alone in units of `prior_scale`; `z` (P,), `z_covariance` (P, P): of all `unknowns` together;
+    `alternatives`: of equal weight, what the measurements say under other scales that they allow;
     `order_evidence`: how likely each Legendre order was, where the order was chosen by it.
     """
 
@@ -62,6 +68,7 @@ class Estimate:
     unknowns: Unknowns = field(repr=False)
     z: Array = field(repr=False)
     z_covariance: Array = field(repr=False)
+    alternatives: tuple[Alternative, ...] = field(default=(), repr=False)
     order_evidence: tuple[OrderEvidence, ...] = ()
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOver:

@@ -1,4 +1,4 @@
-"""Scales of touch noise, prior and misfit by maximum marginal likelihood (empirical Bayes).
+"""Scales of touch noise, prior and each kind of misfit by maximum marginal likelihood (empirical Bayes).
 
 With the poses projected out and z integrated out, twice the negative log marginal likelihood is
 
@@ -18,7 +18,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from twin.arrays import Array
+from twin.identification.misfit import MISFIT_KINDS
 from twin.identification.normal import Normal, Posterior, Precision, Scales
+from twin.identification.unknowns import Blocks
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,9 @@ class ScalePrior:
 NOISE = ScalePrior(3.0, 0.3, 10.0)
 PRIOR = ScalePrior(1.5, 0.3, 3.0)
 MISFIT = ScalePrior(3.0, 0.1, 10.0)
-_NAMES = ("touch noise", "family prior", "misfit")
+SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS))
+"""In the order of `Scales.values`."""
+_NAMES = ("touch noise", "family prior", *MISFIT_KINDS)
 _AT_BOUND = 1e-3  # of a log scale
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 
@@ -60,10 +64,10 @@ _ACCURACY = 1e-3  # gradient per equation: leaves a log scale right to about 0.0
 
 def likely_scales(normal: Normal, precision: Precision, start: Scales) -> Scales:
     """Scales at the maximum of the marginal likelihood times their own priors."""
-    free = _free_scales(precision)
+    free = free_scales(precision)
     log_start: Logs = np.log(start.values)[free]
     cost = _cost(normal, precision, start)
-    bounds = [prior.bounds for prior, used in zip((NOISE, PRIOR, MISFIT), free, strict=True) if used]
+    bounds = [prior.bounds for prior, used in zip(SCALE_PRIORS, free, strict=True) if used]
     found = minimize(
         cost,
         log_start,
@@ -77,36 +81,40 @@ def likely_scales(normal: Normal, precision: Precision, start: Scales) -> Scales
 
 def log_evidence(normal: Normal, precision: Precision, scales: Scales) -> float:
     """Log marginal likelihood times the priors of the scales, but for what only the rows and their covariances say."""
-    logs = np.log(scales.values)[_free_scales(precision)]
+    logs = np.log(scales.values)[free_scales(precision)]
     return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
 
 
 def at_bounds(scales: Scales) -> tuple[str, ...]:
     """In words, which scale stands at its lower or upper bound."""
     found = []
-    for name, value, prior in zip(_NAMES, scales.values, (NOISE, PRIOR, MISFIT), strict=True):
+    for name, value, prior in zip(_NAMES, scales.values, SCALE_PRIORS, strict=True):
         for bound in (prior.low, prior.high):
             if abs(math.log(value / bound)) < _AT_BOUND:
                 found.append(f"{name}: {bound:g} times as stated, as far as its scale may go")
     return tuple(found)
 
 
-def _free_scales(precision: Precision) -> list[bool]:
-    """Of noise, prior and misfit: what is known from before has its scale already."""
-    blocks = precision.blocks
-    return [True, precision.takes(blocks.parameters), precision.takes(blocks.misfit)]
+def free_scales(precision: Precision) -> list[bool]:
+    """Which of noise, prior and kinds of misfit: what is known from before has its scale already."""
+    found = [True, *(precision.takes(block) for block in scaled_blocks(precision.blocks))]
+    return found + [False] * (len(SCALE_PRIORS) - len(found))
+
+
+def scaled_blocks(blocks: Blocks) -> tuple[slice, ...]:
+    """Blocks that have a scale, in the order of `Scales.values`."""
+    return blocks.parameters, *blocks.kinds
 
 
 def _scales(logs: Array, free: list[bool], others: Scales) -> Scales:
     values = np.array(others.values)
     values[free] = np.exp(logs)
-    noise, prior, misfit = values.tolist()
-    return Scales(noise, prior, misfit)
+    return Scales(*values.tolist())
 
 
 def _cost(normal: Normal, precision: Precision, others: Scales) -> Callable[[Logs], tuple[float, Array]]:
-    free = _free_scales(precision)
-    deviations = np.array([prior.log_deviation for prior in (NOISE, PRIOR, MISFIT)])[free]
+    free = free_scales(precision)
+    deviations = np.array([prior.log_deviation for prior in SCALE_PRIORS])[free]
 
     def cost(logs: Logs) -> tuple[float, Array]:
         scales = _scales(logs, free, others)
@@ -118,7 +126,7 @@ def _cost(normal: Normal, precision: Precision, others: Scales) -> Callable[[Log
 
 
 def negative_log_likelihood(normal: Normal, precision: Precision, scales: Scales) -> tuple[float, Array]:
-    """Twice the negative log marginal likelihood, but for a constant, and its derivatives (3,) by the log scales."""
+    """Twice the negative log marginal likelihood, but for a constant, and its derivatives by the log scales (6,)."""
     blocks, variance = precision.blocks, scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.pull
@@ -131,8 +139,11 @@ def negative_log_likelihood(normal: Normal, precision: Precision, scales: Scales
     value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
     noise = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
-    pulls = [2.0 * _pull(block, taken, weighted_z, z) for block in (blocks.parameters, blocks.misfit)]
-    return value, np.array([noise, *pulls])
+    gradient = np.zeros(len(SCALE_PRIORS))
+    gradient[0] = noise
+    for place, block in enumerate(scaled_blocks(blocks), start=1):
+        gradient[place] = 2.0 * _pull(block, taken, weighted_z, z)
+    return value, gradient
 
 
 def _pull(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:

@@ -14,6 +14,7 @@ from twin.errors import DataError, SingularSet
 from twin.family import Family
 from twin.identification.distances import DistanceEquations
 from twin.identification.estimate import Estimate, Misfit
+from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
 from twin.identification.outliers import contradicting_rows
 from twin.identification.poses import Poses, rigid_poses
@@ -133,7 +134,7 @@ def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
         model=unknowns.model,
         formulation=options.formulation,
         parameters=unknowns.parameters(solution.z),
-        covariance=unknowns.physical_covariance(solution.covariance[block, block]),
+        covariance=unknowns.physical_covariance(solution.whole_covariance[block, block]),
         residuals_mm=_residuals(whole, settled, solution),
         chi2_normalised=solution.chi2,
         degrees_of_freedom=solution.freedom,
@@ -144,7 +145,8 @@ def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
         information=solution.equations.matrix[block, block],
         unknowns=unknowns,
         z=solution.z,
-        z_covariance=solution.covariance,
+        z_covariance=solution.whole_covariance,
+        alternatives=solution.alternatives,
     )
 
 
@@ -153,13 +155,22 @@ def _misfit(whole: Problem, solution: Solution) -> Misfit | None:
     if unknowns.modes is None:
         return None
     own, misfit = whole.blocks.parameters, whole.blocks.misfit
+    covariance = solution.whole_covariance
     return Misfit(
         modes=unknowns.modes,
         amplitude_mm=unknowns.misfit_mm,
         coefficients=solution.z[misfit],
-        covariance=solution.covariance[misfit, misfit],
-        cross_covariance=unknowns.scale[:, None] * solution.covariance[own, misfit],
+        covariance=covariance[misfit, misfit],
+        cross_covariance=unknowns.scale[:, None] * covariance[own, misfit],
+        unresolved_mm2=_unresolved(unknowns.misfit_mm, unknowns.modes, solution),
     )
+
+
+def _unresolved(misfit_mm: float, modes: MisfitModes, solution: Solution) -> float:
+    """Variance that the modes leave out, expected over what the scales may be."""
+    likely = [one.scales for one in solution.alternatives] or [solution.scales]
+    squares = np.mean([np.square(scales.kinds) for scales in likely], axis=0)
+    return float(misfit_mm**2 * (modes.left_out @ squares))
 
 
 def _residuals(whole: Problem, settled: _Settled, solution: Solution) -> Array:

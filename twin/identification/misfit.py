@@ -1,15 +1,19 @@
 """What the model cannot represent: a small set of smooth fields beside it, with a Gaussian prior.
 
-A machine has more than 21 Legendre series: rails wave between their screws, gravity bends it, and no series ends at the
-order of the model. The candidates are products of Legendre polynomials of the three axis positions, each displacement
-alike: orders above the model's, alone and with a linear lever in another axis, and mixed terms of low total degree.
-Their prior standard deviations fall with the order as those of families do. What the model or a rigid motion can
-represent of them is taken out by least squares over the workspace, so that the two never compete; the rest is condensed
-to its leading modes (Karhunen-Loève), normalised to a prior rms of 1 over the workspace.
+A machine has more than 21 Legendre series. Gravity and heat bend it in ways that depend on several axes at once (mixed
+terms: products of Legendre polynomials of low total degree), and the rails of each axis wave between their screws
+(orders above the model's, alone and with a linear lever in another axis). These kinds are told apart, because a machine
+that bends much need not have wavy rails, nor does one bad rail make the others bad: each has a scale of its own. Within
+a kind the prior standard deviations fall with the order as those of families do.
+
+What the model or a rigid motion can represent of them is taken out by least squares over the workspace, so that the two
+never compete; the rest is condensed to its leading modes (Karhunen-Loève). What the modes leave out is short in space:
+it is kept as a variance without correlation.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -22,15 +26,19 @@ from twin.legendre import legendre_values, normalised
 from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
 
-_MIXED_DEGREE = 4
-_ORDERS_BEYOND = 4
-_DECAY = 0.75  # prior standard deviation per order; rail waves fall off more slowly than the series themselves
-_LEVER = 0.4  # of a term with a lever beside the one without
-_MIXED = 0.5  # of the lowest mixed term beside the first order beyond the model
-_KEPT_VARIANCE = 0.95
-_MOST_MODES = 40
+MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1 / 6, "waves along Z": 1 / 6}
+"""Kinds of misfit in their order, with the part of the prior variance that each has."""
+
+_MIXED_DEGREE = 6
+_ORDERS_BEYOND = 8
+_MIXED_DECAY = 0.75  # prior standard deviation per degree
+_WAVE_DECAY = 0.85  # per order; rail waves fall off more slowly than the series themselves
+_LEVER = 0.4  # of a wave with a lever beside the one without
+_MOST_MODES = (24, 12, 12, 12)  # by kind; what they leave out is small enough to be taken for uncorrelated
+_DEPENDENT = 1e-10  # of the largest eigenvalue: combinations of parameters that do not change the field
 
 Degrees = tuple[int, int, int]
+Weights = dict[Degrees, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +46,8 @@ class MisfitModes:
     """Modes with unit-normal coefficients: field = candidates · `mixing` - model and rigid motion · `removed`.
 
     `degrees` Legendre degrees in x, y, z of each candidate (c); `mixing` (3, c, q) mm; `removed` (p, q);
-    `rigid` (6, q).
+    `rigid` (6, q); `sizes`: how many modes are of each kind, one kind after the other; `left_out` (kinds,): variance
+    per direction, mean over the workspace, of what the modes of a kind leave out. All together have a prior rms of 1.
     """
 
     model: ErrorModel
@@ -47,6 +56,8 @@ class MisfitModes:
     mixing: Array
     removed: Array
     rigid: Array
+    sizes: tuple[int, ...]
+    left_out: Array
 
     @property
     def size(self) -> int:
@@ -68,60 +79,128 @@ class MisfitModes:
 def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> MisfitModes:
     """Modes for a model and the tool offset (mm) for which the two are kept apart."""
     offset = np.array(tool_offset)
-    candidates = _weighted_candidates(model)
-    degrees, deviations = tuple(candidates), np.array(list(candidates.values()))
-    points, weights = _quadrature(model)
-    root = np.sqrt(weights)[:, None, None]
-    basis = deviation_basis(model, points, offset)
-    scale = np.sqrt(np.einsum("n,ncp->p", weights, basis**2))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    known = np.concatenate((basis / scale, _motions(model.ranges_mm, points)), axis=2) * root
-    known = known.reshape(-1, known.shape[2])
-    wanted = np.einsum("nq,cd->ncdq", _candidates(degrees, model.ranges_mm, points) * deviations, np.eye(3))
-    wanted = (wanted * root[..., None]).reshape(len(known), -1)
-    share = np.linalg.lstsq(known, wanted, rcond=1e-9)[0]
-    left = wanted - known @ share
-    values, vectors = np.linalg.eigh(left.T @ left)
-    count = _count(values[::-1])
-    modes = vectors[:, ::-1][:, :count] / np.sqrt(values[::-1][:count].sum())
-    share = share @ modes
+    kinds = _kinds(model)
+    degrees = tuple(degree for kind in kinds for degree in kind)
+    deviations = np.array([weight for kind in kinds for weight in kind.values()])
+    represented = _Represented.build(model, offset, degrees)
+    parts, at = [], 0
+    for kind, share, most in zip(kinds, MISFIT_KINDS.values(), _MOST_MODES, strict=True):
+        parts.append(_condensed(represented, slice(at, at + len(kind)), deviations, share, most))
+        at += len(kind)
+    mixing = np.concatenate([part.mixing for part in parts], axis=2)
+    removed = represented.share(mixing)
     return MisfitModes(
         model=model,
         tool_offset=offset,
         degrees=degrees,
-        mixing=modes.reshape(3, len(degrees), -1) * deviations[:, None],
-        removed=share[: model.size] / scale[:, None],
-        rigid=share[model.size :],
+        mixing=mixing,
+        removed=removed[: model.size],
+        rigid=removed[model.size :],
+        sizes=tuple(part.mixing.shape[2] for part in parts),
+        left_out=np.array([part.left_out for part in parts]),
     )
 
 
-def _weighted_candidates(model: ErrorModel) -> dict[Degrees, float]:
-    """Degrees in x, y, z of each candidate and its prior standard deviation, relative."""
-    found: dict[Degrees, float] = {}
+@dataclass(frozen=True, eq=False)
+class _Represented:
+    """What model and rigid motions can represent of the candidates, in the mean over the workspace.
+
+    `inverse` (k, k): pseudo-inverse of the products of the known fields; `common` (3, k, c): products with the
+    candidates, by direction; `squares` (c,) mean square of each candidate.
+    """
+
+    inverse: Array
+    common: Array
+    squares: Array
+
+    @classmethod
+    def build(cls, model: ErrorModel, offset: Array, degrees: tuple[Degrees, ...]) -> _Represented:
+        points, weights = _quadrature(model, degrees)
+        basis = deviation_basis(model, points, offset)
+        known = np.concatenate((basis, _motions(model.ranges_mm, points)), axis=2)
+        candidates = _candidates(degrees, model.ranges_mm, points)
+        weighted = weights[:, None] * candidates
+        common = np.stack([known[:, direction].T @ weighted for direction in range(3)])
+        gram = np.einsum("n,nik,nil->kl", weights, known, known, optimize=True)
+        return cls(_pseudo_inverse(gram), common, np.asarray(weights @ candidates**2))
+
+    def share(self, mixing: Array) -> Array:
+        """(k, q) of the known fields that are contained in combinations (3, c, q) of the candidates."""
+        contained = np.tensordot(self.common, mixing, axes=((0, 2), (0, 1)))
+        return np.asarray(self.inverse @ contained)
+
+    def left(self, chosen: slice, deviations: Array) -> Array:
+        """(3c, 3c) mean products of what is left of the chosen candidates, times their deviations (c,)."""
+        common = np.concatenate([part[:, chosen] * deviations for part in self.common], axis=1)
+        own = np.tile(self.squares[chosen] * deviations**2, 3)
+        return np.asarray(np.diag(own) - common.T @ self.inverse @ common)
+
+
+@dataclass(frozen=True, eq=False)
+class _Condensed:
+    """Leading modes of one kind: `mixing` (3, c, q) of all candidates, and the variance that they leave out."""
+
+    mixing: Array
+    left_out: float
+
+
+def _condensed(represented: _Represented, chosen: slice, deviations: Array, share: float, most: int) -> _Condensed:
+    own = deviations[chosen]
+    rising, vectors = np.linalg.eigh(represented.left(chosen, own))
+    values, vectors = rising[::-1], vectors[:, ::-1]
+    size = np.sqrt(share / values.sum())
+    mixing = np.zeros((3, len(deviations), most))
+    mixing[:, chosen] = size * vectors[:, :most].reshape(3, len(own), most) * own[:, None]
+    return _Condensed(mixing, float(size**2 * values[most:].sum()) / 3.0)
+
+
+def _kinds(model: ErrorModel) -> Sequence[Weights]:
+    """By kind: Legendre degrees in x, y, z of each candidate and its prior standard deviation, relative."""
+    waves = [_waves(axis, highest) for axis, highest in enumerate(model.highest_order)]
+    mixed = {degrees: weight for degrees, weight in _mixed().items() if not any(degrees in wave for wave in waves)}
+    return mixed, *waves
+
+
+def _mixed() -> Weights:
     every = range(_MIXED_DEGREE + 1)
-    for i, j, k in product(every, every, every):
-        if i + j + k <= _MIXED_DEGREE and sum(degree > 0 for degree in (i, j, k)) > 1:
-            found[i, j, k] = _MIXED * _DECAY ** (i + j + k - 2)
-    for axis, highest in enumerate(model.highest_order):
-        for beyond in range(_ORDERS_BEYOND):
-            for lever in range(3):
-                degree = [0, 0, 0]
-                degree[lever] = 1
-                degree[axis] = highest + 1 + beyond
-                found[(degree[0], degree[1], degree[2])] = _DECAY**beyond * (1.0 if lever == axis else _LEVER)
+    return {
+        (i, j, k): _MIXED_DECAY ** (i + j + k - 2)
+        for i, j, k in product(every, every, every)
+        if i + j + k <= _MIXED_DEGREE and sum(degree > 0 for degree in (i, j, k)) > 1
+    }
+
+
+def _waves(axis: int, highest: int) -> Weights:
+    found: Weights = {}
+    for beyond in range(_ORDERS_BEYOND):
+        for lever in range(3):
+            degree = [0, 0, 0]
+            degree[lever] = 1
+            degree[axis] = highest + 1 + beyond
+            found[degree[0], degree[1], degree[2]] = _WAVE_DECAY**beyond * (1.0 if lever == axis else _LEVER)
     return found
 
 
-def _quadrature(model: ErrorModel) -> tuple[Array, Array]:
-    """Gauss-Legendre points (n, 3) over the workspace and weights (n,) that sum to 1."""
+def _quadrature(model: ErrorModel, degrees: tuple[Degrees, ...]) -> tuple[Array, Array]:
+    """Gauss-Legendre points (n, 3) over the workspace, exact for all products, and weights (n,) that sum to 1."""
     nodes, weights = [], []
-    for (low, high), order in zip(model.ranges_mm, model.highest_order, strict=True):
-        node, weight = np.polynomial.legendre.leggauss(max(order, _MIXED_DEGREE) + _ORDERS_BEYOND + 2)
+    for axis, (low, high) in enumerate(model.ranges_mm):
+        node, weight = np.polynomial.legendre.leggauss(max(degree[axis] for degree in degrees) + 1)
         nodes.append(0.5 * (low + high) + 0.5 * (high - low) * node)
         weights.append(0.5 * weight)
     points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     x, y, z = weights
     return points, np.einsum("i,j,k->ijk", x, y, z).reshape(-1)
+
+
+def _pseudo_inverse(gram: Array) -> Array:
+    """Of products of fields whose sizes differ by orders of magnitude; a field that is zero stays out."""
+    size = np.sqrt(np.diagonal(gram))
+    size = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(gram / np.multiply.outer(size, size))
+    seen = values > _DEPENDENT * values[-1]
+    used = vectors[:, seen] / size[:, None]
+    return np.asarray((used / values[seen]) @ used.T)
 
 
 def _candidates(degrees: tuple[Degrees, ...], ranges_mm: Ranges, points: Array) -> Array:
@@ -138,9 +217,3 @@ def _candidates(degrees: tuple[Degrees, ...], ranges_mm: Ranges, points: Array) 
 def _motions(ranges_mm: Ranges, points: Array) -> Array:
     middle = np.array([0.5 * (low + high) for low, high in ranges_mm])
     return rigid_fields(points, middle, max(high - low for low, high in ranges_mm))
-
-
-def _count(falling: Array) -> int:
-    share = np.cumsum(falling) / falling.sum()
-    enough = int(np.searchsorted(share, _KEPT_VARIANCE)) + 1
-    return min(enough, _MOST_MODES, len(falling))

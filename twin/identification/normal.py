@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,6 +13,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 
 from twin.arrays import Array
 from twin.errors import SingularSet
+from twin.identification.misfit import MISFIT_KINDS
 from twin.identification.unknowns import Blocks
 
 
@@ -31,16 +33,30 @@ class Normal:
 
 @dataclass(frozen=True)
 class Scales:
-    """Factors on the standard deviations of touch noise, parameter prior and misfit."""
+    """Factors on the standard deviations of touch noise, parameter prior and each kind of misfit."""
 
     noise: float = 1.0
     prior: float = 1.0
-    misfit: float = 1.0
+    mixed: float = 1.0
+    waves_x: float = 1.0
+    waves_y: float = 1.0
+    waves_z: float = 1.0
 
     @property
-    def values(self) -> tuple[float, float, float]:
-        """Noise, prior, misfit."""
-        return self.noise, self.prior, self.misfit
+    def values(self) -> tuple[float, ...]:
+        """Noise, prior, kinds of misfit."""
+        return self.noise, self.prior, *self.kinds
+
+    @property
+    def kinds(self) -> tuple[float, float, float, float]:
+        """Of the misfit, in the order of `MISFIT_KINDS`."""
+        return self.mixed, self.waves_x, self.waves_y, self.waves_z
+
+    @property
+    def misfit(self) -> float:
+        """Of the prior rms of all kinds of misfit together."""
+        shares = MISFIT_KINDS.values()
+        return math.sqrt(sum(share * scale**2 for share, scale in zip(shares, self.kinds, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +111,8 @@ class Precision:
         """(P,) of the unit-matrix form."""
         diagonal = np.ones(self.blocks.size)
         diagonal[self.blocks.parameters] = scales.prior**-2
-        diagonal[self.blocks.misfit] = scales.misfit**-2
+        for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
+            diagonal[kind] = scale**-2
         return diagonal
 
 
@@ -136,6 +153,10 @@ class Posterior:
         """(P,) diagonal of the covariance."""
         inverse, _ = dtrtri(self.factor, lower=1)
         return np.asarray(np.einsum("ij,ij->j", inverse, inverse))
+
+    def times(self, z: Array) -> Array:
+        """Precision · z (P,)."""
+        return np.asarray(self.factor @ (self.factor.T @ z))
 
     def solve(self, right: Array) -> Array:
         """Posterior mean for the weighted right-hand side (P,) or (P, m)."""

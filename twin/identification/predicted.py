@@ -27,7 +27,9 @@ def predicted_vce(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike)
     moments = _second_moments(estimate)
     sums = _sums(estimate, grid, offset)
     aligned = sums.field - sums.shared.T @ sums.share
-    return Volumetric(_root_mean(sums.field, moments, len(grid)), _root_mean(aligned, moments, len(grid)))
+    beside = 3.0 * unresolved(estimate)
+    raw, left = (float(np.vdot(form, moments)) / len(grid) + beside for form in (sums.field, aligned))
+    return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(left, 0.0))))
 
 
 def field_uncertainty(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, aligned: bool = False) -> Array:
@@ -42,17 +44,17 @@ def field_uncertainty(estimate: Estimate, points: ArrayLike, tool_offset: ArrayL
     squares = np.empty_like(grid)
     for start in range(0, len(grid), _CHUNK):
         chunk = grid[start : start + _CHUNK]
-        field = _columns(estimate, chunk, offset) - motions(chunk) @ carried
+        field = field_columns(estimate, chunk, offset) - motions(chunk) @ carried
         squares[start : start + _CHUNK] = np.einsum("nip,nip->ni", field @ moments, field)
-    return np.sqrt(np.maximum(squares, 0.0))
+    return np.sqrt(np.maximum(squares, 0.0) + unresolved(estimate))
 
 
 def left_covariance(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> Array:
     """Expected outer product (3n, 3n) mm² of machine less model at axis positions (n, 3), point by point x, y, z."""
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
-    columns = _columns(estimate, grid, offset).reshape(-1, len(moments))
-    return np.asarray(columns @ moments @ columns.T)
+    columns = field_columns(estimate, grid, offset).reshape(-1, len(moments))
+    return np.asarray(columns @ moments @ columns.T) + unresolved(estimate) * np.eye(len(columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ def _sums(estimate: Estimate, grid: Array, offset: Array) -> _Sums:
     field_sum, shared, motion = np.zeros((size, size)), np.zeros((6, size)), np.zeros((6, 6))
     for start in range(0, len(grid), _CHUNK):
         chunk = grid[start : start + _CHUNK]
-        field = _columns(estimate, chunk, offset).reshape(-1, size)
+        field = field_columns(estimate, chunk, offset).reshape(-1, size)
         rigid = motions(chunk).reshape(-1, 6)
         field_sum += field.T @ field
         shared += rigid.T @ field
@@ -98,7 +100,12 @@ def _second_moments(estimate: Estimate) -> Array:
     return np.block([[estimate.covariance, misfit.cross_covariance], [misfit.cross_covariance.T, expected]])
 
 
-def _columns(estimate: Estimate, points: Array, offset: Array) -> Array:
+def unresolved(estimate: Estimate) -> float:
+    """Variance (mm²), per direction and without correlation, of what is too short in space for the misfit's modes."""
+    return 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2
+
+
+def field_columns(estimate: Estimate, points: Array, offset: Array) -> Array:
     """(n, 3, p + q) mm per parameter and per misfit coefficient."""
     basis = deviation_basis(estimate.model, points, offset)
     misfit = estimate.misfit
@@ -106,7 +113,3 @@ def _columns(estimate: Estimate, points: Array, offset: Array) -> Array:
         return basis
     at_hand = basis if (offset == misfit.modes.tool_offset).all() else None
     return np.concatenate((basis, misfit.amplitude_mm * misfit.modes.at(points, at_hand)), axis=2)
-
-
-def _root_mean(gram: Array, moments: Array, count: int) -> float:
-    return float(np.sqrt(max(float(np.einsum("ij,ji->", gram, moments)), 0.0) / count))

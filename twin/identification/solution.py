@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from twin.arrays import Array
 from twin.errors import SingularSet
+from twin.identification.alternatives import Alternative, alternatives, covariance_about
 from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
 from twin.identification.evidence import likely_scales, log_evidence
@@ -26,8 +28,11 @@ Equations = CentreEquations | DistanceEquations
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """z (P,), its covariance about the truth (P, P) with parameters and misfit valid, poses, both sides of the exact
-    equations at z, and what led there."""
+    """z (P,), poses, both sides of the exact equations at z, and what led there.
+
+    `covariance` (P, P) of z about the truth with the scales as they are, parameters and misfit valid; `free`: whether
+    the scales were estimated.
+    """
 
     equations: Equations
     precision: Precision
@@ -39,6 +44,20 @@ class Solution:
     sides: Sides
     chi2: float
     freedom: float
+    free: bool = False
+
+    @cached_property
+    def alternatives(self) -> tuple[Alternative, ...]:
+        """Under other scales that the measurements allow; none where the scales were given."""
+        if not self.free:
+            return ()
+        equations = self.equations
+        return alternatives(equations.matrix, self.precision, self.posterior, self.z, self.scales, equations.rows)
+
+    @cached_property
+    def whole_covariance(self) -> Array:
+        """(P, P) of z about the truth, the uncertainty of the scales included."""
+        return covariance_about(self.z, self.alternatives) if self.free else self.covariance
 
 
 def solve(problem: Problem, options: Options, formulation: Formulation) -> Solution:
@@ -58,7 +77,8 @@ def solve(problem: Problem, options: Options, formulation: Formulation) -> Solut
     taken = float(np.vdot(covariance, equations.matrix)) / scales.noise**2
     freedom = max(equations.rows - taken, 1.0)
     chi2 = normal.misfit_square(z) / freedom
-    return Solution(equations, precision, scales, posterior, covariance, z, poses, sides, chi2, freedom)
+    free = options.estimate_scales
+    return Solution(equations, precision, scales, posterior, covariance, z, poses, sides, chi2, freedom, free)
 
 
 def evidence_of(problem: Problem, options: Options) -> tuple[float, Scales]:
@@ -148,7 +168,7 @@ def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -
     equations = _equations(problem, formulation, unit_weights=True)
     block, size = problem.blocks.parameters, problem.blocks.size
     information = equations.matrix[block, block]
-    alone = Blocks.of(block.stop, 0, 0, 0)
+    alone = Blocks.of(block.stop, 0, 0)
     precision = Precision(alone, None if options.use_prior else Known.held(alone, _held(information)))
     posterior = Posterior.of(information, precision, Scales())
     z, poses = np.zeros(size), problem.poses

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,18 +20,20 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Where each kind of unknown stands in z."""
+    """Where each kind of unknown stands in z; `kinds`: within the misfit, one after the other."""
 
     parameters: slice
     certificate: slice
     strain: slice
     misfit: slice
+    kinds: tuple[slice, ...] = ()
 
     @classmethod
-    def of(cls, parameters: int, certificate: int, strain: int, misfit: int) -> Blocks:
-        """One after the other, of these sizes."""
-        ends = np.cumsum([parameters, certificate, strain, misfit]).tolist()
-        return cls(*(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)))
+    def of(cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = ()) -> Blocks:
+        """One after the other, of these sizes; of the misfit those of its kinds."""
+        ends = np.cumsum([parameters, certificate, strain, *misfit]).tolist()
+        first, second, third, *kinds = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
+        return cls(first, second, third, slice(third.stop, ends[-1]), tuple(kinds))
 
     @property
     def size(self) -> int:
@@ -94,7 +97,7 @@ class Unknowns:
 
     @property
     def blocks(self) -> Blocks:
-        misfit = 0 if self.modes is None else self.modes.size
+        misfit = () if self.modes is None else self.modes.sizes
         return Blocks.of(self.model.size, self.artefact.certificate.shape[1], len(self.artefact.strains), misfit)
 
     def name(self, index: int) -> str:

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from twin.errors import DataError
 from twin.family import Family, family_from_amplitudes
 from twin.identification import Options, identify, identify_by_evidence
-from twin.identification.evidence import MISFIT, NOISE, PRIOR
+from twin.identification.evidence import SCALE_PRIORS
 from twin.identification.misfit import misfit_modes
 from twin.identification.problem import build_problem
 from twin.identification.solution import evidence_of
@@ -36,12 +36,13 @@ def seen_of(order: int, seed: int, expression: str = "S3", stations: int = 2) ->
     )
 
 
-def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, float, float]) -> float:
+def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, ...]) -> float:
     """Normal density of what the poses leave of the residuals: found less placed, in one matrix over all balls."""
     family = family_of(order)
     points = seen.axis_positions + TOOL
     columns = [deviation_basis(family.model, seen.axis_positions, TOOL) * family.prior_standard_deviation * scales[1]]
-    columns.append(1e-3 * scales[2] * misfit_modes(family.model, tuple(TOOL.tolist())).at(seen.axis_positions))
+    modes = misfit_modes(family.model, tuple(TOOL.tolist()))
+    columns.append(1e-3 * modes.at(seen.axis_positions) * np.repeat(scales[2:], modes.sizes))
     certificate, residual, kept = np.zeros((seen.size, 3, 21)), np.zeros((seen.size, 3)), []
     for position in np.unique(seen.position):
         here = np.flatnonzero(seen.position == position)
@@ -60,7 +61,7 @@ def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, floa
     free = null_space(np.concatenate(kept, axis=1).T).T
     covariance = free @ (design @ design.T + (1e-3 * scales[0]) ** 2 * np.eye(len(design))) @ free.T
     density = multivariate_normal.logpdf(free @ residual.reshape(-1), np.zeros(len(free)), covariance)
-    deviations = np.array([prior.log_deviation for prior in (NOISE, PRIOR, MISFIT)])
+    deviations = np.array([prior.log_deviation for prior in SCALE_PRIORS])
     return float(density) - 0.5 * float(((np.log(scales) / deviations) ** 2).sum())
 
 
