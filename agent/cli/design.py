@@ -21,6 +21,7 @@ from agent.designing.figure import Rival
 from agent.designing.valued_set import valuation_of
 from agent.designing.variants import variants_of
 from agent.designing.writing import check_target, write_design
+from agent.files import translated
 from agent.job import Job, naming
 from agent.timing import machine_minutes
 from drivers.clock import wall_seconds
@@ -121,7 +122,8 @@ def _goal(slot: float | None, positions: int | None, target_vce: float | None) -
         raise InputError(f"the goal must be above zero, not {given[0]:g}", key=GOALS)
     if slot is not None:
         return Slot(slot)
-    return Positions(positions) if positions is not None else Target(1e-3 * given[0])
+    with translated(InputError):
+        return Positions(positions) if positions is not None else Target(1e-3 * given[0])
 
 
 def _rivals(job: Job) -> list[Rival]:
@@ -163,7 +165,7 @@ def _document(
         "positions": [_as_json(position) for position in found.positions],
         **_worth(found),
         "held_out": [_as_json(position) for position in found.held_out],
-        "candidates": found.candidates,
+        "candidates": found.setting.candidates.count,
         "rehearsed": found.rehearsed,
         "front": [vars(point) for point in found.front],
         "settings_sets": [vars(rival) for rival in rivals],
@@ -192,7 +194,10 @@ def _show(choices: list[Choice], best: Choice, rivals: list[Rival], files: list[
     table = Table(title="position set by design", show_header=False, title_justify="left")
     volumetric = found.valuation
     rows = [
-        ("positions", f"{len(found.positions)} of {found.candidates} that are within reach, {found.balls} balls"),
+        (
+            "positions",
+            f"{len(found.positions)} of {found.setting.candidates.count} that are within reach, {found.balls} balls",
+        ),
         ("machine time", f"{found.minutes:.1f} min"),
         ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),
         ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned ({volumetric.after.raw_um:.2f} as defined)"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from agent.designing.front import FrontPoint, front_of
 from agent.designing.setting_up import Setting
@@ -26,18 +27,22 @@ _LITTLE_MIN = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """`positions` in the order of measuring; `minutes` by the run's own plan; `held_out`: positions for the proof where
-    they were asked for; `candidates`: from how many was chosen; `rehearsed`: whether a preflight has passed."""
+    """`chosen` of the setting's candidates, as `positions` in the order of measuring; `minutes` by the run's own plan;
+    `held_out`: positions for the proof where they were asked for; `rehearsed`: whether a preflight has passed."""
 
     setting: Setting
+    chosen: tuple[int, ...]
     positions: tuple[Position, ...]
     minutes: float
     valuation: Valuation
     balls: int
     held_out: tuple[Position, ...]
-    front: tuple[FrontPoint, ...]
-    candidates: int
     rehearsed: bool
+
+    @cached_property
+    def front(self) -> tuple[FrontPoint, ...]:
+        """What every further minute buys."""
+        return front_of(self.setting.search, self.chosen, self.minutes)
 
     @property
     def touches(self) -> int:
@@ -52,8 +57,9 @@ def designed(setting: Setting, goal: Goal, *, verify: bool, rehearsable: bool, s
     for _ in range(_MOST_TRIES):
         say("candidates")
         with translated(ConfigurationError, key="stations.places_mm"):
-            candidates = setting.candidates()
-        search = setting.search(candidates)
+            candidates = setting.candidates
+        say("minutes of every candidate")
+        search = setting.search
         say("search")
         chosen = _within(setting, search, goal)
         held_out = _held_out(setting, candidates, chosen) if verify else ()
@@ -64,13 +70,15 @@ def designed(setting: Setting, goal: Goal, *, verify: bool, rehearsable: bool, s
             if refused is not None:
                 setting = setting.refusing(refused)
                 continue
-        say("Pareto front")
-        before, after = candidates.vce([]), candidates.vce(chosen)
-        minutes = setting.minutes(positions)
-        front = front_of(search, chosen, minutes)
-        balls = int(sum(candidates.balls[list(chosen)]))
         return Designed(
-            setting, positions, minutes, Valuation(before, after), balls, held_out, front, candidates.count, rehearsable
+            setting=setting,
+            chosen=chosen,
+            positions=positions,
+            minutes=setting.minutes(positions),
+            valuation=Valuation(candidates.vce([]), candidates.vce(chosen)),
+            balls=int(sum(candidates.balls[list(chosen)])),
+            held_out=held_out,
+            rehearsed=rehearsable,
         )
     raise ConfigurationError(
         f"the preflight refused a position of each of {_MOST_TRIES} designs",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -23,12 +24,13 @@ _TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost car
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """`jobs`: tool → job with that tool, the tool of the settings first; `refused`: what a preflight has refused."""
+    """`jobs`: tool → job with that tool, the tool of the settings first; `refused`: what a preflight has refused;
+    `vettings`: by tool, kept while positions are refused."""
 
     jobs: Mapping[str, Job]
     grid_deg: float
     refused: frozenset[Position] = frozenset()
-    _vettings: dict[str, Vetting] = field(default_factory=dict, init=False, repr=False)
+    vettings: dict[str, Vetting] = field(default_factory=dict, repr=False)
 
     @property
     def job(self) -> Job:
@@ -50,10 +52,11 @@ class Setting:
     def vetting(self, position: Position) -> Vetting:
         """That of the position's tool."""
         name = position.tool or next(iter(self.jobs))
-        if name not in self._vettings:
-            self._vettings[name] = Vetting(self.jobs[name])
-        return self._vettings[name]
+        if name not in self.vettings:
+            self.vettings[name] = Vetting(self.jobs[name])
+        return self.vettings[name]
 
+    @cached_property
     def candidates(self) -> Candidates:
         """What each position of the grid tells of the field. TwinError where none is within reach."""
         job = self.job
@@ -61,7 +64,9 @@ class Setting:
         offered = [position for position in self._offered() if position not in self.refused]
         return candidates_of(self.procedure, offered, job.machine.family, self.options, grid, job.tool_offset_mm)
 
-    def search(self, candidates: Candidates) -> Search:
+    @cached_property
+    def search(self) -> Search:
+        candidates = self.candidates
         return Search(candidates, self.prices(candidates), lambda index: self.passes(candidates.positions[index]))
 
     def passes(self, position: Position) -> bool:

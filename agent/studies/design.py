@@ -16,7 +16,7 @@ from typing import TypeVar
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.designing.designed import Designed, designed
+from agent.designing.designed import designed
 from agent.designing.setting_up import Setting
 from agent.designing.valued_set import valuation_of
 from agent.designing.variants import Variant, variants_of
@@ -87,10 +87,13 @@ def run(case: StudyCase) -> StudyResult:
     reference = next(one for one in named if one.name == REFERENCE)
     goals: list[Goal] = [Slot(share * reference.minutes) for share in SHARES]
     goals.append(Target(1e-3 * reference.criterion_um))
-    designs = [judge.design(base, goal) for goal in _counted(case, goals, "designs")]
+    setting = Setting(base.jobs, GRID_DEG)
+    designs = [
+        judge.design(base, setting, goal, kind="design", rehearsable=True) for goal in _counted(case, goals, "designs")
+    ]
     slot = Slot(OF_VARIANTS * reference.minutes)
     ways = _counted(case, _ways(case.job), "artefacts and touches")
-    variants = [judge.design(way, slot, kind="variant") for way in ways]
+    variants = [judge.design(way, Setting(way.jobs, GRID_DEG), slot, kind="variant", rehearsable=False) for way in ways]
     judged = [*named, *designs, *variants]
     return StudyResult(
         name=NAME,
@@ -122,12 +125,11 @@ class Judge:
         minutes = machine_minutes(_job(way), positions).total
         return self._judged(name, "named", way, positions, minutes, published=True)
 
-    def design(self, way: Variant, goal: Goal, kind: str = "design") -> Judged:
-        found: Designed = designed(
-            Setting(way.jobs, GRID_DEG), goal, verify=False, rehearsable=not way.made_up, say=lambda _: None
+    def design(self, way: Variant, setting: Setting, goal: Goal, *, kind: str, rehearsable: bool) -> Judged:
+        found = designed(setting, goal, verify=False, rehearsable=rehearsable, say=lambda _: None)
+        return self._judged(
+            f"{len(found.positions)} designed", kind, way, found.positions, found.minutes, published=False
         )
-        name = f"{len(found.positions)} designed"
-        return self._judged(name, kind, way, found.positions, found.minutes, published=False)
 
     def _judged(
         self, name: str, kind: str, way: Variant, positions: Sequence[Position], minutes: float, *, published: bool

@@ -20,10 +20,12 @@ _CHUNK = 2000  # grid points whose fields are held at a time
 class Criterion:
     """`raw`, `aligned` (P, P) mm²: trace(form · C) is the expected mean square, over a grid, of the field whose
     unknowns z (P,) have the covariance C; aligned after the best rigid motion. Certificate and strain are no field.
+    `beside` mm²: mean square of what is too short in space for the modes of the misfit, which no set can change.
     """
 
     raw: Array
     aligned: Array
+    beside: float = 0.0
 
     @classmethod
     def build(cls, unknowns: Unknowns, axis_positions: ArrayLike, tool_offset: ArrayLike) -> Criterion:
@@ -40,11 +42,15 @@ class Criterion:
             shared += rigid.T @ field
             motion += rigid.T @ rigid
         aligned = gram - shared.T @ np.linalg.lstsq(motion, shared, rcond=1e-12)[0]
-        return cls(fields.spread(gram / len(grid)), fields.spread(0.5 * (aligned + aligned.T) / len(grid)))
+        return cls(
+            raw=fields.spread(gram / len(grid)),
+            aligned=fields.spread(0.5 * (aligned + aligned.T) / len(grid)),
+            beside=fields.beside,
+        )
 
     def expected(self, covariance: Array) -> Volumetric:
         """Root of the expected mean squares for a covariance (P, P)."""
-        raw, aligned = (float(np.vdot(form, covariance)) for form in (self.raw, self.aligned))
+        raw, aligned = (float(np.vdot(form, covariance)) + self.beside for form in (self.raw, self.aligned))
         return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 
 
@@ -64,6 +70,12 @@ class _Fields:
     @property
     def size(self) -> int:
         return len(self.places)
+
+    @property
+    def beside(self) -> float:
+        """mm², three directions, scales as stated."""
+        modes = self.unknowns.modes
+        return 0.0 if modes is None else 3.0 * self.unknowns.misfit_mm**2 * float(modes.left_out.sum())
 
     def at(self, points: Array) -> Array:
         """(n, 3, size) mm per unit of each."""

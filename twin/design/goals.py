@@ -18,26 +18,26 @@ FEWEST_POSITIONS = 2
 
 @dataclass(frozen=True)
 class Positions:
-    """So many positions; time does not matter."""
+    """So many positions; time does not matter. DataError for one alone."""
 
     count: int
 
-    def reached(self, search: Search) -> tuple[int, ...]:
-        """Indices of the chosen candidates. DataError where there are not as many."""
+    def __post_init__(self) -> None:
         if self.count < FEWEST_POSITIONS:
             raise DataError(
                 f"{self.count} position(s) cannot tell machine from artefact",
                 hint="ask for two or more",
                 key="positions",
             )
+
+    def reached(self, search: Search) -> tuple[int, ...]:
+        """Indices of the chosen candidates. DataError where there are not as many."""
+        if self.count > search.candidates.count:
+            raise _too_few(search.candidates.count, self.count)
         room = _up_to(self.count, search.candidates.count)
         grown = _last(search, Selection.of(search.candidates), room, per_minute=False)
         if len(grown.chosen) < self.count:
-            raise DataError(
-                f"only {len(grown.chosen)} positions can be measured, {self.count} are asked for",
-                hint="take a finer grid or more stations",
-                key="positions",
-            )
+            raise _too_few(len(grown.chosen), self.count)
         return search.exchanged(grown, room).chosen
 
 
@@ -75,7 +75,8 @@ class Target:
     def reached(self, search: Search) -> tuple[int, ...]:
         """Indices of the chosen candidates. DataError where all of them together do not reach it, saying what they
         do."""
-        candidates, wanted = search.candidates, self.vce_mm**2
+        candidates = search.candidates
+        wanted = self.vce_mm**2 - candidates.form.beside
         floor = candidates.vce(range(candidates.count)).aligned_mm
         if self.vce_mm < floor:
             raise _unattainable(self.vce_mm, floor, candidates.count)
@@ -83,7 +84,7 @@ class Target:
         for best in search.grown(start, _up_to(candidates.count, candidates.count), per_minute=True):
             if best.value <= wanted and len(best.chosen) >= FEWEST_POSITIONS:
                 return _thinned(search, best, wanted).chosen
-        raise _unattainable(self.vce_mm, float(np.sqrt(best.value)), len(best.chosen))
+        raise _unattainable(self.vce_mm, candidates.vce(best.chosen).aligned_mm, len(best.chosen))
 
 
 Goal = Positions | Slot | Target
@@ -142,4 +143,12 @@ def _unattainable(wanted_mm: float, floor_mm: float, positions: int) -> DataErro
         hint="what stays is noise, certificate and what no table holds; take more touches, a better certificate or "
         "another target",
         key="target-vce",
+    )
+
+
+def _too_few(found: int, wanted: int) -> DataError:
+    return DataError(
+        f"only {found} positions can be measured, {wanted} are asked for",
+        hint="take a finer grid or more stations",
+        key="positions",
     )

@@ -40,7 +40,7 @@ class Selection:
 
     @property
     def value(self) -> float:
-        """mm²: expected mean square of the aligned field that stays."""
+        """mm²: expected mean square of the aligned field that stays, as far as sets differ in it."""
         return self.knowledge.value
 
     @property

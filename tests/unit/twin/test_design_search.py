@@ -138,7 +138,7 @@ def test_goals_that_cannot_be_reached_say_what_can():
     candidates = made_up(6)
     search = searching(candidates)
     with pytest.raises(DataError, match="cannot tell machine from artefact"):
-        Positions(1).reached(search)
+        Positions(1)
     with pytest.raises(DataError, match="only 9 positions"):
         Positions(10).reached(search)
     with pytest.raises(DataError, match=r"shortest two take 2\.1 min"):

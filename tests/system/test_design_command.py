@@ -1,0 +1,140 @@
+"""`volcal design` as people run it: files that `volcal plan` takes, and one clear line for every wrong input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from agent.cli.main import main
+from twin.formats.position_set_file import parse_positions
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+COARSE = ("--grid-deg", "90")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def volcal(*arguments: str) -> dict[str, object]:
+    result = CliRunner().invoke(main, [*arguments, "--json"])
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def refused(*arguments: str) -> tuple[int, str]:
+    """Exit code and the one line; nothing may be on disk afterwards."""
+    before = sorted(Path().rglob("*"))
+    result = CliRunner().invoke(main, ["design", *arguments])
+    assert isinstance(result.exception, SystemExit), result.exception
+    assert result.stdout == ""
+    assert sorted(Path().rglob("*")) == before
+    line = result.stderr.strip().splitlines()[-1]
+    return result.exit_code, line
+
+
+def changed_settings(former: str, now: str) -> str:
+    text = (CONFIG / "case-study.toml").read_text()
+    for folder in ("machines", "artefacts"):
+        text = text.replace(f'"{folder}/', f'"{CONFIG}/{folder}/')
+    assert former in text
+    Path("settings.toml").write_text(text.replace(former, now, 1))
+    return "settings.toml"
+
+
+def test_a_designed_set_is_one_that_plan_takes_and_values_alike():
+    said = volcal("design", "--slot", "12min", "--verify-set", "--out", "set.csv", "--grid-deg", "45")
+    written = parse_positions(Path("set.csv").read_text(), "set.csv")
+    assert [position.station for position in written] == [row["station"] for row in said["positions"]]
+    assert len(written) >= 2
+    assert said["machine_minutes"] <= 12.0
+    assert said["rehearsed"] is True
+    plan = volcal("plan", "--config", str(CONFIG / "case-study.toml"), "--position-set", "set.csv")
+    assert plan["predicted_vce_um"] == pytest.approx(said["expected_vce_um"], rel=1e-6)
+    assert plan["predicted_vce_raw_um"] == pytest.approx(said["expected_vce_raw_um"], rel=1e-6)
+    share = said["expected_vce_um"] / said["expected_ve_um"]
+    assert said["valuation"] == pytest.approx(100.0 * (1.0 - share))
+    held_out = parse_positions(Path("set-verify.csv").read_text(), "set-verify.csv")
+    assert not set(held_out) & set(written)
+    _assert_front(said)
+
+
+def _assert_front(said: dict[str, object]) -> None:
+    """CSV and JSON say the same; along the best points more time is a smaller error; the design is one of them."""
+    rows = list(csv.DictReader(Path("set-front.csv").read_text().splitlines()))
+    assert [int(row["positions"]) for row in rows] == [point["positions"] for point in said["front"]]
+    best = [point for point in said["front"] if point["best"]]
+    minutes, errors = [p["minutes"] for p in best], [p["vce_um"] for p in best]
+    assert minutes == sorted(minutes)
+    assert errors == sorted(errors, reverse=True)
+    [design] = [point for point in said["front"] if point["design"]]
+    assert design["vce_um"] == pytest.approx(said["expected_vce_um"])
+    assert Path("set-front.png").read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in Path("set-front.svg").read_text()
+
+
+def test_a_target_is_kept_and_the_search_for_an_artefact_shows_every_way():
+    said = volcal("design", "--target-vce", "6.5", "--touches", "5,9", "--balls", "7", "--out", "set.csv", *COARSE)
+    assert said["expected_vce_um"] <= 6.5
+    assert [(way["touches_per_ball"], way["artefact_balls"]) for way in said["variants"]] == [(5, 7), (9, 7)]
+    [best] = [way for way in said["variants"] if way["best"]]
+    reached = [way["machine_minutes"] for way in said["variants"] if not way["reason"]]
+    assert best["machine_minutes"] == min(reached)
+    assert said["rehearsed"] is False
+
+
+def test_people_are_shown_what_a_machine_reads():
+    result = CliRunner().invoke(main, ["design", "--positions", "3", "--verify-set", *COARSE])
+    assert result.exit_code == 0, result.output
+    for words in ("valuation", "S3 of the settings", "rehearsed: no collision", "positions_deg = [[", "design.csv"):
+        assert words in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), ["no goal is given", "exactly one of --slot, --positions or --target-vce"]),
+        (("--slot", "20min", "--positions", "4"), ["2 goals are given", "exactly one"]),
+        (("--slot", "0min"), ["above zero"]),
+        (("--positions", "1"), ["cannot tell machine from artefact"]),
+        (("--slot", "0.05h", *COARSE), ["3 min are too short", "shortest two take", "min"]),
+        (("--target-vce", "0.2", *COARSE), ["0.20 µm cannot be reached", "µm are left"]),
+        (("--positions", "4", "--grid-deg", "7"), ["7° does not divide 90°"]),
+        (("--positions", "4", "--out", "set.txt"), ["written as CSV", "set.csv"]),
+        (("--positions", "4", "--tool", "hammer"), ["no tool 'hammer'", "probe"]),
+        (("--positions", "4", "--touches", "6"), ["no pattern of 6 touches", "--touches"]),
+        (("--positions", "4", "--machine", "nowhere.toml"), ["no such file", "nowhere.toml"]),
+        (("--positions", "900", *COARSE), ["positions can be measured, 900 are asked for"]),
+    ],
+)
+def test_wrong_input_is_one_clear_line(arguments: tuple[str, ...], words: list[str]):
+    code, line = refused(*arguments)
+    assert code == 2
+    assert line.startswith("error: ")
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.parametrize(("option", "text"), [("--slot", "soon"), ("--touches", "five"), ("--stations", "0")])
+def test_what_is_no_number_is_refused_by_its_option(option: str, text: str):
+    code, line = refused(option, text)
+    assert code == 2
+    assert option in line
+
+
+def test_a_station_without_a_place_and_one_out_of_reach_name_the_settings():
+    settings = changed_settings("[procedure]", "[procedure]\nstations = [9]")
+    code, line = refused("--config", settings, "--positions", "4")
+    assert code == 2
+    assert "station 9" in line
+    assert settings in line
+    far = "places_mm = [[9700.0, 9000.0, 750.0], [1567.0, 1000.0, 750.0]"
+    settings = changed_settings("places_mm = [[700.0, 1000.0, 750.0], [1567.0, 1000.0, 750.0]", far)
+    code, line = refused("--config", settings, "--positions", "4")
+    assert code == 2
+    assert "station 1" in line
