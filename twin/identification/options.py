@@ -26,7 +26,8 @@ class Options:
     `estimate_scales`: scales of touch noise, prior and misfit by maximum marginal likelihood; off, all are 1.
     `outliers`: reject and refit by studentised residuals, or keep all.
     `false_alarm`: chance that a set without outliers loses a ball.
-    `misfit_mm`: prior rms, over the workspace, of what the model cannot represent; 0 switches it off.
+    `misfit_mm`: prior rms, over the workspace, of what the model cannot represent; 0 switches it off. What is carried
+    over keeps its own.
     `temperature_standard_uncertainty_k`: of the artefact's thermometer, common to all rows.
     """
 
