@@ -1,0 +1,103 @@
+"""Work shared among processes: same numbers however it is shared, and every bad end is a clean one."""
+
+from __future__ import annotations
+
+import multiprocessing
+
+import numpy as np
+import pytest
+import study_tasks
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.studies.chunks import Chunk, chunked, run_chunk_alike, software_here
+from agent.studies.workers import LocalWorkers, generator
+from drivers.errors import ConfigurationError, InputError, RunError, VolcalError
+
+
+def ignore(_: int) -> None:
+    """Progress that nobody looks at."""
+
+
+def sums() -> study_tasks.Sums:
+    """Its matrix is laid out as none comes out of a pickle."""
+    whole = np.random.default_rng(3).standard_normal((120, 120))
+    return study_tasks.Sums(whole.T[::2, ::2], seed=11)
+
+
+class TestChunks:
+    @given(st.integers(0, 300), st.integers(1, 80))
+    def test_they_hold_every_item_once_and_in_order(self, count: int, most: int) -> None:
+        chunks = chunked(range(count), most)
+        assert [item for chunk in chunks for item in chunk.items] == list(range(count))
+        assert [chunk.first for chunk in chunks] == [chunk.items[0] for chunk in chunks]
+        assert len(chunks) <= most
+        assert len({len(chunk.items) for chunk in chunks[:-1]}) <= 1
+
+    def test_other_software_is_refused_before_anything_is_computed(self) -> None:
+        other = {**software_here(), "numpy": "1.0"}
+        with pytest.raises(ConfigurationError, match=r"numpy [\d.]+, this computer 1\.0"):
+            run_chunk_alike(b"never read", Chunk(0, [1]), other)
+
+    def test_a_failing_item_is_named_by_number_and_content(self) -> None:
+        with pytest.raises(VolcalError, match=r"failed: TypeError: .*\(item 7: 'S3'\)"):
+            Chunk(7, ["S3"]).run(abs)  # type: ignore[arg-type]
+
+
+class TestGenerators:
+    def test_every_item_has_its_own_and_keeps_it(self) -> None:
+        drawn = {item: generator(1, item).standard_normal(3).tolist() for item in range(200)}
+        assert len({tuple(values) for values in drawn.values()}) == 200
+        assert generator(1, 17).standard_normal(3).tolist() == drawn[17]
+        assert generator(2, 17).standard_normal(3).tolist() != drawn[17]
+        assert generator(1, 17, 0).standard_normal(3).tolist() != drawn[17]
+
+
+class TestLocalWorkers:
+    def test_numbers_do_not_depend_on_how_many_there_are(self) -> None:
+        alone = np.array(LocalWorkers(1).map(sums(), range(23), ignore))
+        for processes in (2, 3):
+            with LocalWorkers(processes) as workers:
+                shared = np.array(workers.map(sums(), range(23), ignore))
+                fewer = np.array(workers.map(sums(), range(9), ignore))
+            assert shared.tobytes() == alone.tobytes()
+            assert fewer.tobytes() == alone[:9].tobytes()
+
+    def test_progress_grows_to_the_number_of_items(self) -> None:
+        told: list[int] = []
+        with LocalWorkers(2) as workers:
+            assert workers.map(study_tasks.squared, range(40), told.append) == [n * n for n in range(40)]
+        assert told == sorted(told)
+        assert told[-1] == 40
+
+    @pytest.mark.parametrize("processes", [1, 2])
+    def test_no_work_at_all_is_no_error(self, processes: int) -> None:
+        with LocalWorkers(processes) as workers:
+            assert workers.map(study_tasks.squared, [], ignore) == []
+
+    @pytest.mark.parametrize("processes", [1, 2])
+    def test_a_failing_item_is_named_and_ends_the_work(self, processes: int) -> None:
+        with LocalWorkers(processes) as workers:
+            with pytest.raises(VolcalError, match=r"ZeroDivisionError: .* \(item 5\)") as failed:
+                workers.map(study_tasks.undefined, range(12), ignore)
+            assert failed.value.exit_code == 1
+            with pytest.raises(InputError, match=r"nothing can be seen \(file set.csv, item 5\)\. measure more"):
+                workers.map(study_tasks.unseen, range(12), ignore)
+            assert workers.map(study_tasks.squared, range(3), ignore) == [0, 1, 4]
+        assert multiprocessing.active_children() == []
+
+    def test_a_process_that_dies_is_an_error_and_no_wait_without_end(self) -> None:
+        with LocalWorkers(2) as workers:
+            with pytest.raises(RunError, match="a worker process died"):
+                workers.map(study_tasks.deadly, range(12), ignore)
+            assert workers.map(study_tasks.squared, range(3), ignore) == [0, 1, 4]
+        assert multiprocessing.active_children() == []
+
+    def test_the_keyboard_ends_processes_in_the_middle_of_their_work(self) -> None:
+        with LocalWorkers(2) as workers, pytest.raises(KeyboardInterrupt):
+            workers.map(study_tasks.interrupting, range(4), ignore)
+        assert multiprocessing.active_children() == []
+
+    def test_no_worker_at_all_is_refused(self) -> None:
+        with pytest.raises(ConfigurationError, match="at least one worker"):
+            LocalWorkers(0)
