@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
+from twin.grid_sums import GridSums
 from twin.identification.unknowns import Indices, Unknowns
 from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
 from twin.volumetric import Volumetric
 
 _CHUNK = 2000  # grid points whose fields are held at a time
+_CROSS_DEGREE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +34,15 @@ class Criterion:
         """Form over a grid of axis positions (n, 3) mm for the tool (3,) mm whose field counts."""
         grid, offset = as_points(axis_positions, "axis positions"), as_vector(tool_offset, 3, "tool offset")
         fields = _Fields(unknowns, offset)
+        sums = GridSums.over(grid, fields.degrees)
+        roots = np.sqrt(sums.weights)[:, None, None]
         middle, size_mm = grid.mean(axis=0) + offset, max(float(np.ptp(grid, axis=0).max()), 1.0)
         gram, shared, motion = np.zeros((fields.size, fields.size)), np.zeros((6, fields.size)), np.zeros((6, 6))
-        for start in range(0, len(grid), _CHUNK):
-            chunk = grid[start : start + _CHUNK]
-            field = fields.at(chunk).reshape(-1, fields.size)
-            rigid = rigid_fields(chunk + offset, middle, size_mm).reshape(-1, 6)
+        for start in range(0, len(sums.nodes), _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            nodes, weights = sums.nodes[rows], roots[rows]
+            field = (weights * fields.at(nodes)).reshape(-1, fields.size)
+            rigid = (weights * rigid_fields(nodes + offset, middle, size_mm)).reshape(-1, 6)
             gram += field.T @ field
             shared += rigid.T @ field
             motion += rigid.T @ rigid
@@ -70,6 +75,16 @@ class _Fields:
     @property
     def size(self) -> int:
         return len(self.places)
+
+    @property
+    def degrees(self) -> tuple[int, int, int]:
+        """In x, y, z, at most: of the series and their levers, of the cross-effect, of the modes."""
+        unknowns = self.unknowns
+        highest = np.maximum(np.array(unknowns.model.highest_order) + 1, _CROSS_DEGREE)
+        if unknowns.modes is not None:
+            highest = np.maximum(highest, np.array(unknowns.modes.degrees).max(axis=0))
+        x, y, z = highest.tolist()
+        return x, y, z
 
     @property
     def beside(self) -> float:
