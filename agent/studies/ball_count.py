@@ -86,10 +86,7 @@ def _summary(curves: Sequence[Curve], rows: Sequence[Sequence[Verdict]], before:
         "fewest_balls_with_95_percent": {curve.way.label: curve.fewest for curve in curves},
         "published_fewest_balls": PUBLISHED_BALLS,
         "vce_aligned_um": {
-            curve.way.label: {
-                str(count): aligned_um(verdict) for count, verdict in zip(COUNTS, curve.verdicts, strict=True)
-            }
-            for curve in curves
+            curve.way.label: {str(n): aligned_um(curve.verdicts[COUNTS.index(n)]) for n in CHECKED} for curve in curves
         },
         "not_identified": {
             curve.way.label: [n for n, verdict in zip(COUNTS, curve.verdicts, strict=True) if verdict.expected is None]
@@ -100,14 +97,14 @@ def _summary(curves: Sequence[Curve], rows: Sequence[Sequence[Verdict]], before:
 
 
 def _draw(figure: Figure, curves: Sequence[Curve], before: Volumetric) -> None:
-    left, right = figure.add_gridspec(1, 2)
-    panel = BrokenAxes.add(figure, left, [curve.verdicts for curve in curves], before)
+    slots = figure.add_gridspec(1, 2)
+    panel = BrokenAxes.add(figure, slots[0], [curve.verdicts for curve in curves], before)
     for series, curve in enumerate(curves):
         panel.draw_curve(COUNTS, curve.verdicts, series)
     panel.draw_before(before)
     panel.label("Volumetric error left", ACROSS)
     panel.across(COUNTS[0] - 0.5, COUNTS[-1] + 0.5, COUNTS)
-    _draw_shares(figure.add_subplot(right), curves)
+    _draw_shares(figure.add_subplot(slots[1]), curves)
     draw_legend(figure, [curve.way.title for curve in curves], before)
 
 

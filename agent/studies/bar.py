@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.artefact import Artefact, ball_bar
+from twin.artefact import Artefact, ball_bar, bar_balls
 from twin.errors import DataError
 
 _ALIKE_MM = 1.0  # calibrated centres lie that near to those of the drawing
@@ -29,8 +29,8 @@ class Bar:
         holder_mm = artefact.holder_length_mm
         off_mm = float(np.abs(artefact.balls[0, 2])) if holder_mm > 0.0 else 0.0
         tilt_deg = math.degrees(math.asin(min(off_mm / holder_mm, 1.0))) if holder_mm > 0.0 else 0.0
-        bar = cls(artefact, length_mm, tilt_deg)
-        off_drawing = np.abs(bar.with_(artefact.count).balls - artefact.balls).max()
+        drawn = bar_balls(artefact.count, length_mm, math.radians(tilt_deg), holder_mm)
+        off_drawing = np.abs(drawn - artefact.balls).max()
         if off_drawing > _ALIKE_MM:
             raise DataError(
                 f"'{artefact.name}' is no bar of equally pitched balls on tilted holders: its balls are up to "
@@ -38,7 +38,7 @@ class Bar:
                 hint="this study changes the bar's balls and their tilt; take a bar such as config/artefacts/"
                 "ball-bar-1500.toml",
             )
-        return bar
+        return cls(artefact, length_mm, tilt_deg)
 
     @property
     def standard_uncertainty_mm(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 from matplotlib.figure import Figure
@@ -52,7 +52,7 @@ def saving(rows: Verdicts, way: int) -> float | None:
     return None if straight is None or tilted is None else 1.0 - tilted / straight
 
 
-def _summary(chosen: Sequence[Way], by_set: dict[str, Verdicts], before: Volumetric) -> dict[str, object]:
+def _summary(chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: Volumetric) -> dict[str, object]:
     return {
         "set": " and ".join(SETS),
         "ve_raw_um": before.raw_um,
@@ -63,7 +63,7 @@ def _summary(chosen: Sequence[Way], by_set: dict[str, Verdicts], before: Volumet
         },
         "vce_aligned_um": {
             way.label: {
-                name: {f"{tilt:g}": aligned_um(row[number]) for tilt, row in zip(TILTS_DEG, rows, strict=True)}
+                name: {f"{tilt:g}": aligned_um(rows[TILTS_DEG.index(tilt)][number]) for tilt in CHECKED_DEG}
                 for name, rows in by_set.items()
             }
             for number, way in enumerate(chosen)
@@ -72,10 +72,10 @@ def _summary(chosen: Sequence[Way], by_set: dict[str, Verdicts], before: Volumet
     }
 
 
-def _draw(figure: Figure, chosen: Sequence[Way], by_set: dict[str, Verdicts], before: Volumetric) -> None:
+def _draw(figure: Figure, chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: Volumetric) -> None:
     slots, every = figure.add_gridspec(1, len(by_set)), [row for rows in by_set.values() for row in rows]
-    for slot, (name, rows) in zip(slots, by_set.items(), strict=True):
-        panel = BrokenAxes.add(figure, slot, every, before)
+    for place, (name, rows) in enumerate(by_set.items()):
+        panel = BrokenAxes.add(figure, slots[place], every, before)
         for number, _ in enumerate(chosen):
             panel.draw_curve(TILTS_DEG, [row[number] for row in rows], number)
         panel.draw_before(before)

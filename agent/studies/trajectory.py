@@ -14,7 +14,7 @@ from agent.studies.figure import BAND_OPACITY, INK, SERIES
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.ways import Way, ways
 from agent.studies.workers import generator
-from agent.studies.worth import Trial, Worth
+from agent.studies.worth import Trial, Worth, identified
 from twin.arrays import Array
 from twin.chain import AXES
 from twin.error_model import Ranges
@@ -80,9 +80,9 @@ def follow(case: StudyCase, way: Way, line: Array) -> Followed:
         case.progress("numbers of balls", done, len(COUNTS))
         trial = Trial.of(case, bar.with_(balls=count), positions)
         budget = worth.budget(trial, way)
-        if budget is not None:
-            estimate = worth.procedure(trial, way)(0).estimate
-            models[count] = 1e3 * (basis[:, :, worth.field.own] @ estimate)
+        found = None if budget is None else identified(worth.procedure(trial, way), 0)
+        if budget is not None and found is not None:
+            models[count] = 1e3 * (basis[:, :, worth.field.own] @ found.estimate)
             sigma[count] = 1e3 * budget.field_uncertainty(line, aligned=True)
     case.progress("numbers of balls", len(COUNTS), len(COUNTS))
     machine = 1e3 * (basis[:, :, worth.field.true] @ truth + deflection)

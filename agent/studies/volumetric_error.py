@@ -113,7 +113,7 @@ def _draw(figure: Figure, found: FamilyErrors, planes: tuple[Plane, Plane]) -> N
 
 def _draw_distribution(axes: Axes, found: FamilyErrors) -> None:
     below_legend = 0.76
-    bins = np.linspace(0.0, float(found.raw_um.max()), 61).tolist()
+    bins = np.linspace(0.0, float(found.raw_um.max()), 1 + round(2.5 * len(found.raw_um) ** (1 / 3))).tolist()
     for values, colour, label in (
         (found.aligned_um, ORANGE, "rigidly aligned"),
         (found.raw_um, BLUE, "as defined"),

@@ -47,6 +47,12 @@ class Verdict:
     simulated: Volumetric | None = None
     standard_error: Volumetric | None = None
 
+    def checked(self, spread: Spread | None) -> Verdict:
+        """With what simulated machines say; None: some of them could not be identified."""
+        if spread is None:
+            return Verdict(None)
+        return Verdict(self.expected, spread.expected, spread.standard_error)
+
 
 @dataclass(frozen=True, eq=False)
 class Worth:
@@ -90,7 +96,7 @@ class Worth:
         pairs = [(row, way) for row in simulated for way in range(len(chosen)) if rows[row][way].expected is not None]
         share = max(self.case.machines // max(len(simulated), 1), FEWEST_MACHINES)
         for (row, way), spread in zip(pairs, self._spreads(trials, chosen, pairs, share), strict=True):
-            rows[row][way] = Verdict(rows[row][way].expected, spread.expected, spread.standard_error)
+            rows[row][way] = rows[row][way].checked(spread)
         return [tuple(row) for row in rows]
 
     def _expected(self, trial: Trial, way: Way) -> Verdict:
@@ -99,12 +105,16 @@ class Worth:
 
     def _spreads(
         self, trials: Sequence[Trial], chosen: Sequence[Way], pairs: Sequence[tuple[int, int]], share: int
-    ) -> list[Spread]:
-        """VCE of `share` machines for each pair of trial and way."""
+    ) -> list[Spread | None]:
+        """VCE of `share` machines for each pair of trial and way; None where one of them is refused."""
         tasks = tuple(self.procedure(trials[row], chosen[way]) for row, way in pairs)
         items = [(task, machine) for task in range(len(tasks)) for machine in range(share)]
         found = self.case.map(_Several(tasks), items, "simulated machines")
-        return [Spread.left(self.field, found[start : start + share]) for start in range(0, len(found), share)]
+        return [self._spread(found[start : start + share]) for start in range(0, len(found), share)]
+
+    def _spread(self, found: Sequence[Simulated | None]) -> Spread | None:
+        machines = [machine for machine in found if machine is not None]
+        return Spread.left(self.field, machines) if len(machines) == len(found) else None
 
     def procedure(self, trial: Trial, way: Way) -> WholeProcedure:
         """The trial as a task that simulates it on a machine of a number. DataError where it has nothing to measure."""
@@ -122,12 +132,21 @@ class Worth:
         )
 
 
+def identified(procedure: WholeProcedure, machine: int) -> Simulated | None:
+    """What the procedure makes of a machine; None where it is refused: a set that just identifies the machine it was
+    planned for need not identify this one."""
+    try:
+        return procedure(machine)
+    except SingularSet:
+        return None
+
+
 @dataclass(frozen=True, eq=False)
 class _Several:
     """Task: number of a procedure and of a machine → that procedure on that machine."""
 
     procedures: tuple[WholeProcedure, ...]
 
-    def __call__(self, item: tuple[int, int]) -> Simulated:
+    def __call__(self, item: tuple[int, int]) -> Simulated | None:
         procedure, machine = item
-        return self.procedures[procedure](machine)
+        return identified(self.procedures[procedure], machine)

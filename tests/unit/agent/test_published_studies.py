@@ -1,0 +1,328 @@
+"""The published studies: against brute force on the grid, against plain arithmetic, and where nothing is identified."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.case import CASE_STUDY, load_case
+from agent.job import Job
+from agent.studies import ball_count, misalignment, strategy, trajectory, volumetric_error
+from agent.studies.bar import Bar
+from agent.studies.study import StudyCase
+from agent.studies.verdict_table import worst_deviation
+from agent.studies.ways import PUBLISHED, ways
+from agent.studies.workers import LocalWorkers, generator
+from agent.studies.worth import Trial, Verdict, Worth
+from agent.studies.writing import document, format_rows, write_result
+from agent.timing import machine_minutes
+from twin.arrays import Array
+from twin.artefact import Artefact, ball_bar
+from twin.errors import DataError
+from twin.field_form import FieldForm
+from twin.identification import Options
+from twin.machine_model import exact_deviation
+from twin.position_set import positions_of
+from twin.simulated_procedure import draw_truth
+from twin.volumetric import Volumetric, evaluation_grid
+
+NANOMETRE_UM = 1e-3
+
+
+@cache
+def job(stations: int | None = None) -> Job:
+    """The shipped case, which has four stations, or with others."""
+    return load_case(CASE_STUDY, stations=stations)
+
+
+def case(stations: int | None = 2, **changes: object) -> StudyCase:
+    made = {
+        "job": job(stations),
+        "options": Options(),
+        "seed": 7,
+        "machines": 4,
+        "workers": LocalWorkers(1),
+        "progress": lambda *_: None,
+    }
+    return StudyCase(**{**made, **changes})  # type: ignore[arg-type]
+
+
+def true_field(made: StudyCase, parameters: Array, points: Array) -> Array:
+    """Exact deviation of a machine with deflection (n, 3) mm."""
+    deflection = made.reality.deflection
+    assert deflection is not None
+    return exact_deviation(made.machine.model, points, made.tool_offset, parameters) + deflection.at(points)
+
+
+def less_rigid(made: StudyCase, field_at_grid: Array, grid: Array, field: Array, points: Array) -> Array:
+    """`field` less the rigid motion of `field_at_grid`: three shifts and three turns by plain least squares."""
+
+    def motions(places: Array) -> Array:
+        columns = [np.tile(np.eye(3)[axis], (len(places), 1)) for axis in range(3)]
+        columns += [np.cross(np.eye(3)[axis], (places + made.tool_offset) / 1000.0) for axis in range(3)]
+        return np.stack(columns, axis=-1)
+
+    found = np.linalg.lstsq(motions(grid).reshape(-1, 6), field_at_grid.reshape(-1), rcond=None)[0]
+    return np.asarray(field - motions(points) @ found)
+
+
+def rms_um(field: Array) -> float:
+    return 1e3 * math.sqrt(float(np.mean(np.sum(field**2, axis=1))))
+
+
+def verdict(aligned_um: float | None) -> Verdict:
+    return Verdict(None if aligned_um is None else Volumetric(2e-3 * aligned_um, 1e-3 * aligned_um))
+
+
+class TestVolumetricError:
+    def test_each_machine_has_the_error_of_the_exact_model_on_the_grid(self) -> None:
+        made = case()
+        grid = evaluation_grid(made.machine.model.ranges_mm)
+        form = FieldForm.build(made.machine.model, made.reality, grid, made.tool_offset).form
+        found = volumetric_error.draw_family(made.machine.family, form, 3, generator(made.seed, 0))
+        for number, parameters in enumerate(found.parameters):
+            field = true_field(made, parameters, grid)
+            assert found.raw_um[number] == pytest.approx(rms_um(field), abs=5 * NANOMETRE_UM)
+            aligned = rms_um(less_rigid(made, field, grid, field, grid))
+            assert found.aligned_um[number] == pytest.approx(aligned, abs=5 * NANOMETRE_UM)
+
+    def test_the_maps_show_the_exact_deviation_at_800_mm(self) -> None:
+        made = case()
+        grid = evaluation_grid(made.machine.model.ranges_mm)
+        parameters = made.machine.family.draw(generator(1), 1)[0]
+        field = FieldForm.build(made.machine.model, made.reality, grid, made.tool_offset)
+        raw, aligned = volumetric_error.median_planes(field, parameters)
+        for row, column in ((0, 0), (17, 5), (80, 26)):
+            point = np.array([[raw.x_mm[row], raw.y_mm[column], 800.0]])
+            there = true_field(made, parameters, point)
+            assert raw.length_um[row, column] == pytest.approx(rms_um(there), abs=5 * NANOMETRE_UM)
+            left = less_rigid(made, true_field(made, parameters, grid), grid, there, point)
+            assert aligned.length_um[row, column] == pytest.approx(rms_um(left), abs=5 * NANOMETRE_UM)
+
+    def test_the_family_has_the_published_median(self) -> None:
+        said = document(volumetric_error.run(case(machines=4000)))
+        assert said["median_ve_raw_um"] == pytest.approx(volumetric_error.PUBLISHED_MEDIAN_UM, abs=0.2)
+        assert said["ve_raw_p05_um"] < said["median_ve_raw_um"] < said["ve_raw_p95_um"]
+
+    def test_the_figure_shows_maps_and_distribution(self, tmp_path: Path) -> None:
+        files = write_result(volumetric_error.run(case(machines=60)), tmp_path)
+        percents = [float(row["percent_of_machines"]) for row in csv.DictReader(files["csv"].read_text().splitlines())]
+        assert (percents[0], percents[-1]) == (0.0, 100.0)
+        assert "published median 11.9" in files["svg"].read_text()
+
+
+class TestBar:
+    def test_the_bar_as_drawn_is_near_the_certified_one(self) -> None:
+        certified = job().artefact
+        bar = Bar.of(certified)
+        assert bar.tilt_deg == pytest.approx(15.0, abs=0.1)
+        assert np.abs(bar.with_().balls - certified.balls).max() < 0.1
+        assert bar.standard_uncertainty_mm == pytest.approx(0.8e-3)
+
+    @pytest.mark.parametrize("balls", [3, 7, 15])
+    def test_the_length_does_not_depend_on_the_number_of_balls(self, balls: int) -> None:
+        made = Bar.of(job().artefact).with_(balls=balls)
+        assert made.count == balls
+        assert np.ptp(made.balls[:, 0]) == pytest.approx(1500.0, abs=0.1)
+        assert np.sqrt(np.diagonal(made.covariance)) == pytest.approx(0.8e-3)
+        assert made.cte_standard_uncertainty_per_k == job().artefact.cte_standard_uncertainty_per_k
+
+    def test_tilted_holders_set_the_balls_off_by_their_sine(self) -> None:
+        bar = Bar.of(job().artefact)
+        straight, tilted = bar.with_(tilt_deg=0.0).balls, bar.with_(tilt_deg=30.0).balls
+        assert np.ptp(straight[:, 1:], axis=0) == pytest.approx([0.0, 0.0])
+        assert np.linalg.norm((tilted - straight)[:, 1:], axis=1) == pytest.approx(60.0 * 0.5)
+
+    def test_another_artefact_is_refused_with_a_hint(self) -> None:
+        plate = replace(job().artefact, balls=job().artefact.balls[:, [1, 0, 2]])
+        with pytest.raises(DataError, match="no bar of equally pitched balls") as caught:
+            Bar.of(plate)
+        assert "ball-bar-1500" in (caught.value.hint or "")
+
+
+class TestWays:
+    def test_the_way_asked_for_stands_before_the_published_one(self) -> None:
+        assert [way.label for way in ways(Options())] == [
+            "centres, full weights, prior",
+            "distances, unit weights, prior",
+            "distances, unit weights, no prior",
+        ]
+
+    def test_none_stands_twice(self) -> None:
+        assert [way.label for way in ways(PUBLISHED)] == [
+            "distances, unit weights, no prior",
+            "distances, unit weights, prior",
+        ]
+
+    def test_all_are_those_of_the_closed_form(self) -> None:
+        assert all(not way.options.estimate_scales and way.options.outliers == "none" for way in ways(Options()))
+
+
+class TestWorth:
+    def test_the_simulated_error_is_that_of_the_exact_machines_on_the_grid(self) -> None:
+        made = case(machines=2)
+        trial = Trial.of(made, Bar.of(made.artefact).with_(balls=5), made.positions("S3"))
+        worth, chosen = Worth(made), ways(made.options)[:1]
+        ((found,),) = worth.judged([trial], chosen, [0])
+        grid, squares = evaluation_grid(made.machine.model.ranges_mm), []
+        for number in range(2):
+            truth = draw_truth(made.reality, generator(made.seed, number), made.tool_offset)
+            estimate = worth.procedure(trial, chosen[0])(number).estimate
+            left = truth.deviation(grid) - exact_deviation(made.machine.model, grid, made.tool_offset, estimate)
+            squares.append(rms_um(left) ** 2)
+        assert found.simulated is not None
+        assert found.simulated.raw_um == pytest.approx(math.sqrt(np.mean(squares)), abs=5 * NANOMETRE_UM)
+
+    def test_closed_form_and_simulation_agree(self) -> None:
+        made = case(machines=160)
+        bar = Bar.of(made.artefact)
+        trials = [Trial.of(made, bar.with_(balls=balls), made.positions("S3")) for balls in (5, 6)]
+        rows = Worth(made).judged(trials, ways(made.options)[:2], [0, 1])
+        deviation = worst_deviation(rows)
+        assert deviation is not None and deviation < 3.5
+        for found in (found for row in rows for found in row):
+            assert found.expected is not None and found.standard_error is not None
+            assert found.standard_error.aligned_mm < 0.08 * found.expected.aligned_mm
+
+    def test_only_what_is_asked_for_is_simulated(self) -> None:
+        made = case()
+        trials = [Trial.of(made, made.artefact, made.positions(name)) for name in ("S1", "S3")]
+        (first,), (second,) = Worth(made).judged(trials, ways(made.options)[:1], [1])
+        assert first.expected is not None and first.simulated is None
+        assert second.simulated is not None
+
+    def test_an_artefact_out_of_reach_identifies_nothing(self) -> None:
+        made = case()
+        long = ball_bar("long", balls=3, length_mm=9000.0, tilt_rad=0.2, holder_length_mm=60.0, ball_diameter_mm=25.0)
+        trial = Trial.of(made, long, made.positions("S1"))
+        assert trial.planned is None
+        ((found,),) = Worth(made).judged([trial], ways(made.options)[:1], [0])
+        assert found == Verdict(None)
+
+
+class TestBallCount:
+    def test_the_share_of_the_gain_is_that_of_the_best_count(self) -> None:
+        shares = ball_count.gain_shares([verdict(v) for v in (8.0, None, 5.0, 4.0)], Volumetric(0.02, 0.01))
+        assert shares[1] is None
+        assert [shares[n] for n in (0, 2, 3)] == pytest.approx([2.0 / 6.0, 5.0 / 6.0, 1.0])
+
+    def test_no_gain_has_no_share(self) -> None:
+        assert ball_count.gain_shares([verdict(30.0), verdict(11.0)], Volumetric(0.02, 0.01)) == (None, None)
+
+    def test_seven_balls_are_enough_as_published(self) -> None:
+        made = case(stations=None)
+        bar, way = Bar.of(made.artefact), ways(made.options)[0]
+        trials = [Trial.of(made, bar.with_(balls=balls), made.positions()) for balls in ball_count.COUNTS]
+        worth = Worth(made)
+        verdicts = tuple(row[0] for row in worth.judged(trials, [way], []))
+        curve = ball_count.Curve(way, verdicts, ball_count.gain_shares(verdicts, worth.before))
+        assert curve.fewest == ball_count.PUBLISHED_BALLS
+
+    def test_the_study_has_a_row_for_each_count_and_way(self, tmp_path: Path) -> None:
+        result = ball_count.run(case(position_set="S3"))
+        assert len(result.rows) == 3 * len(ball_count.COUNTS)
+        assert "share of the largest gain" in write_result(result, tmp_path)["svg"].read_text()
+
+
+class TestMisalignment:
+    def test_tilt_helps_s2_and_hardly_s2_with_s3(self) -> None:
+        made = case(stations=None)
+        bar, way = Bar.of(made.artefact), ways(made.options)[:1]
+        saved = {}
+        for name in misalignment.SETS:
+            trials = [Trial.of(made, bar.with_(tilt_deg=tilt), made.positions(name)) for tilt in (0.0, 30.0)]
+            saved[name] = misalignment.saving(Worth(made).judged(trials, way, []), 0)
+        assert saved["S2"] == pytest.approx(0.25, abs=0.05)
+        assert saved["S2+S3"] == pytest.approx(0.0, abs=0.02)
+
+    def test_what_is_not_identified_saves_nothing(self) -> None:
+        assert misalignment.saving([(verdict(None),), (verdict(4.0),)], 0) is None
+        assert misalignment.saving([(verdict(8.0),), (verdict(6.0),)], 0) == pytest.approx(0.25)
+
+
+def strategies(points: list[tuple[float, float | None]]) -> list[strategy.Strategy]:
+    nothing = Trial(job().artefact, None)
+    return [strategy.Strategy(str(n), nothing, minutes, (verdict(value),)) for n, (minutes, value) in enumerate(points)]
+
+
+class TestStrategy:
+    @given(st.lists(st.tuples(st.integers(1, 9), st.one_of(st.none(), st.integers(1, 9))), max_size=9))
+    def test_the_front_is_what_none_beats(self, points: list[tuple[float, float | None]]) -> None:
+        names = strategy.front(strategies(points), 0)
+        for number, (minutes, value) in enumerate(points):
+            beaten = value is None or any(
+                other is not None and m <= minutes and other <= value and (m < minutes or other < value)
+                for m, other in points
+            )
+            equals = [n for n, point in enumerate(points) if point == (minutes, value)]
+            if beaten:
+                assert str(number) not in names
+            else:
+                assert sum(str(n) in names for n in equals) == 1
+
+    def test_machine_time_is_that_of_the_time_model(self) -> None:
+        made = case(stations=1)
+        result = strategy.run(made)
+        minutes = {row[0]: row[1] for row in result.rows}
+        assert minutes["S1+S3"] == pytest.approx(machine_minutes(made.job, positions_of("S1+S3", 1)).total)
+        assert set(minutes) == {"S1", "S2", "S3", "S1+S2", "S1+S3", "S2+S3", "S1+S2+S3"}
+
+    def test_sets_that_identify_nothing_leave_a_gap(self, tmp_path: Path) -> None:
+        result = strategy.run(case(stations=1, options=Options(use_prior=False)))
+        way = "centres, full weights, no prior"
+        unknown = document(result)["not_identified"][way]  # type: ignore[index]
+        assert "S1" in unknown
+        rows = list(csv.DictReader(format_rows(result).splitlines()))
+        for row in rows:
+            if row["identification"] == way:
+                assert (row["vce_raw_um"] == "") == (row["sets"] in unknown)
+        assert write_result(result, tmp_path)["png"].stat().st_size > 0
+
+
+class TestTrajectory:
+    def test_the_machine_is_the_exact_one_less_its_rigid_motion(self) -> None:
+        made = case()
+        line = trajectory.middle_line(made.machine.model.ranges_mm)
+        followed = trajectory.follow(made, ways(made.options)[0], line)
+        grid = evaluation_grid(made.machine.model.ranges_mm)
+        truth = draw_truth(made.reality, generator(made.seed, 0), made.tool_offset)
+        wanted = less_rigid(made, truth.deviation(grid), grid, truth.deviation(line), line)
+        assert np.abs(followed.machine_um - 1e3 * wanted).max() < 5 * NANOMETRE_UM
+        lengths = [math.dist(*pair) ** 2 for pair in zip(followed.machine_um, followed.models_um[5], strict=True)]
+        assert followed.left_um(5) == pytest.approx(math.sqrt(sum(lengths) / len(lengths)))
+
+    def test_more_balls_are_expected_to_follow_better(self) -> None:
+        expected = document(trajectory.run(case(stations=None)))["rms_left_expected_um"]
+        assert expected["3"] > expected["5"] > expected["11"]  # type: ignore[index]
+
+    def test_what_is_not_identified_has_no_curve(self, tmp_path: Path) -> None:
+        made = case(stations=1, options=Options(use_prior=False), position_set="S1")
+        result = trajectory.run(made)
+        assert document(result)["not_identified"] == [3, 5, 11]
+        row = next(csv.DictReader(format_rows(result).splitlines()))
+        assert row["machine_X_um"] != "" and row["11_balls_X_um"] == ""
+        assert "machine M" in write_result(result, tmp_path)["svg"].read_text()
+
+
+def test_an_artefact_that_is_no_bar_is_told_before_any_work() -> None:
+    square = np.array([[0.0, 0.0, 0.0], [300.0, 0.0, 0.0], [0.0, 300.0, 0.0]])
+    plate = Artefact(
+        name="plate",
+        certificate="drawing",
+        balls=square,
+        ball_diameter_mm=25.0,
+        reference_temperature_c=20.0,
+        cte_per_k=11.5e-6,
+        cte_standard_uncertainty_per_k=0.0,
+        covariance=np.zeros((9, 9)),
+    )
+    with pytest.raises(DataError, match="'plate' is no bar"):
+        ball_count.run(case(job=replace(job(2), artefact=plate)))
