@@ -14,6 +14,7 @@ difference.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -29,12 +30,24 @@ _DROPPED = 1e-12  # of the largest λ: what is below moves the whole by no more 
 _STEP = 0.15  # of the integration, in widths of the saddle: leaves less than 1e-15
 _ENDED = 1e-17  # of the value at the saddle point
 _BLOCK = 64  # points of the path at a time
-_MOST_BLOCKS = 1000
+_MOST_BLOCKS = 60
+_RISING = 1e-6  # of the exponent along a path that is no good: rounding is less
 _IMPOSSIBLE = 1e-9  # a negative eigenvalue, of the largest, that is no rounding
-_LEAST_BEND = 0.05  # of the path, in widths of the saddle: what is summed then falls off as a Gaussian does
+_BENDS = (0.1, 0.05, 0.02, 0.005, 0.001)  # of the path, in widths of the saddle; the first that does is taken
+_COUNTS = -37.0  # exponent relative to that at the saddle, below which a summand is rounding
+_TURNING = 0.7  # rad of a summand to the next one
 _HINT = "take the covariance of an estimate as it was written"
 
 Complex = np.ndarray[Any, np.dtype[np.complex128]]
+
+
+@dataclass(frozen=True)
+class _Path:
+    """Parabola s = `saddle` + i v + `bend` v², taken in steps of v."""
+
+    saddle: float
+    bend: float
+    step: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,24 +72,37 @@ class QuadraticDistribution:
         `form`, `covariance` (p, p), `linear`, `mean` (p,). A variable without uncertainty is no error; DataError for a
         covariance that is none (not finite, not symmetric, a negative variance in some direction) or zero altogether.
         """
-        factor = covariance_factor(covariance)
+        return cls.about(form, linear, constant, (mean,), covariance_factor(covariance))[0]
+
+    @classmethod
+    def about(
+        cls,
+        form: ArrayLike,
+        linear: ArrayLike,
+        constant: float,
+        means: Sequence[ArrayLike],
+        factor: Array,
+    ) -> tuple[QuadraticDistribution, ...]:
+        """One for each of several means (p,), for a covariance of which `factor` (p, p) is known."""
         size = len(factor)
         matrix = np.asarray(form, dtype=np.float64)
         if matrix.shape != (size, size):
             raise DataError(f"the form has shape {matrix.shape}, the covariance ({size}, {size})")
-        centre = as_vector(mean, size, "mean")
+        centres = [as_vector(mean, size, "mean") for mean in means]
         slope = as_vector(linear, size, "linear part")
         values, vectors = np.linalg.eigh(factor.T @ matrix @ factor)
         top = float(values[-1])
         if top <= 0.0 or values[0] < -_IMPOSSIBLE * top:
             raise DataError("the quadratic form is no mean square", hint="it must be positive semi-definite")
-        gradient = vectors.T @ (factor.T @ (matrix @ centre + slope))
         kept = values > _DROPPED * top
-        weights = values[kept]
-        shifts = gradient[kept] / weights
-        at_mean = float(centre @ matrix @ centre + 2.0 * (slope @ centre)) + constant
-        least = at_mean + float(values[~kept].sum()) - float(weights @ shifts**2)
-        return cls(weights, shifts, max(least, 0.0))
+        weights, dropped = values[kept], float(values[~kept].sum()) + constant
+        found = []
+        for centre in centres:
+            gradient = vectors.T @ (factor.T @ (matrix @ centre + slope))
+            shifts = gradient[kept] / weights
+            at_mean = float(centre @ matrix @ centre + 2.0 * (slope @ centre))
+            found.append(cls(weights, shifts, max(at_mean + dropped - float(weights @ shifts**2), 0.0)))
+        return tuple(found)
 
     @property
     def mean(self) -> float:
@@ -128,23 +154,38 @@ class QuadraticDistribution:
         """P(Q - c₀ > above) or, for the lower tail, P(Q - c₀ ≤ above): one integral along a parabola.
 
         s = saddle + i v + bend v²; the exponent is K(s) - s above - log(±s), K the cumulant generating function. All
-        its singularities lie on the real axis right of the saddle, where the parabola goes around them.
+        its singularities lie on the real axis right of the saddle, where the parabola goes around them, whatever its
+        bend; the first bend along which the summands fall off is as good as any other.
         """
         sign = 1.0 if upper else -1.0
         saddle = self._upper_saddle(above) if upper else self._lower_saddle(above)
-        second, third = self._derivatives(saddle)
-        bend = max(third / (6.0 * second), _LEAST_BEND * math.sqrt(second))
-        step = _STEP / math.sqrt(second)
-        top = float(self._exponent(np.array([saddle + 0j]), above, sign)[0].real)
-        total = -0.5  # the trapezoidal rule counts the first point half
+        width = 1.0 / math.sqrt(self._curvature(saddle))
+        for bend in _BENDS:
+            total = self._sum_along(_Path(saddle, bend / width, _STEP * width), above, sign)
+            if total is not None:
+                top = float(self._exponent(np.array([saddle + 0j]), above, sign)[0].real)
+                return min(max(math.exp(top) * _STEP * width / math.pi * total, 0.0), 1.0)
+        raise DataError("the distribution of this quadratic form cannot be integrated", hint=_HINT)
+
+    def _sum_along(self, path: _Path, above: float, sign: float) -> float | None:
+        """Sum of the integrand in units of that at the saddle point; None where it does not fall off steadily or turns
+        faster than the steps follow."""
+        total, lowest = -0.5, 0.0  # the trapezoidal rule counts the first point half
+        top = float(self._exponent(np.array([path.saddle + 0j]), above, sign)[0].real)
         for block in range(_MOST_BLOCKS):
-            v = step * (_BLOCK * block + np.arange(_BLOCK))
-            path = np.asarray(saddle + 1j * v + bend * v**2, dtype=np.complex128)
-            terms = np.exp(self._exponent(path, above, sign) - top) * (1.0 - 2j * bend * v)
+            v = path.step * (_BLOCK * block + np.arange(_BLOCK))
+            s = np.asarray(path.saddle + 1j * v + path.bend * v**2, dtype=np.complex128)
+            exponent = self._exponent(s, above, sign) - top
+            falling = np.minimum.accumulate(np.append(lowest, exponent.real))
+            turned = np.abs(np.diff(exponent.imag))[exponent.real[1:] > _COUNTS]
+            if (exponent.real > falling[1:] + _RISING).any() or (turned > _TURNING).any():
+                return None
+            terms = np.exp(exponent) * (1.0 - 2j * path.bend * v)
             total += float(terms.real.sum())
+            lowest = float(falling[-1])
             if float(np.abs(terms[-1])) < _ENDED:
-                break
-        return min(max(math.exp(top) * step / math.pi * total, 0.0), 1.0)
+                return total
+        return None
 
     def _exponent(self, path: Complex, above: float, sign: float) -> Complex:
         scaled = 2.0 * np.multiply.outer(path, self.weights)
@@ -173,13 +214,11 @@ class QuadraticDistribution:
             low *= 2.0
         return float(brentq(self._slope, low, high, args=(above,)))
 
-    def _derivatives(self, saddle: float) -> tuple[float, float]:
-        """Second and third derivative of the exponent at the saddle point."""
+    def _curvature(self, saddle: float) -> float:
+        """Second derivative of the exponent at the saddle point."""
         left = 1.0 - 2.0 * saddle * self.weights
         ratio, swelling = self.weights / left, self.shifts**2 / left
-        second = float((2.0 * ratio**2 * (1.0 + 2.0 * swelling)).sum()) + saddle**-2
-        third = float((8.0 * ratio**3 * (1.0 + 3.0 * swelling)).sum()) - 2.0 * saddle**-3
-        return second, third
+        return float((2.0 * ratio**2 * (1.0 + 2.0 * swelling)).sum()) + saddle**-2
 
 
 def covariance_factor(covariance: ArrayLike) -> Array:

@@ -12,8 +12,9 @@ from twin.arrays import Array, as_points, as_vector
 from twin.grid_sums import GridSums
 from twin.identification.estimate import Estimate
 from twin.machine_model import deviation_basis
-from twin.quadratic_distribution import QuadraticDistribution
+from twin.quadratic_distribution import QuadraticDistribution, QuadraticMixture
 from twin.rigid_motion import rigid_fields
+from twin.supposition import Supposition, suppositions
 from twin.volumetric import Volumetric
 
 _CHUNK = 2000  # points whose columns are held at a time
@@ -23,8 +24,8 @@ _CHUNK = 2000  # points whose columns are held at a time
 class VolumetricDistribution:
     """Of the mean square over the workspace in mm², raw and after the best rigid motion."""
 
-    raw: QuadraticDistribution
-    aligned: QuadraticDistribution
+    raw: QuadraticDistribution | QuadraticMixture
+    aligned: QuadraticDistribution | QuadraticMixture
 
     @property
     def expected(self) -> Volumetric:
@@ -55,47 +56,38 @@ class VolumetricDistributions:
 
 
 def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
-    """VE and VCE over axis positions (n, 3), the machine distributed as `estimate` says: parameters and misfit.
+    """VE and VCE over axis positions (n, 3), the machine distributed as `estimate` says: parameters and misfit, under
+    all scales that the measurements allow.
 
     DataError for a covariance that is none, or that is zero.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
-    known = _Known.of(estimate)
+    written = np.zeros(_size(estimate))
+    written[: estimate.model.size] = estimate.parameters
     forms = _forms(estimate, grid, offset)
-    none = np.zeros(len(known.mean))
-    still = np.concatenate((np.zeros(estimate.model.size), known.mean[estimate.model.size :]))
-
-    def distribution(mean: Array) -> VolumetricDistribution:
-        raw, aligned = (QuadraticDistribution.of(form, none, 0.0, mean, known.covariance) for form in forms)
-        return VolumetricDistribution(raw, aligned)
-
-    return VolumetricDistributions(before=distribution(known.mean), left=distribution(still))
+    parts = [[_both(form, one, written) for one in suppositions(estimate)] for form in forms]
+    before, left = (
+        VolumetricDistribution(*(QuadraticMixture(tuple(pair[which] for pair in pairs)) for pairs in parts))
+        for which in (0, 1)
+    )
+    return VolumetricDistributions(before, left)
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """Mean (m,) and covariance (m, m) of the parameters and of the misfit's coefficients."""
+def _both(form: Array, one: Supposition, written: Array) -> tuple[QuadraticDistribution, ...]:
+    """Mean squares of the machine and of what is left of it once `written` is compensated."""
+    means = (one.mean, one.mean - written)
+    return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)
 
-    mean: Array
-    covariance: Array
 
-    @classmethod
-    def of(cls, estimate: Estimate) -> _Known:
-        misfit = estimate.misfit
-        if misfit is None:
-            return cls(estimate.parameters, estimate.covariance)
-        cross = misfit.cross_covariance
-        return cls(
-            np.concatenate((estimate.parameters, misfit.coefficients)),
-            np.block([[estimate.covariance, cross], [cross.T, misfit.covariance]]),
-        )
+def _size(estimate: Estimate) -> int:
+    return estimate.model.size + (0 if estimate.misfit is None else estimate.misfit.modes.size)
 
 
 def _forms(estimate: Estimate, grid: Array, offset: Array) -> tuple[Array, Array]:
     """(m, m) mean squares over the grid, raw and aligned."""
     sums = GridSums.over(grid, _degrees(estimate))
     middle, size_mm = sums.nodes.mean(axis=0), max(float(np.ptp(grid, axis=0).max()), 1.0)
-    size = len(_Known.of(estimate).mean)
+    size = _size(estimate)
     normal, gram, common = np.zeros((6, 6)), np.zeros((size, size)), np.zeros((6, size))
     for start in range(0, len(sums.nodes), _CHUNK):
         chunk = sums.nodes[start : start + _CHUNK]

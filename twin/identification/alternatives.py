@@ -46,12 +46,13 @@ def alternatives(
     return tuple(found)
 
 
-def covariance_about(z: Array, found: Sequence[Alternative]) -> Array:
-    """Expected outer product (P, P) of truth less z (P,) over the alternatives."""
-    total = np.zeros((len(z), len(z)))
+def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
+    """(P,) and (P, P) over all alternatives together."""
+    mean = np.mean([one.z for one in found], axis=0)
+    covariance = np.zeros((len(mean), len(mean)))
     for one in found:
-        total += one.covariance + np.multiply.outer(one.z - z, one.z - z)
-    return total / len(found)
+        covariance += one.covariance + np.multiply.outer(one.z - mean, one.z - mean)
+    return mean, covariance / len(found)
 
 
 def _log_covariance(precision: Precision, posterior: Posterior, scales: Scales, rows: int) -> Array:

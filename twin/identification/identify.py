@@ -19,7 +19,7 @@ from twin.identification.options import Options
 from twin.identification.outliers import contradicting_rows
 from twin.identification.poses import Poses, rigid_poses
 from twin.identification.problem import Problem, build_problem
-from twin.identification.solution import Solution, solve
+from twin.identification.solution import Solution, over_scales, solve
 from twin.observations import Observations
 
 _MOST_REJECTED = 0.2
@@ -125,7 +125,7 @@ def _refuse_chaos(kept: Mask) -> None:
 
 
 def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
-    solution = settled.solution or solve(settled.problem, options, options.formulation)
+    solution = over_scales(settled.solution or solve(settled.problem, options, options.formulation))
     block, unknowns = whole.blocks.parameters, whole.unknowns
     seen = whole.observations
     dropped = np.flatnonzero(~settled.kept)
@@ -134,7 +134,7 @@ def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
         model=unknowns.model,
         formulation=options.formulation,
         parameters=unknowns.parameters(solution.z),
-        covariance=unknowns.physical_covariance(solution.whole_covariance[block, block]),
+        covariance=unknowns.physical_covariance(solution.covariance[block, block]),
         residuals_mm=_residuals(whole, settled, solution),
         chi2_normalised=solution.chi2,
         degrees_of_freedom=solution.freedom,
@@ -145,7 +145,7 @@ def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
         information=solution.equations.matrix[block, block],
         unknowns=unknowns,
         z=solution.z,
-        z_covariance=solution.whole_covariance,
+        z_covariance=solution.covariance,
         alternatives=solution.alternatives,
     )
 
@@ -155,7 +155,7 @@ def _misfit(whole: Problem, solution: Solution) -> Misfit | None:
     if unknowns.modes is None:
         return None
     own, misfit = whole.blocks.parameters, whole.blocks.misfit
-    covariance = solution.whole_covariance
+    covariance = solution.covariance
     return Misfit(
         modes=unknowns.modes,
         amplitude_mm=unknowns.misfit_mm,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from twin.arrays import Array
 from twin.errors import SingularSet
-from twin.identification.alternatives import Alternative, alternatives, covariance_about
+from twin.identification.alternatives import Alternative, alternatives, mean_and_covariance
 from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
 from twin.identification.evidence import likely_scales, log_evidence
@@ -30,8 +29,8 @@ Equations = CentreEquations | DistanceEquations
 class Solution:
     """z (P,), poses, both sides of the exact equations at z, and what led there.
 
-    `covariance` (P, P) of z about the truth with the scales as they are, parameters and misfit valid; `free`: whether
-    the scales were estimated.
+    `covariance` (P, P) of z about the truth, parameters and misfit valid; `free`: whether the scales were estimated;
+    `alternatives`: where their uncertainty has been counted, what each other set of scales leads to.
     """
 
     equations: Equations
@@ -45,19 +44,7 @@ class Solution:
     chi2: float
     freedom: float
     free: bool = False
-
-    @cached_property
-    def alternatives(self) -> tuple[Alternative, ...]:
-        """Under other scales that the measurements allow; none where the scales were given."""
-        if not self.free:
-            return ()
-        equations = self.equations
-        return alternatives(equations.matrix, self.precision, self.posterior, self.z, self.scales, equations.rows)
-
-    @cached_property
-    def whole_covariance(self) -> Array:
-        """(P, P) of z about the truth, the uncertainty of the scales included."""
-        return covariance_about(self.z, self.alternatives) if self.free else self.covariance
+    alternatives: tuple[Alternative, ...] = ()
 
 
 def solve(problem: Problem, options: Options, formulation: Formulation) -> Solution:
@@ -79,6 +66,18 @@ def solve(problem: Problem, options: Options, formulation: Formulation) -> Solut
     chi2 = normal.misfit_square(z) / freedom
     free = options.estimate_scales
     return Solution(equations, precision, scales, posterior, covariance, z, poses, sides, chi2, freedom, free)
+
+
+def over_scales(solution: Solution) -> Solution:
+    """The solution with z and covariance over all scales that the measurements allow, instead of the likeliest only."""
+    if not solution.free:
+        return solution
+    equations, scales = solution.equations, solution.scales
+    found = alternatives(equations.matrix, solution.precision, solution.posterior, solution.z, scales, equations.rows)
+    z, covariance = mean_and_covariance(found)
+    normal, poses, sides = _normal(equations, z, solution.poses)
+    chi2 = normal.misfit_square(z) / solution.freedom
+    return replace(solution, z=z, covariance=covariance, poses=poses, sides=sides, chi2=chi2, alternatives=found)
 
 
 def evidence_of(problem: Problem, options: Options) -> tuple[float, Scales]:
