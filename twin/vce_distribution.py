@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from twin.arrays import Array, as_points, as_vector
 from twin.grid_sums import GridSums
 from twin.identification.estimate import Estimate
-from twin.machine_model import deviation_basis
-from twin.quadratic_distribution import QuadraticDistribution, QuadraticMixture
+from twin.identification.predicted import field_columns, unresolved
+from twin.quadratic_distribution import QuadraticDistribution
+from twin.quadratic_mixture import QuadraticMixture
 from twin.rigid_motion import rigid_fields
 from twin.supposition import Supposition, suppositions
 from twin.volumetric import Volumetric
@@ -92,7 +93,7 @@ def _forms(estimate: Estimate, grid: Array, offset: Array) -> tuple[Array, Array
     for start in range(0, len(sums.nodes), _CHUNK):
         chunk = sums.nodes[start : start + _CHUNK]
         roots = np.sqrt(sums.weights[start : start + _CHUNK]).repeat(3)[:, None]
-        columns = roots * _columns(estimate, chunk, offset)
+        columns = roots * field_columns(estimate, chunk, offset).reshape(-1, size)
         motions = roots * rigid_fields(chunk, middle, size_mm).reshape(-1, 6)
         normal += motions.T @ motions
         gram += columns.T @ columns
@@ -109,14 +110,3 @@ def _degrees(estimate: Estimate) -> tuple[int, int, int]:
         for axis, order in enumerate(estimate.model.highest_order)
     )
     return x, y, z
-
-
-def _columns(estimate: Estimate, points: Array, offset: Array) -> Array:
-    """(3n, m) mm per parameter and per coefficient of the misfit."""
-    basis = deviation_basis(estimate.model, points, offset)
-    misfit = estimate.misfit
-    if misfit is None:
-        return basis.reshape(-1, estimate.model.size)
-    modes = misfit.amplitude_mm * misfit.modes.at(points)
-    columns = np.concatenate((basis, modes), axis=2)
-    return np.asarray(columns.reshape(-1, columns.shape[2]))
