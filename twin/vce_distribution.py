@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from twin.arrays import Array, as_points, as_vector
 from twin.grid_sums import GridSums
 from twin.identification.estimate import Estimate
-from twin.identification.predicted import field_columns, unresolved
+from twin.identification.predicted import field_columns
 from twin.quadratic_distribution import QuadraticDistribution
 from twin.quadratic_mixture import QuadraticMixture
 from twin.rigid_motion import rigid_fields

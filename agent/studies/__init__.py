@@ -8,6 +8,7 @@ STUDIES: dict[str, str] = {
     "valuation": "agent.studies.valuation:run",
     "uncertainty": "agent.studies.uncertainty:run",
     "ball-count": "agent.studies.ball_count:run",
+    "coverage": "agent.studies.coverage:run",
     "misalignment": "agent.studies.misalignment:run",
     "monte-carlo": "agent.studies.monte_carlo:run",
     "strategy": "agent.studies.strategy:run",

@@ -1,0 +1,261 @@
+"""Do the 95 % regions of an estimate hold the truth in 95 % of the machines, for machines richer than the model?
+
+Each machine is drawn with a deflection of one of several forms, measured once in the case's set and once more in the
+held-out positions, and identified twice: with the Legendre order of the machine file, and with the order for which the
+measurements speak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from agent.studies.coverage_figure import LEVELS, Panel, draw
+from agent.studies.study import StudyCase, StudyResult
+from agent.studies.workers import generator
+from twin.arrays import Array
+from twin.artefact import Artefact
+from twin.coverage import (
+    FieldError,
+    Share,
+    held_out_levels,
+    parameter_levels,
+    share_held,
+    volumetric_comparisons,
+)
+from twin.identification import Estimate, Options, identify, identify_by_evidence
+from twin.machine_description import MachineDescription
+from twin.making import AS_MODELLED, FORMS, THERMOMETER_UNCERTAINTY_K, Made, make
+from twin.observations import Observations
+from twin.volumetric import evaluation_grid
+
+NAME = "coverage"
+NOMINAL = 0.95
+ORDER_OF_FILE, ORDER_BY_EVIDENCE = "order of the file", "order by evidence"
+REGIONS = ("field at points", "field jointly", "held-out position", "VE", "VCE")
+PARAMETERS = "parameters"
+_CANDIDATES = (5, 7, 9)
+_POINTS, _JOINT = 100, 12
+_GRID = (16, 8, 8)
+_BETTER_KNOWN = 0.5  # than before: a parameter that the measurements speak of
+_CHECKED = 5  # one machine as modelled for so many of another making
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One estimate of one machine: `levels` by region, and true and predicted volumetric errors in mm."""
+
+    form: str
+    chosen: str
+    order: int
+    levels: dict[str, Array]
+    ve_mm: float
+    vce_mm: float
+    predicted_vce_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Task: the number and form of a machine → what both estimates say of it, held against what it is."""
+
+    machine: MachineDescription
+    artefact: Artefact
+    planned: Observations
+    held_out: Observations
+    options: Options
+    tool_offset: Array
+    seed: int
+
+    def __call__(self, item: tuple[int, str]) -> list[Compared]:
+        number, form = item
+        rng = generator(self.seed, number)
+        made = make(self.machine, self.tool_offset, form, rng)
+        both = self._joined(made, rng)
+        seen = both.where(np.arange(both.size) < self.planned.size)
+        again = both.where(np.arange(both.size) >= self.planned.size)
+        points = rng.uniform(*np.array(self.machine.model.ranges_mm).T, (_POINTS, 3))
+        return [self._compared(made, *found, again, points) for found in self._estimates(seen, form)]
+
+    def _joined(self, made: Made, rng: np.random.Generator) -> Observations:
+        """Set and held-out positions measured with the same artefact on the same day."""
+        parts = (self.planned, self.held_out)
+        further = replace(self.held_out, position=self.held_out.position + self.planned.position.max() + 1)
+        rows = {
+            name: np.concatenate([getattr(part, name) for part in (self.planned, further)])
+            for name in ("position", "ball", "tool", "axis_positions", "covariance", "temperature_c", "elevation_rad")
+        }
+        return made.measured(Observations(**rows, tool_offsets=parts[0].tool_offsets), self.artefact, rng)
+
+    def _estimates(self, seen: Observations, form: str) -> Iterator[tuple[str, MachineDescription, Estimate]]:
+        own = self.machine
+        yield ORDER_OF_FILE, own, identify(own.model, seen, self.artefact, own.family, self.options)
+        if form == AS_MODELLED or not self.options.use_prior:
+            return
+        orders = {order: own.of_order(order) for order in _CANDIDATES}
+        best = identify_by_evidence(
+            lambda order: orders[order].family, seen, self.artefact, self.options, candidates=_CANDIDATES
+        )
+        yield ORDER_BY_EVIDENCE, orders[max(best.model.highest_order)], best
+
+    def _compared(
+        self,
+        made: Made,
+        chosen: str,
+        machine: MachineDescription,
+        estimate: Estimate,
+        again: Observations,
+        points: Array,
+    ) -> Compared:
+        truth = made.truth
+        field = FieldError.of(estimate, truth, points)
+        ve, vce = volumetric_comparisons(estimate, truth, evaluation_grid(machine.model.ranges_mm, _GRID))
+        levels = {
+            "field at points": field.pointwise_levels(),
+            "field jointly": np.array([FieldError.of(estimate, truth, points[:_JOINT]).joint_level()]),
+            "held-out position": held_out_levels(estimate, machine.family, again, self.artefact, self.options),
+            "VE": np.array([ve.level]),
+            "VCE": np.array([vce.level]),
+        }
+        if made.form == AS_MODELLED:
+            levels[PARAMETERS] = parameter_levels(estimate, truth.parameters, _BETTER_KNOWN)
+        order = max(estimate.model.highest_order)
+        return Compared(made.form, chosen, order, levels, ve.true_mm, vce.true_mm, vce.expected_mm)
+
+
+def run(case: StudyCase) -> StudyResult:
+    """Coverage over `case.machines` machines, forms in turn, and over some that are as modelled."""
+    machines = [(number, FORMS[number % len(FORMS)]) for number in range(case.machines)]
+    machines += [(case.machines + extra, AS_MODELLED) for extra in range(max(case.machines // _CHECKED, 2))]
+    found = case.map(_comparison(case), machines)
+    every = [one for estimates in found for one in estimates]
+    table = Coverage(every, generator(case.seed, len(machines)))
+    return StudyResult(
+        name=NAME,
+        title="How often the 95 % regions of an estimate hold the truth",
+        columns=COLUMNS,
+        rows=[_row(number, one) for number, estimates in enumerate(found) for one in estimates],
+        summary=_summary(table),
+        draw=partial(draw, panels=_panels(table)),
+        size_in=(10.0, 7.4),
+    )
+
+
+def _comparison(case: StudyCase) -> Comparison:
+    procedure = case.procedure
+    return Comparison(
+        machine=case.machine,
+        artefact=case.artefact,
+        planned=procedure.planned(case.positions()).observations,
+        held_out=procedure.planned(case.job.held_out).observations,
+        options=replace(case.options, temperature_standard_uncertainty_k=THERMOMETER_UNCERTAINTY_K),
+        tool_offset=case.tool_offset,
+        seed=case.seed,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Shares held, over all that was compared."""
+
+    compared: Sequence[Compared]
+    rng: np.random.Generator
+
+    def of(self, chosen: str, form: str | None = None) -> list[Compared]:
+        """Those of one way to choose the order: of one form, or of the mixture of all."""
+        return [
+            one for one in self.compared if one.chosen == chosen and one.form in (FORMS if form is None else (form,))
+        ]
+
+    def share(self, of: Sequence[Compared], region: str, nominal: float = NOMINAL) -> Share:
+        return share_held([one.levels[region] for one in of], nominal, self.rng)
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(one.chosen for one in self.compared))
+
+
+COLUMNS = (
+    "machine",
+    "form",
+    "estimate",
+    "order",
+    "ve_true_aligned_um",
+    "vce_true_aligned_um",
+    "vce_predicted_aligned_um",
+    "field_at_points_share_held",
+    "field_jointly_level",
+    "held_out_share_held",
+    "ve_level",
+    "vce_level",
+    "parameters_share_held",
+)
+
+
+def _row(number: int, one: Compared) -> tuple[str | int | float | None, ...]:
+    held = {region: float(np.mean(levels <= NOMINAL)) for region, levels in one.levels.items()}
+    level = {region: float(levels[0]) for region, levels in one.levels.items()}
+    return (
+        number,
+        one.form,
+        one.chosen,
+        one.order,
+        1e3 * one.ve_mm,
+        1e3 * one.vce_mm,
+        1e3 * one.predicted_vce_mm,
+        held["field at points"],
+        level["field jointly"],
+        held["held-out position"],
+        level["VE"],
+        level["VCE"],
+        held.get(PARAMETERS),
+    )
+
+
+def _summary(table: Coverage) -> dict[str, object]:
+    said: dict[str, object] = {"forms": list(FORMS), "nominal": NOMINAL}
+    for way in table.ways:
+        said[way] = {
+            "all": _shares(table, table.of(way)),
+            **{form: _shares(table, table.of(way, form)) for form in FORMS if table.of(way, form)},
+            "predicted over true VCE": _ratio(table.of(way)),
+        }
+    checked = table.of(ORDER_OF_FILE, AS_MODELLED)
+    said[AS_MODELLED] = _shares(table, checked)
+    return said
+
+
+def _shares(table: Coverage, of: Sequence[Compared]) -> dict[str, object]:
+    shares = {region: table.share(of, region) for region in of[0].levels}
+    return {
+        region: {"held": round(share.observed, 4), "standard error": round(share.standard_error, 4)}
+        for region, share in shares.items()
+    }
+
+
+def _ratio(of: Sequence[Compared]) -> dict[str, float]:
+    ratios = np.array([one.predicted_vce_mm / one.vce_mm for one in of])
+    return {
+        "mean": round(float(ratios.mean()), 4),
+        "mean departure from 1": round(float(np.abs(ratios - 1.0).mean()), 4),
+        "of the root mean squares": round(_rms([o.predicted_vce_mm for o in of]) / _rms([o.vce_mm for o in of]), 4),
+    }
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _panels(table: Coverage) -> list[Panel]:
+    panels = []
+    for way in table.ways:
+        groups = {form: table.of(way, form) for form in FORMS if table.of(way, form)} | {"all": table.of(way)}
+        shares = {region: [table.share(of, region) for of in groups.values()] for region in REGIONS}
+        curves = {
+            region: np.array([table.share(table.of(way), region, level).observed for level in LEVELS])
+            for region in REGIONS
+        }
+        panels.append(Panel(way, tuple(groups), shares, curves))
+    return panels
