@@ -1,20 +1,24 @@
-"""Which balls a straight probe can get at: inside the travel, and with nothing in the way."""
+"""Which balls a straight probe can get at with its pattern of touches: nothing in the way there, at contact and back."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.artefact import Artefact
-from twin.bodies import TIP, ProbeGeometry, artefact_bodies, ball_name, mount_bodies
+from twin.bodies import TIP, Body, ProbeGeometry, artefact_bodies, ball_name, mount_bodies
 from twin.collision import Scene
-from twin.geometry import Point, added, point
+from twin.geometry import Capsule, Point, added, point
 from twin.position_set import MountGeometry, mount_pose
+from twin.touch_pattern import approach_directions
 
-_DIAGONAL = math.sqrt(0.5)
+STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
+"""The probe geometry describes probes that point along +Y."""
+
+FIVE_TOUCHES = approach_directions(5, STYLUS_AXIS)
+
+_Leg = tuple[Point, Point]
 
 
 def standing_scene(
@@ -33,23 +37,57 @@ def standing_scene(
 
 
 def accessible(
-    centres: Array, scene: Scene, *, contact_mm: float, approach_mm: float, clearance_mm: float = 1.0
+    centres: Array,
+    scene: Scene,
+    *,
+    contact_mm: float,
+    approach_mm: float,
+    directions: Array = FIVE_TOUCHES,
+    clearance_mm: float = 1.0,
 ) -> NDArray[np.bool_]:
-    """(N,) bool: balls that can be touched at the pole and at four places of the equator (XZ, turned by 45°).
+    """(N,) bool: balls that can be touched along every one of `directions` (k, 3), the pole first.
 
-    `contact_mm` is ball and tip radius together. Probe and ram reach straight back along -Y from every place of
-    the tip, so that what is clear there is clear on the way in along Y, too.
+    `contact_mm` is ball and tip radius together; a touch begins `approach_mm` outside contact. Checked is the whole
+    way: along the stylus from the plane before the ball to where the touch begins, from there to contact, and in that
+    plane from one touch to the next. Probe and ram reach straight back along -Y from every place of the tip, so that
+    on the way in along Y the tip alone sweeps anything new: a tip drawn out backwards stands for it.
     """
     out = contact_mm + approach_mm
-    side = out * _DIAGONAL
-    offsets: list[Point] = [(0.0, -out, 0.0)]
-    offsets += [(x, 0.0, z) for x in (-side, side) for z in (-side, side)]
-    return np.array([_clear(scene, index, point(c), offsets, clearance_mm) for index, c in enumerate(centres)])
+    drawn_out = Scene(_with_long_tip(scene.moving, 2.0 * out), scene.obstacles)
+    starts = -directions * out
+    before = starts.copy()
+    before[:, 1] = -out
+    touching = _legs(starts, -directions * contact_mm)
+    between = _legs(before[:-1], before[1:])
+    begins = [point(start) for start in starts]
+
+    def free(index: int, centre: Point) -> bool:
+        meant = {(TIP, ball_name(index)), ("stem", ball_name(index))}
+        lower, upper = added(centre, (-out, -out, -out)), added(centre, (out, 0.0, out))
+        if not any(_unmeant(drawn_out, lower, upper, clearance_mm, meant)):
+            return True
+        return all(
+            drawn_out.clearance(added(centre, begin), ignored=meant, at_most=clearance_mm) >= clearance_mm
+            for begin in begins
+        ) and not any(
+            scene.first_hit(added(centre, a), added(centre, b), clearance_mm=clearance_mm, ignored=meant)
+            for a, b in (*touching, *between)
+        )
+
+    return np.array([free(index, point(centre)) for index, centre in enumerate(centres)])
 
 
-def _clear(scene: Scene, index: int, centre: Point, offsets: list[Point], clearance_mm: float) -> bool:
-    meant = {(TIP, ball_name(index)), ("stem", ball_name(index))}
-    return all(
-        scene.clearance(added(centre, offset), ignored=meant, at_most=clearance_mm) >= clearance_mm
-        for offset in offsets
-    )
+def _legs(starts: Array, ends: Array) -> list[_Leg]:
+    return [(point(start), point(end)) for start, end in zip(starts, ends, strict=True)]
+
+
+def _with_long_tip(moving: tuple[Body, ...], length_mm: float) -> list[Body]:
+    radius = next(body.shape.radius for body in moving if body.name == TIP and isinstance(body.shape, Capsule))
+    long_tip = Body(TIP, Capsule((0.0, 0.0, 0.0), (0.0, -length_mm, 0.0), radius))
+    return [long_tip if body.name == TIP else body for body in moving]
+
+
+def _unmeant(scene: Scene, lower: Point, upper: Point, clearance_mm: float, meant: set[tuple[str, str]]) -> list[bool]:
+    """One entry for each pair of bodies whose boxes meet somewhere between; no exact distance is asked for."""
+    pairs = scene.near(lower, upper, clearance_mm)
+    return [True for i, j in pairs if (scene.moving[i].name, scene.obstacles[j].name) not in meant]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.access import accessible, standing_scene
+from twin.access import FIVE_TOUCHES, accessible, standing_scene
 from twin.arrays import Array
 from twin.artefact import Artefact
 from twin.bodies import ProbeGeometry
@@ -26,7 +26,7 @@ class Layout:
 
     `places_mm`: station number → (3,) foot of the mount in the workpiece frame. `lower_mm`, `upper_mm` (3,): travel
     less what touching needs of it. `contact_mm`: ball and tip radius together; `approach_mm`: how far outside contact
-    a touch begins.
+    a touch begins; `directions` (k, 3): along which every ball is touched.
     """
 
     artefact: Artefact
@@ -38,6 +38,7 @@ class Layout:
     upper_mm: Array
     contact_mm: float
     approach_mm: float
+    directions: Array = field(default_factory=lambda: FIVE_TOUCHES)
     # What is in the way depends on orientation, depth and height alone; asking is dear, and every position is asked for
     # more than once.
     _accessible: dict[_Standing, Mask] = field(default_factory=dict, init=False, repr=False)
@@ -66,8 +67,13 @@ class Layout:
                 azimuth_rad=math.radians(position.azimuth_deg),
                 elevation_rad=math.radians(position.elevation_deg),
             )
-            mask = accessible(centres, scene, contact_mm=self.contact_mm, approach_mm=self.approach_mm)
-            self._accessible[key] = mask
+            self._accessible[key] = accessible(
+                centres,
+                scene,
+                contact_mm=self.contact_mm,
+                approach_mm=self.approach_mm,
+                directions=self.directions,
+            )
         return self._accessible[key]
 
     def place(self, station: int) -> Array:
