@@ -21,6 +21,10 @@ COLUMNS = (
 """`vce_…` in closed form; an empty cell: not identified, or not simulated."""
 
 
+FEWEST_MACHINES = 30
+"""With fewer, the standard error is itself a guess."""
+
+
 def cells(label: str, trial: Trial, verdict: Verdict) -> tuple[Cell, ...]:
     """The cells of `COLUMNS`."""
     measured = 0 if trial.planned is None else trial.planned.size
@@ -34,11 +38,13 @@ def aligned_um(verdict: Verdict) -> float | None:
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
-    """Largest distance of simulation from closed form, rigidly aligned, in standard errors; None without simulation."""
+    """Largest distance of simulation from closed form, rigidly aligned, in standard errors; None where too few machines
+    were simulated to know a standard error."""
     distances = [
         abs(verdict.simulated.aligned_mm - verdict.expected.aligned_mm) / verdict.standard_error.aligned_mm
         for verdict in (verdict for row in rows for verdict in row)
         if verdict.expected is not None and verdict.simulated is not None and verdict.standard_error is not None
+        if verdict.machines >= FEWEST_MACHINES
     ]
     return max(distances, default=None)
 

@@ -41,17 +41,18 @@ class Trial:
 @dataclass(frozen=True)
 class Verdict:
     """Of one trial identified in one way: root of the expected mean square VCE in closed form, and the same over
-    simulated machines with its standard error. None: not identified, or not simulated."""
+    simulated `machines` with its standard error. None: not identified, or not simulated."""
 
     expected: Volumetric | None
     simulated: Volumetric | None = None
     standard_error: Volumetric | None = None
+    machines: int = 0
 
     def checked(self, spread: Spread | None) -> Verdict:
         """With what simulated machines say; None: some of them could not be identified."""
         if spread is None:
             return Verdict(None)
-        return Verdict(self.expected, spread.expected, spread.standard_error)
+        return Verdict(self.expected, spread.expected, spread.standard_error, len(spread.raw_mm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,8 @@ class Worth:
         self, trials: Sequence[Trial], chosen: Sequence[Way], pairs: Sequence[tuple[int, int]], share: int
     ) -> list[Spread | None]:
         """VCE of `share` machines for each pair of trial and way; None where one of them is refused."""
+        if not pairs:
+            return []
         tasks = tuple(self.procedure(trials[row], chosen[way]) for row, way in pairs)
         items = [(task, machine) for task in range(len(tasks)) for machine in range(share)]
         found = self.case.map(_Several(tasks), items, "simulated machines")
