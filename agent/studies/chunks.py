@@ -23,6 +23,9 @@ Result = TypeVar("Result")
 
 _LONGEST_NAME = 60
 
+_CHUNKS_A_WORKER = 8  # so many that the last ones end together
+_LARGEST = 32  # items, so that the progress moves; handing over a task of 100 kB costs less than one item
+
 
 @dataclass(frozen=True)
 class Chunk(Generic[Item]):
@@ -42,9 +45,9 @@ class Chunk(Generic[Item]):
         return results
 
 
-def chunked(items: Sequence[Item], most: int) -> list[Chunk[Item]]:
-    """At most `most` chunks of equal size but for the last one."""
-    size = max(1, -(-len(items) // max(most, 1)))
+def chunked(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
+    """Chunks of equal size but for the last one, for so many workers."""
+    size = max(1, min(_LARGEST, -(-len(items) // (_CHUNKS_A_WORKER * workers))))
     return [Chunk(start, items[start : start + size]) for start in range(0, len(items), size)]
 
 

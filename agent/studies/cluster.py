@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from distributed import Client, Future, KilledWorker, wait
 
 from agent.studies.chunks import chunked, run_chunk_alike, software_here
-from agent.studies.workers import CHUNKS_A_WORKER, Done
+from agent.studies.workers import Done
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, RunError, VolcalError
 
 Item = TypeVar("Item")
@@ -67,7 +67,7 @@ class DaskWorkers:
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: Done) -> list[Result]:
         client = self._connected()
         pickled, software = pickle.dumps(task), software_here()
-        chunks = chunked(items, CHUNKS_A_WORKER * self._threads(client))
+        chunks = chunked(items, self._threads(client))
         futures = [client.submit(run_chunk_alike, pickled, chunk, software, pure=False) for chunk in chunks]
         try:
             found = self._gathered(client, futures, done)

@@ -84,6 +84,7 @@ class StudyCase:
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:
         """The results of `task` for all items, in their order, by the workers; `what` is shown as progress."""
         total = len(items)
+        self.progress(what, 0, total)
         return self.workers.map(task, items, lambda done: self.progress(what, done, total))
 
     @property

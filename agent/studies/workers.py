@@ -29,9 +29,6 @@ Result = TypeVar("Result")
 Done = Callable[[int], None]
 """Is told how many items are done."""
 
-CHUNKS_A_WORKER = 8
-"""So many that the last ones end together and the progress moves; so few that handing over costs nothing."""
-
 END_S = 5.0
 """How long a process that was told to end is waited for."""
 
@@ -79,7 +76,7 @@ class LocalWorkers:
         pickled = pickle.dumps(task)
         if self.processes == 1 or len(items) < 2:
             return _here(pickled, items, done)
-        chunks = chunked(items, CHUNKS_A_WORKER * self.processes)
+        chunks = chunked(items, self.processes)
         try:
             return self._in_processes(pickled, chunks, done)
         except BrokenProcessPool:
@@ -129,8 +126,8 @@ def _here(task: bytes, items: Sequence[Item], done: Done) -> list[Result]:
     """In this process, from the same pickled task as everywhere: an array may come out of it laid out otherwise."""
     found: list[Result] = []
     with threadpool_limits(limits=1):
-        for chunk in chunked(items, len(items)):
-            found += run_chunk(task, chunk)
+        for number, item in enumerate(items):
+            found += run_chunk(task, Chunk(number, [item]))
             done(len(found))
     return found
 

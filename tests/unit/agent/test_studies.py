@@ -143,7 +143,7 @@ class TestCase:
         told: list[tuple[str, int, int]] = []
         made = case(progress=lambda *said: told.append(said))
         assert made.map(abs, [-1, 2, -3], "numbers") == [1, 2, 3]
-        assert told == [("numbers", 1, 3), ("numbers", 2, 3), ("numbers", 3, 3)]
+        assert told == [("numbers", 0, 3), ("numbers", 1, 3), ("numbers", 2, 3), ("numbers", 3, 3)]
 
 
 class TestRegistry:

@@ -1,0 +1,179 @@
+"""`volcal study` as people type it: same numbers on one core, on two and on a cluster; clear words for bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from distributed import LocalCluster
+
+from agent.cli.main import main
+
+pytestmark = pytest.mark.timeout(180)
+
+VOLCAL = [sys.executable, "-m", "agent.cli.main", "study"]
+SMALL = ["monte-carlo", "--machines", "5", "--stations", "2", "--set", "S3"]
+RESULTS = ["monte-carlo.csv", "monte-carlo.json", "monte-carlo.png", "monte-carlo.svg"]
+
+
+def volcal(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [*VOLCAL, *map(str, arguments)]
+    everything = {**os.environ, **environment}
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=everything)
+
+
+def here(*arguments: str | Path) -> Result:
+    """The same command without the seconds that a process of its own takes to start."""
+    return CliRunner().invoke(main, ["study", *map(str, arguments)])
+
+
+def refused(done: Result, code: int, *words: str) -> None:
+    assert done.exit_code == code, done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    message = " ".join(done.stderr.split())
+    assert not isinstance(done.exception, Exception), done.exception
+    assert all(word in message for word in words), done.stderr
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    folder = tmp_path_factory.mktemp("alone")
+    done = volcal(*SMALL, "--workers", "1", "--out", folder, "--json")
+    assert done.returncode == 0, done.stderr
+    return folder, done
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as running:
+        yield running.scheduler_address
+
+
+class TestSameNumbers:
+    def test_on_more_cores(self, alone: tuple, tmp_path: Path) -> None:
+        assert volcal(*SMALL, "--workers", "3", "--out", tmp_path).returncode == 0
+        assert all((tmp_path / name).read_bytes() == (alone[0] / name).read_bytes() for name in RESULTS)
+
+    def test_on_a_cluster(self, alone: tuple, address: str, tmp_path: Path) -> None:
+        done = volcal(*SMALL, "--cluster", address, "--out", tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert all((tmp_path / name).read_bytes() == (alone[0] / name).read_bytes() for name in RESULTS)
+
+    def test_but_not_with_another_seed(self, alone: tuple, tmp_path: Path) -> None:
+        assert here(*SMALL, "--workers", "1", "--seed", "2", "--out", tmp_path).exit_code == 0
+        assert (tmp_path / "monte-carlo.csv").read_text() != (alone[0] / "monte-carlo.csv").read_text()
+
+
+class TestWhatItSays:
+    def test_stdout_is_one_json_object_and_progress_is_on_stderr(self, alone: tuple) -> None:
+        folder, done = alone
+        said = json.loads(done.stdout)
+        assert done.stdout.count("\n") == 1
+        assert (said["study"], said["machines"], said["seed"], said["set"]) == ("monte-carlo", 5, 1, "S3")
+        assert {Path(path).name for path in said["files"].values()} == set(RESULTS)
+        assert said["vce"]["aligned_um"] < said["ve"]["aligned_um"]
+        assert "5/5" in done.stderr
+        assert sorted(path.name for path in folder.iterdir()) == RESULTS
+
+    def test_the_csv_has_a_row_for_each_machine(self, alone: tuple) -> None:
+        rows = list(csv.DictReader((alone[0] / "monte-carlo.csv").read_text().splitlines()))
+        assert [row["machine"] for row in rows] == ["0", "1", "2", "3", "4"]
+        said = json.loads((alone[0] / "monte-carlo.json").read_text())
+        squares = [float(row["vce_aligned_um"]) ** 2 for row in rows]
+        assert (sum(squares) / 5) ** 0.5 == pytest.approx(said["vce"]["aligned_um"], rel=1e-6)
+
+    def test_without_json_it_shows_a_table_and_the_files(self, tmp_path: Path) -> None:
+        done = here(*SMALL, "--formulation", "distances", "--weights", "unit", "--out", tmp_path, "--workers", "1")
+        assert done.exit_code == 0, done.stderr
+        assert "vce closed form, aligned um" in done.stdout
+        assert str(tmp_path / "monte-carlo.png") in done.stdout
+        assert json.loads((tmp_path / "monte-carlo.json").read_text())["formulation"] == "distances"
+
+
+class TestBadInput:
+    def test_an_unknown_study(self) -> None:
+        refused(here("nonsense"), 2, "'nonsense' is not one of", "monte-carlo")
+
+    @pytest.mark.parametrize("option", ["--machines", "--stations", "--workers"])
+    def test_none_of_what_is_needed(self, option: str) -> None:
+        refused(here("monte-carlo", option, "0"), 2, f"Invalid value for '{option}'", "x>=1")
+
+    def test_a_machine_file_that_is_not_there(self, tmp_path: Path) -> None:
+        missing = tmp_path / "none.toml"
+        refused(here(*SMALL, "--machine", missing, "--out", tmp_path), 2, "there is no such file", str(missing))
+
+    def test_a_machine_file_that_is_none(self, tmp_path: Path) -> None:
+        (tmp_path / "machine.toml").write_text("chain = 3\n")
+        done = here(*SMALL, "--machine", tmp_path / "machine.toml", "--out", tmp_path)
+        refused(done, 2, "machine.toml", "chain")
+
+    def test_a_set_that_is_unknown(self, tmp_path: Path) -> None:
+        refused(here(*SMALL, "--set", "S9", "--out", tmp_path), 2, "unknown position set 'S9'", "S1, S2, S3")
+
+    def test_a_set_that_identifies_nothing(self, tmp_path: Path) -> None:
+        listed = tmp_path / "one.csv"
+        listed.write_text("station,azimuth_deg,elevation_deg\n1,45,0\n")
+        done = here(*SMALL, "--set", listed, "--out", tmp_path / "out", "--workers", "2")
+        refused(done, 2, "cannot tell machine from artefact")
+        assert list((tmp_path / "out").iterdir()) == []
+
+    def test_a_set_that_leaves_the_field_open_without_prior(self, tmp_path: Path) -> None:
+        done = here(*SMALL, "--set", "S1", "--prior", "off", "--out", tmp_path, "--workers", "1")
+        refused(done, 2, "of the error field open", "switch the prior on")
+
+    def test_a_position_at_a_station_that_has_no_place(self, tmp_path: Path) -> None:
+        listed = tmp_path / "far.csv"
+        listed.write_text("station,azimuth_deg,elevation_deg\n1,45,0\n7,0,0\n")
+        refused(here(*SMALL, "--set", listed, "--out", tmp_path), 2, "station 7 has no place")
+
+    def test_a_folder_that_cannot_be_written(self, tmp_path: Path) -> None:
+        (tmp_path / "taken").write_text("")
+        refused(here(*SMALL, "--out", tmp_path / "taken"), 2, "this is a file, a directory is needed")
+
+    def test_both_kinds_of_workers(self, tmp_path: Path) -> None:
+        both = ["--workers", "2", "--cluster", "tcp://127.0.0.1:8786"]
+        refused(here(*SMALL, *both, "--out", tmp_path), 2, "--workers are those of this computer")
+
+    def test_an_address_that_is_none(self, tmp_path: Path) -> None:
+        refused(here(*SMALL, "--cluster", "there", "--out", tmp_path), 2, "'there' is no address", "tcp://HOST:PORT")
+
+    def test_a_cluster_that_is_not_there(self, tmp_path: Path) -> None:
+        refused(here(*SMALL, "--cluster", "tcp://127.0.0.1:9", "--out", tmp_path), 3, "no Dask scheduler answers")
+
+    def test_a_cluster_without_its_package(self, tmp_path: Path) -> None:
+        (tmp_path / "distributed.py").write_text("raise ModuleNotFoundError('gone', name='distributed')\n")
+        out = tmp_path / "out"
+        done = volcal(*SMALL, "--cluster", "tcp://127.0.0.1:9", "--out", out, PYTHONPATH=str(tmp_path))
+        assert done.returncode == 2, done.stderr
+        assert "a cluster needs the package 'distributed'" in done.stderr
+        assert "pip install volcal[cluster]" in done.stderr
+
+
+class TestInterrupt:
+    def test_the_keyboard_ends_it_with_all_its_processes(self, tmp_path: Path) -> None:
+        many = ["monte-carlo", "--machines", "100000", "--stations", "2", "--workers", "2"]
+        command = [*VOLCAL, *many, "--out", str(tmp_path)]
+        drawn = {**os.environ, "FORCE_COLOR": "1"}  # the bar as on a terminal, which says when machines are done
+        running = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True, env=drawn)
+        assert running.stderr is not None
+        read = b""
+        while not re.search(rb"[1-9]\d*/100000", read):
+            some = os.read(running.stderr.fileno(), 4096)
+            assert some, read
+            read += some
+        os.killpg(running.pid, signal.SIGINT)
+        said = running.communicate(timeout=60)[1].decode()  # to its end: no process that holds it open is left
+        assert running.returncode == 5, said
+        assert "interrupted from the keyboard" in said
+        assert "Traceback" not in said
+        assert list(tmp_path.iterdir()) == []
