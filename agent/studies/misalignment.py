@@ -68,6 +68,15 @@ def _summary(chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: Volu
             }
             for number, way in enumerate(chosen)
         },
+        "not_identified": {
+            way.label: [
+                f"{name}, {tilt:g}°"
+                for name, rows in by_set.items()
+                for tilt, row in zip(TILTS_DEG, rows, strict=True)
+                if row[number].expected is None
+            ]
+            for number, way in enumerate(chosen)
+        },
         "worst_deviation_in_standard_errors": worst_deviation([row for rows in by_set.values() for row in rows]),
     }
 

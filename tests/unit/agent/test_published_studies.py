@@ -244,6 +244,15 @@ class TestMisalignment:
         assert saved["S2"] == pytest.approx(0.25, abs=0.05)
         assert saved["S2+S3"] == pytest.approx(0.0, abs=0.02)
 
+    def test_the_study_names_what_is_not_identified(self) -> None:
+        beside = case(stations=None).job
+        away_mm = np.array([9000.0, 0.0, 0.0])
+        far = replace(beside.layout, places_mm={n: place + away_mm for n, place in beside.layout.places_mm.items()})
+        result = misalignment.run(case(job=replace(beside, layout=far)))
+        unknown = document(result)["not_identified"]
+        assert len(unknown["centres, full weights, prior"]) == 2 * len(misalignment.TILTS_DEG)  # type: ignore[index]
+        assert all(row[result.columns.index("vce_raw_um")] is None for row in result.rows)
+
     def test_what_is_not_identified_saves_nothing(self) -> None:
         assert misalignment.saving([(verdict(None),), (verdict(4.0),)], 0) is None
         assert misalignment.saving([(verdict(8.0),), (verdict(6.0),)], 0) == pytest.approx(0.25)
