@@ -66,7 +66,8 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
     written = np.zeros(_size(estimate))
     written[: estimate.model.size] = estimate.parameters
     forms = _forms(estimate, grid, offset)
-    parts = [[_both(form, one, written) for one in suppositions(estimate)] for form in forms]
+    likely = suppositions(estimate)
+    parts = [[_both(form, one, written) for one in likely] for form in forms]
     before, left = (
         VolumetricDistribution(*(QuadraticMixture(tuple(pair[which] for pair in pairs)) for pairs in parts))
         for which in (0, 1)

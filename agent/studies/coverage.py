@@ -76,7 +76,8 @@ class Comparison:
         both = self._joined(made, rng)
         seen = both.where(np.arange(both.size) < self.planned.size)
         again = both.where(np.arange(both.size) >= self.planned.size)
-        points = rng.uniform(*np.array(self.machine.model.ranges_mm).T, (_POINTS, 3))
+        low, high = np.array(self.machine.model.ranges_mm).T
+        points = rng.uniform(low, high, (_POINTS, 3))
         return [self._compared(made, *found, again, points) for found in self._estimates(seen, form)]
 
     def _joined(self, made: Made, rng: np.random.Generator) -> Observations:
@@ -165,9 +166,8 @@ class Coverage:
 
     def of(self, chosen: str, form: str | None = None) -> list[Compared]:
         """Those of one way to choose the order: of one form, or of the mixture of all."""
-        return [
-            one for one in self.compared if one.chosen == chosen and one.form in (FORMS if form is None else (form,))
-        ]
+        forms = FORMS if form is None else (form,)
+        return [one for one in self.compared if one.chosen == chosen and one.form in forms]
 
     def share(self, of: Sequence[Compared], region: str, nominal: float = NOMINAL) -> Share:
         return share_held([one.levels[region] for one in of], nominal, self.rng)
@@ -217,30 +217,38 @@ def _row(number: int, one: Compared) -> tuple[str | int | float | None, ...]:
 def _summary(table: Coverage) -> dict[str, object]:
     said: dict[str, object] = {"forms": list(FORMS), "nominal": NOMINAL}
     for way in table.ways:
+        every = table.of(way)
+        shares = _shares(table, every)
         said[way] = {
-            "all": _shares(table, table.of(way)),
-            **{form: _shares(table, table.of(way, form)) for form in FORMS if table.of(way, form)},
-            "predicted over true VCE": _ratio(table.of(way)),
+            **{region: share.observed for region, share in shares.items()},
+            "standard_errors": _rounded([share.standard_error for share in shares.values()]),
+            "predicted_over_true_vce": _ratio(every),
+            "by_form": {form: _pairs(table, table.of(way, form)) for form in FORMS if table.of(way, form)},
         }
-    checked = table.of(ORDER_OF_FILE, AS_MODELLED)
-    said[AS_MODELLED] = _shares(table, checked)
+    said["as_modelled"] = _pairs(table, table.of(ORDER_OF_FILE, AS_MODELLED))
     return said
 
 
-def _shares(table: Coverage, of: Sequence[Compared]) -> dict[str, object]:
-    shares = {region: table.share(of, region) for region in of[0].levels}
-    return {
-        region: {"held": round(share.observed, 4), "standard error": round(share.standard_error, 4)}
-        for region, share in shares.items()
-    }
+def _shares(table: Coverage, of: Sequence[Compared]) -> dict[str, Share]:
+    return {region: table.share(of, region) for region in of[0].levels}
+
+
+def _pairs(table: Coverage, of: Sequence[Compared]) -> dict[str, list[float]]:
+    """Share held and its standard error, by region."""
+    shares = _shares(table, of)
+    return {region: _rounded([share.observed, share.standard_error]) for region, share in shares.items()}
+
+
+def _rounded(values: Sequence[float]) -> list[float]:
+    return [round(value, 4) for value in values]
 
 
 def _ratio(of: Sequence[Compared]) -> dict[str, float]:
     ratios = np.array([one.predicted_vce_mm / one.vce_mm for one in of])
     return {
         "mean": round(float(ratios.mean()), 4),
-        "mean departure from 1": round(float(np.abs(ratios - 1.0).mean()), 4),
-        "of the root mean squares": round(_rms([o.predicted_vce_mm for o in of]) / _rms([o.vce_mm for o in of]), 4),
+        "mean_departure_from_1": round(float(np.abs(ratios - 1.0).mean()), 4),
+        "of_root_mean_squares": round(_rms([o.predicted_vce_mm for o in of]) / _rms([o.vce_mm for o in of]), 4),
     }
 
 

@@ -36,7 +36,8 @@ def draw(figure: Figure, panels: Sequence[Panel]) -> None:
     for (left, right), panel in zip(axes, panels, strict=True):
         _by_form(left, panel)
         _reliability(right, panel)
-    axes[0, 0].legend(loc="lower left", ncols=5, fontsize=7.5, columnspacing=1.0, handletextpad=0.3)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
 
 
 def _by_form(axes: Axes, panel: Panel) -> None:
