@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import click
@@ -17,11 +18,20 @@ from agent.job import Job, load_settings, naming, prepare_job, with_overrides
 from agent.plans.measure import position_key
 from agent.rehearsal import Rehearsal, rehearse
 from agent.timing import PARTS, minutes_by_part
+from drivers.errors import PlanRefused
 
 
 @click.command("plan")
 @procedure_options
 @click.option("--steps", is_flag=True, help="List every step with its machine time.")
+@click.option(
+    "--preview",
+    type=click.Path(path_type=Path),
+    is_flag=False,
+    flag_value=Path("preview"),
+    metavar="[DIR]",
+    help="Draw the plan into DIR [preview]: plan.png, and plan.html that turns; also one that is refused.",
+)
 @click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
 @reported
 def plan_command(
@@ -30,6 +40,7 @@ def plan_command(
     stations: list[int] | None,
     formulation: str | None,
     steps: bool,
+    preview: Path | None,
     as_json: bool,
 ) -> None:
     """Rehearse the whole procedure: limits, collisions, minutes, and the VCE to expect."""
@@ -38,10 +49,17 @@ def plan_command(
     )
     with naming(config):
         job = prepare_job(settings, config.resolve().parent)
-    rehearsal = rehearse(job)
+    draw = _drawing(job, preview) if preview else None
+    try:
+        rehearsal = rehearse(job)
+    except PlanRefused as refused:
+        for path in draw(refused) if draw else ():
+            click.echo(f"preview: {path}", err=True)
+        raise
     expectation = expect(job, rehearsal.measured)
+    files = draw(None) if draw else []
     if as_json:
-        click.echo(json.dumps(_document(job, rehearsal, expectation), allow_nan=False))
+        click.echo(json.dumps(_document(job, rehearsal, expectation, files), allow_nan=False))
         return
     console = Console()
     if steps:
@@ -49,9 +67,19 @@ def plan_command(
             click.echo(f"{seconds:10.2f} s  {key}")
     console.print(_table(job, rehearsal, expectation))
     console.print(_minutes_table(minutes_by_part(rehearsal.steps)))
+    for path in files:
+        click.echo(str(path))
 
 
-def _document(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> dict[str, object]:
+def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path]]:
+    """Draws the plan, refused or not, and says which files it wrote. Raises InputError where it never could."""
+    from agent.preview.writing import check_folder, write_preview  # noqa: PLC0415  plotting is slow to import
+
+    check_folder(folder)
+    return partial(write_preview, job, folder)
+
+
+def _document(job: Job, rehearsal: Rehearsal, expectation: Expectation, files: list[Path]) -> dict[str, object]:
     balls = sum(len(p.balls) for p in rehearsal.measured.positions)
     return {
         "position_set": job.settings.procedure.position_set,
@@ -73,6 +101,7 @@ def _document(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> dict[
         "predicted_vce_um": expectation.vce.aligned_um,
         "predicted_vce_raw_um": expectation.vce.raw_um,
         "wall_seconds": round(rehearsal.wall_seconds, 3),
+        "files": [str(path) for path in files],
     }
 
 

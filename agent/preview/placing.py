@@ -44,7 +44,9 @@ def why_not(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
     """In words, what keeps the probe from ball `number` whose axis position is `axes_mm` (3,)."""
     layout = job.layout
     ends = zip("XYZ", axes_mm.tolist(), layout.lower_mm.tolist(), layout.upper_mm.tolist(), strict=True)
-    outside = [f"{axis} {_tenths(at)} mm ({low:.1f} to {high:.1f})" for axis, at, low, high in ends if not low <= at <= high]
+    outside = [
+        f"{axis} {_tenths(at)} mm ({low:.1f} to {high:.1f})" for axis, at, low, high in ends if not low <= at <= high
+    ]
     if outside:
         return f"outside the travel: {', '.join(outside)}"
     pair = _closest_pair(job, scene, number, axes_mm)
