@@ -16,6 +16,9 @@ from twin.touch_pattern import approach_directions
 STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
 """The probe geometry describes probes that point along +Y."""
 
+AT_CONTACT_MM = 0.5
+"""Clearance between start and contact: there the ball itself says where the tip is, and its holder is fixed to it."""
+
 FIVE_TOUCHES = approach_directions(5, STYLUS_AXIS)
 
 _Leg = tuple[Point, Point]
@@ -70,8 +73,9 @@ def accessible(
             drawn_out.clearance(added(centre, begin), ignored=meant, at_most=clearance_mm) >= clearance_mm
             for begin in begins
         ) and not any(
-            scene.first_hit(added(centre, a), added(centre, b), clearance_mm=clearance_mm, ignored=meant)
-            for a, b in (*touching, *between)
+            scene.first_hit(added(centre, a), added(centre, b), clearance_mm=apart_mm, ignored=meant)
+            for legs, apart_mm in ((touching, min(clearance_mm, AT_CONTACT_MM)), (between, clearance_mm))
+            for a, b in legs
         )
 
     return np.array([free(index, point(centre)) for index, centre in enumerate(centres)])
