@@ -23,6 +23,7 @@ Say = Callable[[str], None]
 
 _MOST_TRIES = 12
 _LITTLE_MIN = 0.01
+_MARGIN = 1.3  # beyond what a slot was exceeded by, so that one more search does as a rule
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,7 @@ def _within(setting: Setting, search: Search, goal: Goal) -> tuple[int, ...]:
         over = setting.minutes(positions) - asked.minutes
         if over <= 0.0:
             return chosen
-        goal = Slot(goal.minutes - over - _LITTLE_MIN)
+        goal = Slot(goal.minutes - _MARGIN * over - _LITTLE_MIN)
 
 
 def _held_out(setting: Setting, candidates: Candidates, chosen: Sequence[int]) -> tuple[Position, ...]:

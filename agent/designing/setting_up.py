@@ -75,9 +75,10 @@ class Setting:
 
     def prices(self, candidates: Candidates) -> Prices:
         tools = list(self.jobs)
+        minutes = np.array([self.vetting(position).minutes(position) for position in candidates.positions])
         codes = [_TOOL_STRIDE * (tools.index(p.tool) if p.tool else 0) + p.station for p in candidates.positions]
         return Prices(
-            minutes=np.array([self.vetting(position).minutes(position) for position in candidates.positions]),
+            minutes=minutes,
             stations=np.array(codes),
             carry_minutes=self.job.settings.timing.carrying_minutes,
             standing_at=self.job.settings.stations.standing_at,

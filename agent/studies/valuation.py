@@ -154,7 +154,8 @@ def _draw(figure: Figure, tried: Sequence[Tried], before_um: float) -> None:
             label=label,
         )
     for one in named:
-        axes.annotate(one.name, (one.valuation, one.simulated_um), (6, 4), textcoords="offset points")
+        below = one.name.count("+") > 1
+        axes.annotate(one.name, (one.valuation, one.simulated_um), (6, -14 if below else 4), textcoords="offset points")
     axes.plot(
         [0.0, 100.0], [before_um, 0.0], ":", color=INK, linewidth=0.9, label="VE of these machines, so much of it less"
     )

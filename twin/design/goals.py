@@ -100,10 +100,14 @@ def _last(search: Search, selection: Selection, room: Room, *, per_minute: bool)
 
 
 def _settled(search: Search, room: Room) -> Selection:
-    """Grown by gain per minute and by gain alone, the better one exchanged, and filled up with what room that made."""
+    """Grown by gain per minute and by gain alone, and the better of the two once each is exchanged and filled up."""
     start = Selection.of(search.candidates)
     grown = [_last(search, start, room, per_minute=per_minute) for per_minute in (True, False)]
-    selection = min(grown, key=lambda one: one.value)
+    return min((_filled(search, selection, room) for selection in grown), key=lambda one: one.value)
+
+
+def _filled(search: Search, selection: Selection, room: Room) -> Selection:
+    """Exchanged, and filled up with what room that made, until neither helps."""
     while True:
         exchanged = search.exchanged(selection, room)
         filled = _last(search, exchanged, room, per_minute=False)

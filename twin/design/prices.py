@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.design.candidates import Indices
@@ -50,7 +49,3 @@ class Prices:
             beside[index] = np.inf
             cheapest[index] = self.total([index]) + beside.min()
         return cheapest
-
-    def of(self, kept: NDArray[np.intp]) -> Prices:
-        """Those of some candidates only."""
-        return Prices(self.minutes[kept], self.stations[kept], self.carry_minutes, self.standing_at)
