@@ -17,7 +17,7 @@ from agent.job import Job
 from agent.plans.ball import point
 from agent.plans.measure import MeasuringOrder, measure_positions
 from agent.timing import position_minutes, walked
-from twin.access import standing_scene
+from twin.access import AT_CONTACT_MM, standing_scene
 from twin.arrays import Array
 from twin.bodies import TIP, ball_name
 from twin.collision import Scene
@@ -77,7 +77,8 @@ class Vetting:
                 number = int(_BALL.findall(step.key)[0])
                 target, own = _contact(at, balls[number], job.layout.contact_mm), ball_name(number)
             meant = {(TIP, own), ("stem", own)} if own else set()
-            hit = scene.first_hit(added(at, tool), added(target, tool), clearance_mm=CLEARANCE_MM, ignored=meant)
+            apart_mm = AT_CONTACT_MM if own else CLEARANCE_MM
+            hit = scene.first_hit(added(at, tool), added(target, tool), clearance_mm=apart_mm, ignored=meant)
             if hit is not None:
                 return f"{hit.moving} with {hit.obstacle}"
             at, touched = target, own if isinstance(step, TouchTowards) else ""
