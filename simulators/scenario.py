@@ -94,6 +94,24 @@ class StoreSettings(Strict):
     activation: Literal["immediate", "reset", "power_cycle", "reference"] = "immediate"
 
 
+class AgeingSettings(Strict):
+    """How the machine changes from night to night, and which `night` it is (0: as drawn).
+
+    `seasonal_um_per_m`: amplitude of the scale errors of X, Y, Z, a sine of period `season_nights` with the phases of
+    the three axes `phases_deg`; `walk_um`: rms field of the random walk of all errors, a night; `collision`: by how
+    much errors jump at the night of the collision, µm or µrad, by ISO name or, with its order, one coefficient.
+    """
+
+    night: int = Field(default=0, ge=0)
+    seed: int = Field(default=7, ge=0)
+    seasonal_um_per_m: Coordinates = (0.0, 0.0, 0.0)
+    season_nights: PositiveFloat = 90.0
+    phases_deg: Coordinates = (0.0, 0.0, 0.0)
+    walk_um: NonNegativeFloat = 0.0
+    collision_night: PositiveInt | None = None
+    collision: dict[str, float] = Field(default_factory=dict)
+
+
 class ScenarioDocument(Strict):
     """Keys of a scenario. `start_mm`: axis positions at the start, without it the lower ends of the travel."""
 
@@ -114,6 +132,7 @@ class ScenarioDocument(Strict):
     mount_behaviour: MountBehaviour = MountBehaviour()
     temperatures: TemperatureSettings = TemperatureSettings()
     store: StoreSettings = StoreSettings()
+    ageing: AgeingSettings = AgeingSettings()
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from simulators.scenario import Scenario
+from simulators.world.ageing import aged
 from simulators.world.controller import Controller
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
@@ -92,7 +93,7 @@ def true_machine(scenario: Scenario) -> TrueMachine:
     if settings.ideal:
         return perfect_machine(scenario.machine, settings.tool)
     rng = generator(truth.seed, "machine")
-    return draw_machine(
+    drawn = draw_machine(
         scenario.machine,
         settings.tool,
         order=truth.legendre_order,
@@ -100,3 +101,4 @@ def true_machine(scenario: Scenario) -> TrueMachine:
         with_deflection=truth.deflection,
         rng=rng,
     )
+    return aged(drawn, scenario.machine, settings.ageing)

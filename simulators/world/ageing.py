@@ -1,0 +1,86 @@
+"""A machine that changes from night to night: the seasons' scale errors, a slow random walk, a collision."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from simulators.scenario import AgeingSettings, Scenario
+from simulators.world.noise import generator
+from twin.arrays import Array
+from twin.chain import AXES
+from twin.error_model import ErrorModel
+from twin.family import family_from_amplitudes
+from twin.identification import process_noise
+from twin.machine_description import MachineDescription
+from twin.true_machine import TrueMachine
+
+_NIGHTS_APART = 1_000_003
+"""Between the seeds of two nights: no noise of one comes again in another."""
+
+
+def aged(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
+    """`machine` as it is at the night that `ageing` names. ConfigurationError for an error that it does not have."""
+    model = machine.model
+    if model is None:
+        return machine
+    change = seasonal_change(model, ageing) + _walked(model, description, machine.tool_offset, ageing)
+    if ageing.collision_night is not None and ageing.night >= ageing.collision_night:
+        change += collision_change(model, ageing.collision)
+    return replace(machine, parameters=machine.parameters + change)
+
+
+def of_night(scenario: Scenario, night: int) -> Scenario:
+    """The same machine and artefact at another night: other noise, another hand that has put down the mount."""
+    settings = scenario.settings
+    ageing = settings.ageing.model_copy(update={"night": night})
+    seed = settings.seed + _NIGHTS_APART * (night - settings.ageing.night)
+    return replace(scenario, settings=settings.model_copy(update={"ageing": ageing, "seed": seed}))
+
+
+def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
+    """(p,) since night 0: a scale error of s over a travel L has the coefficient s L / 2 of order 1."""
+    change = np.zeros(model.size)
+    for axis, amplitude, phase_deg, (low, high) in zip(
+        AXES, ageing.seasonal_um_per_m, ageing.phases_deg, model.ranges_mm, strict=True
+    ):
+        phase, turned = math.radians(phase_deg), 2.0 * math.pi * ageing.night / ageing.season_nights
+        scale = 1e-6 * amplitude * (math.sin(turned + phase) - math.sin(phase))
+        if scale:
+            change[_place(model, f"E{axis}{axis}[1]")] = 0.5 * scale * (high - low)
+    return change
+
+
+def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
+    """(p,) of one collision; an error motion without an order jumps by its lowest coefficient."""
+    change = np.zeros(model.size)
+    for name, jump in jumps.items():
+        place = _place(model, name)
+        change[place] += jump * (1e-3 if model.parameters[place].unit == "mm" else 1e-6)
+    return change
+
+
+def _walked(model: ErrorModel, description: MachineDescription, tool_offset: Array, ageing: AgeingSettings) -> Array:
+    """Sum of independent steps, each night's its own however far one goes."""
+    if not (ageing.walk_um and ageing.night):
+        return np.zeros(model.size)
+    family = family_from_amplitudes(model, description.amplitudes)
+    step = process_noise(family, 1e-3 * ageing.walk_um, tool_offset)
+    nights = range(1, ageing.night + 1)
+    drawn = [generator(ageing.seed, f"walk {night}").standard_normal(model.size) for night in nights]
+    return np.asarray(step * np.sum(drawn, axis=0))
+
+
+def _place(model: ErrorModel, name: str) -> int:
+    for place, parameter in enumerate(model.parameters):
+        if name in (parameter.name, parameter.error):
+            return place
+    raise ConfigurationError(
+        f"the machine has no error {name!r} that could jump",
+        key="ageing.collision",
+        hint="write ISO 230-1 names such as B0Z, EAZ or EYX, or one coefficient such as EAZ[2]",
+    )

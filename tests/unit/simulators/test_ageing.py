@@ -1,0 +1,71 @@
+"""A machine that ages: what each cause does to its field, and that nights are the same whoever asks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError
+from simulators.scenario import AgeingSettings, read_scenario
+from simulators.world.ageing import of_night
+from simulators.world.world import World, true_machine
+
+SCENARIO = read_scenario(Path(__file__).resolve().parents[3] / "config" / "simulators" / "case-study.toml")
+CORNERS = np.array([[0.0, 0.0, 0.0], [4000.0, 0.0, 0.0], [0.0, 1300.0, 0.0], [0.0, 0.0, 1500.0]])
+
+
+def deviation(night: int, **ageing: object) -> np.ndarray:
+    """(4, 3) mm at the corners."""
+    settings = SCENARIO.settings.model_copy(update={"ageing": AgeingSettings(night=night, **ageing)})
+    return true_machine(replace(SCENARIO, settings=settings)).deviation(CORNERS)
+
+
+def test_a_season_stretches_the_axes() -> None:
+    """A quarter of a period: the whole amplitude; from one end to the other amplitude times length."""
+    change = deviation(20, seasonal_um_per_m=(5.0, 0.0, -3.0), season_nights=80.0) - deviation(0)
+    assert change[1, 0] - change[0, 0] == pytest.approx(5e-6 * 4000.0, abs=1e-6)
+    assert change[3, 2] - change[0, 2] == pytest.approx(-3e-6 * 1500.0, abs=1e-6)
+    assert change[2, 1] - change[0, 1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_phase_leaves_the_first_night_as_it_is() -> None:
+    shifted = deviation(0, seasonal_um_per_m=(5.0, 5.0, 5.0), phases_deg=(90.0, 45.0, 10.0))
+    assert shifted == pytest.approx(deviation(0), abs=1e-12)
+    later = deviation(9, seasonal_um_per_m=(5.0, 0.0, 0.0), phases_deg=(90.0, 0.0, 0.0), season_nights=36.0)
+    wanted = 5e-6 * 4000.0 * (math.cos(math.pi / 2.0) - 1.0)
+    change = later - deviation(0)
+    assert change[1, 0] - change[0, 0] == pytest.approx(wanted, abs=1e-6)
+
+
+def test_a_collision_turns_z_at_its_night_and_not_before() -> None:
+    """B0Z: z-travel about Y, d = (B0Z z, 0, 0)."""
+    collision = {"collision_night": 17, "collision": {"B0Z": 12.0}}
+    assert deviation(16, **collision) == pytest.approx(deviation(16), abs=1e-12)
+    for night in (17, 25):
+        change = deviation(night, **collision) - deviation(night)
+        assert change[3] - change[0] == pytest.approx([12e-6 * 1500.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_a_walk_has_the_rms_that_is_asked_for_and_goes_on() -> None:
+    pairs = [(night, seed) for night in (1, 2) for seed in range(9)]
+    steps = [deviation(n, walk_um=1.0, seed=s) - deviation(n - 1, walk_um=1.0, seed=s) for n, s in pairs]
+    lengths = np.sqrt([np.mean(np.sum(step**2, axis=1)) for step in steps])
+    assert 0.5e-3 < lengths.mean() < 8e-3
+    assert deviation(2, walk_um=1.0) == pytest.approx(deviation(2, walk_um=1.0), abs=0.0)
+    assert np.abs(deviation(2, walk_um=1.0) - deviation(1, walk_um=1.0)).max() > 1e-5
+
+
+def test_another_night_is_the_same_machine_and_bar_with_other_noise() -> None:
+    one, other = World(of_night(SCENARIO, 0)), World(of_night(SCENARIO, 3))
+    assert other.truth.machine.deviation(CORNERS) == pytest.approx(one.truth.machine.deviation(CORNERS), abs=0.0)
+    assert other.workpiece.artefact.balls == pytest.approx(one.workpiece.artefact.balls, abs=0.0)
+    assert not np.allclose(one.workpiece.place_mm, other.workpiece.place_mm, atol=1e-4)
+
+
+def test_an_error_that_no_machine_has_is_refused_by_name() -> None:
+    with pytest.raises(ConfigurationError, match=r"no error 'EXQ'.*ageing\.collision"):
+        deviation(5, collision_night=2, collision={"EXQ": 1.0})
