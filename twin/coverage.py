@@ -148,9 +148,10 @@ def _held_out_level(estimate: Estimate, problem: Problem, residuals: Array, plac
     layout = problem.layout
     rows = np.flatnonzero(layout.index == place)
     design = problem.design[place, : len(rows)].reshape(3 * len(rows), -1)
-    covariance = design @ estimate.z_covariance @ design.T + unresolved(estimate) * np.eye(len(design))
+    covariance = design @ estimate.z_covariance @ design.T
     for number, row in enumerate(rows):
         block = slice(3 * number, 3 * number + 3)
+        # what is too short in space for the modes is in the noise that was found
         covariance[block, block] += estimate.scales.noise**2 * problem.observations.covariance[row]
     motions = _motions(problem.observations.axis_positions[rows])
     free = np.linalg.qr(motions, mode="complete")[0][:, 6:]

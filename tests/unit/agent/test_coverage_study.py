@@ -72,8 +72,8 @@ def test_without_the_misfit_the_truth_gets_lost() -> None:
     """The test can fail: what makes the regions hold is the modelled misfit."""
     said = run(case(12, Options(misfit_mm=0.0))).summary[ORDER_OF_FILE]
     assert isinstance(said, dict)
-    assert said["field at points"] < 0.87
-    assert said["field jointly"] < 0.5
+    assert said["field jointly"] < 0.7
+    assert said["predicted_over_true_vce"]["of_root_mean_squares"] < 0.93
 
 
 def test_the_files_hold_every_machine_and_form(tmp_path: Path) -> None:
