@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.execution.steps import Plan
 from agent.files import load_artefact, load_machine, load_positions, read_text, translated
 from agent.gates import GateLimits
 from agent.plans.measure import Measured, MeasuringOrder, by_station
-from agent.plans.position import Course, MeasuredBall, PositionRules
-from agent.plans.probing import BallLimits, Probing, Search
+from agent.plans.position import MeasuredBall, PositionRules
+from agent.plans.preparation import Preparation, Prepared, prepare_probe
+from agent.procedure_rules import MM_PER_UM, course_of, layout_of, preparation_of, probing_of
 from agent.settings import Settings, parse_settings
 from drivers.errors import ConfigurationError, UserError
 from drivers.registry import check_options
@@ -24,14 +26,9 @@ from twin.layout import Layout
 from twin.machine_description import MachineDescription
 from twin.position_set import Position, positions_of
 from twin.procedure import FEWEST_BALLS, Procedure
-from twin.touch_pattern import approach_directions, centre_covariance
+from twin.touch_pattern import centre_covariance
 
 POSITION_FILES = (".csv", ".toml")
-
-STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
-"""The probe geometry describes probes that point along +Y, as the ram of the case study does."""
-
-MM_PER_UM = 1e-3
 
 
 @dataclass(frozen=True)
@@ -47,6 +44,7 @@ class Job:
     verified_stations: tuple[int, ...]
     layout: Layout
     rules: PositionRules
+    preparation: Preparation
     gate_limits: GateLimits
 
     @property
@@ -65,6 +63,10 @@ class Job:
         """The set, and at the verified stations the held-out positions as they are before."""
         both = (*self.positions, *self.held_out)
         return MeasuringOrder("measure", by_station(both, self.stations), self.settings.stations.standing_at)
+
+    def preparing(self) -> Plan[Prepared]:
+        """The probe check and the qualification before everything else."""
+        return prepare_probe(self.measuring, self.layout, self.rules, self.preparation)
 
     def verifying(self, standing_at: int | None) -> MeasuringOrder:
         """The held-out positions again, beginning where the artefact stands."""
@@ -126,7 +128,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     )
     _refuse_overlap(positions, held_out)
     used = tuple(dict.fromkeys((*stations, *(p.station for p in positions), *verified)))
-    probing = _probing(settings, artefact)
+    probing = probing_of(settings, artefact)
     job = Job(
         settings=settings,
         machine=machine,
@@ -135,8 +137,9 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         held_out=held_out,
         stations=used,
         verified_stations=verified,
-        layout=_layout(settings, machine, artefact, probing),
-        rules=PositionRules(probing, _course(settings, machine), settings.procedure.drift_limit_um * MM_PER_UM),
+        layout=layout_of(settings, machine, artefact, probing),
+        preparation=preparation_of(settings, machine, artefact, probing),
+        rules=PositionRules(probing, course_of(settings, machine), settings.procedure.drift_limit_um * MM_PER_UM),
         gate_limits=GateLimits(**settings.gates.model_dump()),
     )
     _refuse_nothing_reachable(job)
@@ -221,57 +224,6 @@ def _refuse_overlap(positions: Sequence[Position], held_out: Sequence[Position])
             key="verification.positions_deg",
             hint="choose orientations that the position set does not contain",
         )
-
-
-def _probing(settings: Settings, artefact: Artefact) -> Probing:
-    chosen = settings.procedure
-    return Probing(
-        directions=approach_directions(chosen.touches_per_ball, STYLUS_AXIS),
-        stylus_axis=STYLUS_AXIS,
-        ball_radius_mm=artefact.ball_radius_mm,
-        tip_radius_mm=settings.probe.tip_radius_mm,
-        narrow=Search(chosen.approach_mm, chosen.search_mm),
-        wide=Search(chosen.wide_approach_mm, chosen.wide_search_mm),
-        feed_mm_per_s=chosen.touch_feed_mm_per_min / 60.0,
-        retract_mm=chosen.retract_mm,
-        touch_sigma_mm=chosen.touch_sigma_um * MM_PER_UM,
-        limits=BallLimits(chosen.radius_limit_um * MM_PER_UM, chosen.form_limit_um * MM_PER_UM),
-        recentre_mm=chosen.recentre_mm,
-        repeats=chosen.repeats,
-        stop_on_failure=chosen.on_failure == "stop",
-    )
-
-
-def _layout(settings: Settings, machine: MachineDescription, artefact: Artefact, probing: Probing) -> Layout:
-    travel = np.array(machine.limits)
-    below, above = probing.room_mm
-    return Layout(
-        artefact=artefact,
-        mount=settings.mount,
-        probe=settings.probe,
-        places_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
-        tool_offset_mm=np.asarray(machine.tools[settings.tool], dtype=np.float64),
-        lower_mm=travel[:, 0] + below,
-        upper_mm=travel[:, 1] - above,
-        contact_mm=probing.contact_mm,
-        approach_mm=probing.wide.approach_mm,
-    )
-
-
-def _course(settings: Settings, machine: MachineDescription) -> Course:
-    """Park to the side that the travel allows, the farther from the middle the station the more so."""
-    (x_low, x_high), (y_low, _), _ = machine.limits
-    park = {}
-    for number, (x, _, _) in enumerate(settings.stations.places_mm, start=1):
-        away = settings.stations.park_distance_mm
-        target = x + away if x + away <= x_high else x - away
-        if not x_low <= target <= x_high:
-            raise ConfigurationError(
-                f"there is no room to park {away:g} mm beside station {number}",
-                key="stations.park_distance_mm",
-            )
-        park[number] = target
-    return Course(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park)
 
 
 def _refuse_nothing_reachable(job: Job) -> None:

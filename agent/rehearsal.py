@@ -6,7 +6,7 @@ The simulated machine moves as the real one does; what its commands cost besides
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from agent.assembly import assemble_rehearsal
 from agent.execution.engine import Engine
@@ -90,8 +90,10 @@ def _require_proof(verified: Measured) -> None:
 
 
 def whole_procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
-    """Everything that moves: the set with the held-out positions, then the held-out positions again."""
-    measured = yield from measure_positions(job.measuring, job.layout, job.rules)
+    """Everything that moves: the probe's preparation, the set with the held-out positions, then these again."""
+    prepared = yield from job.preparing()
+    order = replace(job.measuring, standing_at=prepared.standing_at)
+    measured = yield from measure_positions(order, job.layout, prepared.rules)
     order = job.verifying(measured.standing_at)
-    verified = yield from measure_positions(order, job.layout, job.rules, measured.standings)
+    verified = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
     return measured, verified

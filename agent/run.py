@@ -6,7 +6,7 @@ The compensation that was found is restored on every way out but the accepted on
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from agent.observing import no_correction
 from agent.outcome import Proof
 from agent.plans import publish
 from agent.plans.measure import Measured, measure_positions
+from agent.plans.preparation import Prepared
 from agent.plans.recover import withdraw
 from agent.rig import Rig
 from agent.table_image import image_of, table_of
@@ -36,6 +37,7 @@ class Progress:
     """What has been reached so far; filled in as the run goes, so that a fault loses nothing."""
 
     found: publish.FoundState | None = None
+    prepared: Prepared | None = None
     measured: Measured | None = None
     finding: Finding | None = None
     gates: list[Gate] = field(default_factory=list)
@@ -92,7 +94,9 @@ class CalibrationRun:
         progress.found = self._engine.run(publish.read_state("before"))
         progress.active_bank = progress.found.bank
         self._journal.table("backup", progress.found.bank, progress.found.table)
-        progress.measured = self._engine.run(measure_positions(self._job.measuring, self._job.layout, self._job.rules))
+        progress.prepared = prepared = self._engine.run(self._job.preparing())
+        order = replace(self._job.measuring, standing_at=prepared.standing_at)
+        progress.measured = self._engine.run(measure_positions(order, self._job.layout, prepared.rules))
         enter(RunState.IDENTIFYING)
         image = self._identify_and_gate(progress.measured, progress.found)
         enter(RunState.STAGING)
@@ -125,7 +129,8 @@ class CalibrationRun:
         job, progress = self._job, self.progress
         assert progress.finding is not None  # noqa: S101  identified before anything was staged
         order = job.verifying(measured.standing_at)
-        progress.verified = self._engine.run(measure_positions(order, job.layout, job.rules, measured.standings))
+        rules = job.rules if progress.prepared is None else progress.prepared.rules
+        progress.verified = self._engine.run(measure_positions(order, job.layout, rules, measured.standings))
         before = job.balls_of(measured, held_out=True)
         after = job.balls_of(progress.verified, held_out=True)
         progress.proof = prove(job, progress.finding, before, after)

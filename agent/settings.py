@@ -67,12 +67,39 @@ class ProcedureSettings(Strict):
     wide_search_mm: PositiveFloat = Field(default=8.0, le=20.0)
     recentre_mm: PositiveFloat = 0.3
     retract_mm: PositiveFloat = 45.0
+    touch_stages: Literal[1, 2] = 1
+    find_feed_mm_per_min: PositiveFloat = Field(default=1000.0, le=3000.0)
+    back_off_mm: PositiveFloat = Field(default=1.0, le=10.0)
     touch_sigma_um: PositiveFloat = 1.1
     radius_limit_um: PositiveFloat = 20.0
     form_limit_um: PositiveFloat = 10.0
+    touch_limit_um: PositiveFloat = 6.0
+    pole_limit_um: PositiveFloat = 10.0
     drift_limit_um: PositiveFloat = 10.0
     repeats: int = Field(default=2, ge=0, le=5)
     on_failure: Literal["stop", "skip"] = "skip"
+
+
+class ProbeCheckSettings(Strict):
+    """Before a run the pole of one ball is touched `touches` times; 2σ of them against `limit_um`."""
+
+    enabled: bool = True
+    touches: int = Field(default=5, ge=3, le=50)
+    limit_um: PositiveFloat = 2.0
+
+
+class QualificationSettings(Strict):
+    """The stylus on the datum ball, touched 25 times before a run.
+
+    `ball`: its number; by default the first that is free all around. `limit_um`: of form and of each residual there.
+    `ball_spread_um`: standard deviation of the radii of the artefact's balls.
+    """
+
+    enabled: bool = True
+    ball: int | None = Field(default=None, ge=0)
+    pretravel_map: bool = False
+    limit_um: PositiveFloat = 20.0
+    ball_spread_um: float = Field(default=0.2, ge=0.0, le=10.0)
 
 
 class IdentificationSettings(Strict):
@@ -144,6 +171,8 @@ class Settings(Strict):
     probe: Annotated[ProbeGeometry, refuse_unknown(ProbeGeometry)] = ProbeGeometry()
     stations: StationSettings
     procedure: ProcedureSettings = ProcedureSettings()
+    probe_check: ProbeCheckSettings = ProbeCheckSettings()
+    qualification: QualificationSettings = QualificationSettings()
     identification: IdentificationSettings = IdentificationSettings()
     table: TableSettings = TableSettings()
     gates: GateSettings = GateSettings()

@@ -1,4 +1,4 @@
-"""Which balls a straight probe can get at with its pattern of touches: nothing in the way there, at contact and back."""
+"""Which balls a straight probe can touch by its pattern: nothing in the way there, at contact and in between."""
 
 from __future__ import annotations
 

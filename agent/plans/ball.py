@@ -7,25 +7,33 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.execution.steps import MoveTo, Plan, Point, Record, TouchTowards
+from agent.execution.steps import Plan, Point, Record
+from agent.plans.ball_gates import Tripped, doubtful, tripped_gate
 from agent.plans.probing import Probing, Search
+from agent.plans.touching import point, touch_ball
 from drivers.errors import MeasurementFault
-from drivers.roles import Touch
 from twin.errors import TwinError
 from twin.sphere import SphereFit, fit_sphere
+
+__all__ = ["BallFound", "BallLost", "measure_ball", "point"]
 
 Vector = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BallFound:
-    """`centre_mm` (3,): axis positions, as displayed, at which stylus centre and ball centre coincide."""
+    """`centre_mm` (3,): axis positions, as displayed, at which stylus centre and ball centre coincide.
+
+    `radius_mm`, `form_mm` and `residuals_mm` (k,) are those of the sphere with a free radius, whatever the centre was
+    fitted with: they are what says that the ball is clean.
+    """
 
     centre_mm: Vector
     covariance_mm2: NDArray[np.float64]
     radius_mm: float
     form_mm: float
     touches: int
+    residuals_mm: Vector
 
 
 @dataclass(frozen=True)
@@ -37,71 +45,136 @@ class BallLost:
 
 
 def measure_ball(key: str, predicted_mm: Vector, probing: Probing, search: Search) -> Plan[BallFound | BallLost]:
-    """Touch the ball where it is expected; repeat where a limit is broken; decide by policy.
+    """Touch the ball where it is expected; clean up and repeat where a limit is broken; decide by policy.
 
-    A touch that misses widens the search once. A centre that is found far from where it was expected is
-    measured again from there, so that every ball is approached along the same normals.
+    A miss widens the search once; a miss of the wide search ends it. A centre that is found far from where it was
+    expected is measured again from there, so that every ball is approached along the same normals.
     """
-    centre, attempt_search, touches = predicted_mm, search, 0
-    reason = ""
+    ball = _Ball(key, predicted_mm, probing, search)
     for attempt in range(1 + probing.repeats):
-        attempt_key = key if attempt == 0 else f"{key}/repeat-{attempt}"
-        fit = yield from _touch_all(attempt_key, centre, probing, attempt_search)
-        touches += len(probing.directions)
-        if isinstance(fit, str):
-            reason, attempt_search = fit, probing.wide
-        else:
-            away = float(np.linalg.norm(fit.centre - centre))
-            centre, attempt_search = fit.centre, probing.narrow
-            reason = _broken_limit(fit, probing)
-            if not reason and away <= probing.recentre_mm:
-                return BallFound(fit.centre, fit.covariance[:3, :3], fit.radius, fit.form, touches)
-            reason = reason or f"found {away:.3f} mm from where it was expected, {attempt + 1} times"
-        yield Record(f"{attempt_key}/again", "event", {"reason": reason})
+        found = yield from ball.attempt(attempt, last=attempt == probing.repeats)
+        if found is not None:
+            return found
+        if ball.given_up:
+            break
     if probing.stop_on_failure:
         raise MeasurementFault(
-            f"the ball could not be measured: {reason}",
+            f"the ball could not be measured: {ball.reason}",
             hint="clean the ball and the stylus, check that both are tight and where the artefact stands",
             step=key,
         )
-    return BallLost(reason, touches)
+    return BallLost(ball.reason, ball.touches)
 
 
-def _touch_all(key: str, centre: Vector, probing: Probing, search: Search) -> Plan[SphereFit | str]:
-    """Touch in every direction; the fitted sphere, or the reason why there is none."""
-    reach = probing.contact_mm + search.approach_mm
-    latched: list[Point] = []
-    for number, direction in enumerate(probing.directions):
-        touch_key = f"{key}/touch-{number}"
-        start = centre - direction * reach
-        above = start - probing.stylus_axis * (reach + float((start - centre) @ probing.stylus_axis))
-        beside_pole = number > 0
-        yield MoveTo(f"{touch_key}/above", point(above))
-        if beside_pole:
-            yield MoveTo(f"{touch_key}/start", point(start))
-        target = centre - direction * (probing.contact_mm - search.beyond_mm)
-        result = yield TouchTowards(touch_key, point(target), probing.feed_mm_per_s)
-        yield MoveTo(f"{touch_key}/back", point(above))
-        if not isinstance(result, Touch):
-            return f"touch {number} met nothing"
-        latched.append(result.position_mm)
-    try:
-        return fit_sphere(np.array(latched), probing.touch_sigma_mm, None)
-    except TwinError as error:
-        return f"no sphere through the touches: {error}"
+class _Ball:
+    """What is known of a ball while it is attempted."""
 
+    def __init__(self, key: str, predicted_mm: Vector, probing: Probing, search: Search) -> None:
+        self._key = key
+        self._probing = probing
+        self._centre = predicted_mm
+        self._search = search
+        self.touches = 0
+        self.reason = ""
+        self.given_up = False
 
-def _broken_limit(fit: SphereFit, probing: Probing) -> str:
-    deviation = fit.radius - probing.contact_mm
-    limits = probing.limits
-    if abs(deviation) > limits.radius_deviation_mm:
-        return f"radius is off by {deviation * 1e3:.1f} µm, allowed {limits.radius_deviation_mm * 1e3:.1f} µm"
-    if fit.form > limits.form_mm:
-        return f"form is {fit.form * 1e3:.1f} µm, allowed {limits.form_mm * 1e3:.1f} µm"
-    return ""
+    def attempt(self, number: int, *, last: bool) -> Plan[BallFound | None]:
+        """All touches once; None where the ball has to be attempted again, or is given up."""
+        key = self._key if number == 0 else f"{self._key}/repeat-{number}"
+        latched: list[Point] = []
+        for index in range(len(self._probing.directions)):
+            touched = yield from self._touch(f"{key}/touch-{index}", index)
+            if touched is None:
+                yield from self._missed(key, index, last)
+                return None
+            latched.append(touched)
+        points = np.array(latched)
+        fit = self._fitted(points)
+        gate = None if fit is None or self._away_mm(fit) > self._probing.recentre_mm else self._gate(fit)
+        if fit is not None and gate is not None:
+            fit, points, gate = yield from self._cleaned(key, fit, points, gate)
+        if fit is None:
+            yield Record(f"{key}/again", "event", self._note(self.reason, last))
+            return None
+        return (yield from self._judged(key, fit, points, gate, number, last))
 
+    def _judged(
+        self, key: str, fit: SphereFit, points: Vector, gate: Tripped | None, number: int, last: bool
+    ) -> Plan[BallFound | None]:
+        away_mm = self._away_mm(fit)
+        self._centre, self._search = fit.centre, self._probing.narrow
+        if gate is not None:
+            self.reason = gate.text
+            yield Record(f"{key}/gate", "event", gate.payload(self._key, self._next(last)))
+            return None
+        if away_mm > self._probing.recentre_mm:
+            self.reason = f"found {away_mm:.3f} mm from where it was expected, {number + 1} times"
+            yield Record(f"{key}/again", "event", self._note(self.reason, last))
+            return None
+        return self._found(fit, points)
 
-def point(vector: Vector) -> Point:
-    """A plain tuple for a step."""
-    x, y, z = vector.tolist()
-    return x, y, z
+    def _cleaned(
+        self, key: str, fit: SphereFit, points: Vector, gate: Tripped
+    ) -> Plan[tuple[SphereFit | None, Vector, Tripped | None]]:
+        """Doubtful touches once more, along the same lines: what was a crumb or a false trip goes away."""
+        again = doubtful(fit, self._probing)
+        then = f"clean-up of touch {', '.join(str(index) for index in again)}"
+        yield Record(f"{key}/clean-up", "event", gate.payload(self._key, then))
+        points = points.copy()
+        for index in again:
+            touched = yield from self._touch(f"{key}/clean-up/touch-{index}", index)
+            if touched is None:
+                self.reason = f"touch {index} met nothing when it was repeated"
+                return None, points, gate
+            points[index] = touched
+        cleaned = self._fitted(points)
+        return cleaned, points, None if cleaned is None else self._gate(cleaned)
+
+    def _gate(self, fit: SphereFit) -> Tripped | None:
+        return tripped_gate(fit, self._probing)
+
+    def _away_mm(self, fit: SphereFit) -> float:
+        return float(np.linalg.norm(fit.centre - self._centre))
+
+    def _touch(self, key: str, index: int) -> Plan[Point | None]:
+        touched = yield from touch_ball(key, self._centre, self._probing.directions[index], self._probing, self._search)
+        self.touches += touched.trips
+        return touched.latched_mm
+
+    def _missed(self, key: str, index: int, last: bool) -> Plan[None]:
+        self.reason = f"touch {index} met nothing"
+        self.given_up = self._search == self._probing.wide
+        self._search = self._probing.wide
+        then = self._next(last) if self.given_up or last else "search wider"
+        yield Record(f"{key}/again", "event", {"ball": self._key, "reason": self.reason, "then": then})
+
+    def _fitted(self, points: Vector) -> SphereFit | None:
+        """The sphere with a free radius through `points`, pretravel taken off; None, and the reason, without one."""
+        try:
+            return fit_sphere(self._corrected(points), self._probing.touch_sigma_mm)
+        except TwinError as error:
+            self.reason = f"no sphere through the touches: {error}"
+            return None
+
+    def _corrected(self, points: Vector) -> Vector:
+        stylus = self._probing.stylus
+        if stylus is None or stylus.pretravel is None:
+            return points
+        return stylus.pretravel.corrected(points, self._probing.directions)
+
+    def _found(self, free: SphereFit, points: Vector) -> BallFound:
+        probing, stylus = self._probing, self._probing.stylus
+        centre, covariance = free.centre, free.centre_covariance
+        if stylus is not None and stylus.fixed:
+            fit = fit_sphere(self._corrected(points), probing.touch_sigma_mm, stylus.radius_mm, near=free.centre)
+            moved = stylus.radius_sigma_mm * probing.centre_per_radius
+            centre, covariance = fit.centre, fit.centre_covariance + np.outer(moved, moved)
+        return BallFound(centre, covariance, free.radius, free.form, self.touches, free.residuals)
+
+    def _note(self, reason: str, last: bool) -> dict[str, object]:
+        return {"ball": self._key, "reason": reason, "then": self._next(last)}
+
+    def _next(self, last: bool) -> str:
+        if not (last or self.given_up):
+            return "repeat the ball"
+        return "stop" if self._probing.stop_on_failure else "skip the ball"

@@ -73,7 +73,7 @@ def measure_positions(
     unreachable = 0
     for index, position in enumerate(order.positions):
         if position.station != stands_at:
-            stands_at = yield from _carry_to(order.prefix, position.station, index)
+            stands_at = yield from carry_to(order.prefix, position.station, index)
             standings.pop(position.station, None)
         standing = standings.get(position.station, Standing.as_stated())
         nominal = layout.nominal(position)
@@ -103,7 +103,8 @@ def by_station(positions: Sequence[Position], stations: Sequence[int]) -> tuple[
     return tuple(p for station in stations for p in positions if p.station == station)
 
 
-def _carry_to(prefix: str, station: int, index: int) -> Plan[int]:
+def carry_to(prefix: str, station: int, index: int) -> Plan[int]:
+    """Have the operator put artefact and mount at `station`, and see that motion is permitted again."""
     request = OperatorRequest(
         OperatorTask.MOVE_ARTEFACT,
         f"Put the artefact and its mount at station {station}, clamp it, clear the workspace, close the doors.",

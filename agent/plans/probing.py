@@ -1,11 +1,15 @@
-"""How a ball is touched: distances, feeds and the limits a measured ball must keep."""
+"""How a ball is touched: distances, feeds, what is known of the stylus, and the limits a measured ball must keep."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from twin.pretravel import PretravelMap
+from twin.touch_pattern import centre_per_radius, redundancies
 
 Vectors = NDArray[np.float64]
 
@@ -23,10 +27,37 @@ class Search:
 
 @dataclass(frozen=True)
 class BallLimits:
-    """A measured ball outside any of these is repeated, then handled by policy."""
+    """A measured ball outside any of these is cleaned up, repeated, then handled by policy.
+
+    `touch_mm`: of a residual of the fitted sphere; `pole_mm`: of the pole's distance from the sphere through the rest.
+    """
 
     radius_deviation_mm: float
     form_mm: float
+    touch_mm: float
+    pole_mm: float
+
+
+@dataclass(frozen=True)
+class FindFirst:
+    """The first of two touches: fast, to know where the surface is; then back by `back_off_mm` from what it latched."""
+
+    feed_mm_per_s: float
+    back_off_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stylus:
+    """What the qualification found. `radius_mm`: of ball and tip together, as the probe sees it (pretravel taken off).
+
+    `radius_sigma_mm`: standard uncertainty of that for any one ball; `fixed`: whether spheres are fitted with it;
+    `pretravel`: applied to every touch.
+    """
+
+    radius_mm: float
+    radius_sigma_mm: float
+    fixed: bool
+    pretravel: PretravelMap | None = None
 
 
 @dataclass(frozen=True)
@@ -34,7 +65,8 @@ class Probing:
     """`directions` (k, 3): unit vectors in which the tip travels towards the ball, the pole first.
 
     The same vectors on every ball keep pretravel and lobing common to all, so that they cancel in
-    differences. `ball_radius_mm` + `tip_radius_mm` is the distance of the centres at contact.
+    differences. `ball_radius_mm` + `tip_radius_mm` is the distance of the centres at contact. `feed_mm_per_s` is that
+    of the touch that counts; `find`: None where the first touch counts.
     """
 
     directions: Vectors
@@ -50,10 +82,17 @@ class Probing:
     recentre_mm: float
     repeats: int
     stop_on_failure: bool
+    find: FindFirst | None = None
+    stylus: Stylus | None = None
 
     @property
     def contact_mm(self) -> float:
         return self.ball_radius_mm + self.tip_radius_mm
+
+    @property
+    def expected_radius_mm(self) -> float:
+        """Of a sphere through latched positions: qualified, or by the drawings."""
+        return self.contact_mm if self.stylus is None else self.stylus.radius_mm
 
     @property
     def room_mm(self) -> tuple[Vectors, Vectors]:
@@ -61,3 +100,17 @@ class Probing:
         starts = -self.directions * (self.contact_mm + self.wide.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + PLACE_ROOM_MM
         return below, np.maximum(0.0, starts.max(axis=0)) + PLACE_ROOM_MM
+
+    @cached_property
+    def redundancies(self) -> Vectors:
+        """(k,): the part of a touch's own error that its residual shows; see `twin.touch_pattern`."""
+        return redundancies(self.directions)
+
+    @cached_property
+    def centre_per_radius(self) -> Vectors:
+        """(3,): motion of a fitted centre for each mm by which a fixed radius is too large."""
+        return centre_per_radius(self.directions)
+
+    def qualified(self, stylus: Stylus) -> Probing:
+        """The same with what is known of the stylus now."""
+        return replace(self, stylus=stylus)

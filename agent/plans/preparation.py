@@ -1,0 +1,118 @@
+"""Before anything is measured: find one ball, see that the probe repeats, qualify the stylus on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
+from agent.plans.ball import BallFound, BallLost, measure_ball, point
+from agent.plans.measure import MeasuringOrder, carry_to, position_key
+from agent.plans.position import PositionRules
+from agent.plans.probe_check import ProbeCheck, Repeatability, check_repeatability
+from agent.plans.qualification import Qualification, QualificationRules, qualify_stylus
+from drivers.errors import MeasurementFault
+from twin.layout import Layout
+from twin.position_set import Position
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """What is to be looked at before a run; None: not at all. `layout`: with the dense pattern's vectors and room."""
+
+    check: ProbeCheck | None
+    qualification: QualificationRules | None
+    layout: Layout
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """`rules` with what is known of the stylus now; `standing_at`: where the artefact stands now."""
+
+    rules: PositionRules
+    standing_at: int | None
+    repeatability: Repeatability | None = None
+    qualification: Qualification | None = None
+
+
+PREFIX = "probe"
+
+
+def prepare_probe(
+    order: MeasuringOrder, layout: Layout, rules: PositionRules, preparation: Preparation
+) -> Plan[Prepared]:
+    """Check and qualify on the datum ball of `order`; begins anywhere, ends at the retreat plane before that ball.
+
+    Raises MeasurementFault where the ball is not found, the probe does not repeat, or the ball is no ball.
+    """
+    if preparation.check is None and preparation.qualification is None:
+        return Prepared(rules, order.standing_at)
+    position, ball = _datum(order, layout, preparation)
+    key = f"{PREFIX}/{position_key(position)}"
+    yield CheckPermissions(f"{key}/permissions")
+    yield CheckProbe(f"{key}/probe")
+    if position.station != order.standing_at:
+        yield from carry_to(PREFIX, position.station, 0)
+    predicted = layout.nominal(position)[ball]
+    yield from _go_to(key, position, predicted, rules)
+    found = yield from _found(f"{key}/ball-{ball:02d}", predicted, rules)
+    prepared = yield from _looked_at(f"{key}/ball-{ball:02d}", found.centre_mm, rules, preparation)
+    yield MoveTo(f"{key}/leave", point(rules.course.retreated(rules.course.above(found.centre_mm, rules.probing))))
+    return replace(prepared, standing_at=position.station)
+
+
+def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[Prepared]:
+    repeatability = qualification = None
+    probing = rules.probing
+    if preparation.check is not None:
+        repeatability = yield from check_repeatability(f"{key}/check", centre, probing, preparation.check)
+    if preparation.qualification is not None:
+        qualification = yield from qualify_stylus(f"{key}/qualify", centre, probing, preparation.qualification)
+        probing = probing.qualified(qualification.stylus)
+    return Prepared(replace(rules, probing=probing), None, repeatability, qualification)
+
+
+def _go_to(key: str, position: Position, predicted: Array, rules: PositionRules) -> Plan[None]:
+    course = rules.course
+    here = np.array((yield ReadPosition(f"{key}/here")))
+    yield MoveTo(f"{key}/retreat", point(course.retreated(here)))
+    yield MoveTo(f"{key}/park", point(course.parked(here, position.station)))
+    yield OrientTo(f"{key}/orient", position.station, position.azimuth_deg, position.elevation_deg)
+    above = course.above(predicted, rules.probing)
+    yield MoveTo(f"{key}/enter", point(course.retreated(above)))
+    yield MoveTo(f"{key}/approach", point(above))
+
+
+def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[BallFound]:
+    """Where the ball really stands: the wide search by the pattern of the run."""
+    result = yield from measure_ball(key, predicted, rules.probing, rules.probing.wide)
+    if isinstance(result, BallLost):
+        raise MeasurementFault(
+            f"the ball for the probe check was not found where it was expected: {result.reason}",
+            hint="check the station's place in the settings, the mount's zero and the artefact's seat",
+            step=key,
+        )
+    yield Record(f"{key}/found", "event", {"centre_mm": result.centre_mm, "form_um": result.form_mm * 1e3})
+    return result
+
+
+def _datum(order: MeasuringOrder, layout: Layout, preparation: Preparation) -> tuple[Position, int]:
+    """Position and ball: the first that can be touched from everywhere the dense pattern asks for."""
+    wanted = preparation.qualification.ball if preparation.qualification else None
+    asked = preparation.layout if preparation.qualification else layout
+    for position in order.positions:
+        nominal = layout.nominal(position)
+        free = np.logical_and(asked.reachable(position, nominal), layout.reachable(position, nominal))
+        balls = [int(ball) for ball in np.flatnonzero(free) if wanted in (None, int(ball))]
+        if balls:
+            return position, balls[0]
+    name = "no ball" if wanted is None else f"ball {wanted} in no position"
+    raise MeasurementFault(
+        f"the stylus cannot be qualified: {name} of this run is free all around",
+        hint="name another ball in qualification.ball, add a position where the artefact stands free, or switch the "
+        "qualification off",
+    )

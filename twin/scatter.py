@@ -1,0 +1,46 @@
+"""How far repeated readings scatter, and how well a few of them say so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from scipy.special import gammaincinv
+
+from twin.errors import DataError
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Sample standard deviation `sigma` of `count` readings, in the unit of the readings.
+
+    The true one lies between `lower` and `upper` with `confidence`, if the readings are normal and independent.
+    """
+
+    sigma: float
+    count: int
+    confidence: float
+    lower: float
+    upper: float
+
+    def surely_above(self, limit: float, confidence: float) -> bool:
+        """Whether the true standard deviation exceeds `limit` with one-sided `confidence`."""
+        return self.sigma * _factor(confidence, self.count - 1) > limit
+
+
+def scatter_of(readings: Sequence[float], confidence: float = 0.95) -> Scatter:
+    """Scatter of two or more readings with its two-sided interval: s·√(ν / χ²). DataError for fewer."""
+    count = len(readings)
+    if count < 2:
+        raise DataError(f"{count} readings do not scatter", hint="two or more are needed")
+    mean = math.fsum(readings) / count
+    sigma = math.sqrt(math.fsum((value - mean) ** 2 for value in readings) / (count - 1))
+    tail = 0.5 * (1.0 - confidence)
+    lower, upper = (sigma * _factor(share, count - 1) for share in (1.0 - tail, tail))
+    return Scatter(sigma, count, confidence, lower, upper)
+
+
+def _factor(probability: float, freedom: int) -> float:
+    """√(ν / χ²) with χ² the quantile at `probability`."""
+    return math.sqrt(freedom / (2.0 * float(gammaincinv(0.5 * freedom, probability))))
