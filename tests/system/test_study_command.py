@@ -166,13 +166,18 @@ class TestInterrupt:
         drawn = {**os.environ, "FORCE_COLOR": "1"}  # the bar as on a terminal, which says when machines are done
         running = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True, env=drawn)
         assert running.stderr is not None
-        read = b""
-        while not re.search(rb"[1-9]\d*/100000", read):
-            some = os.read(running.stderr.fileno(), 4096)
-            assert some, read
-            read += some
-        os.killpg(running.pid, signal.SIGINT)
-        said = running.communicate(timeout=60)[1].decode()  # to its end: no process that holds it open is left
+        try:
+            read = b""
+            while not re.search(rb"[1-9]\d*/100000", read):
+                some = os.read(running.stderr.fileno(), 4096)
+                assert some, read
+                read += some
+            os.killpg(running.pid, signal.SIGINT)
+            said = running.communicate(timeout=60)[1].decode()  # to its end: no process that holds it open is left
+        finally:
+            if running.poll() is None:
+                os.killpg(running.pid, signal.SIGKILL)
+                running.communicate()
         assert running.returncode == 5, said
         assert "interrupted from the keyboard" in said
         assert "Traceback" not in said
