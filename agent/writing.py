@@ -12,6 +12,7 @@ from agent.files import write_all_atomically
 from agent.findings import Finding, order_text, provenance, scale_warnings
 from agent.job import Job
 from agent.outcome import Outcome, Proof
+from agent.probe_facts import probe_facts
 from agent.report import (
     EventLine,
     Header,
@@ -97,6 +98,7 @@ def _report(
             machine_minutes=outcome.machine_minutes,
             table_bank="not known" if outcome.table_bank is None else str(outcome.table_bank),
             verification=_verification(outcome.proof),
+            probe=probe_facts(progress.prepared),
             temperatures=_temperatures(journal),
             events=tuple(EventLine(*row) for row in journal.event_lines()),
         ),

@@ -3,6 +3,8 @@
 from agent.report.data import (
     EventLine,
     Header,
+    ProbeFacts,
+    ProbeRing,
     Quantity,
     ReportData,
     RunFacts,
@@ -18,6 +20,8 @@ from agent.report.volumetric_summary import volumetric_summary
 __all__ = [
     "EventLine",
     "Header",
+    "ProbeFacts",
+    "ProbeRing",
     "Quantity",
     "ReportData",
     "RunFacts",

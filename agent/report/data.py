@@ -102,6 +102,26 @@ class EventLine:
 
 
 @dataclass(frozen=True)
+class ProbeRing:
+    """Touches of the qualification at one latitude (90°: the pole): (k,) angles about the stylus and residuals; the
+    pretravel map along the ring, (m,) each, empty without one."""
+
+    latitude_deg: float
+    angle_deg: Array
+    residual_um: Array
+    map_angle_deg: Array
+    map_um: Array
+
+
+@dataclass(frozen=True)
+class ProbeFacts:
+    """What was found of probe and stylus before the run: name and text, and the touches of the qualification."""
+
+    rows: tuple[tuple[str, str], ...]
+    rings: tuple[ProbeRing, ...] = ()
+
+
+@dataclass(frozen=True)
 class RunFacts:
     """What only a run on a machine knows."""
 
@@ -111,6 +131,7 @@ class RunFacts:
     verification: Verification | None = None
     temperatures: tuple[TemperatureTrace, ...] = ()
     events: tuple[EventLine, ...] = ()
+    probe: ProbeFacts | None = None
 
 
 @dataclass(frozen=True)

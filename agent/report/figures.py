@@ -9,6 +9,7 @@ from agent.report.curve_figure import draw_cross_effect, draw_error_curves
 from agent.report.data import ReportData
 from agent.report.error_curves import cross_effect_curves, geometric_error_curves
 from agent.report.map_figure import draw_planes
+from agent.report.probe_figure import draw_qualification
 from agent.report.residual_figures import BallResiduals, draw_by_position, draw_distribution
 from agent.report.run_figures import draw_position_temperatures, draw_temperatures
 from agent.report.workspace_maps import workspace_maps
@@ -31,6 +32,7 @@ def report_figures(data: ReportData) -> dict[str, str]:
         "uncertainty_map": draw_planes("vce-map", maps.uncertainty, "std. deviation / µm", dots=True),
         "residuals_by_position": draw_by_position(residuals),
         "residual_distribution": draw_distribution(residuals),
+        "qualification": draw_qualification(data.run.probe) if data.run.probe and data.run.probe.rings else "",
         "temperatures": draw_temperatures(traces)
         if traces
         else draw_position_temperatures(seen.position, seen.temperature_c),

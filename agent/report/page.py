@@ -37,6 +37,7 @@ def page_values(data: ReportData) -> dict[str, Any]:
         "summary": _summary_table(data, summary),
         "validity": _validity(data),
         "verification": _verification(proof),
+        "probe": data.run.probe.rows if data.run.probe else (),
         "squareness": _squareness(data),
         "residual_note": _residual_note(data),
         "rejected": _rejected(data),
