@@ -23,7 +23,7 @@ MARGIN_MM = 200.0
 
 def preview_of(job: Job, refused: PlanRefused | None = None) -> Preview:
     """The plan of `job` to look at; `refused`: what preflight had to say against it."""
-    waypoints = walk(job, refused.where.get("step") if refused else None)
+    waypoints = walk(job, refused)
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))
     held_out = set(job.held_out)
     placings = tuple(placing_of(job, position, held_out=position in held_out) for position in positions)

@@ -5,24 +5,27 @@ const element = (id) => document.getElementById(id);
 const canvas = element("view"), ctx = canvas.getContext("2d");
 const plan = readPlan(element("data").textContent);
 const camera = new Camera();
-const state = { visit: 0, progress: 0, others: true, path: true, probe: true, playing: null };
+const state = { visit: 0, progress: 0, others: true, path: true, probe: true };
 let colours = readColours(), seen = [], pending = false, view = "isometric";
 
 function readColours() {
   const style = getComputedStyle(document.documentElement);
   const named = (name) => style.getPropertyValue(`--${name}`).trim();
-  const own = Object.fromEntries(["paper", "ink", "quiet", "accent", "red", "steel", "ram", "probe", "table", "path"].map((n) => [n, named(n)]));
+  const own = Object.fromEntries(["paper", "ink", "quiet", "red", "steel", "ram", "probe", "table"].map((n) => [n, named(n)]));
   const stations = [...Array(8).keys()].map((i) => named(`station-${i}`));
-  return { ...own, station: (number) => stations[plan.stations.indexOf(number) % stations.length] };
+  const paths = { path: named("path"), pathNow: named("path-now") };
+  return { ...own, ...paths, station: (number) => stations[plan.stations.indexOf(number) % stations.length] };
 }
 
 function repaint() {
   if (pending) return;
   pending = true;
-  requestAnimationFrame(() => {
-    pending = false;
-    seen = paint(ctx, camera, plan, state, colours);
-  });
+  requestAnimationFrame(paintNow);
+}
+
+function paintNow() {
+  pending = false;
+  seen = paint(ctx, camera, plan, state, colours);
 }
 
 /* ---- where we look */
@@ -57,7 +60,7 @@ function resize() {
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   [camera.width, camera.height] = [box.width, box.height];
   if (view) look(view);
-  repaint();
+  paintNow(); // a canvas of another size is empty, and must not be shown so
 }
 
 /* ---- which position, and how far on the path */
@@ -102,34 +105,34 @@ function whereTheProbeIs(visit) {
   return plan.path.touches[state.progress] ? `ball ${ball}, touching` : `ball ${ball}`;
 }
 
+let frame = null, lastMs = 0, owed = 0;
+
 function play() {
-  if (state.playing === null) {
-    const last = plan.visits.filter((visit) => !visit.note).length - 1;
-    if (state.visit >= last && state.progress >= plan.path.tips.length - 1) state.visit = 0;
-    state.progress = plan.visits[state.visit].first;
-    state.playing = requestAnimationFrame(advance);
-  } else {
-    cancelAnimationFrame(state.playing);
-    state.playing = null;
-  }
-  element("play").textContent = state.playing === null ? "play" : "pause";
+  if (frame !== null) return pause();
+  const last = plan.visits.filter((visit) => !visit.note).length - 1;
+  if (state.visit > last || (state.visit === last && state.progress === plan.path.tips.length - 1)) state.visit = 0;
+  state.progress = plan.visits[state.visit].first;
+  [lastMs, owed] = [performance.now(), 0];
+  frame = requestAnimationFrame(advance);
+  element("play").textContent = "pause";
 }
 
-let lastFrame = null, carry = 0;
-function advance(now) {
-  const visit = plan.visits[state.visit];
-  carry += ((now - (lastFrame ?? now)) * (visit.end - visit.first)) / PLAY_MS;
-  lastFrame = now;
-  const whole = Math.floor(carry);
-  carry -= whole;
-  const before = state.progress;
-  if (whole > 0) progressTo(state.progress + whole);
-  if (whole > 0 && state.progress === before) {
-    play();
-    lastFrame = null;
-    return;
-  }
-  if (state.playing !== null) state.playing = requestAnimationFrame(advance);
+function pause() {
+  cancelAnimationFrame(frame);
+  frame = null;
+  element("play").textContent = "play";
+}
+
+/* Every position takes the same time on the screen. */
+function advance(nowMs) {
+  const visit = plan.visits[state.visit], before = state.progress;
+  owed += (Math.max(0, nowMs - lastMs) * Math.max(1, visit.end - visit.first)) / PLAY_MS;
+  lastMs = nowMs;
+  const whole = Math.floor(owed);
+  owed -= whole;
+  if (whole > 0) progressTo(before + whole);
+  if (whole > 0 && state.progress === before) pause();
+  else frame = requestAnimationFrame(advance);
 }
 
 /* ---- panel */
@@ -157,7 +160,7 @@ function legend() {
     item("mark", `${plan.balls - plan.unreachable} balls within reach`, { background: first, borderColor: first }),
     item("mark", `${plan.unreachable} balls out of reach`, { borderColor: colours.red }),
   ];
-  const path = item("bar", "path in this position", { background: colours.accent, height: "2px" });
+  const path = item("bar", "path in this position", { background: colours.pathNow, height: "2px" });
   const past = item("bar", "path before", { background: colours.path, height: "1px", opacity: "0.5" });
   element("legend").replaceChildren(...stations, ...balls, path, past);
 }
@@ -244,7 +247,7 @@ const KEYS = {
   3: () => look("xz"),
   4: () => look("yz"),
 };
-const TURNS = { ArrowLeft: [-TURN, 0], ArrowRight: [TURN, 0], ArrowUp: [0, TURN], ArrowDown: [0, -TURN] };
+const TURNS = { ArrowLeft: [TURN, 0], ArrowRight: [-TURN, 0], ArrowUp: [0, -TURN], ArrowDown: [0, TURN] };
 
 function zoomed(factor) {
   view = "";

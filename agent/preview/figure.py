@@ -11,8 +11,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
-from mpl_toolkits.mplot3d.axes3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 from scipy.spatial import ConvexHull
 
 from agent.preview.scene import Placing, Preview
@@ -114,14 +114,13 @@ def _arrange_space(axes: Axes3D, preview: Preview) -> None:
 
 
 def _draw_plane(axes: Axes, preview: Preview, plane: tuple[int, int], title: str) -> None:
-    for box, style in ((preview.travel, {"fill": False, "linestyle": "--"}), (_slab(preview.table), {"alpha": 0.15})):
-        axes.add_patch(
-            Polygon(_hull(box, plane), **{"edgecolor": QUIET, "facecolor": STEEL, "linewidth": 0.7, **style})
-        )
+    travel, table = _hull(preview.travel, plane), _hull(_slab(preview.table), plane)
+    axes.add_patch(Polygon(travel, fill=False, edgecolor=QUIET, linestyle="--", linewidth=0.7))
+    axes.add_patch(Polygon(table, facecolor=STEEL, edgecolor=QUIET, alpha=0.15, linewidth=0.7))
     path = np.array([point.tip_mm for point in preview.path]).reshape(-1, 3)[:, plane]
     axes.plot(*path.T, color=INK, linewidth=0.4, alpha=0.4)
     for kind, colour, width in _lines(preview):
-        axes.add_collection(LineCollection(kind[:, :, plane], colors=colour, linewidths=width, alpha=0.7))
+        axes.add_collection(LineCollection(list(kind[:, :, plane]), colors=colour, linewidths=width, alpha=0.7))
     for centres, style in _dots(preview):
         axes.plot(*centres[:, plane].T, linestyle="none", **style)
     for body in _probe(preview):
@@ -155,7 +154,7 @@ def _hull(box: Box, plane: tuple[int, int]) -> Array:
 
 _MEETING: dict[str, Any] = {
     "marker": "o",
-    "markersize": 16,
+    "markersize": 12,
     "markerfacecolor": "none",
     "color": RED,
     "markeredgewidth": 2,
@@ -174,7 +173,8 @@ def _lines(preview: Preview) -> Iterable[tuple[Array, str, float]]:
     if preview.refusal:
         hit = preview.placings[preview.visits[preview.refusal.visit].placing]
         struck = tuple(body for body in hit.bodies if body.name in preview.refusal.bodies)
-        yield _ends(struck), RED, 3.5
+        if struck:
+            yield _ends(struck), RED, 3.5
 
 
 def _dots(preview: Preview) -> Iterable[tuple[Array, dict[str, Any]]]:
@@ -192,10 +192,12 @@ def _legend(preview: Preview) -> list[Any]:
         Line2D([], [], color=STATION_COLOURS[i % len(STATION_COLOURS)], linewidth=2.5, label=f"station {station}")
         for i, station in enumerate(preview.stations)
     ]
-    dot = {"linestyle": "none", "marker": "o"}
+    dot: dict[str, Any] = {"linestyle": "none", "marker": "o"}
     reached = preview.balls - preview.unreachable
+    meeting = [Line2D([], [], linestyle="none", **_MEETING, label="tip when they meet")] if preview.refusal else []
     return [
         *stations,
+        *meeting,
         Line2D([], [], color=INK, markersize=4, label=f"{reached} balls within reach", **dot),
         Line2D([], [], color=RED, markerfacecolor="none", label=f"{preview.unreachable} balls out of reach", **dot),
         Line2D([], [], color=INK, linewidth=0.7, label="path of the tip"),

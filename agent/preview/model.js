@@ -69,6 +69,7 @@ function restAt(plan, number) {
 
 function phaseOf(visit) {
   if (visit.note) return visit.note;
+  if (visit.phase === "probe") return "probe check and qualification of the stylus";
   if (visit.phase === "verify") return "held out, measured again with the new table";
   return visit.placing.heldOut ? "held out, measured before the new table" : "measured for the estimate";
 }

@@ -11,8 +11,8 @@ function paint(ctx, camera, plan, state, colours) {
   for (const placing of others) paintGhost(ctx, camera, placing, colours);
   if (state.path) paintPath(ctx, camera, plan.path.tips, 0, Math.min(visit.first, state.progress), colours.path, 0.3);
   const pieces = standingPieces(camera, plan, visit.placing, colours);
-  if (state.path) pieces.push(...pathPieces(camera, plan.path.tips, visit.first, state.progress, colours));
-  if (state.probe && plan.path.tips.length) pieces.push(...probePieces(camera, plan, state.progress, state.visit, colours));
+  if (state.path && !visit.note) pieces.push(...pathPieces(camera, plan.path.tips, visit.first, state.progress, colours));
+  if (state.probe && !visit.note) pieces.push(...probePieces(camera, plan, state.progress, state.visit, colours));
   paintSorted(ctx, pieces);
   const seen = [...others, visit.placing].flatMap((placing) => ballsOnScreen(camera, placing));
   for (const { x, y, size, ball } of seen) if (ball.whyNot) ring(ctx, x, y, Math.max(3.5, size), colours.red);
@@ -85,7 +85,7 @@ function pathPieces(camera, tips, first, last, colours) {
     const start = from, to = camera.project(tips[i]);
     const paintIt = (ctx) => {
       ctx.lineCap = "round";
-      line(ctx, start, to, 1.6, colours.accent);
+      line(ctx, start, to, 1.6, colours.pathNow);
     };
     pieces.push({ depth: (start[2] + to[2]) / 2, paint: paintIt });
     from = to;

@@ -18,7 +18,8 @@ from twin.geometry import Point, added, point
 
 def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], visit: int) -> Refusal:
     """`waypoints`: as walked up to the refused step, which is the last one; `visit`: the one that it belongs to."""
-    bodies, tip = (), added(lower_end(job), point(job.tool_offset_mm))
+    bodies: tuple[str, ...] = ()
+    tip = added(lower_end(job), point(job.tool_offset_mm))
     if waypoints:
         last, tip = waypoints[-1], waypoints[-1].tip_mm
         around = standing_bodies(job, last.standing)

@@ -18,16 +18,17 @@ function capsulePieces(camera, { a, b, radius }, colour) {
   return pieces;
 }
 
-/* Darker along the rim, lighter towards the upper left, as if lit from there. */
+/* Lighter towards the upper left, as if lit from there. Pieces overlap by a pixel, so that no seam shows. */
 function paintTube(ctx, from, to, width, colour) {
-  ctx.lineCap = "butt";
-  line(ctx, from, to, width, colour);
-  if (width < 4) return;
   const length = Math.hypot(to[0] - from[0], to[1] - from[1]) || 1;
+  const end = [to[0] + (to[0] - from[0]) / length, to[1] + (to[1] - from[1]) / length];
+  ctx.lineCap = "butt";
+  line(ctx, from, end, width, colour);
+  if (width < 4) return;
   let nx = (to[1] - from[1]) / length, ny = -(to[0] - from[0]) / length;
   if (nx + ny > 0) [nx, ny] = [-nx, -ny];
   const off = ([x, y]) => [x + nx * width * 0.18, y + ny * width * 0.18];
-  line(ctx, off(from), off(to), width * 0.34, "rgba(255,255,255,0.28)");
+  line(ctx, off(from), off(end), width * 0.34, `color-mix(in srgb, ${colour}, white 30%)`);
 }
 
 function line(ctx, from, to, width, colour) {

@@ -14,7 +14,7 @@ from agent.ideal_machine import IdealMachine
 from agent.job import Job
 from agent.rehearsal import whole_procedure
 from agent.time_model import time_model
-from drivers.errors import VolcalError
+from drivers.errors import PlanRefused, VolcalError
 from twin.geometry import Point, added, point
 from twin.position_set import Position
 
@@ -42,15 +42,15 @@ class Waypoint:
         return int(named.group(1)) if named else None
 
 
-def walk(job: Job, until: str | None = None) -> tuple[Waypoint, ...]:
-    """Every step that moves something or takes time, in order; `until`: the key of the last one wanted.
+def walk(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
+    """Every step that moves something or takes time, in order; of a refused plan, up to the step that was refused.
 
-    A plan that preflight refuses at `until` need not come to its end here either: then this is as far as it gets.
+    Such a plan need not get that far here either: then this is as far as it gets.
     """
     walker = _Walker(job)
-    stopping = nullcontext() if until is None else suppress(VolcalError)
-    with stopping:
-        Engine(walker.actions, observer=walker.note).run(_up_to(whole_procedure(job), until))
+    last = refused.where.get("step") if refused else None
+    with suppress(VolcalError) if refused else nullcontext():
+        Engine(walker.actions, observer=walker.note).run(_up_to(whole_procedure(job), last))
     return tuple(walker.waypoints)
 
 
