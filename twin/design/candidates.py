@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -44,12 +44,6 @@ class Candidates:
     @property
     def count(self) -> int:
         return len(self.positions)
-
-    def of(self, chosen: Sequence[int] | Indices) -> Candidates:
-        """Only the `chosen` ones, in their order."""
-        kept = np.asarray(chosen, dtype=np.intp)
-        positions = tuple(self.positions[index] for index in kept)
-        return replace(self, positions=positions, balls=self.balls[kept], factors=self.factors[kept])
 
     def covariance(self, chosen: Sequence[int] | Indices) -> Array:
         """(P, P) of z once the `chosen` ones have been measured."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twin.arrays import Array
 from twin.artefact import Artefact
 from twin.design.criterion import Criterion
 from twin.family import Family
@@ -47,22 +48,7 @@ def valuation(
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))
 
 
-def valued(
-    after: Volumetric,
-    family: Family,
-    artefact: Artefact,
-    observations: Observations,
-    options: Options,
-    grid: ArrayLike,
-    tool_offset: ArrayLike,
-) -> Valuation:
-    """The same for an `after` that is known already, of whatever formulation and weights."""
-    unknowns = build_problem(family, observations, artefact, options).unknowns
-    form = Criterion.build(unknowns, grid, tool_offset)
-    return Valuation(form.expected(np.eye(unknowns.blocks.size)), after)
-
-
-def _covariances(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def _covariances(problem: Problem) -> tuple[Array, Array]:
     precision = Precision(problem.blocks, problem.known)
     matrix = CentreEquations.build(problem, unit_weights=False).matrix
     nothing = np.zeros_like(matrix)

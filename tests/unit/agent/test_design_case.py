@@ -77,7 +77,7 @@ def test_the_value_carried_along_through_a_search_is_that_of_the_identification(
 
 
 def test_the_search_finds_the_best_pair_of_real_positions():
-    offered = of_s1_and_s3().of(range(10))
+    offered = candidates(positions_of("S1+S3", 4)[:10])
     job = case()
     search = replace(searching(Setting({job.settings.tool: job}, 90.0), offered), worthwhile=0.0)
     best = min(combinations(range(10), 2), key=lambda pair: offered.vce(pair).aligned_mm)
