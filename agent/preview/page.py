@@ -10,7 +10,7 @@ from markupsafe import Markup
 from agent.preview.blob import embedded
 from agent.preview.scene import Preview
 
-PROGRAM = ("camera.js", "model.js", "shapes.js", "painting.js", "controls.js")
+PROGRAM = ("camera.js", "model.js", "shapes.js", "painting.js", "controls.js", "input.js")
 """In this order: each uses what those before it define."""
 
 

@@ -17,7 +17,7 @@ function paint(ctx, camera, plan, state, colours) {
   const seen = [...others, visit.placing].flatMap((placing) => ballsOnScreen(camera, placing));
   for (const { x, y, size, ball } of seen) if (ball.whyNot) ring(ctx, x, y, Math.max(3.5, size), colours.red);
   if (plan.refusal && plan.refusal.visit === state.visit) paintMeeting(ctx, camera, plan.refusal.tip, colours);
-  paintStations(ctx, camera, plan, colours);
+  paintStations(ctx, camera, plan, visit.placing.station, colours);
   return seen;
 }
 
@@ -139,9 +139,10 @@ function paintPedestal(ctx, camera, plan, station, colours) {
   ctx.globalAlpha = 1;
 }
 
-function paintStations(ctx, camera, plan, colours) {
+/* The one looked at comes last, above those that stand behind it. */
+function paintStations(ctx, camera, plan, current, colours) {
   ctx.font = "600 12px system-ui, sans-serif";
-  for (const station of plan.stations) {
+  for (const station of [...plan.stations.filter((number) => number !== current), current]) {
     const [x, y] = camera.project(pedestalAt(plan, station).a);
     disc(ctx, x, y, 10, colours.paper);
     ring(ctx, x, y, 10, colours.station(station));
