@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from drivers.roles import StoreLimits
 from twin.identification import Estimate
 from twin.table import CompensationTable
 from twin.volumetric import Volumetric
+
+CHANGE = "change"
+"""The gate that an operator may open: a machine that was mended or hit has changed, and has to be calibrated."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class GateLimits:
     largest_correction_um: float
     largest_slope_um_per_mm: float
     allow_extrapolation: bool
+    largest_change: float = 3.0
 
 
 def estimate_gates(
@@ -72,12 +76,29 @@ def estimate_gates(
     )
 
 
+def change_gate(change_um: float, expected_um: float, limits: GateLimits) -> Gate:
+    """How far the field has moved since the last accepted night (rms, aligned), against what uncertainty and the drift
+    of the nights between lead one to expect."""
+    share = change_um / expected_um if expected_um > 0.0 else float("inf")
+    return Gate(
+        CHANGE,
+        share <= limits.largest_change,
+        share,
+        limits.largest_change,
+        f"change against the last accepted night, {change_um:.2f} µm, in units of its uncertainty {expected_um:.2f} µm",
+    )
+
+
 def table_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits) -> tuple[Gate, ...]:
     """What the table must satisfy before it is written."""
+    return (*shape_gates(table, store, limits), extrapolation_gate(table, limits))
+
+
+def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits) -> tuple[Gate, ...]:
+    """What its values must satisfy."""
     largest_um = float(np.abs(table.corrections).max()) * 1e3
     allowed_um = min(limits.largest_correction_um, store.max_correction_mm * 1e3)
     slope = _largest_slope_um_per_mm(table)
-    outside = float(np.mean(table.extrapolated))
     return (
         Gate(
             "correction",
@@ -93,14 +114,27 @@ def table_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits
             limits.largest_slope_um_per_mm,
             "steepest change between neighbouring nodes in µm/mm",
         ),
-        Gate(
-            "extrapolation",
-            outside == 0.0 or limits.allow_extrapolation,
-            outside,
-            1.0 if limits.allow_extrapolation else 0.0,
-            "share of nodes outside the measured region, where only the prior and the polynomials speak",
-        ),
     )
+
+
+def extrapolation_gate(table: CompensationTable, limits: GateLimits) -> Gate:
+    """Whether it may say something where nothing was measured."""
+    outside = float(np.mean(table.extrapolated))
+    return Gate(
+        "extrapolation",
+        outside == 0.0 or limits.allow_extrapolation,
+        outside,
+        1.0 if limits.allow_extrapolation else 0.0,
+        "share of nodes outside the measured region, where only the prior and the polynomials speak",
+    )
+
+
+def consented(gates: Sequence[Gate]) -> list[Gate]:
+    """The same with the gate on the change open: somebody has consented."""
+    return [
+        replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
+        for gate in gates
+    ]
 
 
 def require(gates: Sequence[Gate]) -> None:

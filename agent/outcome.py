@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 
 from agent.execution.states import RunState
@@ -18,6 +19,62 @@ class Proof:
     predicted_um: float
     chi2_normalised: float
     reason: str
+
+
+class Decision(Enum):
+    """What a night came to."""
+
+    WITHIN = "within limits"
+    OUT = "out of limits"
+    FUSED = "fused, table kept"
+    WRITTEN = "fused, table written"
+    RESTORED = "former table restored"
+    FULL_NEEDED = "full calibration needed"
+    FULL_DONE = "full calibration done"
+
+
+@dataclass(frozen=True)
+class SuspectedError:
+    """One error that has jumped: its ISO 230-1 name, by how much, and how sure that is (ln of the likelihood ratio)."""
+
+    error: str
+    change: float
+    unit: str
+    evidence: float
+
+    @property
+    def text(self) -> str:
+        return f"{self.error} changed by {self.change:+.1f} {self.unit}"
+
+
+@dataclass(frozen=True)
+class NightReport:
+    """What a verification found against the last accepted night (`since`), µm; `ve_before_um`: VE with the acting table
+    as that night left it, `ve_now_um` as it is now, both aligned; `held_out_um` rms of the held-out balls against
+    `held_out_predicted_um`. `chi2_normalised` of all ball centres against what was predicted."""
+
+    decision: Decision
+    since: str
+    nights: float
+    positions: int
+    ve_before_um: float
+    ve_now_um: float
+    ve_after_um: float | None
+    held_out_um: float | None
+    held_out_predicted_um: float | None
+    chi2_normalised: float
+    jumped: tuple[SuspectedError, ...]
+    likeliest: tuple[SuspectedError, ...]
+    reason: str
+
+    def as_json(self) -> dict[str, object]:
+        """Keys as documented in docs/reference/json.md."""
+        return {
+            **{name: value for name, value in vars(self).items() if name not in ("decision", "jumped", "likeliest")},
+            "decision": self.decision.value,
+            "jumped": [vars(one) for one in self.jumped],
+            "likeliest": [vars(one) for one in self.likeliest],
+        }
 
 
 @dataclass(frozen=True)
@@ -42,11 +99,14 @@ class Outcome:
     chi2_normalised: float | None = None
     rejected: tuple[tuple[int, int, int], ...] = ()
     proof: Proof | None = None
+    night: NightReport | None = None
+    kind: str = "calibrate"
     reason: str = ""
 
     def as_json(self) -> dict[str, object]:
         """Keys as documented in docs/reference/json.md; `verified`: true, false, or null where not proved."""
         return {
+            "kind": self.kind,
             "state": self.state.value,
             "run_id": self.run_id,
             "position_set": self.position_set,
@@ -72,6 +132,7 @@ class Outcome:
                 "chi2_normalised": self.proof.chi2_normalised,
                 "reason": self.proof.reason,
             },
+            "night": None if self.night is None else self.night.as_json(),
             "table_bank": self.table_bank,
             "report": None if self.report is None else str(self.report),
             "reason": self.reason,

@@ -5,7 +5,7 @@ The simulated machine moves as the real one does; what its commands cost besides
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from agent.assembly import assemble_rehearsal
@@ -17,6 +17,9 @@ from agent.time_model import TimeModel, time_model
 from agent.timing import TimedStep
 from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError, MeasurementFault, PlanRefused
+
+Procedure = Callable[[Job], Plan[tuple[Measured, Measured]]]
+"""Everything of a run that moves: what is measured, and what is measured to prove it."""
 
 
 @dataclass(frozen=True)
@@ -37,19 +40,20 @@ class Rehearsal:
         return self.machine_seconds / 60.0
 
 
-def rehearse(job: Job, start_mm: Point | None = None) -> Rehearsal:
-    """Run the whole procedure on a machine without errors.
+def rehearse(job: Job, start_mm: Point | None = None, procedure: Procedure | None = None) -> Rehearsal:
+    """Run the whole procedure, by default that of a calibration, on a machine without errors.
 
     `start_mm`: where the real machine stands; None for where the simulated one begins. Raises PlanRefused
     naming the step, and the two bodies where one would hit the other.
     """
+    plan = (procedure or whole_procedure)(job)
     began = wall_seconds()
     clock = VirtualClock()
     rig = assemble_rehearsal(job, clock, start_mm)
     times = _Times(clock, time_model(job.machine, job.settings.timing))
     rig.open()
     try:
-        measured, verified = Engine(rig.actions(), observer=times.note).run(whole_procedure(job))
+        measured, verified = Engine(rig.actions(), observer=times.note).run(plan)
     except (DeviceError, MeasurementFault) as error:
         raise PlanRefused(
             f"preflight: {error.message}", hint="nothing was moved; the plan must change", **error.where

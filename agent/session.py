@@ -1,11 +1,11 @@
-"""One run from settings to a closed journal: lock, devices, preflight, calibration, report."""
+"""One run from settings to a closed journal: lock, devices, preflight, what its kind does, report."""
 
 from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,12 +17,13 @@ from agent.execution.run_lock import run_lock
 from agent.execution.states import RunState
 from agent.execution.steps import Point, Record, Step
 from agent.execution.supervisor import Supervisor
-from agent.expectation import rehearsed_estimate
+from agent.guarded_run import Means, Progress
 from agent.job import Job
+from agent.kinds.kind import FullCalibration, Kind, Ready
 from agent.outcome import Outcome
-from agent.rehearsal import Rehearsal, rehearse
+from agent.rehearsal import Rehearsal
 from agent.rig import Rig
-from agent.run import CalibrationRun, Progress
+from agent.settings import Settings
 from agent.writing import write_results
 from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, WatchedClock, utc_timestamp, wall_seconds
 from drivers.errors import PlanRefused, UserError, VolcalError
@@ -30,12 +31,18 @@ from drivers.errors import PlanRefused, UserError, VolcalError
 
 @dataclass(frozen=True)
 class Request:
-    """What somebody asked for. `interrupts` is handed the supervisor, so that signals can reach it."""
+    """What somebody asked for. `interrupts` is handed the supervisor, so that signals can reach it.
+
+    `clock` and `rig`: instead of those that the settings describe, for a machine that somebody holds already.
+    """
 
     job: Job
     base: Path
     listener: Listener
     interrupts: Callable[[Supervisor], None]
+    kind: Kind = field(default_factory=FullCalibration)
+    clock: Clock | None = None
+    rig: Callable[[Settings, Clock, Path], Rig] | None = None
 
 
 @dataclass(frozen=True)
@@ -46,8 +53,8 @@ class Ended:
     error: VolcalError | None
 
 
-def calibrate(request: Request) -> Ended:
-    """Carry out a calibration. Raises before a run exists (lock, link, configuration); afterwards every end,
+def carry_out(request: Request) -> Ended:
+    """Carry out a run of any kind. Raises before a run exists (lock, link, configuration); afterwards every end,
     good or bad, is an `Ended` with the journal closed."""
     began = wall_seconds()
     settings = request.job.settings
@@ -55,15 +62,15 @@ def calibrate(request: Request) -> Ended:
     with (
         run_lock(settings.state_directory, run_id),
         _journal(settings.state_directory) as journal,
-        closed_after(make_clock(settings.clock)) as outer,
+        closed_after(request.clock or make_clock(settings.clock)) as outer,
     ):
         supervisor = Supervisor(outer)
         request.interrupts(supervisor)
         slice_s = LOCKSTEP_SLICE_S if isinstance(outer, LockstepClock) else INTERRUPT_SLICE_S
         clock = WatchedClock(outer, supervisor.check, slice_s)
-        rig = assemble(settings, clock, request.base)
+        rig = (request.rig or assemble)(settings, clock, request.base)
         document = settings.model_dump(mode="json")
-        run_journal = journal.start_run(run_id, "calibrate", document, version("volcal"), clock)
+        run_journal = journal.start_run(run_id, request.kind.name, document, version("volcal"), clock)
         conduct = Conduct(run_journal, request.listener)
         session = _Session(request, run_id, clock, supervisor, run_journal, conduct)
         return session.run(rig, began)
@@ -117,24 +124,27 @@ class _Session:
             self._supervisor.on_hold = rig.machine.hold
             self._supervisor.on_resume = rig.machine.resume
             start = rig.machine.position().tolist()
-            self._rehearsal = self._preflight((start[0], start[1], start[2]))
+            ready = self._preflight((start[0], start[1], start[2]))
             engine = Engine(rig.actions(), self._journal, self._observe)
-            run = CalibrationRun(self._job, rig, engine, self._journal, self._conduct, self._supervisor)
-            return run.carry_out()
+            run = ready.begin(Means(rig, engine, self._journal, self._conduct, self._supervisor, self._clock))
+            progress = run.carry_out()
+            self._job = progress.job or self._job
+            return progress
         finally:
             for complaint in rig.close():
                 self._conduct.note(f"closing: {complaint}")
 
-    def _preflight(self, start_mm: Point) -> Rehearsal:
-        rehearsal = rehearse(self._job, start_mm)
-        rehearsed_estimate(self._job, rehearsal.measured)
+    def _preflight(self, start_mm: Point) -> Ready:
+        ready = self._request.kind.ready(self._job, start_mm)
+        self._job, self._rehearsal = ready.job, ready.rehearsal
+        rehearsal = ready.rehearsal
         self._conduct.note(
             "preflight passed: no collision, no limit",
             machine_minutes=rehearsal.machine_minutes,
             commands=rehearsal.commands,
             wall_seconds=rehearsal.wall_seconds,
         )
-        return rehearsal
+        return ready
 
     def _observe(self, step: Step, _: object) -> None:
         """Progress by the clock of the rehearsal: how far this step stands from its end."""
@@ -171,6 +181,8 @@ class _Session:
             chi2_normalised=None if finding is None else finding.estimate.chi2_normalised,
             rejected=() if finding is None else finding.estimate.rejected,
             proof=progress.proof,
+            night=progress.night,
+            kind=self._request.kind.name,
             reason="" if progress.error is None else str(progress.error),
         )
 

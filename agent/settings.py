@@ -124,6 +124,7 @@ class GateSettings(Strict):
     largest_remaining_share: float = Field(default=0.5, gt=0.0, le=1.0)
     largest_correction_um: PositiveFloat = 300.0
     largest_slope_um_per_mm: PositiveFloat = 0.5
+    largest_change: PositiveFloat = 3.0
     allow_extrapolation: bool = False
 
 
@@ -149,6 +150,30 @@ class TimingSettings(Strict):
     touch_latency_s: float = Field(default=0.0, ge=0.0, le=60.0)
     turn_latency_s: float = Field(default=0.0, ge=0.0, le=600.0)
     carrying_minutes: float = Field(default=0.0, ge=0.0, le=600.0)
+
+
+class NightlySettings(Strict):
+    """Nights after a full calibration: what `verify` and `nightly` measure, and when a machine is another one.
+
+    `held_out` positions of `verification.positions_deg` are measured first, and again with a new table; `looked_at`
+    designed ones belong to the verification too. `drift_um`: rms field by which the machine may change a night, shaped
+    like its family; `scale_drift_um_per_m`: besides, of the scale of each axis. Out of limits: normalised χ² of what
+    was predicted above `largest_chi2`; one error that jumped, with at least `step_evidence` (ln of the likelihood
+    ratio); VE now above `largest_growth` times that after the last accepted night.
+    """
+
+    slot_minutes: PositiveFloat = Field(default=15.0, le=1440.0)
+    reserve_minutes: float = Field(default=0.5, ge=0.0, le=60.0)
+    held_out: PositiveInt = 1
+    looked_at: PositiveInt = 1
+    grid_deg: PositiveFloat = Field(default=30.0, le=45.0)
+    drift_um: float = Field(default=0.15, ge=0.0, le=100.0)
+    scale_drift_um_per_m: float = Field(default=0.4, ge=0.0, le=100.0)
+    largest_chi2: PositiveFloat = 2.0
+    step_evidence: PositiveFloat = 8.0
+    largest_growth: float = Field(default=2.0, ge=1.0)
+    smallest_gain: float = Field(default=0.02, ge=0.0, lt=1.0)
+    full_allowed: bool = False
 
 
 class PreflightSettings(Strict):
@@ -177,6 +202,7 @@ class Settings(Strict):
     table: TableSettings = TableSettings()
     gates: GateSettings = GateSettings()
     verification: VerificationSettings = VerificationSettings()
+    nightly: NightlySettings = NightlySettings()
     timing: TimingSettings = TimingSettings()
     preflight: PreflightSettings = PreflightSettings()
 

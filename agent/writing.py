@@ -10,6 +10,7 @@ import numpy as np
 from agent.execution.journal import RunJournal
 from agent.files import write_all_atomically
 from agent.findings import Finding, order_text, provenance, scale_warnings
+from agent.guarded_run import Progress
 from agent.job import Job
 from agent.outcome import Outcome, Proof
 from agent.probe_facts import probe_facts
@@ -24,12 +25,13 @@ from agent.report import (
     name_of_positions,
     render_report,
 )
-from agent.run import Progress
 from drivers.clock import utc_timestamp
 from twin.formats.ball_file import format_balls
 from twin.formats.estimate_file import format_estimate
 from twin.formats.table_file import checksum, format_side_file, format_table
 from twin.position_set import Position
+
+TITLES = {"calibrate": "Calibration", "nightly": "Night"}
 
 
 def write_results(job: Job, outcome: Outcome, progress: Progress, journal: RunJournal) -> Outcome:
@@ -67,7 +69,7 @@ def _report(
 ) -> ReportData:
     positions = _positions(job, progress)
     header = Header(
-        title="Calibration",
+        title=TITLES.get(outcome.kind, "Calibration"),
         run_id=outcome.run_id,
         timestamp=utc_timestamp(),
         software_version=version("volcal"),

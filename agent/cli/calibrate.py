@@ -19,7 +19,7 @@ from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.job import load_settings, naming, prepare_job, with_overrides
 from agent.outcome import Outcome
-from agent.session import Ended, Request, calibrate
+from agent.session import Ended, Request, carry_out
 from agent.settings import Settings
 from drivers.errors import GateRefused
 
@@ -83,7 +83,7 @@ def run_calibration(settings: Settings, base: Path) -> Ended:
     """Prepare the job, run it with a progress bar on stderr; Ctrl-C and SIGTERM abort it."""
     job = prepare_job(settings, base)
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
-        return calibrate(Request(job, base, listener, interrupts.append))
+        return carry_out(Request(job, base, listener, interrupts.append))
 
 
 @contextmanager

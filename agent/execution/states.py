@@ -46,7 +46,7 @@ FORWARD: dict[RunState, frozenset[RunState]] = {
     S.PREFLIGHT: frozenset({S.MEASURING, S.REFUSED}),
     S.MEASURING: frozenset({S.IDENTIFYING, S.HELD}),
     S.HELD: frozenset({S.MEASURING, S.VERIFYING}),
-    S.IDENTIFYING: frozenset({S.STAGING, S.REFUSED}),
+    S.IDENTIFYING: frozenset({S.STAGING, S.REFUSED, S.COMPLETE}),
     S.STAGING: frozenset({S.ACTIVATING}),
     S.ACTIVATING: frozenset({S.VERIFYING}),
     S.VERIFYING: frozenset({S.COMPLETE, S.RESTORING, S.HELD}),

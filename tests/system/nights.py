@@ -20,7 +20,7 @@ from agent.conduct import Announcement
 from agent.execution.supervisor import Supervisor
 from agent.job import prepare_job
 from agent.rig import Rig
-from agent.session import Ended, Request, calibrate
+from agent.session import Ended, Request, carry_out
 from agent.settings import Settings
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
@@ -108,7 +108,7 @@ class Night:
 
             patch.setattr(agent.session, "assemble", assembled)
             job = prepare_job(Settings.model_validate(settings), Path.cwd())
-            return calibrate(Request(job, Path.cwd(), self.heard.append, interrupts))
+            return carry_out(Request(job, Path.cwd(), self.heard.append, interrupts))
 
     def _with_first_world(self, rig: Rig) -> Rig:
         """The machine of the first run, with all that happened to it; its time starts anew with each run's clock."""

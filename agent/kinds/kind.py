@@ -1,0 +1,61 @@
+"""What a kind of run has to say: what it will do, rehearsed, and who carries it out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from agent.consent import Consent
+from agent.execution.steps import Point
+from agent.expectation import rehearsed_estimate
+from agent.guarded_run import GuardedRun, Means
+from agent.job import Job
+from agent.last_accepted import LastAccepted, accepted_for
+from agent.rehearsal import Rehearsal, rehearse
+from agent.run import CalibrationRun
+from drivers.clock import utc_timestamp
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A run that has passed its preflight: `job` as it will be measured, and what carries it out."""
+
+    job: Job
+    rehearsal: Rehearsal
+    begin: Callable[[Means], GuardedRun]
+
+
+class Kind(Protocol):
+    """`name` as the journal keeps it."""
+
+    @property
+    def name(self) -> str: ...
+
+    def ready(self, job: Job, start_mm: Point) -> Ready:
+        """Decide what will be measured and rehearse it from where the machine stands. PlanRefused or UserError where
+        it cannot be done."""
+        ...
+
+
+@dataclass(frozen=True)
+class FullCalibration:
+    """The whole set. `nights` since the last accepted night; None: by the calendar. `consent` to a change."""
+
+    nights: float | None = None
+    consent: Consent = Consent.ASK
+    name: str = "calibrate"
+
+    def ready(self, job: Job, start_mm: Point) -> Ready:
+        rehearsal = rehearse(job, start_mm)
+        rehearsed_estimate(job, rehearsal.measured)
+        last = accepted_for(job)
+        nights = nights_since(last, self.nights)
+        return Ready(job, rehearsal, lambda means: CalibrationRun(job, means, last, nights, self.consent))
+
+
+def nights_since(last: LastAccepted | None, stated: float | None) -> float:
+    """As stated, else by the calendar."""
+    if stated is not None:
+        return stated
+    return 0.0 if last is None else last.nights_until(utc_timestamp())
