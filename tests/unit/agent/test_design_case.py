@@ -80,7 +80,7 @@ def test_the_search_finds_the_best_pair_of_real_positions():
     offered = candidates(positions_of("S1+S3", 4)[:10])
     job = case()
     search = replace(searching(Setting({job.settings.tool: job}, 90.0), offered), worthwhile=0.0)
-    best = min(combinations(range(10), 2), key=lambda pair: offered.vce(pair).aligned_mm)
+    best = min(combinations(range(offered.count), 2), key=lambda pair: offered.vce(pair).aligned_mm)
     assert set(Positions(2).reached(search)) == set(best)
 
 
