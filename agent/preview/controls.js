@@ -115,6 +115,7 @@ function play() {
   [lastMs, owed] = [performance.now(), 0];
   frame = requestAnimationFrame(advance);
   element("play").textContent = "pause";
+  describe();
 }
 
 function pause() {

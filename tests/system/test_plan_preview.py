@@ -170,7 +170,10 @@ handlers["view/wheel"]({ preventDefault() {}, deltaY: -100, deltaMode: 0, offset
 key("Home");
 key(" ");
 told.playing = at("play").textContent;
+told.begun = at("within").value;
 draw(1000); draw(2000);
+told.reached = at("within").value;
+told.length = at("within").max;
 key(" ");
 told.paused = at("play").textContent;
 told.played = panel();
@@ -211,6 +214,8 @@ class TestProgram:
         assert told["last"][2] == f"{said['machine_minutes']:.1f} of {said['machine_minutes']:.1f}"
         assert f"{said['unreachable_balls']} balls out of reach" in told["legend"]
         assert (told["playing"], told["paused"]) == ("pause", "play")
+        assert told["begun"] == 0
+        assert 2 / 3.5 - 0.02 < told["reached"] / (told["length"] + 1) < 2.5 / 3.5
         assert told["arcs"] > 500
 
     def test_the_pointer_finds_balls_and_says_why_one_is_out_of_reach(
