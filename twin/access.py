@@ -56,22 +56,24 @@ def accessible(
     on the way in along Y the tip alone sweeps anything new: a tip drawn out backwards stands for it.
     """
     out = contact_mm + approach_mm
-    drawn_out = Scene(_with_long_tip(scene.moving, 2.0 * out), scene.obstacles)
     starts = -directions * out
     before = starts.copy()
     before[:, 1] = -out
     touching = _legs(starts, -directions * contact_mm)
     between = _legs(before[:-1], before[1:])
-    begins = [point(start) for start in starts]
+    drawn_out = {way: Scene(_with_long_tip(scene.moving, way), scene.obstacles) for way in _ways_in(starts, before)}
+    begins = list(zip(_ways_in(starts, before), (point(start) for start in starts), strict=True))
+
+    longest = drawn_out[max(drawn_out)]
 
     def free(index: int, centre: Point) -> bool:
         meant = {(TIP, ball_name(index)), ("stem", ball_name(index))}
         lower, upper = added(centre, (-out, -out, -out)), added(centre, (out, 0.0, out))
-        if not any(_unmeant(drawn_out, lower, upper, clearance_mm, meant)):
+        if not any(_unmeant(longest, lower, upper, clearance_mm, meant)):
             return True
         return all(
-            drawn_out.clearance(added(centre, begin), ignored=meant, at_most=clearance_mm) >= clearance_mm
-            for begin in begins
+            drawn_out[way].clearance(added(centre, begin), ignored=meant, at_most=clearance_mm) >= clearance_mm
+            for way, begin in begins
         ) and not any(
             scene.first_hit(added(centre, a), added(centre, b), clearance_mm=apart_mm, ignored=meant)
             for legs, apart_mm in ((touching, min(clearance_mm, AT_CONTACT_MM)), (between, clearance_mm))
@@ -83,6 +85,11 @@ def accessible(
 
 def _legs(starts: Array, ends: Array) -> list[_Leg]:
     return [(point(start), point(end)) for start, end in zip(starts, ends, strict=True)]
+
+
+def _ways_in(starts: Array, before: Array) -> list[float]:
+    """Along the stylus, mm; rounded so that each latitude has one."""
+    return [round(way, 6) for way in (starts - before)[:, 1].tolist()]
 
 
 def _with_long_tip(moving: tuple[Body, ...], length_mm: float) -> list[Body]:

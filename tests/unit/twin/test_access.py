@@ -1,0 +1,77 @@
+"""Which balls a pattern can touch: against a brute walk of the tip, and for the patterns on the named sets."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from twin.access import STYLUS_AXIS, accessible, standing_scene
+from twin.artefact import ball_bar
+from twin.bodies import TIP, ProbeGeometry, ball_name
+from twin.collision import Scene
+from twin.geometry import point
+from twin.position_set import MountGeometry, positions_of
+from twin.touch_pattern import QUALIFYING_RINGS, RINGS, approach_directions, directions_of
+
+PLACE = np.array([2000.0, 1000.0, 750.0])
+BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
+               ball_diameter_mm=25.0)  # fmt: skip
+CONTACT_MM, APPROACH_MM = 15.5, 8.0
+ORIENTATIONS = sorted({(p.azimuth_deg, p.elevation_deg) for name in ("S2", "S3") for p in positions_of(name, 1)})
+
+
+def scene_at(azimuth_deg: float, elevation_deg: float) -> tuple[np.ndarray, Scene]:
+    return standing_scene(
+        BAR, ProbeGeometry(), MountGeometry(), place_mm=PLACE,
+        azimuth_rad=math.radians(azimuth_deg), elevation_rad=math.radians(elevation_deg),
+    )  # fmt: skip
+
+
+def touched(azimuth_deg: float, elevation_deg: float, directions: np.ndarray) -> np.ndarray:
+    centres, scene = scene_at(azimuth_deg, elevation_deg)
+    return accessible(centres, scene, contact_mm=CONTACT_MM, approach_mm=APPROACH_MM, directions=directions)
+
+
+@pytest.mark.parametrize("count", RINGS)
+def test_every_pattern_gets_at_every_ball_of_s2_and_s3_so_that_none_needs_to_be_turned(count: int) -> None:
+    directions = approach_directions(count, STYLUS_AXIS)
+    for azimuth, elevation in ORIENTATIONS:
+        assert touched(azimuth, elevation, directions).all(), (azimuth, elevation)
+
+
+def test_rings_of_eight_on_the_equator_run_into_holders_that_lean_with_the_stylus() -> None:
+    dense = directions_of(QUALIFYING_RINGS, STYLUS_AXIS)
+    assert touched(45, 0, dense).all()
+    assert not touched(90, 45, dense).any()
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "elevation", "count"), [(120, 60, 5), (-150, 60, 5), (135, -45, 9), (90, -45, 13), (60, 30, 25)]
+)
+def test_access_is_what_a_walk_in_small_steps_finds(azimuth: float, elevation: float, count: int) -> None:
+    """The tip is put down every half millimetre of the way of every touch; nothing may come near."""
+    directions = approach_directions(count, STYLUS_AXIS)
+    centres, scene = scene_at(azimuth, elevation)
+    mask = touched(azimuth, elevation, directions)
+    for index in range(0, 11, 2):
+        room = walked_room_mm(scene, centres[index], index, directions)
+        assert room >= 0.4 if mask[index] else room < 1.0, index
+
+
+def walked_room_mm(scene: Scene, centre: np.ndarray, index: int, directions: np.ndarray) -> float:
+    """Least distance of anything but tip and stem from the ball meant, and of these from everything else."""
+    meant = {(TIP, ball_name(index)), ("stem", ball_name(index))}
+    out, least = CONTACT_MM + APPROACH_MM, 5.0
+    before = None
+    for direction in directions:
+        start = centre - direction * out
+        above = np.array([start[0], centre[1] - out, start[2]])
+        legs = [(above, start), (start, centre - direction * CONTACT_MM)]
+        legs += [] if before is None else [(before, above)]
+        for a, b in legs:
+            for part in np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(b - a) / 0.5))):
+                least = min(least, scene.clearance(point(a + part * (b - a)), ignored=meant, at_most=5.0))
+        before = above
+    return least
