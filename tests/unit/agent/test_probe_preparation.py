@@ -1,0 +1,148 @@
+"""The probe check and the qualification as plans, on a ball in plain arithmetic."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import pytest
+from touched_ball import TouchedBall, ended
+
+from agent.execution import steps as s
+from agent.job import Job, load_settings, prepare_job
+from agent.plans.measure import MeasuringOrder
+from agent.plans.preparation import Prepared, prepare_probe
+from agent.plans.probe_check import ProbeCheck, check_repeatability
+from agent.plans.qualification import qualify_stylus
+from drivers.errors import ConfigurationError
+from twin.position_set import Position
+
+CONFIG = Path(__file__).resolve().parents[3] / "config" / "case-study.toml"
+JOB: Job = prepare_job(load_settings(CONFIG), CONFIG.parent)
+PROBING = JOB.rules.probing
+CENTRE = np.array([1500.0, 700.0, 400.0])
+CHECK = ProbeCheck(5, 2e-3)
+
+
+def scattered(depths_um: list[float]) -> TouchedBall:
+    """Trips one after another so much late."""
+    numbers = count()
+    return TouchedBall(CENTRE, PROBING.contact_mm, lambda *_: 1e-3 * depths_um[next(numbers) % len(depths_um)])
+
+
+def decisions(player: TouchedBall) -> list[dict[str, object]]:
+    return [dict(x.payload) for x in player.steps if isinstance(x, s.Record) and x.kind == "decision"]
+
+
+def test_two_sigma_of_five_touches_is_that_of_hand_arithmetic() -> None:
+    """Depths 0, ±1, ±0.5 µm: s² = 2.5/4."""
+    player = scattered([0.0, 1.0, -1.0, 0.5, -0.5])
+    result = player.run(check_repeatability("c", CENTRE, PROBING, CHECK))
+    assert result.two_sigma_um == pytest.approx(2.0 * math.sqrt(2.5 / 4.0), abs=1e-6)
+    assert result.verdict == "within"
+    low, high = result.interval_um
+    assert (low / result.two_sigma_um, high / result.two_sigma_um) == pytest.approx((0.599, 2.874), abs=1e-3)
+    assert decisions(player)[0]["touches"] == 5
+    assert decisions(player)[0]["depths_um"] == pytest.approx(
+        [-1e3 * PROBING.contact_mm + depth for depth in (0.0, 1.0, -1.0, 0.5, -0.5)]
+    )
+
+
+def test_a_probe_near_its_limit_is_touched_as_often_again_and_let_pass_with_the_doubt_said() -> None:
+    player = scattered([1.2, -1.2, 1.2, -1.2, 1.2])
+    result = player.run(check_repeatability("c", CENTRE, PROBING, CHECK))
+    assert len(player.touched) == result.touches == 10
+    assert result.verdict == "above, but not surely beyond"
+    assert player.events[0]["then"] == "5 touches more"
+    assert "95% confidence" in result.text
+
+
+def test_a_probe_surely_beyond_its_limit_stops_the_run_with_the_figure() -> None:
+    player = scattered([6.0, -6.0, 5.0, -7.0, 6.0])
+    _, end = ended(player, check_repeatability("c", CENTRE, PROBING, CHECK))
+    assert "does not repeat: 2σ 12." in end
+    assert decisions(player)[0]["verdict"] == "beyond"
+
+
+def test_a_touch_that_misses_the_ball_just_found_stops_the_run() -> None:
+    player = TouchedBall(CENTRE + np.array([0.0, 40.0, 0.0]), PROBING.contact_mm, lambda *_: 0.0)
+    _, end = ended(player, check_repeatability("c", CENTRE, PROBING, CHECK))
+    assert "met nothing" in end
+
+
+def test_qualification_finds_the_effective_radius_and_fixes_it_where_that_is_better() -> None:
+    rules = JOB.preparation.qualification
+    assert rules is not None
+    player = TouchedBall(CENTRE, PROBING.contact_mm, lambda *_: 8e-3)
+    found = player.run(qualify_stylus("q", CENTRE, PROBING, rules))
+    assert found.stylus.radius_mm == pytest.approx(PROBING.contact_mm - 8e-3, abs=1e-9)
+    assert found.stylus.fixed
+    assert found.trace_fixed_um2 < found.trace_free_um2
+    assert len(player.touched) == 25
+    assert "effective radius 15.4920 mm" in found.text
+    # Balls that differ by 3 µm in radius: a radius that belongs to one of them says little of another.
+    uneven = replace(rules, spread_mm=3e-3)
+    again = TouchedBall(CENTRE, PROBING.contact_mm, lambda *_: 8e-3).run(qualify_stylus("q", CENTRE, PROBING, uneven))
+    assert not again.stylus.fixed
+
+
+def test_a_datum_ball_that_is_no_ball_stops_the_run() -> None:
+    rules = JOB.preparation.qualification
+    assert rules is not None
+    player = TouchedBall(CENTRE, PROBING.contact_mm, lambda way, *_: -0.05 if way[0] > 0.8 else 0.0)
+    _, end = ended(player, qualify_stylus("q", CENTRE, PROBING, rules))
+    assert "could not be measured: form" in end
+
+
+def prepared_at(*positions: Position, job: Job = JOB, standing_at: int | None = 1) -> tuple[TouchedBall, Prepared]:
+    """On the first ball of the first position named."""
+    centre = job.layout.nominal(positions[-1])[0]
+    player = TouchedBall(centre, PROBING.contact_mm, lambda *_: 8e-3)
+    order = MeasuringOrder("measure", positions, standing_at)
+    return player, player.run(prepare_probe(order, job.layout, job.rules, job.preparation))
+
+
+def test_preparation_is_done_at_the_first_ball_of_the_first_position_and_ends_at_the_retreat_plane() -> None:
+    player, prepared = prepared_at(Position(1, 45.0, 0.0))
+    assert prepared.standing_at == 1
+    assert prepared.rules.probing.stylus is not None
+    assert prepared.rules.probing.expected_radius_mm == pytest.approx(PROBING.contact_mm - 8e-3)
+    keys = [step.key for step in player.steps]
+    assert len(keys) == len(set(keys))
+    assert all(key.startswith("probe/station-1/az45-el0/") for key in keys)
+    moves = [step for step in player.steps if isinstance(step, s.MoveTo)]
+    assert moves[-1].target_mm[1] == JOB.rules.course.retreat_mm
+    assert all(move.guarded for move in moves)
+
+
+def test_where_the_first_position_has_no_ball_free_all_around_the_next_one_serves() -> None:
+    player, prepared = prepared_at(Position(1, 90.0, 45.0), Position(2, 45.0, 0.0))
+    assert prepared.standing_at == 2
+    assert [type(step) for step in player.steps].count(s.AskOperator) == 1
+    assert player.steps[-1].key.startswith("probe/station-2/az45-el0/")
+
+
+def test_no_ball_free_all_around_is_said() -> None:
+    _, end = ended(
+        TouchedBall(CENTRE, 1.0, lambda *_: 0.0),
+        prepare_probe(MeasuringOrder("m", (Position(1, 90.0, 45.0),), 1), JOB.layout, JOB.rules, JOB.preparation),
+    )
+    assert "cannot be qualified: no ball" in end
+
+
+def test_what_is_switched_off_moves_nothing() -> None:
+    off = replace(JOB.preparation, check=None, qualification=None)
+    player = TouchedBall(CENTRE, 1.0, lambda *_: 0.0)
+    prepared = player.run(prepare_probe(MeasuringOrder("m", (), 1), JOB.layout, JOB.rules, off))
+    assert player.steps == []
+    assert prepared.rules is JOB.rules
+
+
+def test_a_datum_ball_that_the_artefact_has_not_is_refused() -> None:
+    settings = load_settings(CONFIG)
+    chosen = settings.model_copy(update={"qualification": settings.qualification.model_copy(update={"ball": 11})})
+    with pytest.raises(ConfigurationError, match="no ball 11"):
+        prepare_job(chosen, CONFIG.parent)
