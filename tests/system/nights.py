@@ -48,6 +48,7 @@ def document(state: Path, **sections: Any) -> dict[str, Any]:
         },
         "roles": dict.fromkeys(roles, "twin"),
         "stations": {"places_mm": PLACES_MM, "standing_at": 1},
+        "probe_check": {"limit_um": 3.0},
         "verification": {"stations": [1, 4]},
         "gates": {"allow_extrapolation": True},
     }
