@@ -15,8 +15,7 @@ def draw_qualification(probe: ProbeFacts) -> str:
         panel = figure.subplots()
         for count, ring in enumerate(probe.rings):
             colour, marker = RING_LOOK[count % len(RING_LOOK)]
-            name = "pole" if ring.latitude_deg == 90.0 else f"{ring.latitude_deg:.0f}° above the equator"
-            panel.plot(ring.angle_deg, ring.residual_um, marker, color=colour, markersize=4, label=name)
+            panel.plot(ring.angle_deg, ring.residual_um, marker, color=colour, markersize=4, label=_name(ring.latitude_deg))
             if ring.map_um.size:
                 panel.plot(ring.map_angle_deg, ring.map_um, color=colour, linewidth=0.9)
         panel.axhline(0.0, color=INK, linewidth=0.6)
@@ -26,3 +25,8 @@ def draw_qualification(probe: ProbeFacts) -> str:
         panel.set_ylabel("residual / µm")
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     return drawing.svg()
+
+
+def _name(latitude_deg: float) -> str:
+    named = {90.0: "pole", 0.0: "equator"}
+    return named.get(latitude_deg, f"{latitude_deg:.0f}° above the equator")
