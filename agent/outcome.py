@@ -49,23 +49,28 @@ class SuspectedError:
 
 @dataclass(frozen=True)
 class NightReport:
-    """What a verification found against the last accepted night (`since`), µm; `ve_before_um`: VE with the acting table
-    as that night left it, `ve_now_um` as it is now, both aligned; `held_out_um` rms of the held-out balls against
-    `held_out_predicted_um`. `chi2_normalised` of all ball centres against what was predicted."""
+    """What a night found against the last accepted one, run `since`, and decided.
+
+    µm: `ve_before_um`: VE with the acting table as that night left it, `ve_now_um` as it is now, `ve_after_um` with
+    what is known now written, all expected and aligned; `held_out_um` rms of the held-out balls as displayed against
+    `held_out_predicted_um`. `chi2_normalised` of all ball centres against what was predicted. `jumped`: errors that
+    must have jumped; `likeliest`: those that explain most if one has, the likeliest first.
+    """
 
     decision: Decision
     since: str
     nights: float
+    station: int
     positions: int
-    ve_before_um: float
-    ve_now_um: float
-    ve_after_um: float | None
-    held_out_um: float | None
-    held_out_predicted_um: float | None
-    chi2_normalised: float
-    jumped: tuple[SuspectedError, ...]
-    likeliest: tuple[SuspectedError, ...]
-    reason: str
+    reason: str = ""
+    ve_before_um: float | None = None
+    ve_now_um: float | None = None
+    ve_after_um: float | None = None
+    held_out_um: float | None = None
+    held_out_predicted_um: float | None = None
+    chi2_normalised: float | None = None
+    jumped: tuple[SuspectedError, ...] = ()
+    likeliest: tuple[SuspectedError, ...] = ()
 
     def as_json(self) -> dict[str, object]:
         """Keys as documented in docs/reference/json.md."""

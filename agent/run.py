@@ -43,9 +43,10 @@ class CalibrationRun(GuardedRun):
     def _work(self) -> None:
         self._begin()
         prepared = self._prepare_probe()
-        self._calibrate(prepared.standing_at)
+        self.calibrate(prepared.standing_at)
 
-    def _calibrate(self, standing_at: int | None) -> None:
+    def calibrate(self, standing_at: int | None) -> None:
+        """From the first position of the set on; the machine is measuring, and what acts has been read."""
         job, progress = self._job, self.progress
         order = replace(job.measuring, standing_at=standing_at)
         progress.measured = self._engine.run(measure_positions(order, job.layout, self._rules))

@@ -33,7 +33,8 @@ from drivers.errors import PlanRefused, UserError, VolcalError
 class Request:
     """What somebody asked for. `interrupts` is handed the supervisor, so that signals can reach it.
 
-    `clock` and `rig`: instead of those that the settings describe, for a machine that somebody holds already.
+    `clock` and `rig`: instead of those that the settings describe, for a machine that somebody holds already. `files`:
+    whether results are written as files too; the journal has them anyway.
     """
 
     job: Job
@@ -43,6 +44,7 @@ class Request:
     kind: Kind = field(default_factory=FullCalibration)
     clock: Clock | None = None
     rig: Callable[[Settings, Clock, Path], Rig] | None = None
+    files: bool = True
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,8 @@ class _Session:
             self._conduct.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
         minutes = (self._clock.now() - started_s) / 60.0
         outcome = self._outcome(progress, minutes, wall_seconds() - began)
-        outcome = write_results(self._job, outcome, progress, self._journal)
+        if self._request.files:
+            outcome = write_results(self._job, outcome, progress, self._journal)
         return Ended(outcome, progress.error)
 
     def _on(self, rig: Rig) -> Progress:

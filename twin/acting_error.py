@@ -28,7 +28,7 @@ class ActingError:
 
     @classmethod
     def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ActingError:
-        """Over a `grid` of axis positions (n, 3) mm for a tool (3,) mm; `scales`: those of what is known, for its misfit."""
+        """Over a `grid` of axis positions (n, 3) mm for a tool (3,) mm; `scales`: of the misfit that is known."""
         form = Criterion.build(unknowns, grid, tool_offset)
         return cls(unknowns, form, 3.0 * beside_of(unknowns, scales))
 

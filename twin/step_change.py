@@ -12,6 +12,7 @@ of the size of z: AᵀS⁻¹A = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -122,7 +123,7 @@ class Innovation:
         size = len(columns)
         free = cho_factor(np.eye(size) / jump**2 + inner, lower=True)
         step = cho_solve(free, score)
-        determinant = 2.0 * float(np.log(np.diagonal(free[0])).sum()) + 2.0 * size * np.log(jump)
+        determinant = 2.0 * float(np.log(np.diagonal(free[0])).sum()) + 2.0 * size * math.log(jump)
         sharp = float(score @ np.linalg.lstsq(inner, score, rcond=1e-12)[0])
         change, unit = self._change(error, columns, step)
         names = [self.unknowns.model.names[i] for i in columns]

@@ -18,6 +18,7 @@ from agent.cli.watching import watching
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.job import load_settings, naming, prepare_job, with_overrides
+from agent.kinds.kind import FullCalibration, Kind
 from agent.outcome import Outcome
 from agent.session import Ended, Request, carry_out
 from agent.settings import Settings
@@ -79,11 +80,11 @@ def calibrate_command(
     conclude(ended)
 
 
-def run_calibration(settings: Settings, base: Path) -> Ended:
+def run_calibration(settings: Settings, base: Path, kind: Kind | None = None) -> Ended:
     """Prepare the job, run it with a progress bar on stderr; Ctrl-C and SIGTERM abort it."""
     job = prepare_job(settings, base)
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
-        return carry_out(Request(job, base, listener, interrupts.append))
+        return carry_out(Request(job, base, listener, interrupts.append, kind or FullCalibration()))
 
 
 @contextmanager

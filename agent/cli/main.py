@@ -30,10 +30,12 @@ OWN_COMMANDS = {
     "design": "agent.cli.design:design_command",
     "doctor": "agent.cli.doctor:doctor_command",
     "identify": "agent.cli.identify:identify",
+    "nightly": "agent.cli.nightly:nightly_command",
     "plan": "agent.cli.plan:plan_command",
     "study": "agent.cli.study:study_command",
     "rank": "agent.cli.rank:rank_command",
     "timing": "agent.cli.timing:timing_command",
+    "verify": "agent.cli.verify:verify_command",
     "table": "agent.cli.table:table_group",
 }
 

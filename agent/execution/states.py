@@ -44,7 +44,7 @@ PACKML = {
 FORWARD: dict[RunState, frozenset[RunState]] = {
     S.IDLE: frozenset({S.PREFLIGHT}),
     S.PREFLIGHT: frozenset({S.MEASURING, S.REFUSED}),
-    S.MEASURING: frozenset({S.IDENTIFYING, S.HELD}),
+    S.MEASURING: frozenset({S.IDENTIFYING, S.HELD, S.REFUSED}),
     S.HELD: frozenset({S.MEASURING, S.VERIFYING}),
     S.IDENTIFYING: frozenset({S.STAGING, S.REFUSED, S.COMPLETE}),
     S.STAGING: frozenset({S.ACTIVATING}),

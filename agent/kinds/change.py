@@ -16,7 +16,6 @@ from twin.volumetric import QuadraticForm, evaluation_grid, volumetric_error
 
 MM_PER_UM = 1e-3
 SCALES = ("EXX[1]", "EYY[1]", "EZZ[1]")
-_GRID = (20, 10, 10)
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ def change_since(job: Job, last: LastAccepted, nights: float, estimate: Estimate
     nothing of each other differ by the sum of theirs.
     """
     offset, old = job.tool_offset_mm, last.known
-    grid = evaluation_grid(old.model.ranges_mm, _GRID)
+    grid = evaluation_grid(old.model.ranges_mm)
     difference = _field(estimate.model, estimate.parameters, grid, offset)
     difference = difference - _field(old.model, old.parameters, grid, offset)
     drift = np.diag(night_noise(job, old.model) ** 2 * nights)
@@ -65,4 +64,4 @@ def _field(model: ErrorModel, parameters: Array, grid: Array, offset: Array) -> 
 
 
 def _form(model: ErrorModel, offset: Array) -> QuadraticForm:
-    return QuadraticForm.build(model, evaluation_grid(model.ranges_mm, _GRID), offset)
+    return QuadraticForm.build(model, evaluation_grid(model.ranges_mm), offset)

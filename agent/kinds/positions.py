@@ -1,4 +1,4 @@
-"""Which positions a night measures: those that lower the predicted uncertainty most, given all that is known already."""
+"""Which positions a night measures: those that lower the predicted uncertainty most, given what is known already."""
 
 from __future__ import annotations
 
@@ -20,8 +20,6 @@ from twin.position_set import Position
 from twin.procedure import FEWEST_BALLS
 from twin.volumetric import evaluation_grid
 
-_GRID = (30, 10, 10)
-
 
 @dataclass(frozen=True, eq=False)
 class Chooser:
@@ -29,6 +27,7 @@ class Chooser:
 
     job: Job
     station: int
+
     @cached_property
     def vetting(self) -> Vetting:
         return Vetting(self.job)
@@ -72,11 +71,9 @@ class Chooser:
         job = self.job
         machine = job.machine.with_model(known.unknowns.model)
         options = Options(carried_over=known, estimate_scales=False, outliers="none")
-        grid = evaluation_grid(machine.model.ranges_mm, _GRID)
+        grid = evaluation_grid(machine.model.ranges_mm)
         with translated(ConfigurationError, key="stations.places_mm"):
-            candidates = candidates_of(
-                job.procedure, positions, machine.family, options, grid, job.tool_offset_mm
-            )
+            candidates = candidates_of(job.procedure, positions, machine.family, options, grid, job.tool_offset_mm)
         place = {position: index for index, position in enumerate(candidates.positions)}
         prices = Prices(
             minutes=np.array([self.vetting.minutes(position) for position in candidates.positions]),

@@ -1,0 +1,43 @@
+"""`volcal nightly`: verify in a slot of the night, and use the rest of it to keep the compensation good."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from agent.cli.calibrate import conclude
+from agent.cli.errors import fail, reported
+from agent.cli.night import Duration, night_options, run_night
+from agent.kinds.nightly import Night
+from agent.outcome import Decision
+
+
+@click.command("nightly")
+@click.option("--slot", type=Duration(), metavar="15min", help="Machine time there is [default: nightly.slot_minutes].")
+@click.option(
+    "--full-allowed/--no-full",
+    default=None,
+    help="Whether a full calibration may fill the slot where one is needed [default: nightly.full_allowed].",
+)
+@night_options
+@reported
+def nightly_command(
+    config: Path,
+    slot: float | None,
+    full_allowed: bool | None,
+    standing_at: int | None,
+    nights: float | None,
+    as_json: bool,
+) -> None:
+    """Verify; within limits fuse what the slot allows with the nights before, and write a table that is worth it.
+
+    Out of limits: calibrate in full where that is permitted and fits, else keep that it is needed and end with 4.
+    """
+    kind = Night(slot_minutes=slot, full_allowed=full_allowed, station=standing_at, nights=nights)
+    ended = run_night(config, kind, as_json=as_json)
+    if ended.error is not None:
+        raise fail(ended.error)
+    night = ended.outcome.night
+    if night is None or night.decision in (Decision.WRITTEN, Decision.RESTORED, Decision.FULL_DONE):
+        conclude(ended)

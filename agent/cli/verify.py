@@ -1,0 +1,29 @@
+"""`volcal verify`: whether the machine is still what the last accepted night has left; nothing is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from agent.cli.errors import fail, reported
+from agent.cli.night import night_options, run_night
+from agent.kinds.verify import Verification
+from agent.outcome import Decision
+from drivers.errors import MeasurementFault
+
+
+@click.command("verify")
+@night_options
+@reported
+def verify_command(config: Path, standing_at: int | None, nights: float | None, as_json: bool) -> None:
+    """Measure a few positions with the compensation active and compare with the last accepted night.
+
+    Exit code 0 within limits, 4 out of them.
+    """
+    ended = run_night(config, Verification(station=standing_at, nights=nights), as_json=as_json)
+    if ended.error is not None:
+        raise fail(ended.error)
+    night = ended.outcome.night
+    if night is not None and night.decision is Decision.OUT:
+        raise fail(MeasurementFault(f"out of limits: {night.reason}", hint="run `volcal calibrate`"))

@@ -1,0 +1,329 @@
+"""`nightly`: verify, then use the rest of the slot for what is least known, and fuse it with the nights before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from agent.consent import Consent
+from agent.execution.states import RunState
+from agent.execution.steps import Point
+from agent.files import translated
+from agent.findings import Finding, find
+from agent.gates import Gate, change_gate, estimate_gates, shape_gates
+from agent.guarded_run import GuardedRun, Means
+from agent.job import Job
+from agent.kinds.change import change_since
+from agent.kinds.judging import Judge
+from agent.kinds.kind import Ready, nights_since
+from agent.kinds.looking import judged, measure, require_table_of
+from agent.kinds.night_plan import (
+    FEWEST_FUSED,
+    FURTHER,
+    LOOK,
+    NightPlan,
+    joined,
+    looking_plan,
+    night_plan,
+    only_looking,
+    only_these,
+    positions_in,
+    standing,
+    station_of,
+)
+from agent.kinds.positions import Chooser
+from agent.kinds.proof import prove_step
+from agent.last_accepted import FullNeeded, full_needed, record_accepted, record_full_needed, require_accepted
+from agent.observing import observations_of
+from agent.outcome import Decision, NightReport, Proof
+from agent.plans.measure import Measured
+from agent.plans.position import MeasuredBall
+from agent.rehearsal import Rehearsal, rehearse
+from agent.run import CalibrationRun
+from drivers.errors import GateRefused, MeasurementFault, PlanRefused
+from twin.identification import Options
+from twin.position_set import Position
+
+DIAGNOSIS = "diagnosis"
+S_PER_MIN = 60.0
+
+
+@dataclass(frozen=True)
+class Night:
+    """`slot_minutes`, `full_allowed`: None as the settings say; the rest as for a verification.
+
+    `full_allowed`: somebody carries the artefact tonight, and consents to a machine that has changed.
+    """
+
+    slot_minutes: float | None = None
+    full_allowed: bool | None = None
+    station: int | None = None
+    nights: float | None = None
+    name: str = "nightly"
+
+    def ready(self, job: Job, start_mm: Point) -> Ready:
+        chosen = job.settings.nightly
+        last = require_accepted(job)
+        station = station_of(job, self.station)
+        here = standing(job, station)
+        judge = Judge(job, last, nights_since(last, self.nights))
+        slot = Slot(
+            chosen.slot_minutes if self.slot_minutes is None else self.slot_minutes,
+            chosen.full_allowed if self.full_allowed is None else self.full_allowed,
+            chosen.reserve_minutes,
+        )
+        pending = full_needed(job.settings.state_directory)
+        if pending is not None:
+            return _pending(here, station, judge, slot, pending, start_mm)
+        chooser = Chooser(here, station)
+        plan, rehearsal = night_plan(chooser, judge, slot.minutes, start_mm)
+        own = plan.job(job)
+        return Ready(own, rehearsal, lambda means: NightlyRun(own, means, judge, plan, chooser, rehearsal, slot))
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Machine minutes of a night, its reserve included, and whether a full calibration may fill it."""
+
+    minutes: float
+    full_allowed: bool
+    reserve: float
+
+    def holds(self, minutes: float) -> bool:
+        return minutes + self.reserve <= self.minutes
+
+
+def _pending(here: Job, station: int, judge: Judge, slot: Slot, pending: FullNeeded, start_mm: Point) -> Ready:
+    """The full calibration that an earlier night has asked for; where it cannot be tonight, a verification."""
+    if slot.full_allowed:
+        rehearsal = rehearse(here, start_mm)
+        if slot.holds(rehearsal.machine_minutes):
+            return Ready(here, rehearsal, lambda means: FullRun(here, means, judge, station, pending))
+    plan = looking_plan(Chooser(here, station), judge)
+    own = plan.job(here)
+    rehearsal = rehearse(own, start_mm, only_looking(plan))
+    if not slot.holds(rehearsal.machine_minutes):
+        raise PlanRefused(
+            f"the verification takes {rehearsal.machine_minutes:.1f} min, the slot has {slot.minutes:g}",
+            hint=f"a full calibration is needed since run {pending.run_id}: give a slot for it",
+        )
+    return Ready(own, rehearsal, lambda means: WaitingRun(own, means, judge, plan, pending))
+
+
+class FullRun(GuardedRun):
+    """The full calibration that a night asked for, in a slot that it was permitted."""
+
+    def __init__(self, job: Job, means: Means, judge: Judge, station: int, pending: FullNeeded) -> None:
+        super().__init__(job, means)
+        self._means = means
+        self._judge = judge
+        self._station = station
+        self._pending = pending
+
+    def _work(self) -> None:
+        self._begin()
+        self._prepare_probe()
+        report = NightReport(
+            Decision.FULL_DONE,
+            since=self._judge.last.run_id,
+            nights=self._judge.nights,
+            station=self._station,
+            positions=0,
+            reason=self._pending.reason,
+            ve_before_um=self._judge.before_um,
+        )
+        calibrate_in_full(self, self._job, self._means, self._judge, report)
+
+
+class WaitingRun(GuardedRun):
+    """A full calibration is needed and not permitted: look, tell, write nothing."""
+
+    def __init__(self, job: Job, means: Means, judge: Judge, plan: NightPlan, pending: FullNeeded) -> None:
+        super().__init__(job, means)
+        self._judge = judge
+        self._plan = plan
+        self._pending = pending
+
+    def _work(self) -> None:
+        require_table_of(self._judge.last, self._begin())
+        self._prepare_probe()
+        measured = measure(self._engine, self._plan, LOOK, self._plan.first, self._job, self._rules)
+        self.progress.measured = measured
+        self._conduct.enter(RunState.IDENTIFYING)
+        report = judged(self._judge, self._plan, self._job, measured, self._correction)
+        self.progress.night = replace(report, decision=Decision.FULL_NEEDED, reason=self._pending.reason)
+        self._journal.decision("night", self.progress.night.as_json())
+        raise _full_needed(f"{self._pending.reason} (run {self._pending.run_id})")
+
+
+class NightlyRun(CalibrationRun):
+    """Verification, the rest of the slot, fusion, proof."""
+
+    def __init__(
+        self,
+        job: Job,
+        means: Means,
+        judge: Judge,
+        plan: NightPlan,
+        chooser: Chooser,
+        rehearsal: Rehearsal,
+        slot: Slot,
+    ) -> None:
+        super().__init__(job, means, judge.last, judge.nights, Consent.REFUSED)
+        self._means = means
+        self._judge = judge
+        self._plan = plan
+        self._chooser = chooser
+        self._rehearsal = rehearsal
+        self._slot = slot
+        self._began_s = self._clock.now()
+
+    # ------------------------------------------------------------------ measuring
+
+    def _work(self) -> None:
+        plan = self._plan
+        require_table_of(self._judge.last, self._begin())
+        self._prepare_probe()
+        measured = self._measure(LOOK, plan.first)
+        report = self._judged(measured)
+        if not report.reason:
+            measured, report = self._use_rest(measured, report)
+        if report.reason:
+            self._out_of_limits(measured, report)
+            return
+        self._conduct.enter(RunState.IDENTIFYING)
+        self._fuse(measured, report)
+
+    def _use_rest(self, measured: Measured, report: NightReport) -> tuple[Measured, NightReport]:
+        further = self._still_fitting()
+        if not further:
+            return measured, report
+        measured = joined(measured, self._measure(FURTHER, further, measured))
+        return measured, self._judged(measured)
+
+    def _still_fitting(self) -> tuple[Position, ...]:
+        """Of the positions to come, those for which there is time, that of the proof kept."""
+        further = list(self._plan.further)
+        needed = self._rehearsed_after(LOOK)
+        while further and needed > self._left_minutes:
+            needed -= self._chooser.minutes([further.pop()])
+        return tuple(further)
+
+    def _rehearsed_after(self, prefix: str) -> float:
+        """Minutes from the end of a part of the night to the end of all, by the rehearsal."""
+        done = [seconds for key, seconds in self._rehearsal.timeline.items() if key.startswith(f"{prefix}/")]
+        return (self._rehearsal.machine_seconds - max(done, default=0.0)) / S_PER_MIN
+
+    @property
+    def _left_minutes(self) -> float:
+        passed = (self._clock.now() - self._began_s) / S_PER_MIN
+        return self._slot.minutes - self._slot.reserve - passed
+
+    def _measure(self, prefix: str, positions: Sequence[Position], before: Measured | None = None) -> Measured:
+        standings = None if before is None else before.standings
+        return measure(self._engine, self._plan, prefix, positions, self._job, self._rules, standings)
+
+    def _judged(self, measured: Measured) -> NightReport:
+        self.progress.measured = measured
+        report = judged(self._judge, self._plan, self._job, measured, self._correction)
+        self.progress.night = report
+        return report
+
+    # ------------------------------------------------------------------ out of limits
+
+    def _out_of_limits(self, measured: Measured, report: NightReport) -> None:
+        """Calibrate in full where that is permitted and fits; else find out what has changed, and ask for it."""
+        full = standing(self._judge.job, self._plan.station)
+        if self._slot.full_allowed and rehearse(full).machine_minutes <= self._left_minutes:
+            calibrate_in_full(self, full, self._means, self._judge, replace(report, decision=Decision.FULL_DONE))
+            return
+        report = self._diagnosed(measured, report)
+        self._conduct.enter(RunState.IDENTIFYING)
+        self.progress.night = replace(report, decision=Decision.FULL_NEEDED)
+        self._journal.decision("night", self.progress.night.as_json())
+        record_full_needed(self._journal, report.reason)
+        raise _full_needed(report.reason)
+
+    def _diagnosed(self, measured: Measured, report: NightReport) -> NightReport:
+        """The rest of the slot for the positions that tell most of a machine of which any error may have jumped."""
+        judge = self._judge
+        unknown = judge.known.after(judge.family.prior_standard_deviation)
+        done = positions_in(measured)
+        chosen = list(self._chooser.best(unknown, most=20, minutes=self._left_minutes, measured=done, left_out=done))
+        while chosen:
+            rehearsal = rehearse(self._job, procedure=only_these(self._plan, DIAGNOSIS, chosen))
+            if rehearsal.machine_minutes <= self._left_minutes:
+                break
+            chosen.pop()
+        if not chosen:
+            return report
+        self._job = replace(self._job, positions=(*self._job.positions, *chosen))
+        again = self._judged(joined(measured, self._measure(DIAGNOSIS, chosen, measured)))
+        return again if again.reason else replace(again, decision=report.decision, reason=report.reason)
+
+    # ------------------------------------------------------------------ fusion
+
+    def _fuse(self, measured: Measured, report: NightReport) -> None:
+        job, judge = self._job, self._judge
+        balls = job.balls_of(measured, held_out=False)
+        if len({ball.position for ball in balls}) < FEWEST_FUSED:
+            self._end(replace(report, reason="too little time was left to fuse anything"))
+            return
+        chosen = job.settings
+        with translated(MeasurementFault):
+            observations = observations_of(balls, job.tool_offset_mm, self._correction)
+            options = Options(carried_over=judge.known)
+            order = chosen.identification.order
+            finding = find(job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order)
+        self._keep_estimate(finding)
+        limits = self._rig.store.store_limits()
+        self._pass_gates((*self._estimate_gates(finding), *shape_gates(finding.table, limits, job.gate_limits)))
+        written = judge.last.accepted.written
+        now_um = judge.left_um(finding.estimate, written)
+        after_um = judge.left_um(finding.estimate, finding.estimate.parameters)
+        report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
+        worth = 1.0 - after_um / now_um >= chosen.nightly.smallest_gain
+        if not worth or self._rehearsed_after(FURTHER if self._plan.further else LOOK) > self._left_minutes:
+            record_accepted(self._journal, judge.last.accepted)
+            self._end(replace(report, decision=Decision.FUSED))
+            return
+        self.progress.night = report
+        self._write_and_prove(finding, measured)
+
+    def _estimate_gates(self, finding: Finding) -> tuple[Gate, ...]:
+        limits = self._job.gate_limits
+        gates = estimate_gates(finding.estimate, finding.volumetric.after, finding.volumetric.before, limits)
+        change = change_since(self._job, self._judge.last, self._nights, finding.estimate, fused=True)
+        return (*gates, change_gate(change.found_um, change.expected_um, limits))
+
+    def _proof(self, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
+        proof = prove_step(self._job, finding, before, after)
+        report = self.progress.night
+        assert report is not None  # noqa: S101  judged before anything was fused
+        decision = Decision.WRITTEN if proof.accepted else Decision.RESTORED
+        self.progress.night = replace(report, decision=decision, reason="" if proof.accepted else proof.reason)
+        self._journal.decision("night", self.progress.night.as_json())
+        return proof
+
+    def _end(self, report: NightReport) -> None:
+        self.progress.night = report
+        self._journal.decision("night", report.as_json())
+        self._conduct.enter(RunState.COMPLETE, report.reason or report.decision.value)
+
+
+def calibrate_in_full(run: GuardedRun, job: Job, means: Means, judge: Judge, report: NightReport) -> None:
+    """From now on `run` is a full calibration with all that it has reached; consent was given with the permission."""
+    full = CalibrationRun(job, means, judge.last, judge.nights, Consent.GIVEN)
+    full.progress = run.progress
+    full.progress.job = job
+    full.progress.night = report
+    full.calibrate(report.station)
+    proof = full.progress.proof
+    if proof is not None and not proof.accepted:
+        full.progress.night = replace(report, decision=Decision.RESTORED, reason=proof.reason)
+
+
+def _full_needed(reason: str) -> GateRefused:
+    return GateRefused(
+        f"a full calibration is needed: {reason}", hint="the next slot with --full-allowed that is long enough does it"
+    )

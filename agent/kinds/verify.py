@@ -1,0 +1,56 @@
+"""`verify`: a few positions with the compensation active against the last accepted night; nothing is written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agent.execution.states import RunState
+from agent.execution.steps import Point
+from agent.guarded_run import GuardedRun, Means
+from agent.job import Job
+from agent.kinds.judging import Judge
+from agent.kinds.kind import Ready, nights_since
+from agent.kinds.looking import judged, measure, require_table_of
+from agent.kinds.night_plan import LOOK, NightPlan, looking_plan, only_looking, standing, station_of
+from agent.kinds.positions import Chooser
+from agent.last_accepted import require_accepted
+from agent.rehearsal import rehearse
+
+
+@dataclass(frozen=True)
+class Verification:
+    """`station` where the artefact stands, None: as the settings say; `nights` since the last accepted one, None: by
+    the calendar."""
+
+    station: int | None = None
+    nights: float | None = None
+    name: str = "verify"
+
+    def ready(self, job: Job, start_mm: Point) -> Ready:
+        last = require_accepted(job)
+        station = station_of(job, self.station)
+        judge = Judge(job, last, nights_since(last, self.nights))
+        plan = looking_plan(Chooser(standing(job, station), station), judge)
+        own = plan.job(job)
+        rehearsal = rehearse(own, start_mm, only_looking(plan))
+        return Ready(own, rehearsal, lambda means: VerifyRun(own, means, judge, plan))
+
+
+class VerifyRun(GuardedRun):
+    """Measures, judges, and leaves everything as it was."""
+
+    def __init__(self, job: Job, means: Means, judge: Judge, plan: NightPlan) -> None:
+        super().__init__(job, means)
+        self._judge = judge
+        self._plan = plan
+
+    def _work(self) -> None:
+        require_table_of(self._judge.last, self._begin())
+        self._prepare_probe()
+        job, plan = self._job, self._plan
+        measured = measure(self._engine, plan, LOOK, plan.first, job, self._rules)
+        self.progress.measured = measured
+        self._conduct.enter(RunState.IDENTIFYING)
+        report = self.progress.night = judged(self._judge, plan, job, measured, self._correction)
+        self._journal.decision("verify", report.as_json())
+        self._conduct.enter(RunState.COMPLETE, report.reason or report.decision.value)
