@@ -15,7 +15,9 @@ def draw_qualification(probe: ProbeFacts) -> str:
         panel = figure.subplots()
         for count, ring in enumerate(probe.rings):
             colour, marker = RING_LOOK[count % len(RING_LOOK)]
-            panel.plot(ring.angle_deg, ring.residual_um, marker, color=colour, markersize=4, label=_name(ring.latitude_deg))
+            panel.plot(
+                ring.angle_deg, ring.residual_um, marker, color=colour, markersize=4, label=_name(ring.latitude_deg)
+            )
             if ring.map_um.size:
                 panel.plot(ring.map_angle_deg, ring.map_um, color=colour, linewidth=0.9)
         panel.axhline(0.0, color=INK, linewidth=0.6)
