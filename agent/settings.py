@@ -165,8 +165,8 @@ class NightlySettings(Strict):
     slot_minutes: PositiveFloat = Field(default=15.0, le=1440.0)
     reserve_minutes: float = Field(default=0.5, ge=0.0, le=60.0)
     held_out: PositiveInt = 1
-    looked_at: PositiveInt = 1
-    grid_deg: PositiveFloat = Field(default=30.0, le=45.0)
+    looked_at: PositiveInt = 2
+    grid_deg: PositiveFloat = Field(default=45.0, le=45.0)
     drift_um: float = Field(default=0.15, ge=0.0, le=100.0)
     scale_drift_um_per_m: float = Field(default=0.4, ge=0.0, le=100.0)
     largest_chi2: PositiveFloat = 2.0

@@ -95,7 +95,8 @@ class Season:
 @dataclass(frozen=True)
 class Row:
     """One night. µm: `true_before` with the table of the night before, `true_after` with the one that acts in the
-    morning, `reach` of a full calibration that night; `ve_now` and `ve_after` as the agent says."""
+    morning, `untouched` with that of the first night, `reach` of a full calibration that night; `ve_now` and `ve_after`
+    as the agent says."""
 
     night: int
     station: int
@@ -104,6 +105,7 @@ class Row:
     positions: int
     true_before: float
     true_after: float
+    untouched: float
     reach: float
     ratio: float
     ve_now: float | None
@@ -139,6 +141,7 @@ class Machine:
         self._state = state
         self._banks: dict[int, TableImage] = {}
         self._active = 0
+        self._first: TableImage | None = None
         self._needs_full = False
 
     def row(self, night: int) -> Row:
@@ -146,6 +149,8 @@ class Machine:
         before = world.truth.true_volumetric_error(self._active)[1]
         outcome = self._run(world, night)
         self._banks, self._active = dict(world.controller.banks), world.controller.active_bank
+        if self._first is None:
+            self._first = self._banks[self._active]
         found = outcome.night
         self._needs_full = found is not None and found.decision is Decision.FULL_NEEDED
         return Row(
@@ -156,6 +161,7 @@ class Machine:
             positions=0 if found is None else found.positions,
             true_before=before,
             true_after=world.truth.true_volumetric_error(self._active)[1],
+            untouched=with_table(world, self._first),
             reach=math.nan,
             ratio=math.nan,
             ve_now=None if found is None else found.ve_now_um,
@@ -231,9 +237,16 @@ def reach_um(season: Season, night: int) -> float:
         settings = job.settings
         order = settings.identification.order
         finding = find(job.machine, job.artefact, settings.tool, observations, Options(), settings.table, order)
-        world.controller.write_bank(BANK, image_of(finding.table, world.controller.store_limits))
-        reached.append(world.truth.true_volumetric_error(BANK)[1])
+        reached.append(with_table(world, image_of(finding.table, world.controller.store_limits)))
     return float(np.mean(reached))
+
+
+def with_table(world: World, image: TableImage) -> float:
+    """True VCE, aligned, with a table in the place of the one that acts; the world is of no further use."""
+    if world.controller.active_bank == BANK:
+        world.controller.activate(0)
+    world.controller.write_bank(BANK, image)
+    return world.truth.true_volumetric_error(BANK)[1]
 
 
 def found_exactly(world: World, job: Job, rng: np.random.Generator) -> Observations:
@@ -291,6 +304,7 @@ def verdict(season: Season, rows: Sequence[Row]) -> dict[str, object]:
         "worst_ratio": round(worst.ratio, 3),
         "worst_night": worst.night,
         "largest_true_vce_um": round(max(row.true_after for row in slots or rows), 3),
+        "largest_without_nights_um": round(max(row.untouched for row in slots or rows), 3),
         "reach": f"Monte Carlo of ball centres, mean of {DRAWS}",
         "real_full_calibrations_um": {str(rows[n].night): round(rows[n].true_after, 3) for n in (0, *full)},
         "per_night": [

@@ -52,11 +52,13 @@ def _draw_errors(axes: Axes, rows: Sequence[Row], step: int) -> None:
         fillstyle="none",
         label="in the evening, table of the night before",
     )
+    untouched = [row.untouched for row in rows]
+    axes.plot(nights, untouched, ":", color=QUIET, label="if only the first night had been")
     axes.plot(nights, [row.true_after for row in rows], "-o", color=BLUE, label="in the morning, after the slot")
     if step < len(rows):
         _mark_step(axes, rows, step)
     from_zero(axes, "true VCE, rigidly aligned / µm")
-    axes.set_ylim(0.0, 1.35 * max(*(row.true_before for row in later), LARGEST_RATIO * max(reach)))
+    axes.set_ylim(0.0, 1.35 * max(*untouched, *(row.true_before for row in later), LARGEST_RATIO * max(reach)))
     axes.set_title("Thirty nights of a machine that drifts" if len(rows) == 31 else "Nights of a machine that drifts")
     axes.legend(loc="upper left", ncols=2)
 

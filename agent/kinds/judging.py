@@ -29,6 +29,18 @@ _LIKELIEST = 5
 
 
 @dataclass(frozen=True, eq=False)
+class Judgement:
+    """For people and the journal, and what it rests on. The report's reason is empty where all is within limits."""
+
+    report: NightReport
+    found: Innovation
+
+    @property
+    def within(self) -> bool:
+        return not self.report.reason
+
+
+@dataclass(frozen=True, eq=False)
 class Judge:
     """Judges the ball centres of one night; `nights` have passed since the last accepted one."""
 
@@ -63,9 +75,9 @@ class Judge:
 
     def judged(
         self, station: int, balls: Sequence[MeasuredBall], held: Sequence[MeasuredBall], correction: Correction
-    ) -> NightReport:
+    ) -> Judgement:
         """`balls`: all that were measured with the acting table, `held`: those of them that are held out; `correction`:
-        what the table adds. The report's reason is empty where everything is within limits.
+        what the table adds.
 
         Raises MeasurementFault where too little was found to say anything.
         """
@@ -77,7 +89,7 @@ class Judge:
         jumped = found.jumped(limits.step_evidence)
         now_um = self.acting.of(found.mean_after, found.covariance_after, self.last.accepted.written).aligned_um
         reason = self._reason(found, jumped, now_um)
-        return NightReport(
+        report = NightReport(
             decision=Decision.OUT if reason else Decision.WITHIN,
             since=self.last.run_id,
             nights=self.nights,
@@ -92,6 +104,7 @@ class Judge:
             jumped=tuple(_named(one) for one in jumped),
             likeliest=tuple(_named(one) for one in found.suspects()[:_LIKELIEST]),
         )
+        return Judgement(report, found)
 
     def _held_out(self, held: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
         """rms of a held-out ball as the controller displays it, and what was to be expected, µm."""

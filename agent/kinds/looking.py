@@ -8,11 +8,10 @@ from collections.abc import Mapping, Sequence
 from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.job import Job
-from agent.kinds.judging import Judge
+from agent.kinds.judging import Judge, Judgement
 from agent.kinds.night_plan import NightPlan
 from agent.last_accepted import LastAccepted
 from agent.observing import Correction
-from agent.outcome import NightReport
 from agent.plans.measure import Measured, measure_positions
 from agent.plans.position import PositionRules
 from agent.plans.publish import FoundState
@@ -43,7 +42,7 @@ def measure(
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, standings))
 
 
-def judged(judge: Judge, plan: NightPlan, job: Job, measured: Measured, correction: Correction) -> NightReport:
+def judged(judge: Judge, plan: NightPlan, job: Job, measured: Measured, correction: Correction) -> Judgement:
     """All balls `measured`, held-out ones included, against the last accepted night."""
     held = job.balls_of(measured, held_out=True)
     return judge.judged(plan.station, [*held, *job.balls_of(measured, held_out=False)], held, correction)

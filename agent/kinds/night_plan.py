@@ -21,6 +21,7 @@ FEWEST_FUSED = 2
 
 _AHEAD = 1.3  # choose for so much more time: what positions cost together is less than one by one
 _MOST_TRIES = 6
+_MOST = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ def looking_plan(chooser: Chooser, judge: Judge) -> NightPlan:
     """The verification alone."""
     chosen = chooser.job.settings.nightly
     held = _held_out(chooser, chosen.held_out)
-    looked = tuple(chooser.best(judge.known, most=chosen.looked_at, left_out=held))
+    looked = chooser.noticing(judge.known, chosen.looked_at, held)
     return NightPlan(chooser.station, held, looked)
 
 
@@ -84,10 +85,13 @@ def night_plan(chooser: Chooser, judge: Judge, slot_minutes: float, start_mm: Po
     held = _held_out(chooser, chosen.held_out)
     room = slot_minutes - chosen.reserve_minutes
     budget = max(room - 2.0 * chooser.minutes(held), 0.0)
-    offered = tuple(chooser.best(judge.known, most=_most(chooser, budget), minutes=_AHEAD * budget, left_out=held))
+    looked = chooser.noticing(judge.known, chosen.looked_at, held)
+    ahead = _AHEAD * max(budget - chooser.minutes(looked), 0.0)
+    best = chooser.best(judge.known, most=_MOST, minutes=ahead, measured=looked, left_out=(*held, *looked))
+    offered = (*looked, *best)
     count, tried = _fitting(chooser, offered, budget), dict[int, tuple[NightPlan, Rehearsal]]()
     for _ in range(_MOST_TRIES):
-        count = max(count, FEWEST_FUSED)
+        count = max(count, FEWEST_FUSED, len(looked))
         if count in tried or count > len(offered):
             break
         plan = NightPlan(chooser.station, held, offered[: chosen.looked_at], offered[chosen.looked_at : count])
@@ -171,11 +175,6 @@ def _held_out(chooser: Chooser, count: int) -> tuple[Position, ...]:
             hint="choose orientations with three balls within reach there",
         )
     return held
-
-
-def _most(chooser: Chooser, budget: float) -> int:
-    """More than could ever be measured."""
-    return FEWEST_FUSED + int(_AHEAD * budget)
 
 
 def _fitting(chooser: Chooser, offered: Sequence[Position], budget: float) -> int:

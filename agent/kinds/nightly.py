@@ -14,7 +14,7 @@ from agent.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.guarded_run import GuardedRun, Means
 from agent.job import Job
 from agent.kinds.change import change_since
-from agent.kinds.judging import Judge
+from agent.kinds.judging import Judge, Judgement
 from agent.kinds.kind import Ready, nights_since
 from agent.kinds.looking import judged, measure, require_table_of
 from agent.kinds.night_plan import (
@@ -45,6 +45,9 @@ from twin.identification import Options
 from twin.position_set import Position
 
 DIAGNOSIS = "diagnosis"
+SUSPECTS = 8
+"""Errors that are told apart where one of them has jumped."""
+
 S_PER_MIN = 60.0
 
 
@@ -150,7 +153,7 @@ class WaitingRun(GuardedRun):
         measured = measure(self._engine, self._plan, LOOK, self._plan.first, self._job, self._rules)
         self.progress.measured = measured
         self._conduct.enter(RunState.IDENTIFYING)
-        report = judged(self._judge, self._plan, self._job, measured, self._correction)
+        report = judged(self._judge, self._plan, self._job, measured, self._correction).report
         self.progress.night = replace(report, decision=Decision.FULL_NEEDED, reason=self._pending.reason)
         self._journal.decision("night", self.progress.night.as_json())
         raise _full_needed(f"{self._pending.reason} (run {self._pending.run_id})")
@@ -185,19 +188,19 @@ class NightlyRun(CalibrationRun):
         require_table_of(self._judge.last, self._begin())
         self._prepare_probe()
         measured = self._measure(LOOK, plan.first)
-        report = self._judged(measured)
-        if not report.reason:
-            measured, report = self._use_rest(measured, report)
-        if report.reason:
-            self._out_of_limits(measured, report)
+        judgement = self._judged(measured)
+        if judgement.within:
+            measured, judgement = self._use_rest(measured, judgement)
+        if not judgement.within:
+            self._out_of_limits(measured, judgement)
             return
         self._conduct.enter(RunState.IDENTIFYING)
-        self._fuse(measured, report)
+        self._fuse(measured, judgement.report)
 
-    def _use_rest(self, measured: Measured, report: NightReport) -> tuple[Measured, NightReport]:
+    def _use_rest(self, measured: Measured, judgement: Judgement) -> tuple[Measured, Judgement]:
         further = self._still_fitting()
         if not further:
-            return measured, report
+            return measured, judgement
         measured = joined(measured, self._measure(FURTHER, further, measured))
         return measured, self._judged(measured)
 
@@ -223,33 +226,39 @@ class NightlyRun(CalibrationRun):
         standings = None if before is None else before.standings
         return measure(self._engine, self._plan, prefix, positions, self._job, self._rules, standings)
 
-    def _judged(self, measured: Measured) -> NightReport:
+    def _judged(self, measured: Measured) -> Judgement:
         self.progress.measured = measured
-        report = judged(self._judge, self._plan, self._job, measured, self._correction)
-        self.progress.night = report
-        return report
+        judgement = judged(self._judge, self._plan, self._job, measured, self._correction)
+        self.progress.night = judgement.report
+        return judgement
 
     # ------------------------------------------------------------------ out of limits
 
-    def _out_of_limits(self, measured: Measured, report: NightReport) -> None:
+    def _out_of_limits(self, measured: Measured, judgement: Judgement) -> None:
         """Calibrate in full where that is permitted and fits; else find out what has changed, and ask for it."""
         full = standing(self._judge.job, self._plan.station)
         if self._slot.full_allowed and rehearse(full).machine_minutes <= self._left_minutes:
-            calibrate_in_full(self, full, self._means, self._judge, replace(report, decision=Decision.FULL_DONE))
+            report = replace(judgement.report, decision=Decision.FULL_DONE)
+            calibrate_in_full(self, full, self._means, self._judge, report)
             return
-        report = self._diagnosed(measured, report)
+        report = self._diagnosed(measured, judgement)
         self._conduct.enter(RunState.IDENTIFYING)
         self.progress.night = replace(report, decision=Decision.FULL_NEEDED)
         self._journal.decision("night", self.progress.night.as_json())
         record_full_needed(self._journal, report.reason)
         raise _full_needed(report.reason)
 
-    def _diagnosed(self, measured: Measured, report: NightReport) -> NightReport:
-        """The rest of the slot for the positions that tell most of a machine of which any error may have jumped."""
-        judge = self._judge
-        unknown = judge.known.after(judge.family.prior_standard_deviation)
-        done = positions_in(measured)
-        chosen = list(self._chooser.best(unknown, most=20, minutes=self._left_minutes, measured=done, left_out=done))
+    def _diagnosed(self, measured: Measured, judgement: Judgement) -> NightReport:
+        """The rest of the slot for the positions that tell apart what may have jumped."""
+        done, report = positions_in(measured), judgement.report
+        chosen = list(
+            self._chooser.telling_apart(
+                self._judge.known,
+                judgement.found.suspects()[:SUSPECTS],
+                minutes=self._left_minutes,
+                measured=done,
+            )
+        )
         while chosen:
             rehearsal = rehearse(self._job, procedure=only_these(self._plan, DIAGNOSIS, chosen))
             if rehearsal.machine_minutes <= self._left_minutes:
@@ -259,7 +268,7 @@ class NightlyRun(CalibrationRun):
             return report
         self._job = replace(self._job, positions=(*self._job.positions, *chosen))
         again = self._judged(joined(measured, self._measure(DIAGNOSIS, chosen, measured)))
-        return again if again.reason else replace(again, decision=report.decision, reason=report.reason)
+        return again.report if not again.within else replace(again.report, reason=report.reason)
 
     # ------------------------------------------------------------------ fusion
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from twin.design.search import Search, Selection
 from twin.identification import CarriedOver, Options
 from twin.position_set import Position
 from twin.procedure import FEWEST_BALLS
+from twin.step_change import Suspect
+from twin.telling_apart import Questions, most_telling
 from twin.volumetric import evaluation_grid
 
 
@@ -65,6 +68,36 @@ class Chooser:
 
         for selection in search.grown(first, room, per_minute=True):
             yield search.candidates.positions[selection.chosen[-1]]
+
+    def noticing(self, known: CarriedOver, count: int, measured: Sequence[Position]) -> tuple[Position, ...]:
+        """The `count` that show most surely whether any error has jumped, beside those `measured` anyway."""
+        telling = self._telling(known, Questions.whether(known.unknowns), measured)
+        return tuple(islice(telling, count))
+
+    def telling_apart(
+        self, known: CarriedOver, suspects: Sequence[Suspect], *, minutes: float, measured: Sequence[Position]
+    ) -> tuple[Position, ...]:
+        """Those that show which of the `suspects` it is, as many as fit into the `minutes`; none that is `measured`."""
+        names, scale = known.unknowns.model.names, known.unknowns.scale
+        jumps = np.zeros((len(suspects), known.unknowns.blocks.size))
+        for row, suspect in zip(jumps, suspects, strict=True):
+            for name, value in suspect.coefficients.items():
+                row[names.index(name)] = value / scale[names.index(name)]
+        found: list[Position] = []
+        for position in self._telling(known, Questions.which(jumps), measured):
+            if self.minutes([*found, position]) > minutes:
+                break
+            found.append(position)
+        return tuple(found)
+
+    def _telling(self, known: CarriedOver, questions: Questions, measured: Sequence[Position]) -> Iterator[Position]:
+        search, places = self._search(known, [*measured, *self._offered()])
+        candidates, done = search.candidates, places[: len(measured)]
+        allowed = np.ones(candidates.count, dtype=bool)
+        allowed[done] = False
+        for index in most_telling(candidates, done, questions, allowed, search.prices.minutes):
+            if search.passes(index):
+                yield candidates.positions[index]
 
     def _search(self, known: CarriedOver, positions: Sequence[Position]) -> tuple[Search, list[int]]:
         """With the place of each of the `positions` among the candidates."""

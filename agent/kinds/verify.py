@@ -51,6 +51,6 @@ class VerifyRun(GuardedRun):
         measured = measure(self._engine, plan, LOOK, plan.first, job, self._rules)
         self.progress.measured = measured
         self._conduct.enter(RunState.IDENTIFYING)
-        report = self.progress.night = judged(self._judge, plan, job, measured, self._correction)
+        report = self.progress.night = judged(self._judge, plan, job, measured, self._correction).report
         self._journal.decision("verify", report.as_json())
         self._conduct.enter(RunState.COMPLETE, report.reason or report.decision.value)
