@@ -19,12 +19,14 @@ import agent.session
 from agent.conduct import Announcement
 from agent.execution.supervisor import Supervisor
 from agent.job import prepare_job
+from agent.kinds.kind import FullCalibration, Kind
 from agent.rig import Rig
 from agent.session import Ended, Request, carry_out
 from agent.settings import Settings
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
 from simulators.backend import SimulatedMachineDevice
+from simulators.scenario import AgeingSettings
 from simulators.world.world import World
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -95,13 +97,13 @@ class Night:
         interrupts: Callable[[Supervisor], None] = lambda _: None,
         *,
         files: bool = True,
+        kind: Kind | None = None,
     ) -> Ended:
-        """Calibrate; the world of the first run stays the world of the following ones. `files`: write results."""
+        """Calibrate, or a run of another `kind`; the world of the first run stays the world of the following ones.
+        `files`: write results."""
         assemble = agent.session.assemble
         with self.monkeypatch.context() as patch:
             patch.setattr(agent.session, "make_clock", lambda _: VirtualClock())
-            if not files:
-                patch.setattr(agent.session, "write_results", lambda _job, outcome, *_: outcome)
 
             def assembled(*given: Any) -> Rig:
                 rig = assemble(*given)
@@ -109,7 +111,8 @@ class Night:
 
             patch.setattr(agent.session, "assemble", assembled)
             job = prepare_job(Settings.model_validate(settings), Path.cwd())
-            return carry_out(Request(job, Path.cwd(), self.heard.append, interrupts))
+            chosen = kind or FullCalibration()
+            return carry_out(Request(job, Path.cwd(), self.heard.append, interrupts, chosen, files=files))
 
     def _with_first_world(self, rig: Rig) -> Rig:
         """The machine of the first run, with all that happened to it; its time starts anew with each run's clock."""
@@ -123,6 +126,17 @@ class Night:
         roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), former)
         mounts = dict.fromkeys(rig.mounts, former)
         return dataclasses.replace(rig, devices={"twin": former}, mounts=mounts, clock=clock, **roles)
+
+    def changed(self, **ageing: Any) -> None:
+        """The same machine, bar and banks from now on, with an `ageing` of another night."""
+        assert self.world is not None
+        former = self.world
+        settings = former.scenario.settings
+        aged = settings.model_copy(update={"ageing": AgeingSettings(**ageing)})
+        self.world = World(dataclasses.replace(former.scenario, settings=aged))
+        for bank, image in former.controller.banks.items():
+            self.world.controller.write_bank(bank, image)
+        self.world.controller.activate(former.controller.active_bank)
 
     @property
     def banks(self) -> dict[int, TableImage]:

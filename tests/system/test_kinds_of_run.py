@@ -1,0 +1,171 @@
+"""Verification and night on the machine of a short calibration: within limits, out of them, refused; and what lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from nights import Night, memory_directory, rows, short_document, states
+
+from agent.execution.states import RunState
+from agent.kinds import nightly
+from agent.kinds.verify import Verification
+from agent.last_accepted import full_needed, last_accepted
+from agent.outcome import Decision, Outcome
+from agent.session import Ended
+from drivers.errors import ConfigurationError, GateRefused, PlanRefused
+
+pytestmark = pytest.mark.timeout(180)
+
+COLLISION = {"night": 1, "collision_night": 1, "collision": {"B0Z": 120.0}}
+WIDE = {"slot_minutes": 30.0, "looked_at": 1, "largest_chi2": 4.0, "largest_growth": 20.0, "step_evidence": 30.0}
+
+
+@dataclass
+class Calibrated:
+    """A machine after its first calibration, and the settings for what follows."""
+
+    night: Night
+    state: Path
+    settings: dict[str, Any]
+    first: Ended
+
+    def run(self, kind: Any, **sections: Any) -> Ended:
+        return self.night.run({**self.settings, **sections}, kind=kind, files=False)
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Calibrated]:
+    with memory_directory() as directory:
+        state = Path(directory) / "state"
+        settings = short_document(state, nightly=WIDE, identification={"order": 4})
+        night = Night(monkeypatch)
+        first = night.run(settings, files=False)
+        assert first.outcome.state is RunState.COMPLETE
+        assert first.outcome.proof is not None
+        assert first.outcome.proof.accepted
+        yield Calibrated(night, state, settings, first)
+
+
+def told(outcome: Outcome) -> Decision:
+    assert outcome.night is not None
+    return outcome.night.decision
+
+
+def test_without_an_accepted_night_there_is_nothing_to_compare_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    with memory_directory() as directory:
+        settings = short_document(Path(directory) / "state")
+        for kind in (Verification(), nightly.Night()):
+            ended = Night(monkeypatch).run(settings, kind=kind, files=False)
+            assert isinstance(ended.error, ConfigurationError)
+            assert "volcal calibrate" in str(ended.error)
+            assert ended.outcome.state is RunState.REFUSED
+
+
+def test_verification_compares_and_writes_nothing(machine: Calibrated) -> None:
+    before = (machine.night.active, dict(machine.night.banks))
+    ended = machine.run(Verification(nights=1.0))
+    assert ended.error is None
+    assert told(ended.outcome) is Decision.WITHIN
+    assert ended.outcome.state is RunState.COMPLETE
+    assert (machine.night.active, dict(machine.night.banks)) == before
+    night = ended.outcome.night
+    assert night is not None
+    assert night.since == machine.first.outcome.run_id
+    assert night.positions == 2
+    document = ended.outcome.as_json()
+    assert document["kind"] == "verify"
+    assert document["night"]["decision"] == "within limits"  # type: ignore[index]
+    run_id = ended.outcome.run_id
+    query = "SELECT decisions.kind FROM decisions JOIN runs USING (run) WHERE run_id = ?"
+    kinds = [kind for (kind,) in rows(machine.state, query, (run_id,)) if not kind.startswith("probe/")]
+    assert kinds == ["verify"]
+    assert states(machine.state, run_id) == ["preflight", "measuring", "identifying", "complete"]
+    last = last_accepted(machine.state)
+    assert last is not None
+    assert last.run_id == machine.first.outcome.run_id
+
+
+def test_a_collision_is_out_of_limits_and_leads_to_a_full_calibration(machine: Calibrated) -> None:
+    """Verified, noticed at night, kept while nobody permits, done where somebody does, and then forgotten."""
+    machine.night.changed(**COLLISION)
+    verified = machine.run(Verification(nights=1.0))
+    assert told(verified.outcome) is Decision.OUT
+    assert verified.error is None
+    assert full_needed(machine.state) is None
+    noticed = machine.run(nightly.Night(nights=1.0))
+    assert isinstance(noticed.error, GateRefused)
+    assert told(noticed.outcome) is Decision.FULL_NEEDED
+    pending = full_needed(machine.state)
+    assert pending is not None
+    assert pending.run_id == noticed.outcome.run_id
+    waiting = machine.run(nightly.Night(nights=2.0))
+    assert told(waiting.outcome) is Decision.FULL_NEEDED
+    assert pending.run_id in str(waiting.error)
+    assert full_needed(machine.state) == pending
+    assert machine.night.active == machine.first.outcome.table_bank
+    done = machine.run(nightly.Night(nights=2.0, full_allowed=True))
+    assert done.error is None
+    assert told(done.outcome) is Decision.FULL_DONE
+    assert full_needed(machine.state) is None
+    assert machine.night.active == done.outcome.table_bank != machine.first.outcome.table_bank
+    last = last_accepted(machine.state)
+    assert last is not None
+    assert last.run_id == done.outcome.run_id
+
+
+def test_where_it_is_permitted_and_fits_the_full_calibration_comes_the_same_night(machine: Calibrated) -> None:
+    machine.night.changed(**COLLISION)
+    ended = machine.run(nightly.Night(slot_minutes=60.0, full_allowed=True, nights=1.0))
+    assert ended.error is None
+    assert told(ended.outcome) is Decision.FULL_DONE
+    assert ended.outcome.state is RunState.COMPLETE
+    assert ended.outcome.proof is not None
+    gates = rows(machine.state, "SELECT record FROM decisions WHERE kind = 'gate' AND record LIKE '%\"change\"%'")
+    assert len(gates) == 1
+
+
+def test_a_slot_that_is_too_short_is_refused_before_anything_moves(machine: Calibrated) -> None:
+    ended = machine.run(nightly.Night(slot_minutes=3.0, nights=1.0))
+    assert isinstance(ended.error, PlanRefused)
+    assert "3 min is too short" in str(ended.error)
+    run_id = ended.outcome.run_id
+    query = "SELECT count(*) FROM steps JOIN runs USING (run) WHERE run_id = ?"
+    assert rows(machine.state, query, (run_id,)) == [(0,)]
+
+
+def test_a_night_stays_inside_its_slot_and_goes_on_from_the_last(machine: Calibrated) -> None:
+    ended = machine.run(
+        nightly.Night(slot_minutes=16.0, nights=1.0), gates={**machine.settings["gates"], "largest_change": 50.0}
+    )
+    assert told(ended.outcome) in (Decision.FUSED, Decision.WRITTEN), ended.outcome.reason
+    assert ended.outcome.machine_minutes <= 16.0
+    last = last_accepted(machine.state)
+    assert last is not None
+    assert last.run_id == ended.outcome.run_id
+    assert machine.night.active == ended.outcome.table_bank
+
+
+def test_another_table_than_the_accepted_one_is_none_to_go_on_from(machine: Calibrated) -> None:
+    assert machine.night.world is not None
+    machine.night.world.controller.activate(0)
+    ended = machine.run(Verification(nights=1.0))
+    assert isinstance(ended.error, GateRefused)
+    assert "does not hold the table accepted" in str(ended.error)
+    assert ended.outcome.state is RunState.REFUSED
+    assert machine.night.active == 0
+
+
+def test_another_machine_is_refused_by_name(machine: Calibrated, tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    shipped = Path(machine.settings["machine"])
+    text = shipped.read_text().replace(
+        '"case-study-deflection.csv"', f'"{shipped.parent / "case-study-deflection.csv"}"'
+    )
+    other.write_text(text)
+    ended = machine.run(Verification(nights=1.0), machine=str(other))
+    assert isinstance(ended.error, ConfigurationError)
+    assert "it was of machine case-study.toml, not other.toml" in str(ended.error)
