@@ -19,6 +19,7 @@ import numpy as np
 
 from agent.execution.encoding import table_digest
 from agent.execution.journal import FILE_NAME, RunJournal
+from agent.files import write_atomically
 from agent.job import Job
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import TableImage
@@ -90,6 +91,14 @@ def record_accepted(journal: RunJournal, accepted: Accepted) -> None:
 def record_full_needed(journal: RunJournal, reason: str) -> None:
     """Have the next permitted slot calibrate in full; durable when it returns."""
     journal.decision(_FULL_NEEDED, {"reason": reason})
+
+
+def write_copy(directory: Path, run_id: str) -> None:
+    """Lay the estimate of `run_id` beside the journal where that is the last accepted night. InputError where the
+    journal cannot be read or the directory not be written."""
+    row = _one(directory, _LAST, (_ACCEPTED,))
+    if row is not None and row[0] == run_id and row[3] is not None:
+        write_atomically(directory / COPY_NAME, row[3])
 
 
 def last_accepted(directory: Path) -> LastAccepted | None:

@@ -20,6 +20,7 @@ from agent.execution.supervisor import Supervisor
 from agent.guarded_run import Means, Progress
 from agent.job import Job
 from agent.kinds.kind import FullCalibration, Kind, Ready
+from agent.last_accepted import write_copy
 from agent.outcome import Outcome
 from agent.rehearsal import Rehearsal
 from agent.rig import Rig
@@ -119,6 +120,7 @@ class _Session:
         outcome = self._outcome(progress, minutes, wall_seconds() - began)
         if self._request.files:
             outcome = write_results(self._job, outcome, progress, self._journal)
+            write_copy(self._job.settings.state_directory, self._run_id)
         return Ended(outcome, progress.error)
 
     def _on(self, rig: Rig) -> Progress:

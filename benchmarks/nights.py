@@ -85,7 +85,7 @@ class Season:
             collision_night=self.step,
             collision=COLLISION,
         )
-        return replace(shipped, settings=shipped.settings.model_copy(update={"ageing": ageing}))
+        return replace(shipped, settings=shipped.settings.model_copy(update={"ageing": ageing, "seed": self.seed}))
 
     def station(self, night: int) -> int:
         """Where the day shift has put the artefact: the next station every day."""
@@ -168,7 +168,7 @@ class Machine:
             ve_after=None if found is None else found.ve_after_um,
             chi2=None if found is None else found.chi2_normalised,
             named="" if found is None else ", ".join(one.text for one in found.jumped),
-            reason=outcome.reason,
+            reason=outcome.reason or ("" if found is None else found.reason),
         )
 
     def _world(self, night: int) -> World:

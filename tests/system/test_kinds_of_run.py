@@ -13,10 +13,11 @@ from nights import Night, memory_directory, rows, short_document, states
 from agent.execution.states import RunState
 from agent.kinds import nightly
 from agent.kinds.verify import Verification
-from agent.last_accepted import full_needed, last_accepted
+from agent.last_accepted import COPY_NAME, full_needed, last_accepted, write_copy
 from agent.outcome import Decision, Outcome
 from agent.session import Ended
 from drivers.errors import ConfigurationError, GateRefused, PlanRefused
+from twin.formats.estimate_file import parse_estimate
 
 pytestmark = pytest.mark.timeout(180)
 
@@ -87,6 +88,18 @@ def test_verification_compares_and_writes_nothing(machine: Calibrated) -> None:
     last = last_accepted(machine.state)
     assert last is not None
     assert last.run_id == machine.first.outcome.run_id
+
+
+def test_copy_beside_the_journal_is_an_estimate_to_go_on_from(machine: Calibrated) -> None:
+    machine.night.run(machine.settings)
+    copy = machine.state / COPY_NAME
+    last = last_accepted(machine.state)
+    assert last is not None
+    if last.run_id != machine.first.outcome.run_id:
+        assert parse_estimate(copy.read_text(), str(copy)).carried_over().mean == pytest.approx(last.known.z)
+    write_copy(machine.state, last.run_id)
+    assert parse_estimate(copy.read_text(), str(copy)).parameters == pytest.approx(last.known.parameters)
+    assert last.nights_until("2100-01-01T00:00:00.000Z") > 20000.0
 
 
 def test_a_collision_is_out_of_limits_and_leads_to_a_full_calibration(machine: Calibrated) -> None:
