@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
-from benchmarks.nights import Season, played, verdict
+pytestmark = pytest.mark.timeout(300)
 
-pytestmark = pytest.mark.timeout(240)
+ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_short_slots_keep_up_and_a_collision_is_noticed_named_and_calibrated() -> None:
-    season = Season(nights=6, step=5)
-    rows = played(season, report=False)
-    found = verdict(season, rows)
-    assert found["passed"], found
-    assert str(found["step_named_as"]).startswith("B0Z")
-    assert [row.decision for row in rows][-2:] == ["full calibration needed", "full calibration done"]
-    # the drift is worth the slots: without them the first night's table has fallen behind before the collision
-    assert rows[4].untouched > rows[4].true_after + 0.3
-    before = rows[0].true_before
-    assert all(row.true_after < 0.5 * before for row in rows if row.night != season.step)
+def test_short_slots_keep_up_and_a_collision_is_noticed_named_and_calibrated(tmp_path: Path) -> None:
+    table, figure = tmp_path / "nights.csv", tmp_path / "nights.png"
+    command = [sys.executable, "-m", "benchmarks.nights", "--nights", "6", "--step", "5"]
+    done = subprocess.run(
+        [*command, "--csv", str(table), "--figure", str(figure)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found["passed"] is True
+    assert found["worst_ratio"] < 1.5
+    assert found["step_named_as"].startswith("B0Z changed by +")
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert [row["decision"] for row in rows][-2:] == ["full calibration needed", "full calibration done"]
+    before = float(rows[0]["true_before"])
+    for row in rows[:5]:
+        assert float(row["true_after"]) < 0.5 * before
+        assert float(row["minutes"]) <= (15.0 if row["night"] != "0" else 120.0)
+    # the drift is worth the slots: without them the first night's table falls behind
+    assert float(rows[4]["untouched"]) > float(rows[4]["true_after"]) + 0.3
