@@ -8,7 +8,8 @@ import os
 import sqlite3
 import tempfile
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -101,18 +102,23 @@ class Night:
     ) -> Ended:
         """Calibrate, or a run of another `kind`; the world of the first run stays the world of the following ones.
         `files`: write results."""
-        assemble = agent.session.assemble
-        with self.monkeypatch.context() as patch:
-            patch.setattr(agent.session, "make_clock", lambda _: VirtualClock())
-
-            def assembled(*given: Any) -> Rig:
-                rig = assemble(*given)
-                return self.tamper(self._with_first_world(rig))
-
-            patch.setattr(agent.session, "assemble", assembled)
+        with self.in_place():
             job = prepare_job(Settings.model_validate(settings), Path.cwd())
             chosen = kind or FullCalibration()
             return carry_out(Request(job, Path.cwd(), self.heard.append, interrupts, chosen, files=files))
+
+    @contextmanager
+    def in_place(self) -> Iterator[None]:
+        """Whatever runs inside runs on this machine, on virtual time."""
+        assemble = agent.session.assemble
+
+        def assembled(*given: Any) -> Rig:
+            return self.tamper(self._with_first_world(assemble(*given)))
+
+        with self.monkeypatch.context() as patch:
+            patch.setattr(agent.session, "make_clock", lambda _: VirtualClock())
+            patch.setattr(agent.session, "assemble", assembled)
+            yield
 
     def _with_first_world(self, rig: Rig) -> Rig:
         """The machine of the first run, with all that happened to it; its time starts anew with each run's clock."""

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner, Result
 from nights import Night, memory_directory, rows, short_document, states
 
+import agent.cli.night
+from agent.cli.main import main
 from agent.execution.states import RunState
 from agent.kinds import nightly
 from agent.kinds.verify import Verification
 from agent.last_accepted import COPY_NAME, full_needed, last_accepted, write_copy
 from agent.outcome import Decision, Outcome
 from agent.session import Ended
+from agent.settings import Settings
 from drivers.errors import ConfigurationError, GateRefused, PlanRefused
 from twin.formats.estimate_file import parse_estimate
 
@@ -182,3 +187,39 @@ def test_another_machine_is_refused_by_name(machine: Calibrated, tmp_path: Path)
     ended = machine.run(Verification(nights=1.0), machine=str(other))
     assert isinstance(ended.error, ConfigurationError)
     assert "it was of machine case-study.toml, not other.toml" in str(ended.error)
+
+
+class Commands:
+    """`volcal verify` and `volcal nightly` as somebody types them, on the machine of the fixture."""
+
+    def __init__(self, machine: Calibrated, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._machine = machine
+        monkeypatch.setattr(agent.cli.night, "load_settings", lambda _: Settings.model_validate(machine.settings))
+
+    def run(self, *arguments: str) -> Result:
+        with self._machine.night.in_place():
+            return CliRunner().invoke(main, [*arguments, "--nights", "1", "--config", "volcal.toml"])
+
+
+def test_commands_tell_within_limits_by_their_exit_code(machine: Calibrated, monkeypatch: pytest.MonkeyPatch) -> None:
+    commands = Commands(machine, monkeypatch)
+    verified = commands.run("verify", "--json")
+    assert verified.exit_code == 0, verified.output
+    assert json.loads(verified.stdout)["night"]["decision"] == "within limits"
+    machine.settings["gates"]["largest_change"] = 50.0
+    kept = commands.run("nightly", "--slot", "0.3h", "--json")
+    document = json.loads(kept.stdout)
+    assert document["kind"] == "nightly"
+    assert document["machine_minutes"] <= 18.0
+    assert kept.exit_code == (4 if document["verified"] is False else 0)
+    assert Path(document["report"]).read_text().startswith("<!DOCTYPE html>")
+    machine.night.changed(**COLLISION)
+    out = commands.run("verify")
+    assert out.exit_code == 4
+    assert "out of limits" in out.stderr
+    assert "held-out positions" in out.stdout
+    needed = commands.run("nightly")
+    assert needed.exit_code == 4
+    assert "a full calibration is needed" in needed.stderr
+    assert commands.run("nightly", "--slot", "soon").exit_code == 2
+    assert commands.run("verify", "--standing-at", "9").exit_code == 2
