@@ -24,7 +24,7 @@ from twin.observations import Observations
 from twin.verification import HeldOut, held_out, held_out_test
 
 UM_PER_MM = 1e3
-_COVERAGE = 2.0
+_COVERAGE = 3.0
 
 
 def prove_step(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
