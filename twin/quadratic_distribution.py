@@ -5,10 +5,9 @@ With x of mean m and covariance L Lᵀ the form xᵀAx + 2bᵀx + c is a sum of 
     Q = c₀ + Σ λ_j (g_j + δ_j)²,    g_j standard normal,
 
 whose moment generating function is known. The probability that Q exceeds q is its inverse Laplace transform (Imhof,
-Biometrika 48, 1961, with real frequencies). Here the path of integration goes through the saddle point and bends as the
-path of steepest descent does (Rice, SIAM J. Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983): what is
-summed neither oscillates nor decays slowly, both tails are good to many digits, and one term or ninety make no
-difference.
+Biometrika 48, 1961, with real frequencies). Here the path of integration is a parabola through the saddle point (Rice,
+SIAM J. Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983): what is summed neither oscillates nor decays
+slowly, both tails are good to many digits, and one term or ninety make no difference.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _BLOCK = 64  # points of the path at a time
 _MOST_BLOCKS = 60
 _RISING = 1e-6  # of the exponent along a path that is no good: rounding is less
 _IMPOSSIBLE = 1e-9  # a negative eigenvalue, of the largest, that is no rounding
-_BENDS = (0.1, 0.05, 0.02, 0.005, 0.001)  # of the path, in widths of the saddle; the first that does is taken
+_BENDS = (0.05, 0.02, 0.005, 0.001)  # of the path, in widths of the saddle; the first that does is taken
 _COUNTS = -37.0  # exponent relative to that at the saddle, below which a summand is rounding
 _TURNING = 0.7  # rad of a summand to the next one
 _HINT = "take the covariance of an estimate as it was written"

@@ -44,6 +44,30 @@ def test_the_far_tail_is_no_rounding() -> None:
     assert plain([1.0] * 9, [0.0] * 9).at_most(1e-3) == pytest.approx(stats.chi2(9).cdf(1e-3), rel=1e-9, abs=0.0)
 
 
+def imhof(weights: np.ndarray, shifts: np.ndarray, value: float) -> float:
+    """P(Q > value) by Imhof's integral over real frequencies, summed step by step."""
+    step = 0.1 / np.sqrt(2.0 * np.sum(weights**2 * (1.0 + 2.0 * shifts**2)))
+    u = step * (np.arange(12_000) + 0.5)
+    phase, size = -0.5 * value * u, np.zeros_like(u)
+    for weight, shift in zip(weights, shifts, strict=True):
+        x = weight * u
+        phase += 0.5 * (np.arctan(x) + shift**2 * x / (1.0 + x**2))
+        size += 0.25 * np.log1p(x**2) + 0.5 * shift**2 * x**2 / (1.0 + x**2)
+    return float(0.5 + np.sum(np.sin(phase) * np.exp(-size) / u) * step / np.pi)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.7, 3.0, 20.0])
+@pytest.mark.parametrize("spread", [0.1, 1.0])
+def test_against_the_integral_over_real_frequencies(shift: float, spread: float) -> None:
+    """From nearly Gaussian to far from it, on both sides of the mean and at it."""
+    rng = np.random.default_rng(3)
+    weights, shifts = np.exp(spread * rng.normal(size=12)), shift * rng.normal(size=12)
+    one = QuadraticDistribution(weights, shifts, 0.0)
+    for deviations in (-1.2, -0.3, -1e-9, 1e-9, 0.01, 0.5, 2.0, 4.0):
+        value = one.mean + deviations * np.sqrt(one.variance)
+        assert one.exceeds(value) == pytest.approx(imhof(weights, shifts, value), abs=1e-7)
+
+
 def test_two_different_weights_against_the_convolution() -> None:
     """P(a x² + b y² ≤ q) as a plain integral over x."""
     a, b, q = 2.0, 0.3, 1.7
@@ -153,6 +177,7 @@ def estimated(misfit_mm: float) -> Estimate:
 
 def drawn_fields(estimate: Estimate, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Fields (count, 3n) of possible machines, and of the same less the compensation model, point by point."""
+    beside = 0.0 if estimate.misfit is None else np.sqrt(estimate.misfit.unresolved_mm2)
     basis = deviation_basis(estimate.model, GRID, TOOL).reshape(3 * len(GRID), -1)
     mean, covariance, columns = estimate.parameters, estimate.covariance, basis
     misfit = estimate.misfit
@@ -164,7 +189,7 @@ def drawn_fields(estimate: Estimate, rng: np.random.Generator, count: int) -> tu
     scale = np.sqrt(np.diagonal(covariance))
     root = scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale))
     drawn = mean + rng.normal(size=(count, len(mean))) @ root.T
-    machines = drawn @ columns.T
+    machines = drawn @ columns.T + beside * rng.normal(size=(count, len(columns)))
     return machines, machines - basis @ estimate.parameters
 
 
