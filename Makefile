@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts bench schema clean
+.PHONY: setup run test check lint types contracts bench nights schema clean
 
 setup: $(STAMP)
 
@@ -33,6 +33,11 @@ check: lint types contracts test
 
 bench: setup
 	$(BIN)/python -m benchmarks
+
+# A season of nights on a simulated machine that drifts and is hit once; ends with one line of JSON.
+NIGHTS ?= 30
+nights: setup
+	$(BIN)/python -m benchmarks.nights --nights $(NIGHTS)
 
 schema: setup
 	mkdir -p config/schema
