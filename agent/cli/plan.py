@@ -13,12 +13,14 @@ from rich.table import Table
 
 from agent.cli.calibrate import procedure_options
 from agent.cli.errors import reported
+from agent.designing.valued_set import valuation_of
 from agent.expectation import Expectation, expect
 from agent.job import Job, load_settings, naming, prepare_job, with_overrides
 from agent.plans.measure import position_key
 from agent.rehearsal import Rehearsal, rehearse
 from agent.timing import PARTS, minutes_by_part
 from drivers.errors import PlanRefused
+from twin.design.valuation import Valuation
 
 
 @click.command("plan")
@@ -57,15 +59,16 @@ def plan_command(
             click.echo(f"preview: {path}", err=True)
         raise
     expectation = expect(job, rehearsal.measured)
+    valuation = valuation_of(job, job.positions)
     files = draw(None) if draw else []
     if as_json:
-        click.echo(json.dumps(_document(job, rehearsal, expectation, files), allow_nan=False))
+        click.echo(json.dumps(_document(job, rehearsal, expectation, valuation, files), allow_nan=False))
         return
     console = Console()
     if steps:
         for key, seconds in rehearsal.timeline.items():
             click.echo(f"{seconds:10.2f} s  {key}")
-    console.print(_table(job, rehearsal, expectation))
+    console.print(_table(job, rehearsal, expectation, valuation))
     console.print(_minutes_table(minutes_by_part(rehearsal.steps)))
     for path in files:
         click.echo(str(path))
@@ -79,7 +82,9 @@ def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path
     return partial(write_preview, job, folder)
 
 
-def _document(job: Job, rehearsal: Rehearsal, expectation: Expectation, files: list[Path]) -> dict[str, object]:
+def _document(
+    job: Job, rehearsal: Rehearsal, expectation: Expectation, valuation: Valuation, files: list[Path]
+) -> dict[str, object]:
     balls = sum(len(p.balls) for p in rehearsal.measured.positions)
     return {
         "position_set": job.settings.procedure.position_set,
@@ -100,12 +105,13 @@ def _document(job: Job, rehearsal: Rehearsal, expectation: Expectation, files: l
         "parameters": expectation.parameters,
         "predicted_vce_um": expectation.vce.aligned_um,
         "predicted_vce_raw_um": expectation.vce.raw_um,
+        "valuation_percent": round(valuation.percent, 2),
         "wall_seconds": round(rehearsal.wall_seconds, 3),
         "files": [str(path) for path in files],
     }
 
 
-def _table(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> Table:
+def _table(job: Job, rehearsal: Rehearsal, expectation: Expectation, valuation: Valuation) -> Table:
     table = Table(title="rehearsed: no collision, no limit", show_header=False)
     measured = rehearsal.measured
     rows = [
@@ -119,6 +125,7 @@ def _table(job: Job, rehearsal: Rehearsal, expectation: Expectation) -> Table:
         ("machine time", f"{rehearsal.machine_minutes:.1f} min"),
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
         ("VCE to expect", f"{expectation.vce.aligned_um:.2f} µm aligned ({expectation.vce.raw_um:.2f} as defined)"),
+        ("valuation", f"{valuation.percent:.1f} % of the family's error is expected to go"),
         ("rehearsal took", f"{rehearsal.wall_seconds:.2f} s for {rehearsal.commands} steps"),
     ]
     for row in rows:
