@@ -90,6 +90,15 @@ def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
     return field - (motions @ (motions.T @ flat)).reshape(-1, 3)
 
 
+def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) -> Array:
+    """The best small rigid motion of a deviation (n, 3) at tool points (n, 3), as it is at other tool points (m, 3)."""
+    at, field, other = (as_points(each, "points") for each in (points, deviation, elsewhere))
+    middle, size_mm = at.mean(axis=0), max(float(np.ptp(at, axis=0).max()), 1.0)
+    fields = rigid_fields(at, middle, size_mm).reshape(-1, 6)
+    motion = np.linalg.lstsq(fields, field.reshape(-1), rcond=1e-9)[0]
+    return np.asarray(rigid_fields(other, middle, size_mm) @ motion)
+
+
 def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> Volumetric:
     """Raw and aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
     field = as_points(deviation, "deviation")

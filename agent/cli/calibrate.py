@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import fail, reported
+from agent.cli.options import procedure_options
 from agent.cli.watching import watching
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
@@ -23,37 +24,6 @@ from agent.outcome import Outcome
 from agent.session import Ended, Request, carry_out
 from agent.settings import Settings
 from drivers.errors import GateRefused
-
-
-def _station_list(_: click.Context, __: click.Parameter, text: str | None) -> list[int] | None:
-    if text is None:
-        return None
-    try:
-        stations = [int(part) for part in text.split(",")]
-    except ValueError:
-        raise click.BadParameter("write station numbers separated by commas, such as 1,2") from None
-    if min(stations) < 1 or len(set(stations)) < len(stations):
-        raise click.BadParameter("stations count from 1 and are named once each")
-    return stations
-
-
-def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Options that every command with a procedure takes."""
-    for option in (
-        click.option("--formulation", type=click.Choice(["centres", "distances"])),
-        click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations to measure at."),
-        click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),
-        click.option(
-            "--config",
-            "config",
-            type=click.Path(path_type=Path),
-            default=Path("volcal.toml"),
-            show_default=True,
-            help="Settings of the agent.",
-        ),
-    ):
-        command = option(command)
-    return command
 
 
 @click.command("calibrate")

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from agent.assembly import assemble, closed_after, make_clock
 from agent.cli.errors import reported
+from agent.cli.options import config_option
 from agent.job import load_settings, naming, prepare_job
 from agent.settings import Settings
 from drivers.errors import DeviceError
@@ -18,7 +19,7 @@ from drivers.roles import Device, Finding
 
 
 @click.command("doctor")
-@click.option("--config", type=click.Path(path_type=Path), default=Path("volcal.toml"), show_default=True)
+@config_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @reported
 def doctor_command(config: Path, as_json: bool) -> None:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.calibrate import run_calibration, summary_table
+from agent.cli.options import config_option
 from agent.job import load_settings, naming
 from agent.kinds.kind import Kind
 from agent.outcome import NightReport, Outcome
@@ -46,14 +47,7 @@ def night_options(command: click.decorators.FC) -> click.decorators.FC:
             metavar="STATION",
             help="Where the artefact stands [default: stations.standing_at].",
         ),
-        click.option(
-            "--config",
-            "config",
-            type=click.Path(path_type=Path),
-            default=Path("volcal.toml"),
-            show_default=True,
-            help="Settings of the agent.",
-        ),
+        config_option,
     ):
         command = option(command)
     return command

@@ -11,8 +11,8 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from agent.cli.calibrate import procedure_options
 from agent.cli.errors import reported
+from agent.cli.options import procedure_options
 from agent.designing.valued_set import valuation_of
 from agent.expectation import Expectation, expect
 from agent.job import Job, load_settings, naming, prepare_job, with_overrides

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from agent.assembly import assemble, closed_after, make_clock
 from agent.cli.errors import reported
+from agent.cli.options import config_option
 from agent.execution.encoding import table_digest
 from agent.files import write_all_atomically
 from agent.job import Job, load_settings, naming, prepare_job
@@ -23,8 +24,6 @@ from drivers.errors import InputError
 from drivers.roles import TableImage
 from twin.formats.table_file import format_side_file, format_table
 
-CONFIG = click.option("--config", type=click.Path(path_type=Path), default=Path("volcal.toml"), show_default=True)
-
 
 @click.group("table")
 def table_group() -> None:
@@ -32,7 +31,7 @@ def table_group() -> None:
 
 
 @table_group.command("show")
-@CONFIG
+@config_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @reported
 def show(config: Path, as_json: bool) -> None:
@@ -56,7 +55,7 @@ def show(config: Path, as_json: bool) -> None:
 
 
 @table_group.command("export")
-@CONFIG
+@config_option
 @click.option("--bank", type=int, help="Which bank; the active one when not said.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The CSV file to write.")
 @reported

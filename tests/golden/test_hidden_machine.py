@@ -203,7 +203,7 @@ def test_the_field_lies_inside_its_stated_uncertainty() -> None:
     for one in nights():
         field = truth_at(points, one.parameters, one.form)
         field = field - exact_deviation(one.estimate.model, points, TOOL, one.estimate.parameters)
-        sigma = field_uncertainty(one.estimate, points, TOOL, aligned=True)
+        sigma = field_uncertainty(one.estimate, points, TOOL, aligned_over=points)
         ratio = aligned(points + TOOL, field) / sigma
         squares.append(np.mean(ratio**2))
         beyond.append(np.mean(np.abs(ratio) > 2.0))

@@ -32,18 +32,21 @@ def predicted_vce(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike)
     return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(left, 0.0))))
 
 
-def field_uncertainty(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, aligned: bool = False) -> Array:
+def field_uncertainty(
+    estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, aligned_over: ArrayLike | None = None
+) -> Array:
     """Posterior root mean square (n, 3) mm of machine less model at axis positions (n, 3), per direction.
 
-    `aligned`: of what is left after the best rigid motion over these points.
+    `aligned_over` (m, 3): of what is left after the best rigid motion over these axis positions.
     """
-    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    at, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
+    grid = at if aligned_over is None else as_points(aligned_over, "points of the alignment")
     motions = _motions_about(grid, offset)
-    carried = _sums(estimate, grid, offset).share if aligned else np.zeros((6, len(moments)))
-    squares = np.empty_like(grid)
-    for start in range(0, len(grid), _CHUNK):
-        chunk = grid[start : start + _CHUNK]
+    carried = np.zeros((6, len(moments))) if aligned_over is None else _sums(estimate, grid, offset).share
+    squares = np.empty_like(at)
+    for start in range(0, len(at), _CHUNK):
+        chunk = at[start : start + _CHUNK]
         field = field_columns(estimate, chunk, offset) - motions(chunk) @ carried
         squares[start : start + _CHUNK] = np.einsum("nip,nip->ni", field @ moments, field)
     return np.sqrt(np.maximum(squares, 0.0) + unresolved(estimate))

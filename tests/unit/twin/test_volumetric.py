@@ -7,7 +7,15 @@ from twin.error_model import ErrorModel
 from twin.errors import DataError, ModelError
 from twin.family import family_from_amplitudes
 from twin.machine_model import linear_deviation
-from twin.volumetric import QuadraticForm, align_rigidly, covering_grid, evaluation_grid, rms, volumetric_error
+from twin.volumetric import (
+    QuadraticForm,
+    align_rigidly,
+    covering_grid,
+    evaluation_grid,
+    rigid_part,
+    rms,
+    volumetric_error,
+)
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)
@@ -27,6 +35,20 @@ def test_the_grid_has_its_ends_and_its_order():
 
 def test_rms_by_hand():
     assert rms(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 1.0]])) == pytest.approx(np.sqrt(13.0))
+
+
+def test_the_rigid_part_of_a_field_is_the_same_motion_elsewhere():
+    points = evaluation_grid(RANGES, (5, 4, 3)) + TOOL
+    elsewhere = np.array([[5000.0, -300.0, 20.0], [17.0, 900.0, 1200.0]])
+
+    def motion(at):
+        return np.array([1e-2, -2e-2, 5e-3]) + np.cross([3e-6, -7e-6, 1e-6], at)
+
+    stretch = (points - points.mean(axis=0)) * [1e-6, 0.0, 0.0]
+    np.testing.assert_allclose(rigid_part(points, motion(points) + stretch, elsewhere), motion(elsewhere), atol=1e-13)
+    np.testing.assert_allclose(
+        stretch - rigid_part(points, stretch, points), align_rigidly(points, stretch), atol=1e-15
+    )
 
 
 def test_a_rigid_motion_is_removed_and_nothing_else():

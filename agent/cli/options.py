@@ -1,0 +1,44 @@
+"""Options that several commands take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+def config_option(command: click.decorators.FC) -> click.decorators.FC:
+    """The settings of the agent."""
+    option = click.option(
+        "--config",
+        "config",
+        type=click.Path(path_type=Path),
+        default=Path("volcal.toml"),
+        show_default=True,
+        help="Settings of the agent.",
+    )
+    return option(command)
+
+
+def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
+    """Options that every command with a procedure takes."""
+    for option in (
+        click.option("--formulation", type=click.Choice(["centres", "distances"])),
+        click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations to measure at."),
+        click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),
+        config_option,
+    ):
+        command = option(command)
+    return command
+
+
+def _station_list(_: click.Context, __: click.Parameter, text: str | None) -> list[int] | None:
+    if text is None:
+        return None
+    try:
+        stations = [int(part) for part in text.split(",")]
+    except ValueError:
+        raise click.BadParameter("write station numbers separated by commas, such as 1,2") from None
+    if min(stations) < 1 or len(set(stations)) < len(stations):
+        raise click.BadParameter("stations count from 1 and are named once each")
+    return stations
