@@ -9,16 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
-from twin.grid_sums import GridSums
 from twin.identification.estimate import Estimate
-from twin.identification.predicted import field_columns
+from twin.identification.predicted import field_forms
 from twin.quadratic_distribution import QuadraticDistribution
 from twin.quadratic_mixture import QuadraticMixture
-from twin.rigid_motion import rigid_fields
 from twin.supposition import Supposition, suppositions
 from twin.volumetric import Volumetric
-
-_CHUNK = 2000  # points whose columns are held at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +61,7 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     written = np.zeros(_size(estimate))
     written[: estimate.model.size] = estimate.parameters
-    forms = _forms(estimate, grid, offset)
+    forms = field_forms(estimate, grid, offset)
     likely = suppositions(estimate)
     parts = [[_both(form, one, written) for one in likely] for form in forms]
     before, left = (
@@ -83,31 +79,3 @@ def _both(form: Array, one: Supposition, written: Array) -> tuple[QuadraticDistr
 
 def _size(estimate: Estimate) -> int:
     return estimate.model.size + (0 if estimate.misfit is None else estimate.misfit.modes.size)
-
-
-def _forms(estimate: Estimate, grid: Array, offset: Array) -> tuple[Array, Array]:
-    """(m, m) mean squares over the grid, raw and aligned."""
-    sums = GridSums.over(grid, _degrees(estimate))
-    middle, size_mm = sums.nodes.mean(axis=0), max(float(np.ptp(grid, axis=0).max()), 1.0)
-    size = _size(estimate)
-    normal, gram, common = np.zeros((6, 6)), np.zeros((size, size)), np.zeros((6, size))
-    for start in range(0, len(sums.nodes), _CHUNK):
-        chunk = sums.nodes[start : start + _CHUNK]
-        roots = np.sqrt(sums.weights[start : start + _CHUNK]).repeat(3)[:, None]
-        columns = roots * field_columns(estimate, chunk, offset).reshape(-1, size)
-        motions = roots * rigid_fields(chunk, middle, size_mm).reshape(-1, 6)
-        normal += motions.T @ motions
-        gram += columns.T @ columns
-        common += motions.T @ columns
-    rigid = common.T @ np.linalg.lstsq(normal, common, rcond=1e-12)[0]
-    return gram / len(grid), (gram - 0.5 * (rigid + rigid.T)) / len(grid)
-
-
-def _degrees(estimate: Estimate) -> tuple[int, int, int]:
-    """Highest powers of x, y, z in a column: a series or the cross-effect with a lever, or a mode of the misfit."""
-    modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
-    x, y, z = (
-        max(max(order, 2) + 1, *(degrees[axis] for degrees in modes), 0)
-        for axis, order in enumerate(estimate.model.highest_order)
-    )
-    return x, y, z

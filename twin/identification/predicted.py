@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
+from twin.grid_sums import GridSums
 from twin.identification.estimate import Estimate
 from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
@@ -25,10 +26,8 @@ def predicted_vce(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike)
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
-    sums = _sums(estimate, grid, offset)
-    aligned = sums.field - sums.shared.T @ sums.share
     beside = 3.0 * unresolved(estimate)
-    raw, left = (float(np.vdot(form, moments)) / len(grid) + beside for form in (sums.field, aligned))
+    raw, left = (float(np.vdot(form, moments)) + beside for form in field_forms(estimate, grid, offset))
     return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(left, 0.0))))
 
 
@@ -60,6 +59,14 @@ def left_covariance(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLik
     return np.asarray(columns @ moments @ columns.T) + unresolved(estimate) * np.eye(len(columns))
 
 
+def field_forms(estimate: Estimate, points: Array, offset: Array) -> tuple[Array, Array]:
+    """Mean squares (p + q, p + q) in mm² of the field's columns over axis positions (n, 3), raw and after the best
+    rigid motion."""
+    sums = _sums(estimate, points, offset)
+    rigid = sums.shared.T @ sums.share
+    return sums.field / len(points), (sums.field - 0.5 * (rigid + rigid.T)) / len(points)
+
+
 @dataclass(frozen=True, eq=False)
 class _Sums:
     """Over a grid: `field` FᵀF of the field's columns, `shared` GᵀF with the rigid motions G, `motion` GᵀG."""
@@ -76,16 +83,28 @@ class _Sums:
 
 def _sums(estimate: Estimate, grid: Array, offset: Array) -> _Sums:
     motions = _motions_about(grid, offset)
+    sums = GridSums.over(grid, _degrees(estimate))
     size = len(_second_moments(estimate))
     field_sum, shared, motion = np.zeros((size, size)), np.zeros((6, size)), np.zeros((6, 6))
-    for start in range(0, len(grid), _CHUNK):
-        chunk = grid[start : start + _CHUNK]
-        field = field_columns(estimate, chunk, offset).reshape(-1, size)
-        rigid = motions(chunk).reshape(-1, 6)
+    for start in range(0, len(sums.nodes), _CHUNK):
+        chunk = sums.nodes[start : start + _CHUNK]
+        roots = np.sqrt(sums.weights[start : start + _CHUNK]).repeat(3)[:, None]
+        field = roots * field_columns(estimate, chunk, offset).reshape(-1, size)
+        rigid = roots * motions(chunk).reshape(-1, 6)
         field_sum += field.T @ field
         shared += rigid.T @ field
         motion += rigid.T @ rigid
     return _Sums(field_sum, shared, motion)
+
+
+def _degrees(estimate: Estimate) -> tuple[int, int, int]:
+    """Highest powers of x, y, z in a column: a series or the cross-effect with a lever, or a mode of the misfit."""
+    modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
+    x, y, z = (
+        max(max(order, 2) + 1, *(degrees[axis] for degrees in modes), 0)
+        for axis, order in enumerate(estimate.model.highest_order)
+    )
+    return x, y, z
 
 
 def _motions_about(grid: Array, offset: Array) -> Callable[[Array], Array]:
