@@ -29,6 +29,7 @@ class Conduct:
         self._journal = journal
         self._listener = listener
         self.state = RunState.IDLE
+        self._held_in: RunState | None = None
 
     def enter(self, state: RunState, reason: str = "") -> None:
         """Change the state; a change that the table does not know is a defect and raises ValueError."""
@@ -39,6 +40,17 @@ class Conduct:
             self._journal.state(state, reason, final=state in FINAL)
         finally:
             self._listener(Announcement("state", reason or state.value, {"state": state.value}))
+
+    def hold(self) -> None:
+        """Held, where the table of states has a way there; elsewhere the machine stands still and the state stays."""
+        if may_follow(self.state, RunState.HELD):
+            self._held_in = self.state
+            self.enter(RunState.HELD)
+
+    def go_on(self) -> None:
+        """Back to what was held."""
+        if self.state is RunState.HELD and self._held_in is not None:
+            self.enter(self._held_in)
 
     def note(self, text: str, **data: object) -> None:
         """Something worth remembering that changes nothing."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
 from agent.assembly import LOCKSTEP_SLICE_S, assemble, closed_after, make_clock
 from agent.conduct import Conduct, Listener
-from agent.execution.engine import Engine
+from agent.execution.engine import Engine, Observer
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.run_lock import run_lock
 from agent.execution.states import RunState
@@ -30,12 +30,19 @@ from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, WatchedClock,
 from drivers.errors import PlanRefused, UserError, VolcalError
 
 
+def new_run_id() -> str:
+    """``20261121T012233Z-3f2a``: sorts by time, and two runs in one second differ."""
+    stamp = utc_timestamp().split(".", maxsplit=1)[0].replace("-", "").replace(":", "")
+    return f"{stamp}Z-{secrets.token_hex(2)}"
+
+
 @dataclass(frozen=True)
 class Request:
     """What somebody asked for. `interrupts` is handed the supervisor, so that signals can reach it.
 
     `clock` and `rig`: instead of those that the settings describe, for a machine that somebody holds already. `files`:
-    whether results are written as files too; the journal has them anyway.
+    whether results are written as files too; the journal has them anyway. `asked`: who wanted it and how, kept with
+    the run. `lock`: what keeps everybody else from the machine meanwhile. `observer` sees every step and its result.
     """
 
     job: Job
@@ -46,6 +53,10 @@ class Request:
     clock: Clock | None = None
     rig: Callable[[Settings, Clock, Path], Rig] | None = None
     files: bool = True
+    run_id: str = field(default_factory=new_run_id)
+    asked: Mapping[str, object] = field(default_factory=dict)
+    lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
+    observer: Observer | None = None
 
 
 @dataclass(frozen=True)
@@ -61,9 +72,9 @@ def carry_out(request: Request) -> Ended:
     good or bad, is an `Ended` with the journal closed."""
     began = wall_seconds()
     settings = request.job.settings
-    run_id = new_run_id()
+    run_id = request.run_id
     with (
-        run_lock(settings.state_directory, run_id),
+        request.lock(settings.state_directory, run_id),
         _journal(settings.state_directory) as journal,
         closed_after(request.clock or make_clock(settings.clock)) as outer,
     ):
@@ -74,15 +85,11 @@ def carry_out(request: Request) -> Ended:
         rig = (request.rig or assemble)(settings, clock, request.base)
         document = settings.model_dump(mode="json")
         run_journal = journal.start_run(run_id, request.kind.name, document, version("volcal"), clock)
+        if request.asked:
+            run_journal.event("asked", request.asked)
         conduct = Conduct(run_journal, request.listener)
         session = _Session(request, run_id, clock, supervisor, run_journal, conduct)
         return session.run(rig, began)
-
-
-def new_run_id() -> str:
-    """``20261121T012233Z-3f2a``: sorts by time, and two runs in one second differ."""
-    stamp = utc_timestamp().split(".", maxsplit=1)[0].replace("-", "").replace(":", "")
-    return f"{stamp}Z-{secrets.token_hex(2)}"
 
 
 class _Session:
@@ -126,8 +133,8 @@ class _Session:
     def _on(self, rig: Rig) -> Progress:
         rig.open()
         try:
-            self._supervisor.on_hold = rig.machine.hold
-            self._supervisor.on_resume = rig.machine.resume
+            self._supervisor.on_hold = lambda: self._hold(rig)
+            self._supervisor.on_resume = lambda: self._resume(rig)
             start = rig.machine.position().tolist()
             ready = self._preflight((start[0], start[1], start[2]))
             engine = Engine(rig.actions(), self._journal, self._observe)
@@ -138,6 +145,14 @@ class _Session:
         finally:
             for complaint in rig.close():
                 self._conduct.note(f"closing: {complaint}")
+
+    def _hold(self, rig: Rig) -> None:
+        rig.machine.hold()
+        self._conduct.hold()
+
+    def _resume(self, rig: Rig) -> None:
+        rig.machine.resume()
+        self._conduct.go_on()
 
     def _preflight(self, start_mm: Point) -> Ready:
         ready = self._request.kind.ready(self._job, start_mm)
@@ -151,8 +166,10 @@ class _Session:
         )
         return ready
 
-    def _observe(self, step: Step, _: object) -> None:
+    def _observe(self, step: Step, result: object) -> None:
         """Progress by the clock of the rehearsal: how far this step stands from its end."""
+        if self._request.observer is not None:
+            self._request.observer(step, result)
         if type(step).__name__ == "TouchTowards":
             self._touches += 1
         if not isinstance(step, Record) or step.kind != "ball" or self._rehearsal is None:

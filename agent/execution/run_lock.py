@@ -16,22 +16,50 @@ FILE_NAME = "run.lock"
 @contextmanager
 def run_lock(directory: Path, run_id: str) -> Iterator[None]:
     """Own the machine for `run_id`; Busy names the run that owns it already."""
+    with ownership(directory, f"run {run_id}"):
+        yield
+
+
+@contextmanager
+def ownership(directory: Path, owner: str) -> Iterator[Ownership]:
+    """Own the machine as `owner` (in words) for longer than one run; Busy names who owns it already."""
     with _opened(directory) as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             handle.seek(0)
-            owner = handle.read().strip() or "another process"
+            other = handle.read().strip() or "another process"
             raise Busy(
-                f"the machine is owned by run {owner}",
+                f"the machine is owned by {other}",
                 hint="wait for it or abort it; two masters never move one machine",
                 file=str(directory / FILE_NAME),
             ) from None
-        handle.truncate(0)
-        handle.write(run_id)
-        handle.flush()
-        yield
-        handle.truncate(0)
+        owned = Ownership(handle, owner)
+        yield owned
+        owned.named("")
+
+
+class Ownership:
+    """The lock, held; the file says for what."""
+
+    def __init__(self, handle: TextIO, owner: str) -> None:
+        self._handle = handle
+        self._owner = owner
+        self.named(owner)
+
+    @contextmanager
+    def for_run(self, _: Path, run_id: str) -> Iterator[None]:
+        """In place of `run_lock` for a run of whoever holds the lock already."""
+        self.named(f"run {run_id}")
+        try:
+            yield
+        finally:
+            self.named(self._owner)
+
+    def named(self, owner: str) -> None:
+        self._handle.truncate(0)
+        self._handle.write(owner)
+        self._handle.flush()
 
 
 def _opened(directory: Path) -> TextIO:

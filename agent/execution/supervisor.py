@@ -15,7 +15,8 @@ class Supervisor:
     """The small mailbox between those who may interrupt a run and the one thread that runs it.
 
     `check` is what a `WatchedClock` calls. `on_hold` and `on_resume` are the machine's feed hold; they run on
-    the run's own thread, between two waits of a driver, never inside a transaction.
+    the run's own thread, between two waits of a driver, never inside a transaction. `alive` is called at every
+    check and while held: who watches over the run's thread sees by it that it has not hung.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -27,6 +28,7 @@ class Supervisor:
         self._holding = False
         self.on_hold: Callable[[], None] = _nothing
         self.on_resume: Callable[[], None] = _nothing
+        self.alive: Callable[[], None] = _nothing
 
     def request_abort(self, reason: str) -> None:
         """The first reason stays."""
@@ -42,6 +44,7 @@ class Supervisor:
 
     def check(self) -> None:
         """Raise `Aborted`, or block while held. Inert while shielded and while it is itself holding."""
+        self.alive()
         if self._shielded or self._holding:
             return
         self._raise_if_aborted()
@@ -57,6 +60,7 @@ class Supervisor:
         try:
             self.on_hold()
             while self._hold.is_set():
+                self.alive()
                 self._raise_if_aborted()
                 self._clock.sleep(HOLD_POLL_S)
             self.on_resume()
