@@ -1,0 +1,75 @@
+"""Control charts of single values: individuals by moving range, and exponentially weighted means.
+
+Shewhart's individuals chart as in ISO 7870-2; EWMA as in ISO 7870-6 with the weight and width of Lucas & Saccucci,
+Technometrics 32 (1990): 0.2 and 2.962 give one false alarm in 500 points.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array
+from twin.errors import DataError
+
+D2 = 2.0 / math.sqrt(math.pi)
+"""Expected range of two standard normal values, 1.128."""
+WIDTH = 3.0
+EWMA_WEIGHT = 0.2
+EWMA_WIDTH = 2.962
+FEWEST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Individuals:
+    """Centre, standard deviation of one value and limits, in the values' unit; `outside`: places beyond a limit."""
+
+    centre: float
+    sigma: float
+    lower: float
+    upper: float
+    outside: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Ewma:
+    """`values`, `lower`, `upper` (n,); `outside`: places where the mean has left its limits."""
+
+    values: Array
+    lower: Array
+    upper: Array
+    outside: tuple[int, ...]
+
+
+def individuals(values: ArrayLike) -> Individuals:
+    """The chart of values (n,) in order of time; n at least 3, else DataError."""
+    found = _series(values)
+    sigma = float(np.abs(np.diff(found)).mean()) / D2
+    centre = float(found.mean())
+    lower, upper = centre - WIDTH * sigma, centre + WIDTH * sigma
+    outside = np.flatnonzero((found < lower) | (found > upper))
+    return Individuals(centre, sigma, lower, upper, tuple(outside.tolist()))
+
+
+def ewma(values: ArrayLike, centre: float, sigma: float) -> Ewma:
+    """z_i = w x_i + (1 - w) z_(i-1) from z_0 = `centre`; limits with the exact variance of z_i."""
+    found = _series(values)
+    smooth = np.empty_like(found)
+    last = centre
+    for place, value in enumerate(found):
+        last = EWMA_WEIGHT * float(value) + (1.0 - EWMA_WEIGHT) * last
+        smooth[place] = last
+    powers = (1.0 - EWMA_WEIGHT) ** (2.0 * np.arange(1, len(found) + 1))
+    half = EWMA_WIDTH * sigma * np.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT) * (1.0 - powers))
+    outside = np.flatnonzero(np.abs(smooth - centre) > half)
+    return Ewma(smooth, centre - half, centre + half, tuple(outside.tolist()))
+
+
+def _series(values: ArrayLike) -> Array:
+    found = np.asarray(values, dtype=np.float64)
+    if found.ndim != 1 or len(found) < FEWEST or not np.isfinite(found).all():
+        raise DataError(f"a control chart needs at least {FEWEST} finite values in a row")
+    return found

@@ -1,0 +1,114 @@
+"""Drift per night by weighted regression, steps at known times set apart so that they are not smeared into it.
+
+y_i = level + slope (t_i - t_n) - the steps that come after t_i, variances proportional to the stated ones. The factor
+comes from the residuals (GUM Type A; Deming 1943), because what all nights have in common (certificate, prior) is part
+of a stated uncertainty but scatters no trend. With fewer than `FREEDOM_FOR_SCATTER` degrees of freedom the stated
+uncertainties are taken as they are. Neighbouring nights that share information scatter too little: with a lag-1
+correlation r > 0 of the residuals the variance is multiplied by (1 + r) / (1 - r) (Bartlett 1935).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import t as student
+
+from twin.arrays import Array
+from twin.errors import DataError
+
+FREEDOM_FOR_SCATTER = 4
+COVERAGE = 0.95
+_HIGHEST_CORRELATION = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """`level` at the last night and `slope` a night, with standard uncertainties and their covariance, in the values'
+    unit. `steps`: (night from which on it holds, size, standard uncertainty). `fitted` (n,). `factor`: coverage factor
+    of 95 % at the degrees of freedom (1.96 where stated uncertainties were taken)."""
+
+    level: float
+    level_sigma: float
+    slope: float
+    slope_sigma: float
+    covariance: float
+    steps: tuple[tuple[float, float, float], ...]
+    fitted: Array
+    scatter: float
+    correlation: float
+    freedom: int
+    factor: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the slope stands out of its uncertainty (95 %)."""
+        return abs(self.slope) > self.factor * self.slope_sigma
+
+    def ahead(self, nights: float) -> tuple[float, float]:
+        """Value and standard uncertainty of the line so many nights after the last one."""
+        variance = self.level_sigma**2 + 2.0 * nights * self.covariance + (nights * self.slope_sigma) ** 2
+        return self.level + self.slope * nights, float(np.sqrt(max(variance, 0.0)))
+
+
+def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Sequence[float] = ()) -> Drift:
+    """Drift of `values` (n,) with standard uncertainties (n,) at times (n,) in nights, ascending.
+
+    `steps`: times from which on another level holds. DataError where there are too few values to tell.
+    """
+    t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
+    _check(t, y, u)
+    design = regression_design(t, steps)
+    freedom = len(y) - design.shape[1]
+    if freedom < 0 or np.linalg.matrix_rank(design) < design.shape[1]:
+        raise DataError(f"{len(y)} values are too few for a drift with {len(steps)} steps")
+    weighted = design / u[:, None]
+    covariance = np.linalg.inv(weighted.T @ weighted)
+    found = covariance @ (weighted.T @ (y / u))
+    fitted = design @ found
+    residuals = (y - fitted) / u
+    scatter, correlation = _scatter(residuals, freedom)
+    covariance = covariance * scatter**2 * (1.0 + correlation) / (1.0 - correlation)
+    sigma = np.sqrt(np.diagonal(covariance))
+    factor = float(student.ppf(0.5 + 0.5 * COVERAGE, freedom if freedom >= FREEDOM_FOR_SCATTER else 1e6))
+    return Drift(
+        level=float(found[0]),
+        level_sigma=float(sigma[0]),
+        slope=float(found[1]),
+        slope_sigma=float(sigma[1]),
+        covariance=float(covariance[0, 1]),
+        steps=tuple(
+            (float(at), float(size), float(doubt)) for at, size, doubt in zip(steps, found[2:], sigma[2:], strict=True)
+        ),
+        fitted=fitted,
+        scatter=scatter,
+        correlation=correlation,
+        freedom=freedom,
+        factor=factor,
+    )
+
+
+def regression_design(t: Array, steps: Sequence[float]) -> Array:
+    """(n, 2 + k): level at the end, slope, and each step as what was missing before it."""
+    before = [-(t < at).astype(np.float64) for at in steps]
+    return np.stack([np.ones_like(t), t - t[-1], *before], axis=1)
+
+
+def _scatter(residuals: Array, freedom: int) -> tuple[float, float]:
+    """Factor on the stated uncertainties, and lag-1 correlation of the residuals, none below zero."""
+    square = float(residuals @ residuals)
+    if freedom < FREEDOM_FOR_SCATTER or square == 0.0:
+        return 1.0, 0.0
+    correlation = float(residuals[1:] @ residuals[:-1]) / square
+    return float(np.sqrt(square / freedom)), float(np.clip(correlation, 0.0, _HIGHEST_CORRELATION))
+
+
+def _check(t: Array, y: Array, u: Array) -> None:
+    if not len(t) == len(y) == len(u) or len(t) < 2:
+        raise DataError("a drift needs times, values and uncertainties of at least two nights")
+    if not (np.isfinite(t).all() and np.isfinite(y).all() and (u > 0.0).all()):
+        raise DataError("times and values must be finite, uncertainties above zero")
+    if (np.diff(t) < 0.0).any():
+        raise DataError("the nights are not in order")
