@@ -16,16 +16,18 @@ UM_PER_MM = 1e3
 
 
 def probe_facts(prepared: Prepared | None) -> ProbeFacts | None:
-    """None where neither a check nor a qualification was asked for."""
-    if prepared is None or (prepared.repeatability is None and prepared.qualification is None):
+    """None where nothing was looked at before the run."""
+    if prepared is None:
         return None
-    rows = []
-    if prepared.repeatability is not None:
-        rows.append(("Repeatability", prepared.repeatability.text))
+    looked_at = (
+        ("Repeatability", prepared.repeatability),
+        ("Stylus", prepared.qualification),
+        ("Reversal of the axes", prepared.reversal),
+    )
+    rows = tuple((name, found.text) for name, found in looked_at if found is not None)
     if prepared.qualification is None:
-        return ProbeFacts(tuple(rows))
-    rows.append(("Stylus", prepared.qualification.text))
-    return ProbeFacts(tuple(rows), _rings(prepared.qualification, prepared.rules.probing.stylus_axis))
+        return ProbeFacts(rows) if rows else None
+    return ProbeFacts(rows, _rings(prepared.qualification, prepared.rules.probing.stylus_axis))
 
 
 def _rings(found: Qualification, stylus_axis: Array) -> tuple[ProbeRing, ...]:

@@ -11,6 +11,7 @@ from agent.plans.preparation import Preparation
 from agent.plans.probe_check import ProbeCheck
 from agent.plans.probing import BallLimits, FindFirst, Probing, Search
 from agent.plans.qualification import QualificationRules
+from agent.plans.reversal import ReversalCheck
 from agent.settings import Settings
 from drivers.errors import ConfigurationError
 from twin.access import STYLUS_AXIS
@@ -53,7 +54,7 @@ def preparation_of(
 ) -> Preparation:
     """Raises ConfigurationError for a datum ball that the artefact does not have."""
     _refuse_unknown_datum(settings, artefact)
-    check, qualifying = settings.probe_check, settings.qualification
+    check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
     dense = replace(probing, directions=directions_of(QUALIFYING_RINGS, STYLUS_AXIS))
     limit_mm = qualifying.limit_um * MM_PER_UM
     limits = BallLimits(probing.limits.radius_deviation_mm, limit_mm, limit_mm, limit_mm)
@@ -63,6 +64,9 @@ def preparation_of(
         check=ProbeCheck(check.touches, check.limit_um * MM_PER_UM) if check.enabled else None,
         qualification=rules if qualifying.enabled else None,
         layout=layout_of(settings, machine, artefact, dense),
+        reversal=ReversalCheck(turning.touches, turning.limit_um * MM_PER_UM, turning.on_excess == "stop")
+        if turning.enabled
+        else None,
     )
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from agent.service.settings import ServiceSettings
 from twin.bodies import ProbeGeometry
 from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
 from twin.position_set import MountGeometry
@@ -100,6 +101,16 @@ class QualificationSettings(Strict):
     pretravel_map: bool = False
     limit_um: PositiveFloat = 20.0
     ball_spread_um: float = Field(default=0.2, ge=0.0, le=10.0)
+
+
+class ReversalSettings(Strict):
+    """Lost motion of the linear axes when they turn round, on the datum ball: `touches` from either side at each of two
+    places an axis. Above `limit_um` a warning; surely beyond it the run goes on, or with `stop` ends."""
+
+    enabled: bool = True
+    touches: int = Field(default=2, ge=1, le=20)
+    limit_um: PositiveFloat = 10.0
+    on_excess: Literal["warn", "stop"] = "warn"
 
 
 class IdentificationSettings(Strict):
@@ -198,6 +209,7 @@ class Settings(Strict):
     procedure: ProcedureSettings = ProcedureSettings()
     probe_check: ProbeCheckSettings = ProbeCheckSettings()
     qualification: QualificationSettings = QualificationSettings()
+    reversal: ReversalSettings = ReversalSettings()
     identification: IdentificationSettings = IdentificationSettings()
     table: TableSettings = TableSettings()
     gates: GateSettings = GateSettings()
@@ -205,6 +217,7 @@ class Settings(Strict):
     nightly: NightlySettings = NightlySettings()
     timing: TimingSettings = TimingSettings()
     preflight: PreflightSettings = PreflightSettings()
+    service: ServiceSettings = ServiceSettings()
 
     @model_validator(mode="after")
     def _stations_exist(self) -> Self:
@@ -222,9 +235,8 @@ class Settings(Strict):
 
     def resolved(self, base: Path) -> Settings:
         """The same with every path made absolute, starting from `base`."""
-        return self.model_copy(
-            update={name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
-        )
+        paths = {name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
+        return self.model_copy(update={**paths, "service": self.service.resolved(base)})
 
 
 def parse_settings(text: str, source: str) -> Settings:

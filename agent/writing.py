@@ -94,7 +94,7 @@ def _report(
         table_crc32=crc32,
         volumetric=finding.volumetric,
         gates=tuple(progress.gates),
-        warnings=_warnings(finding, outcome),
+        warnings=_warnings(finding, outcome, progress),
         run=RunFacts(
             touches=outcome.touches,
             machine_minutes=outcome.machine_minutes,
@@ -127,8 +127,9 @@ def _temperatures(journal: RunJournal) -> tuple[TemperatureTrace, ...]:
     return tuple(traces)
 
 
-def _warnings(finding: Finding, outcome: Outcome) -> tuple[str, ...]:
-    notes = []
+def _warnings(finding: Finding, outcome: Outcome, progress: Progress) -> tuple[str, ...]:
+    prepared = progress.prepared
+    notes = list(prepared.reversal.warnings) if prepared is not None and prepared.reversal is not None else []
     share = float(np.mean(finding.table.extrapolated))
     if share > 0.0:
         notes.append(f"{100.0 * share:.0f} % of the table's nodes lie outside the measured region.")

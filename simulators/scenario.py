@@ -15,6 +15,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from drivers.errors import ConfigurationError
+from simulators.temperatures import Coordinates, TemperatureSettings
 from twin.artefact import Artefact
 from twin.bodies import ProbeGeometry
 from twin.errors import TwinError
@@ -24,7 +25,6 @@ from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
 from twin.machine_description import MachineDescription
 from twin.position_set import MountGeometry
 
-Coordinates = tuple[float, float, float]
 Value = TypeVar("Value")
 
 
@@ -55,10 +55,20 @@ class TriggerSettings(Strict):
 
 
 class AxisBehaviour(Strict):
-    """What one motion leaves behind: a scatter of every axis, and half the backlash against the way it came."""
+    """What one motion leaves behind: a scatter of every axis, and half the backlash against the way it came.
+
+    `backlash_um`: of every axis, or of X, Y, Z; `backlash_growth_um_per_m`: by how much it grows along each axis' own
+    travel, from the axis position 0.
+    """
 
     repeatability_um: NonNegativeFloat = 0.2
-    backlash_um: NonNegativeFloat = 0.2
+    backlash_um: NonNegativeFloat | tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = 0.2
+    backlash_growth_um_per_m: Coordinates = (0.0, 0.0, 0.0)
+
+    @property
+    def backlash_of_axes_um(self) -> Coordinates:
+        """X, Y, Z at the axis position 0."""
+        return self.backlash_um if isinstance(self.backlash_um, tuple) else (self.backlash_um,) * 3
 
 
 class MountBehaviour(Strict):
@@ -70,17 +80,6 @@ class MountBehaviour(Strict):
     place_error_deg: NonNegativeFloat = 0.03
     speed_deg_per_s: PositiveFloat = 20.0
     acceleration_deg_per_s2: PositiveFloat = 40.0
-
-
-class TemperatureSettings(Strict):
-    """At the start, and how they drift by the hour. `growth_um_per_k` moves the tip as the machine warms."""
-
-    artefact_c: float = Field(default=20.0, ge=-20.0, le=60.0)
-    machine_c: float = Field(default=20.0, ge=-20.0, le=60.0)
-    ambient_c: float = Field(default=20.0, ge=-20.0, le=60.0)
-    artefact_k_per_h: float = Field(default=0.0, ge=-20.0, le=20.0)
-    machine_k_per_h: float = Field(default=0.0, ge=-20.0, le=20.0)
-    growth_um_per_k: Coordinates = (0.0, 0.0, 0.0)
 
 
 class StoreSettings(Strict):

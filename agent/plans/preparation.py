@@ -1,7 +1,8 @@
-"""Before anything is measured: find one ball, see that the probe repeats, qualify the stylus on it."""
+"""Before anything is measured: find one ball, see that the probe repeats, qualify the stylus and turn the axes on it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from agent.plans.measure import MeasuringOrder, carry_to, position_key
 from agent.plans.position import PositionRules
 from agent.plans.probe_check import ProbeCheck, Repeatability, check_repeatability
 from agent.plans.qualification import Qualification, QualificationRules, qualify_stylus
+from agent.plans.reversal import Reversal, ReversalCheck, measure_reversal
 from drivers.errors import MeasurementFault
 from twin.layout import Layout
 from twin.position_set import Position
@@ -27,6 +29,11 @@ class Preparation:
     check: ProbeCheck | None
     qualification: QualificationRules | None
     layout: Layout
+    reversal: ReversalCheck | None = None
+
+    @property
+    def nothing(self) -> bool:
+        return self.check is None and self.qualification is None and self.reversal is None
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +44,7 @@ class Prepared:
     standing_at: int | None
     repeatability: Repeatability | None = None
     qualification: Qualification | None = None
+    reversal: Reversal | None = None
 
 
 PREFIX = "probe"
@@ -49,9 +57,9 @@ def prepare_probe(
 
     Raises MeasurementFault where the ball is not found, the probe does not repeat, or the ball is no ball.
     """
-    if preparation.check is None and preparation.qualification is None:
+    if preparation.nothing:
         return Prepared(rules, order.standing_at)
-    position, ball = _datum(order, layout, preparation)
+    position, ball, preparation = yield from _datum(order, layout, preparation)
     key = f"{PREFIX}/{position_key(position)}"
     yield CheckPermissions(f"{key}/permissions")
     yield CheckProbe(f"{key}/probe")
@@ -66,14 +74,16 @@ def prepare_probe(
 
 
 def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[Prepared]:
-    repeatability = qualification = None
+    repeatability = qualification = reversal = None
     probing = rules.probing
     if preparation.check is not None:
         repeatability = yield from check_repeatability(f"{key}/check", centre, probing, preparation.check)
     if preparation.qualification is not None:
         qualification = yield from qualify_stylus(f"{key}/qualify", centre, probing, preparation.qualification)
         probing = probing.qualified(qualification.stylus)
-    return Prepared(replace(rules, probing=probing), None, repeatability, qualification)
+    if preparation.reversal is not None:
+        reversal = yield from measure_reversal(f"{key}/reversal", centre, probing, preparation.reversal)
+    return Prepared(replace(rules, probing=probing), None, repeatability, qualification, reversal)
 
 
 def _go_to(key: str, position: Position, predicted: Array, rules: PositionRules) -> Plan[None]:
@@ -100,19 +110,35 @@ def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[BallFound]:
     return result
 
 
-def _datum(order: MeasuringOrder, layout: Layout, preparation: Preparation) -> tuple[Position, int]:
-    """Position and ball: the first that can be touched from everywhere the dense pattern asks for."""
+def _datum(order: MeasuringOrder, layout: Layout, preparation: Preparation) -> Plan[tuple[Position, int, Preparation]]:
+    """Position and ball: the first that can be touched from everywhere the dense pattern asks for.
+
+    Without one there is no qualification, which is an error; the reversal alone is given up, and the check is made on
+    any ball.
+    """
     wanted = preparation.qualification.ball if preparation.qualification else None
-    asked = preparation.layout if preparation.qualification else layout
-    for position in order.positions:
-        nominal = layout.nominal(position)
-        free = np.logical_and(asked.reachable(position, nominal), layout.reachable(position, nominal))
-        balls = [int(ball) for ball in np.flatnonzero(free) if wanted in (None, int(ball))]
-        if balls:
-            return position, balls[0]
+    free = _first_free(order, (preparation.layout, layout), wanted)
+    if free is not None:
+        return *free, preparation
+    anywhere = _first_free(order, (layout,), wanted) if preparation.qualification is None else None
+    if anywhere is not None:
+        reason = "reversal of the axes cannot be told: no ball of this run is free all around"
+        yield Record(f"{PREFIX}/no-free-ball", "event", {"reason": reason})
+        return *anywhere, replace(preparation, reversal=None)
     name = "no ball" if wanted is None else f"ball {wanted} in no position"
     raise MeasurementFault(
         f"the stylus cannot be qualified: {name} of this run is free all around",
         hint="name another ball in qualification.ball, add a position where the artefact stands free, or switch the "
         "qualification off",
     )
+
+
+def _first_free(order: MeasuringOrder, layouts: Sequence[Layout], wanted: int | None) -> tuple[Position, int] | None:
+    """Within reach in all of `layouts`."""
+    for position in order.positions:
+        nominal = layouts[0].nominal(position)
+        free = np.logical_and.reduce([layout.reachable(position, nominal) for layout in layouts])
+        balls = [int(ball) for ball in np.flatnonzero(free) if wanted in (None, int(ball))]
+        if balls:
+            return position, balls[0]
+    return None

@@ -216,7 +216,8 @@ class Controller:
         standing = self._workpiece.standing(self.now_s)
         resting = self._resting()
         self._shift.drift = self._thermal.drift_mm(self.now_s)
-        self._shift.play = self._play.after(command.path.direction)
+        self._shift.warm = self._thermal.field(self.now_s)
+        self._shift.play = self._play.after(self._position, command.target)
         outlook = self._foresight.outlook(command, standing, resting, self._touches)
         law = trapezoid(self.now_s, command.path.length, command.speed, command.acceleration)
         self._touches += kind is Kind.TOUCH

@@ -1,34 +1,45 @@
-"""What a motion leaves behind on an axis: half the backlash against its direction, and a scatter."""
+"""What motions leave behind on an axis: lost motion that its drive has to take up first, and a scatter."""
 
 from __future__ import annotations
-
-import math
 
 from simulators.scenario import AxisBehaviour
 from simulators.world.field import ZERO
 from simulators.world.noise import NoiseSource
-from twin.geometry import Point
+from twin.geometry import Point, point
+
+STILL_MM = 1e-4
+"""An axis whose target differs by less is not moved: no drive resolves it."""
 
 
 class Play:
-    """An axis that did not move keeps what it had."""
+    """The play operator, axis by axis: the slide lags by half the backlash once its drive has gone that far.
+
+    A slide stays wherever it is while its drive goes through the play, so that a short way back leaves part of the
+    lag, and an axis that is not moved keeps what it had. The play may grow along the axis' own travel.
+    """
 
     def __init__(self, behaviour: AxisBehaviour, seed: int) -> None:
-        self._half_backlash_mm = 0.5e-3 * behaviour.backlash_um
+        self._backlash_um = behaviour.backlash_of_axes_um
+        self._growth_um_per_m = behaviour.backlash_growth_um_per_m
         self._sigma_mm = 1e-3 * behaviour.repeatability_um
+        self._idle = not (any(self._backlash_um) or any(self._growth_um_per_m) or self._sigma_mm)
         self._noise = NoiseSource(seed, "axes")
         self._motions = 0
-        self._play = ZERO
+        self._lag: Point = ZERO
+        self._scatter: Point = ZERO
 
-    def after(self, direction: Point) -> Point:
-        """(3,) mm during and after a motion along the unit vector `direction`."""
+    def after(self, start: Point, end: Point) -> Point:
+        """(3,) mm by which the tip is off during and after a motion between two axis positions."""
         self._motions += 1
-        if not (self._half_backlash_mm or self._sigma_mm):
+        if self._idle:
             return ZERO
-        scatter = self._noise.normal(self._motions) if self._sigma_mm else ZERO
-        x, y, z = (
-            before if part == 0.0 else self._sigma_mm * noise - math.copysign(self._half_backlash_mm, part)
-            for before, part, noise in zip(self._play, direction, scatter, strict=True)
-        )
-        self._play = (x, y, z)
-        return self._play
+        noise = self._noise.normal(self._motions) if self._sigma_mm else ZERO
+        moved = [abs(e - s) > STILL_MM for s, e in zip(start, end, strict=True)]
+        lag = [self._taken_up(axis, start[axis], end[axis]) if moved[axis] else self._lag[axis] for axis in range(3)]
+        scatter = [self._sigma_mm * noise[axis] if moved[axis] else self._scatter[axis] for axis in range(3)]
+        self._lag, self._scatter = point(lag), point(scatter)
+        return point([one + other for one, other in zip(lag, scatter, strict=True)])
+
+    def _taken_up(self, axis: int, start: float, end: float) -> float:
+        half = 0.5e-3 * max(0.0, self._backlash_um[axis] + 1e-3 * self._growth_um_per_m[axis] * end)
+        return min(max(self._lag[axis] - (end - start), -half), half)

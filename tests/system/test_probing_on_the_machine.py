@@ -218,7 +218,7 @@ class DirtyOnce:
 def test_a_crumb_is_noticed_named_and_cleaned_up(state: Path) -> None:
     trigger = {"pretravel_um": 8.0, "lobing_um": 0.5, "touch_sigma_um": 1.0}
     machine = bench(state, trigger, procedure={"touches_per_ball": 9}, probe_check={"enabled": False},
-                    qualification={"enabled": False})  # fmt: skip
+                    qualification={"enabled": False}, reversal={"enabled": False})  # fmt: skip
     machine.rig = dataclasses.replace(machine.rig, probe=DirtyOnce(machine.device, {9 + 4}))
     measured = machine.measured(machine.prepared(), POSITIONS[:1])
     assert [len(p.balls) for p in measured.positions] == [11]

@@ -134,7 +134,7 @@ def test_no_ball_free_all_around_is_said() -> None:
 
 
 def test_what_is_switched_off_moves_nothing() -> None:
-    off = replace(JOB.preparation, check=None, qualification=None)
+    off = replace(JOB.preparation, check=None, qualification=None, reversal=None)
     player = TouchedBall(CENTRE, 1.0, lambda *_: 0.0)
     prepared = player.run(prepare_probe(MeasuringOrder("m", (), 1), JOB.layout, JOB.rules, off))
     assert player.steps == []
