@@ -11,6 +11,8 @@ from drivers.errors import CommandRejected
 from simulators.scenario import ArtefactTruthSettings, MountBehaviour, Scenario
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
+from simulators.world.thermal import bow_mm, bowed
+from simulators.world.warming import Warming
 from twin.arrays import Array
 from twin.artefact import Artefact
 from twin.bodies import artefact_bodies, mount_bodies
@@ -29,7 +31,8 @@ class Standing:
 
 
 class Workpiece:
-    """True pose of the artefact for mount angles and temperature; rebuilt only when one of them changes."""
+    """True pose of the artefact for mount angles and temperature; rebuilt only when one of them changes, the
+    temperature by 1 mK (17 nm of a long bar)."""
 
     def __init__(self, scenario: Scenario, mount: MountPhysics) -> None:
         settings = scenario.settings
@@ -40,7 +43,8 @@ class Workpiece:
         self._places = np.array(settings.stations_mm, dtype=np.float64)
         self._behaviour = settings.mount_behaviour
         self._seed = settings.seed
-        self._temperature = settings.temperatures
+        self._temperatures = settings.temperatures
+        self._warming = Warming(settings.temperatures)
         self._placements = 0
         self._cached: tuple[object, Standing] | None = None
         self.station = 0
@@ -70,20 +74,21 @@ class Workpiece:
         return reach + max(geometry.bar_overhang_mm, self.artefact.ball_radius_mm) + geometry.bar_radius_mm
 
     def temperature_c(self, now_s: float) -> float:
-        return self._temperature.artefact_c + self._temperature.artefact_k_per_h * now_s / 3600.0
+        return self._warming.artefact_c(now_s)
 
     def standing(self, now_s: float) -> Standing:
         """Pose, true ball centres (workpiece frame) and collision scene at an instant."""
-        key = (*self.mount.angles_deg(now_s), round(self.temperature_c(now_s), 6))
+        bow = round(bow_mm(self._temperatures, self._warming, now_s), 5)
+        key = (*self.mount.angles_deg(now_s), round(self.temperature_c(now_s), 3), bow)
         if self._cached is None or self._cached[0] != key:
             self._cached = (key, self._stand(*key))
         return self._cached[1]
 
-    def _stand(self, azimuth_deg: float, elevation_deg: float, temperature_c: float) -> Standing:
+    def _stand(self, azimuth_deg: float, elevation_deg: float, temperature_c: float, bow: float) -> Standing:
         azimuth, elevation = self.mount.true_angles_rad(azimuth_deg, elevation_deg)
         place = self._place_mm + self.mount.wobble_mm(azimuth_deg)
         pose = mount_pose(place, self._geometry, azimuth + self._yaw_rad, elevation)
-        centres = pose.applied(self.artefact.at(temperature_c, elevation))
+        centres = pose.applied(bowed(self.artefact.at(temperature_c, elevation), bow))
         bodies = artefact_bodies(self.artefact, self._geometry, pose)
         around = (*bodies, *mount_bodies(self._geometry, place, pose))
         return Standing(pose, tuple(point(centre) for centre in centres), Scene(self.probe_bodies, around))

@@ -13,6 +13,7 @@ from simulators.world.thermal import Thermal
 from simulators.world.truth import Truth
 from simulators.world.turning import TurnCrash, first_turn_crash
 from simulators.world.workpiece import Workpiece
+from twin.geometry import point
 from twin.true_machine import TrueMachine, draw_machine, perfect_machine
 
 MOUNT = "mount"
@@ -31,6 +32,12 @@ class World:
     def __init__(self, scenario: Scenario) -> None:
         settings = scenario.settings
         machine = true_machine(scenario)
+        thermal = Thermal(
+            settings.temperatures,
+            scenario.machine.model.ranges_mm,
+            point(scenario.machine.tool(settings.tool)),
+            settings.seed,
+        )
         mount = MountPhysics(settings.mount_behaviour, settings.seed, self._look_ahead)
         self.scenario = scenario
         self.now = 0.0
@@ -41,11 +48,11 @@ class World:
             scenario,
             machine_field=None if machine.is_perfect else machine.deviation,
             workpiece=self.workpiece,
-            thermal=Thermal(settings.temperatures),
+            thermal=thermal,
             on_motion=self._look_ahead,
             on_collision=self._record,
         )
-        self.truth = Truth(machine, scenario.machine.model, self.controller.banks)
+        self.truth = Truth(machine, scenario.machine.model, self.controller.banks, lambda: thermal.field(self.now))
         self._turn_crash: TurnCrash | None = None
 
     def advance_to(self, instant_s: float) -> None:

@@ -1,0 +1,68 @@
+"""How warm ambient, artefact and machine are at any instant: closed forms, so that time may go in steps of any size."""
+
+from __future__ import annotations
+
+import math
+
+from simulators.temperatures import TemperatureSettings
+
+S_PER_H = 3600.0
+_ALIKE = 1e-6  # of two time constants: nearer than this, the limit is exact to more digits than the quotient
+
+
+class Warming:
+    """True temperatures; what thermometers tell of them is another matter."""
+
+    def __init__(self, settings: TemperatureSettings) -> None:
+        self._settings = settings
+
+    def ambient_c(self, now_s: float) -> float:
+        s = self._settings
+        return s.ambient_c + s.ambient_rise_k * answered(now_s / S_PER_H, s.ambient_time_constant_h, 0.0)
+
+    def artefact_c(self, now_s: float) -> float:
+        s = self._settings
+        return s.artefact_c + self._warmed_k(now_s, s.artefact_time_constant_h, s.artefact_k_per_h)
+
+    def machine_c(self, now_s: float) -> float:
+        s = self._settings
+        return s.machine_c + self.machine_warmed_k(now_s)
+
+    def machine_warmed_k(self, now_s: float) -> float:
+        """Since the start, where its thermometer is."""
+        s = self._settings
+        return self._warmed_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
+
+    def column_warmed_k(self, now_s: float) -> float:
+        """One side of the column against the other, since the start: a lag of its own behind the ambient."""
+        s = self._settings
+        lag_h = None if s.machine_time_constant_h is None else s.machine_time_constant_h + s.bend_time_constant_h
+        return self._warmed_k(now_s, lag_h, s.machine_k_per_h)
+
+    def artefact_behind_k(self, now_s: float) -> float:
+        """By how much more than the artefact the ambient has warmed since the start; none where it does not follow."""
+        s = self._settings
+        if s.artefact_time_constant_h is None:
+            return 0.0
+        return self.ambient_c(now_s) - s.ambient_c - (self.artefact_c(now_s) - s.artefact_c)
+
+    def _warmed_k(self, now_s: float, lag_h: float | None, linear_k_per_h: float) -> float:
+        s, hours = self._settings, now_s / S_PER_H
+        linear = linear_k_per_h * hours
+        if lag_h is None or s.ambient_rise_k == 0.0:
+            return linear
+        return linear + s.ambient_rise_k * answered(hours, s.ambient_time_constant_h, lag_h)
+
+
+def answered(hours: float, source_h: float, follower_h: float) -> float:
+    """Share of a unit rise 1 - exp(-t/source) that a first-order follower (its time constant, 0: none) has taken up."""
+    if hours <= 0.0:
+        return 0.0
+    slow, fast = max(source_h, follower_h), min(source_h, follower_h)
+    if slow == 0.0:
+        return 1.0
+    if fast <= _ALIKE * slow:
+        return -math.expm1(-hours / slow)
+    if slow - fast <= _ALIKE * slow:
+        return 1.0 - (1.0 + hours / slow) * math.exp(-hours / slow)
+    return 1.0 - (slow * math.exp(-hours / slow) - fast * math.exp(-hours / fast)) / (slow - fast)
