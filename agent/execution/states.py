@@ -8,6 +8,7 @@ from enum import Enum
 class RunState(Enum):
     IDLE = "idle"
     PREFLIGHT = "preflight"
+    RESUMING = "resuming"
     MEASURING = "measuring"
     HELD = "held"
     IDENTIFYING = "identifying"
@@ -15,6 +16,7 @@ class RunState(Enum):
     ACTIVATING = "activating"
     VERIFYING = "verifying"
     RESTORING = "restoring"
+    WRITTEN = "written, not active"
     COMPLETE = "complete"
     REFUSED = "refused"
     ABORTING = "aborting"
@@ -27,6 +29,7 @@ S = RunState
 PACKML = {
     S.IDLE: "Idle",
     S.PREFLIGHT: "Starting",
+    S.RESUMING: "Starting",
     S.MEASURING: "Execute",
     S.HELD: "Held",
     S.IDENTIFYING: "Execute",
@@ -34,6 +37,7 @@ PACKML = {
     S.ACTIVATING: "Execute",
     S.VERIFYING: "Execute",
     S.RESTORING: "Completing",
+    S.WRITTEN: "Suspended",
     S.COMPLETE: "Complete",
     S.REFUSED: "Complete",
     S.ABORTING: "Aborting",
@@ -42,13 +46,14 @@ PACKML = {
 }
 
 FORWARD: dict[RunState, frozenset[RunState]] = {
-    S.IDLE: frozenset({S.PREFLIGHT}),
+    S.IDLE: frozenset({S.PREFLIGHT, S.RESUMING}),
     S.PREFLIGHT: frozenset({S.MEASURING, S.REFUSED}),
+    S.RESUMING: frozenset({S.MEASURING, S.REFUSED}),
     S.MEASURING: frozenset({S.IDENTIFYING, S.HELD, S.REFUSED}),
     S.HELD: frozenset({S.MEASURING, S.VERIFYING}),
     S.IDENTIFYING: frozenset({S.STAGING, S.REFUSED, S.COMPLETE}),
     S.STAGING: frozenset({S.ACTIVATING}),
-    S.ACTIVATING: frozenset({S.VERIFYING}),
+    S.ACTIVATING: frozenset({S.VERIFYING, S.WRITTEN}),
     S.VERIFYING: frozenset({S.COMPLETE, S.RESTORING, S.HELD}),
     S.RESTORING: frozenset({S.COMPLETE}),
     S.ABORTING: frozenset({S.ABORTED, S.FAULTED}),
@@ -56,9 +61,13 @@ FORWARD: dict[RunState, frozenset[RunState]] = {
 
 FINAL = frozenset({S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED})
 
+PAUSED = frozenset({S.WRITTEN})
+"""A run that waits in no process: its table is written and takes effect only when the controller is restarted or
+referenced; it goes on where it stopped."""
+
 
 def may_follow(now: RunState, after: RunState) -> bool:
     """Whether `after` may follow `now`: forward as tabled, to aborting and faulted from wherever it runs."""
-    if now in FINAL:
+    if now in FINAL or now in PAUSED:
         return False
     return after in FORWARD[now] or after in (S.ABORTING, S.FAULTED)
