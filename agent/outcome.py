@@ -7,6 +7,7 @@ from enum import Enum
 from pathlib import Path
 
 from agent.execution.states import RunState
+from agent.plans.reversal import AxisReversal
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ class Outcome:
     rejected: tuple[tuple[int, int, int], ...] = ()
     proof: Proof | None = None
     night: NightReport | None = None
+    reversal: tuple[AxisReversal, ...] = ()
     kind: str = "calibrate"
     reason: str = ""
 
@@ -138,6 +140,7 @@ class Outcome:
                 "reason": self.proof.reason,
             },
             "night": None if self.night is None else self.night.as_json(),
+            "reversal": [dict(vars(axis)) for axis in self.reversal],
             "table_bank": self.table_bank,
             "report": None if self.report is None else str(self.report),
             "reason": self.reason,

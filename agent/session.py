@@ -204,6 +204,7 @@ class _Session:
             rejected=() if finding is None else finding.estimate.rejected,
             proof=progress.proof,
             night=progress.night,
+            reversal=() if progress.prepared is None else progress.prepared.reversals,
             kind=self._request.kind.name,
             reason="" if progress.error is None else str(progress.error),
         )

@@ -52,9 +52,10 @@ class NightPlan:
 
 
 def standing(job: Job, station: int) -> Job:
-    """The same with the artefact at `station`."""
+    """The same with the artefact at `station`; a slot is too short for the reversal of the axes."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
-    return replace(job, settings=job.settings.model_copy(update={"stations": stations}))
+    preparation = replace(job.preparation, reversal=None)
+    return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
 
 
 def station_of(job: Job, named: int | None) -> int:

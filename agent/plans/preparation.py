@@ -1,4 +1,4 @@
-"""Before anything is measured: find one ball, see that the probe repeats, qualify the stylus and turn the axes on it."""
+"""Before anything is measured: find one ball, see that the probe repeats, qualify the stylus, turn the axes on it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from agent.plans.measure import MeasuringOrder, carry_to, position_key
 from agent.plans.position import PositionRules
 from agent.plans.probe_check import ProbeCheck, Repeatability, check_repeatability
 from agent.plans.qualification import Qualification, QualificationRules, qualify_stylus
-from agent.plans.reversal import Reversal, ReversalCheck, measure_reversal
+from agent.plans.reversal import AxisReversal, Reversal, ReversalCheck, measure_reversal
 from drivers.errors import MeasurementFault
 from twin.layout import Layout
 from twin.position_set import Position
@@ -45,6 +45,11 @@ class Prepared:
     repeatability: Repeatability | None = None
     qualification: Qualification | None = None
     reversal: Reversal | None = None
+
+    @property
+    def reversals(self) -> tuple[AxisReversal, ...]:
+        """Of X, Y, Z; empty where they were not asked for."""
+        return () if self.reversal is None else self.reversal.axes
 
 
 PREFIX = "probe"

@@ -1,4 +1,4 @@
-"""Reversal of the linear axes, seen on the datum ball: oblique places touched with each axis pre-loaded from either side.
+"""Reversal of the linear axes on the datum ball: oblique places touched with each axis pre-loaded from either side.
 
 No ball centre shows it: each touch goes the same way on every ball, so that lost motion moves all centres alike and no
 free artefact sees a common motion. Therefore it is measured apart, and what cannot be measured so is named.

@@ -88,7 +88,7 @@ def test_above_the_limit_is_an_event_and_a_warning_and_the_run_goes_on(state: Pa
 
 def test_surely_above_the_limit_ends_the_run_where_the_settings_say_so(state: Path) -> None:
     job = with_backlash(state, [0.0, 0.0, 25.0], reversal={"on_excess": "stop"})
-    with pytest.raises(MeasurementFault, match="Z .* beyond"):
+    with pytest.raises(MeasurementFault, match=r"Z .* beyond"):
         told(job)
 
 
