@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.execution.steps import Step
+from agent.execution.steps import OrientTo, ReadPosition, Step, TouchTowards
 from drivers.roles import Miss, Orientation, TableImage, Touch
 
 
@@ -23,6 +23,16 @@ def encode_result(result: object) -> str | None:
     return None if result is None else to_json(result)
 
 
+def decode_result(kind: str, text: str | None) -> Any:
+    """What `encode_result` wrote for a step of that `kind`. A table is only known by its digest: ``{"crc32": …}``."""
+    value = None if text is None else json.loads(text)
+    if kind == TouchTowards.__name__:
+        return Touch(_triple(value["touch"])) if "touch" in value else Miss(_triple(value["miss"]))
+    if kind == OrientTo.__name__:
+        return Orientation(**value)
+    return _triple(value) if kind == ReadPosition.__name__ else value
+
+
 def to_json(value: object) -> str:
     return json.dumps(value, default=_plain, separators=(",", ":"), allow_nan=False)
 
@@ -30,6 +40,11 @@ def to_json(value: object) -> str:
 def table_digest(table: TableImage) -> int:
     """CRC-32 over the counts, big-endian, x slowest, dx dy dz innermost: the same bytes the link carries."""
     return zlib.crc32(table.counts.astype(">i4").tobytes())
+
+
+def _triple(values: list[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z
 
 
 def _plain(value: object) -> Any:  # noqa: PLR0911  one line a type

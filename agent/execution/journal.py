@@ -7,16 +7,18 @@ begins; its result is durable before the next step is asked for.
 
 from __future__ import annotations
 
+import copy
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
+from agent.execution.journal_schema import prepare
+from agent.execution.recorded import Recorded, comparable, read_recorded
 from agent.execution.states import RunState
 from agent.execution.steps import ReadTemperatures, Record, Step
 from drivers.clock import Clock, utc_timestamp
@@ -34,9 +36,7 @@ class Journal:
         try:
             directory.mkdir(parents=True, exist_ok=True)
             self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=2.0)
-            self._connection.execute("PRAGMA journal_mode=WAL")
-            self._connection.execute("PRAGMA synchronous=FULL")
-            self._connection.executescript((files(__package__) / "journal_schema.sql").read_text())
+            prepare(self._connection)
         except (OSError, sqlite3.Error) as error:
             raise ConfigurationError(
                 f"the journal cannot be opened: {error}",
@@ -58,6 +58,12 @@ class Journal:
             raise Busy(f"run {run_id} exists already", file=str(self.path)) from error
         assert cursor.lastrowid is not None  # noqa: S101  an INSERT has one
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
+
+    def continue_run(self, run: int, run_id: str, clock: Clock) -> tuple[RunJournal, Recorded]:
+        """Go on writing a run that broke off, with what it has written: entries that a replay comes to again are
+        taken from there and not written twice."""
+        recorded = read_recorded(self._connection, run)
+        return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
     def read_balls(self, run_id: str) -> list[dict[str, Any]]:
         """The ball records of a run in the order measured, whether or not the run came to an end."""
@@ -84,21 +90,54 @@ class RunSummary:
     reason: str | None
 
 
+@dataclass
+class _Count:
+    """The last ordinal given; shared by all who write one run."""
+
+    ordinal: int
+
+
 class RunJournal:
     """What one run writes. Implements the engine's `StepJournal`."""
 
-    def __init__(self, connection: sqlite3.Connection, run: int, run_id: str, clock: Clock) -> None:
+    def __init__(
+        self, connection: sqlite3.Connection, run: int, run_id: str, clock: Clock, recorded: Recorded | None = None
+    ) -> None:
+        self.run = run
         self.run_id = run_id
         self._connection = connection
         self._run = run
         self._clock = clock
-        self._ordinal = 0
+        self._recorded = recorded or Recorded()
+        self._count = _Count(self._recorded.ordinal)
+        self._aside = 0
+
+    def aside(self) -> Self:
+        """For what does not belong to the procedure: ways out and ways back. A replay never meets it."""
+        other = copy.copy(self)
+        other._recorded, other._aside = Recorded(), 1
+        return other
+
+    @property
+    def _ordinal(self) -> int:
+        return self._count.ordinal
+
+    def origin(self, record: Mapping[str, Any]) -> None:
+        """All that the run needs to be built again."""
+        self._execute("INSERT INTO origins (run, record) VALUES (?,?)", (self._run, to_json(record)))
+
+    def begun(self) -> None:
+        """The preflight is over: from now on the run can be gone on with."""
+        self._execute(
+            "UPDATE origins SET begun_s = ?, begun_at = ? WHERE run = ?",
+            (self._clock.now(), utc_timestamp(), self._run),
+        )
 
     def begin(self, step: Step) -> None:
-        self._ordinal += 1
+        self._count.ordinal += 1
         self._execute(
-            "INSERT INTO steps (run, ordinal, key, kind, detail, begun) VALUES (?,?,?,?,?,?)",
-            (self._run, self._ordinal, step.key, type(step).__name__, encode_step(step), self._clock.now()),
+            "INSERT INTO steps (run, ordinal, key, kind, detail, begun, aside) VALUES (?,?,?,?,?,?,?)",
+            (self._run, self._ordinal, step.key, type(step).__name__, encode_step(step), self._clock.now(), self._aside),
         )
 
     def finish(self, step: Step, result: object, *, begun: bool) -> None:
@@ -108,7 +147,7 @@ class RunJournal:
                 (self._clock.now(), encode_result(result), self._run, self._ordinal),
             )
             return
-        self._ordinal += 1
+        self._count.ordinal += 1
         with self._transaction():
             if isinstance(step, Record):
                 self._write_record(step)
@@ -127,14 +166,20 @@ class RunJournal:
         self._insert_event(kind, record)
 
     def decision(self, kind: str, record: Mapping[str, Any]) -> None:
-        self._execute("INSERT INTO decisions VALUES (?,?,?,?)", (self._run, utc_timestamp(), kind, to_json(record)))
+        text = to_json(record)
+        if not self._recorded.takes("decisions", kind, text):
+            values = (self._run, utc_timestamp(), kind, text, self._aside)
+            self._execute("INSERT INTO decisions VALUES (?,?,?,?,?)", values)
 
     def estimate(self, record: str) -> None:
         """`record` is the estimate file's JSON text."""
-        self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
+        if not self._recorded.takes("estimates", comparable(record)):
+            self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
         """Keep a whole table: ``backup`` before anything is written, ``staged``, ``restored``."""
+        if self._recorded.takes("tables", role, str(bank), "" if image is None else str(table_digest(image))):
+            return
         values: tuple[object, ...] = (None,) * 6
         if image is not None:
             values = (
@@ -146,8 +191,8 @@ class RunJournal:
                 image.counts.astype(">i4").tobytes(),
             )
         self._execute(
-            "INSERT INTO tables VALUES (?,?,?,?,?,?,?,?,?,?)",
-            (self._run, utc_timestamp(), role, bank, *values),
+            "INSERT INTO tables VALUES (?,?,?,?,?,?,?,?,?,?,?)",
+            (self._run, utc_timestamp(), role, bank, *values, self._aside),
         )
 
     def state(self, state: RunState, reason: str = "", *, final: bool = False) -> None:
@@ -174,16 +219,19 @@ class RunJournal:
 
     def _write_record(self, step: Record) -> None:
         if step.kind == "ball":
-            self._insert_keyed("balls", step.key, step.payload)
+            if not self._recorded.takes("balls", step.key, to_json(step.payload)):
+                self._insert_keyed("balls", step.key, step.payload)
         elif step.kind == "decision":
             self.decision(step.key, step.payload)
         else:
-            self._insert_event(step.kind, {"step": step.key, **step.payload})
+            record = {"step": step.key, **step.payload}
+            if not self._recorded.takes("events", step.kind, to_json(record)):
+                self._insert_event(step.kind, record)
 
     def _write_reading(self, step: Step, result: object) -> None:
         now = self._clock.now()
         self._execute(
-            "INSERT INTO steps VALUES (?,?,?,?,?,?,?,?,NULL)",
+            "INSERT INTO steps VALUES (?,?,?,?,?,?,?,?,NULL,?)",
             (
                 self._run,
                 self._ordinal,
@@ -193,6 +241,7 @@ class RunJournal:
                 now,
                 now,
                 encode_result(result),
+                self._aside,
             ),
         )
         if isinstance(step, ReadTemperatures) and isinstance(result, Mapping):
@@ -205,7 +254,8 @@ class RunJournal:
         )
 
     def _insert_event(self, kind: str, record: Mapping[str, Any]) -> None:
-        self._execute("INSERT INTO events VALUES (?,?,?,?)", (self._run, utc_timestamp(), kind, to_json(record)))
+        values = (self._run, utc_timestamp(), kind, to_json(record), self._aside)
+        self._execute("INSERT INTO events VALUES (?,?,?,?,?)", values)
 
     def _execute(self, statement: str, values: Sequence[object] = ()) -> sqlite3.Cursor:
         """Raises JournalFailed where the database cannot take it: then nothing may move any more."""

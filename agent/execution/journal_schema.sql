@@ -9,6 +9,12 @@ CREATE TABLE IF NOT EXISTS runs (
     software TEXT NOT NULL,
     settings TEXT NOT NULL
 );
+CREATE TABLE IF NOT EXISTS origins (
+    run INTEGER PRIMARY KEY REFERENCES runs,
+    record TEXT NOT NULL,
+    begun_s REAL,
+    begun_at TEXT
+);
 CREATE TABLE IF NOT EXISTS steps (
     run INTEGER NOT NULL REFERENCES runs,
     ordinal INTEGER NOT NULL,
@@ -19,6 +25,7 @@ CREATE TABLE IF NOT EXISTS steps (
     finished REAL,
     result TEXT,
     error TEXT,
+    aside INTEGER NOT NULL DEFAULT 0,
     PRIMARY KEY (run, ordinal)
 ) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS balls (
@@ -39,13 +46,15 @@ CREATE TABLE IF NOT EXISTS events (
     run INTEGER NOT NULL REFERENCES runs,
     at TEXT NOT NULL,
     kind TEXT NOT NULL,
-    record TEXT NOT NULL
+    record TEXT NOT NULL,
+    aside INTEGER NOT NULL DEFAULT 0
 );
 CREATE TABLE IF NOT EXISTS decisions (
     run INTEGER NOT NULL REFERENCES runs,
     at TEXT NOT NULL,
     kind TEXT NOT NULL,
-    record TEXT NOT NULL
+    record TEXT NOT NULL,
+    aside INTEGER NOT NULL DEFAULT 0
 );
 CREATE TABLE IF NOT EXISTS estimates (
     run INTEGER NOT NULL REFERENCES runs,
@@ -62,8 +71,6 @@ CREATE TABLE IF NOT EXISTS tables (
     step_mm TEXT,
     resolution_mm REAL,
     shape TEXT,
-    counts BLOB
+    counts BLOB,
+    aside INTEGER NOT NULL DEFAULT 0
 );
-CREATE VIEW IF NOT EXISTS touches AS
-    SELECT run, ordinal, key, detail, finished AS at, result
-    FROM steps WHERE kind = 'TouchTowards' AND result IS NOT NULL;

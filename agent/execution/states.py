@@ -56,18 +56,15 @@ FORWARD: dict[RunState, frozenset[RunState]] = {
     S.ACTIVATING: frozenset({S.VERIFYING, S.WRITTEN}),
     S.VERIFYING: frozenset({S.COMPLETE, S.RESTORING, S.HELD}),
     S.RESTORING: frozenset({S.COMPLETE}),
+    S.WRITTEN: frozenset({S.RESUMING}),
     S.ABORTING: frozenset({S.ABORTED, S.FAULTED}),
 }
 
 FINAL = frozenset({S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED})
 
-PAUSED = frozenset({S.WRITTEN})
-"""A run that waits in no process: its table is written and takes effect only when the controller is restarted or
-referenced; it goes on where it stopped."""
-
 
 def may_follow(now: RunState, after: RunState) -> bool:
     """Whether `after` may follow `now`: forward as tabled, to aborting and faulted from wherever it runs."""
-    if now in FINAL or now in PAUSED:
+    if now in FINAL:
         return False
     return after in FORWARD[now] or after in (S.ABORTING, S.FAULTED)

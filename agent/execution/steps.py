@@ -60,6 +60,14 @@ class ReadTemperatures:
 
 
 @dataclass(frozen=True, slots=True)
+class ReadClock:
+    """Result: seconds of machine time on the clock of the run; a run that is taken up again goes on from its last one.
+    """
+
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
 class ReadPosition:
     """Result: the axis positions as a Point; nothing moves."""
 
@@ -147,6 +155,7 @@ Step: TypeAlias = (
     | HomeMount
     | OrientTo
     | ReadTemperatures
+    | ReadClock
     | ReadPosition
     | CheckPermissions
     | ResetFault

@@ -13,7 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from agent.conduct import Announcement, Conduct
 from agent.execution.journal import FILE_NAME, Journal
-from agent.execution.states import FINAL, PAUSED, RunState
+from agent.execution.states import FINAL, RunState
 from drivers.clock import VirtualClock
 
 # Written by hand from the design's line of states, not from the table under test.
@@ -59,7 +59,7 @@ class RunStates(RuleBasedStateMachine):
         self.conduct.enter(following)
         self.entered.append(following)
 
-    @precondition(lambda self: self.conduct.state not in FINAL | PAUSED)
+    @precondition(lambda self: self.conduct.state not in FINAL)
     @rule()
     def break_off(self) -> None:
         """From anywhere it can be aborted and comes to an end."""
@@ -83,7 +83,7 @@ class RunStates(RuleBasedStateMachine):
 
     @invariant()
     def nothing_follows_an_end(self) -> None:
-        assert not any(state in FINAL | PAUSED for state in self.entered[:-1])
+        assert not any(state in FINAL for state in self.entered[:-1])
 
     @invariant()
     def no_table_is_activated_without_measurement_and_identification(self) -> None:
