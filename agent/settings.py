@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from agent.service.gateway.settings import GatewaySettings
+from agent.service.opcua.settings import OpcUaSettings
 from agent.service.settings import ServiceSettings
 from twin.bodies import ProbeGeometry
 from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
@@ -218,6 +220,8 @@ class Settings(Strict):
     timing: TimingSettings = TimingSettings()
     preflight: PreflightSettings = PreflightSettings()
     service: ServiceSettings = ServiceSettings()
+    gateway: GatewaySettings = GatewaySettings()
+    opcua: OpcUaSettings = OpcUaSettings()
 
     @model_validator(mode="after")
     def _stations_exist(self) -> Self:
@@ -236,7 +240,8 @@ class Settings(Strict):
     def resolved(self, base: Path) -> Settings:
         """The same with every path made absolute, starting from `base`."""
         paths = {name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
-        return self.model_copy(update={**paths, "service": self.service.resolved(base)})
+        doors = {name: getattr(self, name).resolved(base) for name in ("service", "gateway", "opcua")}
+        return self.model_copy(update={**paths, **doors})
 
 
 def parse_settings(text: str, source: str) -> Settings:

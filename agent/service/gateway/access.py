@@ -1,0 +1,54 @@
+"""The access code of panels: a number shared by all of them.
+
+It keeps a wrong or misconfigured device from moving the machine. It is no protection against somebody who listens or
+means harm: Modbus carries it in clear, and it has 32 bits.
+"""
+
+from __future__ import annotations
+
+import hmac
+from pathlib import Path
+from typing import Final
+
+from agent.files import read_text
+from drivers.errors import ConfigurationError
+
+LOCKED_TICKS: Final = 5
+"""Seconds for which no code is looked at after a wrong one: 2³² guesses would take six centuries."""
+
+
+def read_access_code(path: Path) -> int:
+    """Raises ConfigurationError for anything but one number from 1 to 4294967295."""
+    text = read_text(path, error=ConfigurationError).strip()
+    if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= 0xFFFFFFFF):
+        raise ConfigurationError(
+            "the access code is no whole number from 1 to 4294967295",
+            hint="write one line with a number that is hard to guess, nothing else",
+            file=str(path),
+        )
+    return int(text)
+
+
+class AccessCode:
+    """Compares; after a wrong code none is looked at for a while. `tick` once a second."""
+
+    def __init__(self, code: int | None) -> None:
+        self._code = None if code is None else code.to_bytes(4)
+        self._locked = 0
+
+    @property
+    def is_set(self) -> bool:
+        return self._code is not None
+
+    @property
+    def locked(self) -> bool:
+        return self._locked > 0
+
+    def fits(self, code: int) -> bool:
+        if self._code is not None and hmac.compare_digest(self._code, code.to_bytes(4)):
+            return True
+        self._locked = LOCKED_TICKS
+        return False
+
+    def tick(self) -> None:
+        self._locked = max(0, self._locked - 1)

@@ -1,0 +1,154 @@
+"""Modbus TCP on the wire: one request in, one answer out, on a set of registers and coils.
+
+Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application Protocol
+V1.1b3, 6.1, 6.3 to 6.6, 6.11 and 6.12, exception codes in 7.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import Final, Protocol
+
+HEADER: Final = struct.Struct(">HHHB")
+LONGEST_PDU: Final = 253
+MOST_READ: Final = 125
+MOST_WRITTEN: Final = 123
+MOST_COILS_READ: Final = 2000
+MOST_COILS_WRITTEN: Final = 1968
+_PAIR = struct.Struct(">HH")
+_COIL_ON, _COIL_OFF = 0xFF00, 0x0000
+
+
+class Function(IntEnum):
+    READ_COILS = 1
+    READ_HOLDING = 3
+    READ_INPUT = 4
+    WRITE_COIL = 5
+    WRITE_REGISTER = 6
+    WRITE_COILS = 15
+    WRITE_REGISTERS = 16
+
+
+class ExceptionCode(IntEnum):
+    FUNCTION = 1
+    ADDRESS = 2
+    VALUE = 3
+    FAILURE = 4
+
+
+class RegisterError(Exception):
+    """The request cannot be done: becomes an exception answer."""
+
+    def __init__(self, code: ExceptionCode) -> None:
+        super().__init__(code.name)
+        self.code = code
+
+
+class FramingError(Exception):
+    """What came is no Modbus TCP; the connection cannot be followed any further."""
+
+
+class Table(Protocol):
+    """What a request acts on. Each may raise RegisterError, and has changed nothing then."""
+
+    def read(self, address: int, count: int) -> Sequence[int]: ...
+
+    def write(self, address: int, words: Sequence[int]) -> None: ...
+
+    def read_coils(self, address: int, count: int) -> Sequence[bool]: ...
+
+    def write_coils(self, address: int, states: Sequence[bool]) -> None: ...
+
+
+def body_length(header: bytes) -> int:
+    """Bytes that follow the seven of the header. Raises FramingError where it is no header of Modbus TCP."""
+    _, protocol, length, _ = HEADER.unpack(header)
+    if protocol != 0 or not 2 <= length <= LONGEST_PDU + 1:
+        raise FramingError(f"MBAP header {header.hex(' ')}")
+    return int(length) - 1
+
+
+def answer_frame(header: bytes, answer: bytes) -> bytes:
+    """The answer under the transaction and unit of its request."""
+    transaction, _, _, unit = HEADER.unpack(header)
+    return HEADER.pack(transaction, 0, len(answer) + 1, unit) + answer
+
+
+def answer_request(request: bytes, table: Table) -> bytes:
+    """The answer to one request (function code and what follows it), an exception answer included."""
+    function = request[0]
+    try:
+        if function not in _ANSWERS:
+            raise RegisterError(ExceptionCode.FUNCTION)
+        return bytes((function,)) + _ANSWERS[function](request, table)
+    except RegisterError as refusal:
+        return bytes((function | 0x80, refusal.code))
+
+
+def _read_registers(request: bytes, table: Table) -> bytes:
+    address, count = _range(request, MOST_READ, exact=True)
+    words = table.read(address, count)
+    return bytes((2 * count,)) + struct.pack(f">{count}H", *words)
+
+
+def _read_coils(request: bytes, table: Table) -> bytes:
+    address, count = _range(request, MOST_COILS_READ, exact=True)
+    bits = sum(1 << place for place, on in enumerate(table.read_coils(address, count)) if on)
+    size = (count + 7) // 8
+    return bytes((size,)) + bits.to_bytes(size, "little")
+
+
+def _write_register(request: bytes, table: Table) -> bytes:
+    _require(len(request) == 5)
+    address, word = _PAIR.unpack_from(request, 1)
+    table.write(address, (word,))
+    return request[1:]
+
+
+def _write_coil(request: bytes, table: Table) -> bytes:
+    _require(len(request) == 5)
+    address, value = _PAIR.unpack_from(request, 1)
+    _require(value in (_COIL_ON, _COIL_OFF))
+    table.write_coils(address, (value == _COIL_ON,))
+    return request[1:]
+
+
+def _write_registers(request: bytes, table: Table) -> bytes:
+    address, count = _range(request, MOST_WRITTEN)
+    _require(request[5] == 2 * count == len(request) - 6)
+    table.write(address, struct.unpack_from(f">{count}H", request, 6))
+    return request[1:5]
+
+
+def _write_coils(request: bytes, table: Table) -> bytes:
+    address, count = _range(request, MOST_COILS_WRITTEN)
+    _require(request[5] == (count + 7) // 8 == len(request) - 6)
+    bits = int.from_bytes(request[6:], "little")
+    table.write_coils(address, [bool(bits >> place & 1) for place in range(count)])
+    return request[1:5]
+
+
+_ANSWERS: Final[dict[int, Callable[[bytes, Table], bytes]]] = {
+    Function.READ_COILS: _read_coils,
+    Function.READ_HOLDING: _read_registers,
+    Function.READ_INPUT: _read_registers,
+    Function.WRITE_COIL: _write_coil,
+    Function.WRITE_REGISTER: _write_register,
+    Function.WRITE_COILS: _write_coils,
+    Function.WRITE_REGISTERS: _write_registers,
+}
+
+
+def _range(request: bytes, most: int, *, exact: bool = False) -> tuple[int, int]:
+    """Address and count; with data to follow there must be a byte count at least."""
+    _require(len(request) == 5 if exact else len(request) > 6)
+    address, count = _PAIR.unpack_from(request, 1)
+    _require(1 <= count <= most)
+    return address, count
+
+
+def _require(holds: bool) -> None:
+    if not holds:
+        raise RegisterError(ExceptionCode.VALUE)

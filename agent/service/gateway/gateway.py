@@ -1,0 +1,67 @@
+"""What all connections share: the owner of the machine, the desk for commands and the heartbeats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import structlog
+
+from agent.service.control import Control, Status
+from agent.service.gateway.access import AccessCode
+from agent.service.gateway.desk import CommandDesk
+from agent.service.gateway.image import GatewayFacts, status_image
+from agent.service.gateway.watch import Watch
+from drivers.errors import VolcalError
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True)
+class Gateway:
+    """`on_silence`: what becomes of a run that a panel began, when the panel's beat stops."""
+
+    control: Control
+    desk: CommandDesk
+    access: AccessCode
+    watch: Watch
+    on_silence: Literal["note", "hold"]
+
+    def status(self) -> Status:
+        return self.control.status()
+
+    def image(self) -> tuple[int, ...]:
+        """Status registers of one instant. What was accepted is read before the status: a panel that sees its number
+        accepted sees the state that came of it, never one from before."""
+        accepted, result = self.desk.state()
+        facts = GatewayFacts(
+            heartbeat=self.watch.beat_of_ours,
+            panel_alive=self.watch.panel_alive,
+            access_code_set=self.access.is_set,
+            accepted_sequence=accepted,
+            result=result,
+        )
+        return status_image(self.status(), facts)
+
+    def tick(self) -> None:
+        """Once a second."""
+        self.access.tick()
+        status = self._status_or_none()
+        if self.watch.tick(well=status is not None):
+            log.warning("panel fell silent", then=self.on_silence)
+            ours = status is not None and status.run_id is not None and status.run_id == self.desk.latest_start
+            if ours and self.on_silence == "hold":
+                self._hold()
+
+    def _hold(self) -> None:
+        try:
+            self.control.hold()
+        except VolcalError as error:
+            log.info("no hold for a silent panel", reason=str(error))
+
+    def _status_or_none(self) -> Status | None:
+        try:
+            return self.status()
+        except Exception:
+            log.exception("the status cannot be had")
+            return None

@@ -1,0 +1,189 @@
+"""The register map of the panel gateway as data; docs/reference/panel-gateway.md shows the same tables.
+
+Addresses are those of the protocol (from 0). A 32-bit value takes two registers, the high word first; text takes two
+ASCII characters a register, the first one in the high byte, padded with zeros.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import Final
+
+from agent.execution.states import RunState
+from agent.service.control import KINDS
+
+MAP_VERSION: Final = 1
+
+
+class Form(Enum):
+    U16 = "uint16"
+    U32 = "uint32"
+    I32 = "int32"
+    TEXT = "text"
+
+
+UNKNOWN: Final = {Form.U16: 0xFFFF, Form.U32: 0xFFFFFFFF, Form.I32: -0x80000000}
+"""Stands for a value that there is not (yet)."""
+
+
+@dataclass(frozen=True)
+class Register:
+    """A value of the map: `address` of its first register, `words` how many it takes."""
+
+    name: str
+    address: int
+    form: Form
+    words: int
+    meaning: str
+
+    @property
+    def end(self) -> int:
+        return self.address + self.words
+
+
+_WORDS = {Form.U16: 1, Form.U32: 2, Form.I32: 2}
+
+
+def _block(start: int, *rows: tuple[str, Form, int, str]) -> tuple[Register, ...]:
+    """Registers without gaps from `start` on; a row gives name, form, characters of a text (else 0) and meaning."""
+    registers = []
+    for name, form, characters, meaning in rows:
+        registers.append(Register(name, start, form, _WORDS.get(form, characters // 2), meaning))
+        start = registers[-1].end
+    return tuple(registers)
+
+
+STATUS: Final = _block(
+    0,
+    ("map_version", Form.U16, 0, "of this table: 1"),
+    ("heartbeat", Form.U16, 0, "counts up every second while the service is well"),
+    ("flags", Form.U16, 0, "bits, see below"),
+    ("state", Form.U16, 0, "see below"),
+    ("packml_state", Form.U16, 0, "StateCurrent of ISA-TR88.00.02"),
+    ("kind", Form.U16, 0, "1 calibrate, 2 verify, 3 nightly, 0 none"),
+    ("may", Form.U16, 0, "requests that make sense now, bits see below"),
+    ("progress", Form.U16, 0, "0.01 %"),
+    ("minutes_left", Form.U32, 0, "0.01 min of machine time"),
+    ("ve_before", Form.I32, 0, "nm, VE of the last accepted estimate without table"),
+    ("ve_now", Form.I32, 0, "nm, the same with the table"),
+    ("balls", Form.U32, 0, "measured in this run"),
+    ("touches", Form.U32, 0, "in this run"),
+    ("active_bank", Form.U16, 0, "of the compensation table"),
+    ("bank_waiting", Form.U16, 0, "written, not active: waits for a restart of the controller"),
+    ("alarm_count", Form.U16, 0, "open alarms"),
+    ("alarm_1", Form.U16, 0, "code of the first alarm, 0 none; see Alarm codes"),
+    ("alarm_2", Form.U16, 0, "second"),
+    ("alarm_3", Form.U16, 0, "third"),
+    ("alarm_4", Form.U16, 0, "fourth"),
+    ("question_number", Form.U32, 0, "open question, 0 none"),
+    ("question_station", Form.U16, 0, "station it is about"),
+    ("accepted_sequence", Form.U16, 0, "of the last command that was looked at"),
+    ("result", Form.U16, 0, "of that command, see below"),
+    ("position_set", Form.TEXT, 32, "of the run"),
+    ("run", Form.TEXT, 32, "identity of the run"),
+    ("doing", Form.TEXT, 48, "what it is doing, in words"),
+    ("alarm_text", Form.TEXT, 60, "text of the first alarm"),
+    ("question_text", Form.TEXT, 80, "text of the open question"),
+)
+COMMAND: Final = _block(
+    200,
+    ("command", Form.U16, 0, "see below"),
+    ("kind", Form.U16, 0, "start: 1 calibrate, 2 verify, 3 nightly"),
+    ("consent", Form.U16, 0, "start: 1 a person stands at the machine and confirms that it may move, 0 nobody does"),
+    ("full_allowed", Form.U16, 0, "start: 0 as the settings say, 1 no, 2 a night may become a full calibration"),
+    ("slot", Form.U16, 0, "start: 0.1 min of machine time, 0 as the settings say"),
+    ("stations", Form.U16, 0, "start: bit 0 is station 1 …, 0 as the settings say"),
+    ("question_number", Form.U32, 0, "answer: which question"),
+    ("answer", Form.U16, 0, "answer: 1 yes, 2 no"),
+    ("position_set", Form.TEXT, 32, "start: empty as the settings say"),
+    ("access_code", Form.U32, 0, "the shared number; reads as 0"),
+    ("sequence", Form.U16, 0, "accepted_sequence + 1; writing it gives the command"),
+)
+PANEL: Final = _block(260, ("panel_heartbeat", Form.U16, 0, "the panel writes another value at least every second"))
+BLOCKS: Final = (STATUS, COMMAND, PANEL)
+ABORT_COIL: Final = 0
+
+IN_STATUS: Final = {register.name: register for register in STATUS}
+IN_COMMAND: Final = {register.name: register for register in COMMAND}
+
+STATE_NUMBERS: Final = {
+    RunState.IDLE: 0,
+    RunState.PREFLIGHT: 1,
+    RunState.MEASURING: 2,
+    RunState.HELD: 3,
+    RunState.IDENTIFYING: 4,
+    RunState.STAGING: 5,
+    RunState.ACTIVATING: 6,
+    RunState.VERIFYING: 7,
+    RunState.RESTORING: 8,
+    RunState.COMPLETE: 9,
+    RunState.REFUSED: 10,
+    RunState.ABORTING: 11,
+    RunState.ABORTED: 12,
+    RunState.FAULTED: 13,
+    RunState.RESUMING: 14,
+    RunState.WRITTEN: 15,
+}
+PACKML_NUMBERS: Final = {
+    "Clearing": 1,
+    "Stopped": 2,
+    "Starting": 3,
+    "Idle": 4,
+    "Suspended": 5,
+    "Execute": 6,
+    "Stopping": 7,
+    "Aborting": 8,
+    "Aborted": 9,
+    "Holding": 10,
+    "Held": 11,
+    "Unholding": 12,
+    "Suspending": 13,
+    "Unsuspending": 14,
+    "Resetting": 15,
+    "Completing": 16,
+    "Complete": 17,
+}
+"""PackTags StateCurrent; 0 is undefined."""
+KIND_NUMBERS: Final[dict[str, int]] = {kind: number for number, kind in enumerate(KINDS, start=1)}
+FLAGS: Final = ("running", "alarm", "question", "bank_waiting", "unfinished_run", "panel_alive", "access_code_set")
+MAY: Final = ("start", "hold", "resume", "abort", "reset", "answer", "resume_run")
+
+
+class Command(IntEnum):
+    """What `command` may hold. Abort is here too, for panels without coils."""
+
+    START = 1
+    HOLD = 2
+    RESUME = 3
+    ABORT = 4
+    RESET = 5
+    ANSWER = 6
+    RESUME_RUN = 7
+
+
+FREE_COMMANDS: Final = frozenset({Command.HOLD, Command.ABORT})
+"""These only ever stop motion, and ask for no access code."""
+
+
+class Result(IntEnum):
+    """What `result` may hold below 100; from 100 on it is an alarm code."""
+
+    NONE = 0
+    DONE = 1
+    WRONG_CODE = 10
+    NO_CODE_SET = 11
+    LOCKED = 12
+    UNKNOWN_COMMAND = 13
+    VALUE_NOT_ALLOWED = 14
+
+
+RESULT_TEXTS: Final = {
+    Result.NONE: "no command since the service began",
+    Result.DONE: "done; for a start: the run has begun",
+    Result.WRONG_CODE: "the access code is wrong",
+    Result.NO_CODE_SET: "the settings name no access code: only hold and abort",
+    Result.LOCKED: "too soon after a wrong access code; wait five seconds",
+    Result.UNKNOWN_COMMAND: "there is no such command",
+    Result.VALUE_NOT_ALLOWED: "a register of the command holds a value that it cannot have",
+}

@@ -1,0 +1,181 @@
+"""The sockets of the gateway: a thread for each panel, none of which can keep another one waiting."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import itertools
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import structlog
+
+from agent.service.gateway.frames import (
+    HEADER,
+    ExceptionCode,
+    FramingError,
+    Table,
+    answer_frame,
+    answer_request,
+    body_length,
+)
+from drivers.errors import ConfigurationError
+
+JOIN_S: Final = 5.0
+log = structlog.get_logger()
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+
+class _Client:
+    """A connection, and when it last asked for something (in requests of all, not in seconds)."""
+
+    def __init__(self, connection: socket.socket, peer: str) -> None:
+        self.connection = connection
+        self.peer = peer
+        self.last_request = 0
+
+    def hang_up(self) -> None:
+        with contextlib.suppress(OSError):
+            self.connection.shutdown(socket.SHUT_RDWR)
+
+
+class ModbusServer:
+    """Listens at once; answers from `start` to `stop`.
+
+    Peers outside of `allowed` are hung up on. With `most_clients` connected the one that has been quiet longest makes
+    room for a new one, as the Modbus implementation guide has it (4.2.2). Who sends nothing for `idle_s`, takes that
+    long to read its answer, or sends what is no Modbus is hung up on.
+    Raises ConfigurationError where the address cannot be had.
+    """
+
+    def __init__(
+        self,
+        address: tuple[str, int],
+        allowed: Sequence[Network],
+        session: Callable[[], Table],
+        *,
+        most_clients: int = 8,
+        idle_s: float = 60.0,
+    ) -> None:
+        self._allowed = allowed
+        self._session = session
+        self._most_clients = most_clients
+        self._idle_s = idle_s
+        self._guard = threading.Lock()
+        self._clients: set[_Client] = set()
+        self._requests = itertools.count(1)
+        self._stopped = False
+        self._listener = _listen(address)
+        self._thread = threading.Thread(target=self._accept_forever, name="gateway", daemon=True)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port actually listened on."""
+        host, port = self._listener.getsockname()[:2]
+        return str(host), int(port)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Hang up on everybody; once this returns no further request is begun."""
+        with self._guard:
+            self._stopped = True
+            with contextlib.suppress(OSError):
+                self._listener.shutdown(socket.SHUT_RDWR)
+            for client in self._clients:
+                client.hang_up()
+        if self._thread.ident is not None:
+            self._thread.join(JOIN_S)
+        self._listener.close()
+
+    def _accept_forever(self) -> None:
+        while not self._stopped:
+            try:
+                connection, peer = self._listener.accept()
+            except OSError:
+                return  # the listener was shut down
+            client = _Client(connection, str(peer[0]))
+            if self._admitted(client):
+                threading.Thread(target=self._attend, args=(client,), name="gateway panel", daemon=True).start()
+            else:
+                connection.close()
+
+    def _admitted(self, client: _Client) -> bool:
+        if not self._is_allowed(client.peer):
+            log.warning("connection refused", peer=client.peer, reason="not among the gateway's clients")
+            return False
+        with self._guard:
+            if self._stopped:
+                return False
+            if len(self._clients) >= self._most_clients:
+                self._make_room()
+            client.last_request = next(self._requests)
+            self._clients.add(client)
+        return True
+
+    def _make_room(self) -> None:
+        quietest = min(self._clients, key=lambda client: client.last_request)
+        log.warning("panel hung up on", peer=quietest.peer, reason="too many connections, quiet longest")
+        self._clients.discard(quietest)
+        quietest.hang_up()
+
+    def _is_allowed(self, peer: str) -> bool:
+        address = ipaddress.ip_address(peer.partition("%")[0])
+        mapped = getattr(address, "ipv4_mapped", None)
+        return any((mapped or address) in network for network in self._allowed)
+
+    def _attend(self, client: _Client) -> None:
+        with client.connection:
+            try:
+                client.connection.settimeout(self._idle_s)
+                client.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._serve(client)
+            except (OSError, FramingError) as error:
+                log.info("panel gone", peer=client.peer, reason=str(error))
+            finally:
+                with self._guard:
+                    self._clients.discard(client)
+
+    def _serve(self, client: _Client) -> None:
+        table = self._session()
+        while (header := _receive(client.connection, HEADER.size)) is not None:
+            request = _receive(client.connection, body_length(header))
+            if request is None or self._stopped:
+                return
+            client.last_request = next(self._requests)
+            client.connection.sendall(answer_frame(header, _answer(request, table)))
+
+
+def _answer(request: bytes, table: Table) -> bytes:
+    """Whatever goes wrong behind the registers, the panel gets an answer and the connection stays."""
+    try:
+        return answer_request(request, table)
+    except Exception:
+        log.exception("a panel's request failed")
+        return bytes((request[0] | 0x80, ExceptionCode.FAILURE))
+
+
+def _receive(connection: socket.socket, size: int) -> bytes | None:
+    """Exactly so many bytes; None where the peer hung up before."""
+    data = b""
+    while len(data) < size:
+        if not (chunk := connection.recv(size - len(data))):
+            return None
+        data += chunk
+    return data
+
+
+def _listen(address: tuple[str, int]) -> socket.socket:
+    family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+    try:
+        return socket.create_server(address, family=family)
+    except (OSError, OverflowError) as error:
+        raise ConfigurationError(
+            f"cannot listen for panels on {address[0]}:{address[1]}: {error}",
+            hint="choose a free port (below 1024 only with the right to it) and an address of this computer",
+            key="gateway.host, gateway.port",
+        ) from error

@@ -1,0 +1,72 @@
+"""The registers and the coil as one connection sees them.
+
+The status is everybody's. What a panel writes into the command registers stays a draft of its own connection until
+it writes the sequence number: another panel's half-written command cannot mix with it, and it goes with the link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agent.execution.states import RunState
+from agent.service.gateway.frames import ExceptionCode, RegisterError
+from agent.service.gateway.gateway import Gateway
+from agent.service.gateway.orders import FIRST, SIZE, read_order
+from agent.service.gateway.registers import ABORT_COIL, IN_COMMAND, PANEL, STATUS
+
+_SEQUENCE = IN_COMMAND["sequence"].address - FIRST
+_CODE = slice(IN_COMMAND["access_code"].address - FIRST, IN_COMMAND["access_code"].end - FIRST)
+_BEAT = PANEL[0].address
+
+
+class Session:
+    """A `Table` for one connection; used by one thread."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self._gateway = gateway
+        self._draft = [0] * SIZE
+
+    def read(self, address: int, count: int) -> Sequence[int]:
+        if _within(address, count, STATUS[0].address, STATUS[-1].end):
+            return self._gateway.image()[address : address + count]
+        if _within(address, count, FIRST, FIRST + SIZE):
+            shown = [*self._draft]
+            shown[_CODE] = (0, 0)
+            return shown[address - FIRST : address - FIRST + count]
+        if (address, count) == (_BEAT, 1):
+            return (self._gateway.watch.panel_beat or 0,)
+        raise RegisterError(ExceptionCode.ADDRESS)
+
+    def write(self, address: int, words: Sequence[int]) -> None:
+        if (address, len(words)) == (_BEAT, 1):
+            self._gateway.watch.beat(words[0])
+            return
+        if not _within(address, len(words), FIRST, FIRST + SIZE):
+            raise RegisterError(ExceptionCode.ADDRESS)
+        start = address - FIRST
+        draft = [*self._draft]
+        draft[start : start + len(words)] = words
+        if start <= _SEQUENCE < start + len(words):
+            self._commit(draft)
+        else:
+            self._draft = draft
+
+    def _commit(self, draft: Sequence[int]) -> None:
+        """Whatever comes of it, the next command is written anew: no consent or code is left from this one."""
+        self._draft = [0] * SIZE
+        self._gateway.desk.hand_in(read_order(draft))
+
+    def read_coils(self, address: int, count: int) -> Sequence[bool]:
+        if (address, count) != (ABORT_COIL, 1):
+            raise RegisterError(ExceptionCode.ADDRESS)
+        return (self._gateway.status().state is RunState.ABORTING,)
+
+    def write_coils(self, address: int, states: Sequence[bool]) -> None:
+        if (address, len(states)) != (ABORT_COIL, 1):
+            raise RegisterError(ExceptionCode.ADDRESS)
+        if states[0]:
+            self._gateway.desk.abort()
+
+
+def _within(address: int, count: int, start: int, end: int) -> bool:
+    return start <= address and address + count <= end
