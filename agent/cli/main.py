@@ -34,6 +34,7 @@ OWN_COMMANDS = {
     "plan": "agent.cli.plan:plan_command",
     "study": "agent.cli.study:study_command",
     "rank": "agent.cli.rank:rank_command",
+    "serve": "agent.cli.serve:serve_command",
     "timing": "agent.cli.timing:timing_command",
     "verify": "agent.cli.verify:verify_command",
     "table": "agent.cli.table:table_group",

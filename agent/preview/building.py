@@ -21,9 +21,11 @@ MARGIN_MM = 200.0
 """By so much the drawn part of the table is larger than what stands on it."""
 
 
-def preview_of(job: Job, refused: PlanRefused | None = None) -> Preview:
-    """The plan of `job` to look at; `refused`: what preflight had to say against it."""
-    waypoints = walk(job, refused)
+def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
+    """The plan of `job` to look at; `refused`: what preflight had to say against it. `waypoints`: of a path that has
+    been rehearsed already; None: that of the whole calibration."""
+    if waypoints is None:
+        waypoints = walk(job, refused)
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))
     held_out = set(job.held_out)
     placings = tuple(placing_of(job, position, held_out=position in held_out) for position in positions)

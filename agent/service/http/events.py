@@ -1,0 +1,50 @@
+"""Server-sent events: first the status, then what happens, from where the reader left off."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import APIRouter, Header
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+
+from agent.service.control import Event
+from agent.service.http.problems import DOCUMENTED
+from agent.service.http.reading import status_now
+from agent.service.http.site import Site, SiteHere
+
+router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED)
+
+RECONNECT_AFTER_MS = 2000
+
+
+@router.get("/events", response_class=EventSourceResponse)
+async def events(
+    site: SiteHere, last_event_id: Annotated[str | None, Header()] = None
+) -> AsyncIterator[ServerSentEvent]:
+    """`status` once at the beginning (and again where events were lost), then every event with its number as id. With
+    `Last-Event-ID` those since that number come first. A comment every 15 s keeps the connection."""
+    known = last_event_id is not None and last_event_id.isdigit()
+    seen = int(last_event_id or 0) if known else site.bulletin.last_number
+    yield _status(site)
+    loop, news = asyncio.get_running_loop(), asyncio.Event()
+    with site.bulletin.waking(lambda: loop.call_soon_threadsafe(news.set)):
+        while not site.bulletin.closed:
+            lost, happened = site.bulletin.since(seen)
+            if lost:
+                yield _status(site)
+            for event in happened:
+                seen = event.number
+                yield _sent(event)
+            if not happened:
+                await news.wait()
+            news.clear()
+
+
+def _status(site: Site) -> ServerSentEvent:
+    return ServerSentEvent(event="status", data=status_now(site), retry=RECONNECT_AFTER_MS)
+
+
+def _sent(event: Event) -> ServerSentEvent:
+    return ServerSentEvent(id=str(event.number), event=event.kind, data={"text": event.text, "data": event.data})

@@ -1,0 +1,117 @@
+"""Errors of the one tree as problem documents (RFC 9457): what is wrong, where, what to do; never a traceback."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+from typing import Any
+
+import structlog
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel
+from starlette.exceptions import HTTPException
+
+from agent.service.alarms import alarm_code
+from agent.service.archive import UnknownRun
+from drivers import errors
+
+log = structlog.get_logger()
+
+MEDIA_TYPE = "application/problem+json"
+
+STATUS: dict[type[errors.VolcalError], HTTPStatus] = {
+    errors.VolcalError: HTTPStatus.INTERNAL_SERVER_ERROR,
+    UnknownRun: HTTPStatus.NOT_FOUND,
+    errors.UserError: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.DeviceError: HTTPStatus.SERVICE_UNAVAILABLE,
+    errors.PermissionMissing: HTTPStatus.CONFLICT,
+    errors.RunError: HTTPStatus.CONFLICT,
+    errors.JournalFailed: HTTPStatus.SERVICE_UNAVAILABLE,
+}
+
+
+class Problem(BaseModel):
+    """`title`: the error's class; `code`: its alarm number; `where`: device, step, file, key …"""
+
+    title: str
+    status: int
+    detail: str
+    hint: str = ""
+    where: dict[str, str] = {}
+    code: int | None = None
+
+
+class Refused(Exception):
+    """An answer of the door itself, before anybody inside is asked."""
+
+    def __init__(self, status: HTTPStatus, detail: str, hint: str = "", headers: dict[str, str] | None = None) -> None:
+        super().__init__(detail)
+        self.problem = Problem(title=status.phrase, status=status, detail=detail, hint=hint)
+        self.headers = headers
+
+
+def problem_of(error: errors.VolcalError) -> Problem:
+    status = next(STATUS[kind] for kind in type(error).__mro__ if kind in STATUS)
+    code = alarm_code(error).code
+    return Problem(
+        title=type(error).__name__,
+        status=status,
+        detail=error.message,
+        hint=error.hint,
+        where=error.where,
+        code=code,
+    )
+
+
+def answer(problem: Problem, headers: dict[str, str] | None = None) -> JSONResponse:
+    return JSONResponse(problem.model_dump(), problem.status, headers, media_type=MEDIA_TYPE)
+
+
+def install(app: FastAPI) -> None:
+    """Every error that a request can end in has its document."""
+
+    @app.exception_handler(errors.VolcalError)
+    def of_the_tree(_: Request, error: errors.VolcalError) -> JSONResponse:
+        return answer(problem_of(error))
+
+    @app.exception_handler(Refused)
+    def of_the_door(_: Request, error: Refused) -> JSONResponse:
+        return answer(error.problem, error.headers)
+
+    @app.exception_handler(RequestValidationError)
+    def of_the_body(_: Request, error: RequestValidationError) -> JSONResponse:
+        return answer(_first_of(error))
+
+    @app.exception_handler(HTTPException)
+    def of_the_framework(_: Request, error: HTTPException) -> JSONResponse:
+        status = HTTPStatus(error.status_code)
+        return answer(Problem(title=status.phrase, status=status, detail=str(error.detail)), dict(error.headers or {}))
+
+    @app.exception_handler(Exception)
+    def of_ours(_: Request, error: Exception) -> JSONResponse:
+        log.error("defect in the service", exc_info=error)
+        status = HTTPStatus.INTERNAL_SERVER_ERROR
+        detail = f"defect in the service: {type(error).__name__}"
+        return answer(Problem(title=status.phrase, status=status, detail=detail, hint="please report it"))
+
+
+def _first_of(error: RequestValidationError) -> Problem:
+    first: dict[str, Any] = dict(error.errors()[0])
+    key = ".".join(str(part) for part in first["loc"] if part != "body")
+    malformed = first["type"] == "json_invalid"
+    status = HTTPStatus.BAD_REQUEST if malformed else HTTPStatus.UNPROCESSABLE_ENTITY
+    detail = f"the body is no JSON: {first['ctx']['error']}" if malformed else str(first["msg"])
+    return Problem(
+        title=status.phrase,
+        status=status,
+        detail=detail,
+        where={} if malformed else {"key": key},
+        hint="see /api/openapi.json for what is expected",
+    )
+
+
+DOCUMENTED: dict[int | str, dict[str, Any]] = {
+    "4XX": {"model": Problem, "description": "What is wrong, where, and what to do"}
+}
+"""For the routes' `responses`."""

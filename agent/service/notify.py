@@ -1,0 +1,33 @@
+"""systemd's notification protocol (sd_notify(3)): one datagram a message, to the socket named in NOTIFY_SOCKET."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Mapping
+
+import structlog
+
+log = structlog.get_logger()
+S_PER_US = 1e-6
+
+
+class Notifier:
+    """Silent where nobody has asked for notifications; a socket that is gone is no reason to stop calibrating."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        place = environment.get("NOTIFY_SOCKET", "")
+        self._address = f"\0{place[1:]}" if place.startswith("@") else place
+        watchdog = environment.get("WATCHDOG_USEC", "")
+        ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        self.watchdog_s = int(watchdog) * S_PER_US if watchdog.isdigit() and ours else None
+
+    def send(self, **assignments: str | int) -> None:
+        if not self._address:
+            return
+        message = "\n".join(f"{name}={value}" for name, value in assignments.items())
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+                channel.sendto(message.encode(), self._address)
+        except OSError as error:
+            log.warning("systemd cannot be notified", error=str(error))

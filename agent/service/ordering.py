@@ -1,0 +1,111 @@
+"""From what somebody asked for to what `agent.session` carries out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from agent.assembly import assemble, closed_after, make_clock
+from agent.consent import Consent
+from agent.execution.steps import Point
+from agent.job import Job, naming, prepare_job, with_overrides
+from agent.kinds.kind import FullCalibration, Kind, Ready
+from agent.kinds.nightly import Night
+from agent.kinds.verify import Verification
+from agent.rig import Rig
+from agent.service.control import StartRequest
+from agent.service.questions import Questions, ServiceOperator
+from agent.settings import ClockSettings, Settings
+from drivers.clock import Clock
+from drivers.errors import PlanRefused, UserError
+from drivers.roles import MachineStatus
+
+CONSOLE = "console-operator"
+"""Under a service nobody reads the console: its questions go to the doors."""
+
+
+@dataclass(frozen=True)
+class Devices:
+    """How rigs and clocks are made; another pair for a machine that somebody holds already."""
+
+    assemble: Callable[[Settings, Clock, Path], Rig] = assemble
+    make_clock: Callable[[ClockSettings], Clock] = make_clock
+
+    def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
+        """Open the machine, ask, close it again; nothing moves."""
+        with closed_after(self.make_clock(settings.clock)) as clock:
+            rig = self.assemble(settings, clock, base)
+            rig.open()
+            try:
+                return rig.machine.status()
+            finally:
+                rig.close()
+
+    def asking(self, questions: Questions, *, attended: bool) -> Callable[[Settings, Clock, Path], Rig]:
+        """The same rig, with the doors in place of the console."""
+
+        def assembled(settings: Settings, clock: Clock, base: Path) -> Rig:
+            rig = self.assemble(settings, clock, base)
+            if settings.devices[settings.roles.operator].driver != CONSOLE:
+                return rig
+            within = settings.service.answer_within_minutes
+            return replace(rig, operator=ServiceOperator(questions, clock, within, attended))
+
+        return assembled
+
+
+def job_of(request: StartRequest, settings: Settings, config: Path) -> Job:
+    """UserError naming the settings file where the request does not fit the machine."""
+    chosen = with_overrides(settings, position_set=request.position_set, stations=request.stations)
+    with naming(config):
+        return prepare_job(chosen, config.parent)
+
+
+def kind_of(request: StartRequest, settings: Settings, slot_minutes: float | None) -> Kind:
+    """`slot_minutes` of machine time there are; None: as many as it takes."""
+    match request.kind:
+        case "calibrate":
+            consent = Consent.ASK if request.consent else Consent.REFUSED
+            return _fitting(FullCalibration(consent=consent), slot_minutes)
+        case "verify":
+            return _fitting(Verification(station=_one_station(request)), slot_minutes)
+        case "nightly":
+            slot = settings.nightly.slot_minutes if request.slot_minutes is None else request.slot_minutes
+            slot = slot if slot_minutes is None else min(slot, slot_minutes)
+            return Night(slot, request.full_allowed, _one_station(request))
+
+
+@dataclass(frozen=True)
+class WithinSlot:
+    """A kind of run that is refused where its rehearsal takes longer than there is time."""
+
+    kind: Kind
+    minutes: float
+
+    @property
+    def name(self) -> str:
+        return self.kind.name
+
+    def ready(self, job: Job, start_mm: Point) -> Ready:
+        ready = self.kind.ready(job, start_mm)
+        needed = ready.rehearsal.machine_minutes
+        if needed > self.minutes:
+            raise PlanRefused(
+                f"the run takes {needed:.0f} min of machine time, there are {self.minutes:.0f}",
+                hint="give it a longer slot, fewer stations or a smaller position set",
+            )
+        return ready
+
+
+def _fitting(kind: Kind, minutes: float | None) -> Kind:
+    return kind if minutes is None else WithinSlot(kind, minutes)
+
+
+def _one_station(request: StartRequest) -> int | None:
+    stations = request.stations or ()
+    if len(stations) > 1:
+        raise UserError(
+            f"{request.kind} measures at one station, {len(stations)} were named", hint="name the one where it stands"
+        )
+    return stations[0] if stations else None

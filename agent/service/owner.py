@@ -1,0 +1,267 @@
+"""The owner of the machine: one run at a time, whichever door it was asked for through."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from queue import Queue
+from typing import Protocol
+
+import structlog
+
+from agent.execution.run_lock import Ownership
+from agent.execution.states import RunState
+from agent.execution.steps import Step
+from agent.service import requests
+from agent.service.alarms import alarm_of
+from agent.service.board import Board, Standing
+from agent.service.bulletin import Bulletin
+from agent.service.control import Event, Source, StartRequest, Status
+from agent.service.health import Health
+from agent.service.ordering import Devices, job_of, kind_of
+from agent.service.past import Past
+from agent.service.questions import Questions
+from agent.service.running import Running
+from agent.service.scenes import Scenes, Shown
+from agent.service.unattended import Circumstances, minutes_until_end, require_permission, require_warm
+from agent.session import Ended, Request, carry_out, new_run_id
+from agent.settings import Settings
+from drivers.clock import RealClock
+from drivers.errors import Busy, PermissionMissing, PlanRefused, UserError, VolcalError
+
+log = structlog.get_logger()
+S_PER_MIN = 60.0
+
+
+def here_and_now() -> Circumstances:
+    """The monotonic clock of Linux begins when the computer is switched on."""
+    return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
+
+
+class CarryOut(Protocol):
+    def __call__(self, request: Request) -> Ended: ...
+
+
+@dataclass(frozen=True)
+class Household:
+    """What the owner works with. `config`: the settings file, for messages and for relative paths."""
+
+    config: Path
+    bulletin: Bulletin
+    board: Board
+    health: Health
+    ownership: Ownership
+    past: Past
+    scenes: Scenes = field(default_factory=Scenes)
+    devices: Devices = field(default_factory=Devices)
+    carry_out: CarryOut = carry_out
+    circumstances: Callable[[], Circumstances] = here_and_now
+
+
+class Owner:
+    """Implements `Control`."""
+
+    def __init__(self, settings: Settings, household: Household) -> None:
+        self.settings = settings
+        self._house = household
+        self._board = household.board
+        self._questions = Questions(self._board.ask)
+        self._changed = threading.Condition(threading.RLock())
+        self._running: Running | None = None
+        self._closing = False
+        self._board.stands(self._standing())
+        left = household.past.left_behind()
+        if left is not None:
+            self._board.left_behind(left.state, left.run_id, left.kind, left.alarm)
+
+    # ------------------------------------------------------------------ Control
+
+    def status(self) -> Status:
+        return self._board.status()
+
+    def subscribe(self) -> AbstractContextManager[Queue[Event]]:
+        return self._house.bulletin.subscribe()
+
+    def start(self, request: StartRequest) -> str:
+        running = self._reserve()
+        try:
+            ordered = self._ordered(request, running)
+        except BaseException as error:
+            self._release()
+            if isinstance(error, VolcalError):
+                text = f"{request.kind} asked for by {request.source.value} was not started: {error.message}"
+                self._house.bulletin.publish("note", text, {"hint": error.hint, "source": request.source.value})
+                log.warning(text, hint=error.hint)
+            raise
+        self._board.begins(running.run_id, request, ordered.job.settings.procedure.position_set)
+        threading.Thread(target=self._work, args=(ordered,), name=running.run_id, daemon=True).start()
+        return running.run_id
+
+    def resume_run(self, source: Source) -> str:
+        raise UserError(f"there is no run that {source.value} could resume", hint="start a new one")
+
+    def hold(self) -> None:
+        self._require(requests.HOLD, "only what moves can be held")
+        self._on_running(Running.hold, "hold asked for")
+
+    def resume(self) -> None:
+        self._require(requests.RESUME, "only what is held can go on")
+        self._on_running(Running.resume, "resume asked for")
+
+    def abort(self, reason: str) -> None:
+        self._on_running(lambda running: running.abort(reason), f"abort asked for: {reason}")
+
+    def reset(self) -> None:
+        with self._changed:
+            self._require_nothing_runs()
+            if self._board.state in requests.STICKY:
+                self._house.past.acknowledge(self._board.status().run_id)
+            if self._board.state is not RunState.IDLE:
+                self._board.idle()
+
+    def answer(self, number: int, yes: bool) -> None:
+        self._questions.answer(number, yes)
+
+    # ------------------------------------------------------------------ for the service itself
+
+    def reload(self, settings: Settings) -> None:
+        """Settings for the runs to come. Busy while one is under way."""
+        with self._changed:
+            self._require_nothing_runs()
+            if settings.state_directory != self.settings.state_directory:
+                raise UserError("`state_directory` changes only with a restart of the service", key="state_directory")
+            self.settings = settings
+
+    def close(self, within_s: float) -> bool:
+        """Take no more; hold, withdraw and end what goes on. Whether it ended in time."""
+        with self._changed:
+            self._closing = True
+            if self._running is not None:
+                self._running.hold()
+                self._running.abort("the service is being stopped")
+            return self._changed.wait_for(lambda: self._running is None, within_s)
+
+    def wait(self, within_s: float) -> bool:
+        """Until no run is under way; whether that came true in time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._running is None, within_s)
+
+    # ------------------------------------------------------------------ starting
+
+    def _reserve(self) -> Running:
+        with self._changed:
+            if self._closing:
+                raise Busy("the service is being stopped", hint="start it again")
+            self._require_nothing_runs()
+            self._require_reset()
+            self._running = Running(new_run_id(), self._house.health.beat)
+            return self._running
+
+    def _release(self) -> None:
+        with self._changed:
+            self._running = None
+            self._changed.notify_all()
+
+    def _require_nothing_runs(self) -> None:
+        if self._running is not None:
+            raise Busy(f"run {self._running.run_id} is under way", hint="wait for it or abort it")
+
+    def _require_reset(self) -> None:
+        status = self._board.status()
+        if status.state not in requests.STICKY:
+            return
+        cause = status.alarms[0].text if status.alarms else status.doing
+        raise PermissionMissing(
+            f"run {status.run_id} ended {status.state.value} ({cause})",
+            hint="see to the cause, then reset (`volcal reset`), then start again",
+        )
+
+    def _ordered(self, request: StartRequest, running: Running) -> Request:
+        """Everything that can be refused before anything begins."""
+        settings = self.settings
+        job = job_of(request, settings, self._house.config)
+        slot = request.slot_minutes
+        if not request.consent:
+            left = self._permitted_minutes(settings)
+            slot = left if slot is None else slot if left is None else min(slot, left)
+        house = self._house
+        kind = Shown(kind_of(request, settings, slot), house.scenes, running.run_id)
+        return Request(
+            job=job,
+            base=house.config.parent,
+            listener=self._board.hear,
+            interrupts=running.attach,
+            kind=kind,
+            clock=house.devices.make_clock(settings.clock),
+            rig=house.devices.asking(self._questions, attended=request.consent),
+            run_id=running.run_id,
+            asked={**asdict(request), "source": request.source.value},
+            lock=house.ownership.for_run,
+            observer=self._observe,
+        )
+
+    def _permitted_minutes(self, settings: Settings) -> float | None:
+        """Minutes until the permitted hours end, None for any number. Raises where nothing may begin by itself now."""
+        service, circumstances = settings.service, self._house.circumstances()
+        left = minutes_until_end(circumstances, service.hours)
+        require_warm(circumstances, service.warm_up_minutes)
+        require_permission(self._house.devices.machine_status(settings, self._house.config.parent))
+        return left
+
+    # ------------------------------------------------------------------ the run's thread
+
+    def _observe(self, step: Step, result: object) -> None:
+        self._house.health.beat()
+        structlog.contextvars.bind_contextvars(step=step.key)
+        self._board.see(step, result)
+
+    def _work(self, request: Request) -> None:
+        self._house.health.beat()
+        with structlog.contextvars.bound_contextvars(run_id=request.run_id):
+            try:
+                ended = self._house.carry_out(request)
+            except VolcalError as error:
+                self._conclude(_end_of(error), error)
+            except BaseException as defect:  # the machine must be free again, and the defect seen
+                log.exception("defect in the agent")
+                self._conclude(RunState.FAULTED, defect)
+            else:
+                self._board.ended(ended.outcome)
+                self._conclude(ended.outcome.state, ended.error)
+
+    def _conclude(self, state: RunState, error: BaseException | None) -> None:
+        standing = self._standing()
+        with self._changed:
+            self._board.stands(standing)
+            self._house.scenes.forget()
+            if error is not None:
+                self._board.alarm(alarm_of(error))
+            self._running = None
+            self._board.enter(state, str(error) if error is not None else state.value)
+            self._changed.notify_all()
+
+    # ------------------------------------------------------------------
+
+    def _standing(self) -> Standing:
+        return self._house.past.standing(self.settings, self._house.config.parent)
+
+    def _require(self, what: str, why: str) -> None:
+        status = self._board.status()
+        if what not in status.may:
+            raise UserError(f"{what} makes no sense now: the state is {status.state.value}", hint=why)
+
+    def _on_running(self, action: Callable[[Running], None], text: str) -> None:
+        with self._changed:
+            if self._running is not None:
+                action(self._running)
+                self._house.bulletin.publish("note", text)
+                log.info(text)
+
+
+def _end_of(error: VolcalError) -> RunState:
+    """Of a run that never came to be: nothing has moved."""
+    return RunState.REFUSED if isinstance(error, (PlanRefused, UserError)) else RunState.FAULTED

@@ -1,0 +1,71 @@
+"""The life of the service: lock, owner, doors, then signals and systemd until somebody wants it to end."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import structlog
+from fastapi import FastAPI
+
+from agent.execution.run_lock import Ownership, ownership
+from agent.job import load_settings
+from agent.service.archive import Archive
+from agent.service.board import Board
+from agent.service.bulletin import Bulletin
+from agent.service.control import Control
+from agent.service.doors import opened
+from agent.service.extensions import further_doors, http_extensions
+from agent.service.health import Health
+from agent.service.http.app import create_app
+from agent.service.http.door import HttpDoor
+from agent.service.http.site import Site
+from agent.service.life import Life, heard_signals
+from agent.service.notify import Notifier
+from agent.service.owner import Household, Owner
+from agent.service.past import Past
+from agent.service.scenes import Scenes
+from agent.service.token import make_token, read_token, token_path
+from agent.settings import Settings
+from drivers.clock import RealClock
+
+log = structlog.get_logger()
+S_PER_MIN = 60.0
+
+
+def serve(config: Path) -> None:
+    """Until SIGTERM or SIGINT. Busy where somebody else owns the machine; ConfigurationError for bad settings."""
+    config = config.resolve()
+    settings = load_settings(config)
+    directory = settings.state_directory
+    with heard_signals() as signals, ownership(directory, f"the service (process {os.getpid()})") as owned:
+        make_token(settings)
+        household = _household(settings, config, owned)
+        owner = Owner(settings, household)
+        token = read_token(token_path(settings))
+        site = Site(
+            owner, household.bulletin, Archive(directory), household.scenes, lambda: owner.settings, config, token
+        )
+
+        def make_app(_: Control) -> FastAPI:
+            return create_app(site, settings.service.host_names, http_extensions(settings))
+
+        http = HttpDoor(settings.service, directory, make_app)
+        with opened([http, *further_doors(settings)], owner):
+            log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
+            Life(owner, household.health, Notifier(), signals, config).live()
+            household.bulletin.close()
+
+
+def _household(settings: Settings, config: Path, owned: Ownership) -> Household:
+    service, bulletin = settings.service, Bulletin()
+    computing_s = S_PER_MIN * service.computing_minutes
+    return Household(
+        config=config,
+        bulletin=bulletin,
+        board=Board(settings.machine.name, bulletin),
+        health=Health(RealClock().now, hung_after_s=service.hung_after_s, computing_s=computing_s),
+        ownership=owned,
+        past=Past(settings.state_directory),
+        scenes=Scenes(),
+    )

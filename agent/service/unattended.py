@@ -1,0 +1,65 @@
+"""What must be so before a run begins that nobody at the machine has consented to: hour, warm-up, permissions.
+
+A timer only asks. What it asks for at the wrong hour, on a machine that has just been switched on, or on one that does
+not permit motion, is refused, and nothing has moved; that is no fault, so the next night is not lost over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from drivers.errors import GateRefused, PermissionMissing
+from drivers.roles import MachineStatus, MotionState
+
+MINUTES_A_DAY = 1440.0
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """`now` in local time; `up_minutes` since the computer at the machine was switched on."""
+
+    now: datetime
+    up_minutes: float
+
+
+def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
+    """GateRefused where the machine has not been on for long enough."""
+    missing = warm_up_minutes - circumstances.up_minutes
+    if missing > 0.0:
+        raise GateRefused(
+            f"the machine has been on for {circumstances.up_minutes:.0f} min, it warms up for {warm_up_minutes:g}",
+            hint=f"ask again in {missing:.0f} min, or start it by hand with consent",
+            key="service.warm_up_minutes",
+        )
+
+
+def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> float | None:
+    """Minutes that are left of the permitted hours; None where none are named. GateRefused outside of them."""
+    if not hours:
+        return None
+    now = 60.0 * circumstances.now.hour + circumstances.now.minute + circumstances.now.second / 60.0
+    left = [span - since for begins, span in map(_span, hours) if (since := (now - begins) % MINUTES_A_DAY) < span]
+    if not left:
+        raise GateRefused(
+            f"it is {circumstances.now:%H:%M}, and nothing may begin by itself outside {', '.join(hours)}",
+            hint="start it by hand with consent, or change the hours",
+            key="service.hours",
+        )
+    return max(left)
+
+
+def require_permission(status: MachineStatus) -> None:
+    """PermissionMissing where the controller does not permit motion."""
+    if status.state is MotionState.FAULT:
+        raise PermissionMissing(f"the machine is in fault: {status.fault}", hint="clear it at the machine")
+    if status.missing:
+        names = ", ".join(permission.value for permission in status.missing)
+        raise PermissionMissing(f"the machine does not permit motion; missing: {names}", hint="nothing was moved")
+
+
+def _span(text: str) -> tuple[float, float]:
+    """Begin and length in minutes; equal ends mean the whole day."""
+    begins, ends = (60.0 * int(t[:2]) + int(t[3:]) for t in text.split("-"))
+    return begins, (ends - begins) % MINUTES_A_DAY or MINUTES_A_DAY

@@ -1,0 +1,54 @@
+"""What the machine is doing, in words, from the state and the step's key."""
+
+from __future__ import annotations
+
+import re
+
+from agent.execution.states import RunState
+
+S = RunState
+
+_STATES: dict[RunState, str] = {
+    S.IDLE: "waiting for a start",
+    S.PREFLIGHT: "rehearsing the whole run on the simulated machine; nothing moves",
+    S.RESUMING: "rehearsing the rest of the run that broke off; nothing moves",
+    S.MEASURING: "measuring",
+    S.HELD: "held",
+    S.IDENTIFYING: "identifying the errors of the machine",
+    S.STAGING: "writing the new table into the inactive bank",
+    S.ACTIVATING: "activating the new table",
+    S.VERIFYING: "measuring again with the new table active",
+    S.RESTORING: "activating the former table again",
+    S.WRITTEN: "written, not active: waiting for the controller to be restarted or referenced",
+    S.COMPLETE: "complete",
+    S.REFUSED: "ended without a change: the run itself said no",
+    S.ABORTING: "stopping, withdrawing, restoring the former table",
+    S.ABORTED: "aborted; the former table acts",
+    S.FAULTED: "fault; waiting for a reset",
+}
+
+_KEY = re.compile(
+    r"(?P<phase>[\w-]+)(/station-(?P<station>\d+))?(/az(?P<az>-?[\d.]+)-el(?P<el>-?[\d.]+))?(/ball-(?P<ball>\d+))?"
+)
+_MOVING = frozenset({S.MEASURING, S.VERIFYING, S.HELD})
+
+
+def doing(state: RunState, step: str, kind: str | None) -> str:
+    """One line; the place only where something is measured."""
+    words = _STATES[state]
+    place = _place(step) if state in _MOVING else ""
+    if state is S.MEASURING and not place and kind is not None:
+        return f"{words}: preparing"
+    return f"{words}: {place}" if place else words
+
+
+def _place(step: str) -> str:
+    found = _KEY.match(step)
+    if found is None or found["station"] is None:
+        return ""
+    parts = [f"station {found['station']}"]
+    if found["az"] is not None:
+        parts.append(f"azimuth {found['az']}°, elevation {found['el']}°")
+    if found["ball"] is not None:
+        parts.append(f"ball {int(found['ball'])}")
+    return ", ".join(parts)
