@@ -34,12 +34,16 @@ class DeviceContext:
 class DriverPlugin:
     """`create(settings, context)` builds a device that is not yet open.
 
-    The device plays every role whose Protocol in `drivers.roles` it implements.
+    The device plays every role whose Protocol in `drivers.roles` it implements. `claims(settings)`: what no other
+    device of the same machine may use as well, as text for people, with the option that says so. `several_mounts`:
+    whether it stands for a mount at each station (`drivers.roles.MountsAtStations`).
     """
 
     name: str
     settings: type[BaseModel]
     create: Callable[[Any, DeviceContext], Device]
+    claims: Callable[[Any], Mapping[str, str]] = lambda _: {}
+    several_mounts: bool = False
 
 
 def installed_plugins() -> dict[str, DriverPlugin]:
@@ -67,9 +71,15 @@ def create_device(driver: str, options: Mapping[str, object], context: DeviceCon
     return plugin.create(_validated(plugin, options, context.name), context)
 
 
-def check_options(driver: str, options: Mapping[str, object], name: str) -> None:
-    """Raise ConfigurationError for an unknown driver or options that its settings model refuses."""
-    _validated(_plugin(driver, name), options, name)
+def check_options(driver: str, options: Mapping[str, object], name: str) -> Mapping[str, str]:
+    """What the device claims for itself. ConfigurationError for an unknown driver or options that it refuses."""
+    plugin = _plugin(driver, name)
+    return plugin.claims(_validated(plugin, options, name))
+
+
+def has_several_mounts(driver: str, name: str) -> bool:
+    """Whether one device of `driver` stands for a mount at each station."""
+    return _plugin(driver, name).several_mounts
 
 
 def _plugin(driver: str, name: str) -> DriverPlugin:

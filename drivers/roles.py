@@ -188,6 +188,13 @@ class RotaryMount(Protocol):
 
 
 @runtime_checkable
+class MountsAtStations(Protocol):
+    """A device with a mount at each of several stations behind it (counted from 1)."""
+
+    def mount_at(self, station: int) -> RotaryMount: ...
+
+
+@runtime_checkable
 class CompensationStore(Protocol):
     """Banks of compensation tables in the controller; bank 0 is "no compensation" and cannot be written."""
 

@@ -20,14 +20,15 @@ from drivers.roles import (
     OperatorTask,
     Orientation,
     ProbeStatus,
+    RotaryMount,
     StoreLimits,
     TableImage,
     Touch,
     Vector,
 )
 from simulators.world.course import Kind
-from simulators.world.mount import AZIMUTH, ELEVATION
-from simulators.world.world import MOUNT, World
+from simulators.world.mount import AZIMUTH, ELEVATION, MountPhysics
+from simulators.world.world import World
 
 POLL_S = 0.05
 """How often a held motion is looked at; held time costs nothing else."""
@@ -42,7 +43,6 @@ class SimulatedMachineDevice:
         self.world = world
         self._clock = clock
         self._controller = world.controller
-        self._mount = world.mounts[MOUNT]
         self._subscribed = False
 
     # ------------------------------------------------------------------ device
@@ -59,7 +59,8 @@ class SimulatedMachineDevice:
     def stop(self) -> None:
         self._catch_up()
         self._controller.halt()
-        self._mount.halt()
+        for mount in self.world.mounts.values():
+            mount.halt()
 
     def diagnose(self) -> list[Finding]:
         scenario = self.world.scenario
@@ -114,21 +115,31 @@ class SimulatedMachineDevice:
 
     # ------------------------------------------------------------------ mount
 
+    def mount_at(self, station: int) -> RotaryMount:
+        return _MountOfDevice(self, self.world.mount_at(station))
+
     def home(self) -> None:
         self.orient_to(0.0, 0.0)
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
+        """Of the mount that holds the artefact."""
+        return self.turn(self.world.workpiece.mount, azimuth_deg, elevation_deg)
+
+    def turn(self, mount: MountPhysics, azimuth_deg: float, elevation_deg: float) -> Orientation:
         self._catch_up()
-        self._mount.begin_turn(AZIMUTH, azimuth_deg)
-        self._mount.begin_turn(ELEVATION, elevation_deg)
-        self._sleep_until(self._mount_ends_s)
+        mount.begin_turn(AZIMUTH, azimuth_deg)
+        mount.begin_turn(ELEVATION, elevation_deg)
+        self._sleep_until(lambda: mount.settled_s if mount.settled_s > self.world.now else None)
         if self._controller.motion is MotionState.FAULT:
             raise MotionFault(self._controller.fault, hint="the mount stopped; clear the fault at the machine")
-        return self.orientation()
+        return self.angles(mount)
 
     def orientation(self) -> Orientation:
+        return self.angles(self.world.workpiece.mount)
+
+    def angles(self, mount: MountPhysics) -> Orientation:
         self._catch_up()
-        return Orientation(*self._mount.angles_deg())
+        return Orientation(*mount.angles_deg())
 
     # ------------------------------------------------------------------ compensation, temperature, operator
 
@@ -190,9 +201,6 @@ class SimulatedMachineDevice:
             return self.world.now + POLL_S
         return controller.motion_ends_s
 
-    def _mount_ends_s(self) -> float | None:
-        return self._mount.settled_s if self._mount.settled_s > self.world.now else None
-
     def _sleep_until(self, ends_s: Callable[[], float | None]) -> None:
         """Sleep on as long as `ends_s` names an instant; what moves is stopped when the wait is broken off."""
         end = ends_s()
@@ -208,6 +216,26 @@ class SimulatedMachineDevice:
         except BaseException:
             self.stop()
             raise
+
+
+class _MountOfDevice:
+    """Plays RotaryMount for one of the mounts behind a device."""
+
+    def __init__(self, device: SimulatedMachineDevice, mount: MountPhysics) -> None:
+        self._device = device
+        self._mount = mount
+
+    def home(self) -> None:
+        self.orient_to(0.0, 0.0)
+
+    def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
+        return self._device.turn(self._mount, azimuth_deg, elevation_deg)
+
+    def orientation(self) -> Orientation:
+        return self._device.angles(self._mount)
+
+    def stop(self) -> None:
+        self._device.stop()
 
 
 def _triple(position: Vector) -> tuple[float, float, float]:

@@ -59,4 +59,4 @@ def create(settings: SimulatedSettings, context: DeviceContext) -> SimulatedMach
     return SimulatedMachineDevice(settings.world(context.base_path), context.clock)
 
 
-PLUGIN = DriverPlugin("simulated", SimulatedSettings, create)
+PLUGIN = DriverPlugin("simulated", SimulatedSettings, create, several_mounts=True)

@@ -112,7 +112,12 @@ class AgeingSettings(Strict):
 
 
 class ScenarioDocument(Strict):
-    """Keys of a scenario. `start_mm`: axis positions at the start, without it the lower ends of the travel."""
+    """Keys of a scenario. `start_mm`: axis positions at the start, without it the lower ends of the travel.
+
+    `own_mounts`: a mount at every station, instead of one that is carried with the artefact; the artefact is carried
+    from one to the next, unless `artefacts` names one for each station. `mounts_deg`: azimuth and elevation of each
+    mount at the start, by default zero.
+    """
 
     machine: Path
     artefact: Path
@@ -121,6 +126,9 @@ class ScenarioDocument(Strict):
     ideal: bool = False
     stations_mm: list[Coordinates] = Field(min_length=1)
     standing_at: PositiveInt = 1
+    own_mounts: bool = False
+    artefacts: list[Path] = Field(default_factory=list)
+    mounts_deg: list[tuple[float, float]] = Field(default_factory=list)
     start_mm: Coordinates | None = None
     mount: Annotated[MountGeometry, refuse_unknown(MountGeometry)] = MountGeometry()
     probe: Annotated[ProbeGeometry, refuse_unknown(ProbeGeometry)] = ProbeGeometry()
@@ -136,14 +144,16 @@ class ScenarioDocument(Strict):
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario with its files read."""
+    """A scenario with its files read. `artefacts`: those of the stations, where each has its own."""
 
     settings: ScenarioDocument
     machine: MachineDescription
     artefact: Artefact
+    artefacts: tuple[Artefact, ...] = ()
 
     def __post_init__(self) -> None:
         settings = self.settings
+        self._refuse_mounts_that_do_not_fit()
         if settings.standing_at > len(settings.stations_mm):
             raise ConfigurationError(
                 f"the artefact stands at station {settings.standing_at} of {len(settings.stations_mm)}",
@@ -160,6 +170,22 @@ class Scenario:
                 key="tool",
             )
 
+    @property
+    def mounts(self) -> int:
+        """How many mounts there are."""
+        return len(self.settings.stations_mm) if self.settings.own_mounts else 1
+
+    def _refuse_mounts_that_do_not_fit(self) -> None:
+        settings, stations = self.settings, len(self.settings.stations_mm)
+        if self.artefacts and not settings.own_mounts:
+            raise ConfigurationError("artefacts at the stations need own_mounts = true", key="artefacts")
+        if self.artefacts and len(self.artefacts) != stations:
+            raise ConfigurationError(f"{len(self.artefacts)} artefacts for {stations} stations", key="artefacts")
+        if len({artefact.ball_diameter_mm for artefact in (self.artefact, *self.artefacts)}) > 1:
+            raise ConfigurationError("the balls of all artefacts must have one diameter", key="artefacts")
+        if settings.mounts_deg and len(settings.mounts_deg) != self.mounts:
+            raise ConfigurationError(f"{len(settings.mounts_deg)} angles for {self.mounts} mounts", key="mounts_deg")
+
     def made_ideal(self) -> Scenario:
         """The same without any error: what a dry run runs on."""
         return dataclasses.replace(self, settings=ideal_document(self.settings))
@@ -173,11 +199,12 @@ def read_scenario(path: Path) -> Scenario:
 
 def build_scenario(document: ScenarioDocument, base: Path) -> Scenario:
     """Read the files that `document` names, relative to `base`."""
-    machine, artefact = base / document.machine, base / document.artefact
+    machine = base / document.machine
     return Scenario(
         ideal_document(document) if document.ideal else document,
         _read(machine, lambda: parse_machine(_text(machine), str(machine), _beside(machine))),
-        _read(artefact, lambda: parse_artefact(_text(artefact), str(artefact), _beside(artefact))),
+        _artefact(base / document.artefact),
+        tuple(_artefact(base / name) for name in document.artefacts),
     )
 
 
@@ -197,6 +224,10 @@ def ideal_document(document: ScenarioDocument) -> ScenarioDocument:
             "temperatures": TemperatureSettings(),
         }
     )
+
+
+def _artefact(path: Path) -> Artefact:
+    return _read(path, lambda: parse_artefact(_text(path), str(path), _beside(path)))
 
 
 def _read(path: Path, reading: Callable[[], Value]) -> Value:

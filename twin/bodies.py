@@ -16,6 +16,7 @@ from twin.geometry import Box, Capsule, Point, Shape, point, sphere
 from twin.position_set import MountGeometry, Pose
 
 TIP = "tip"
+TABLE = "table"
 TABLE_THICKNESS_MM = 500.0
 TABLE_SPAN_MM = 1e5
 
@@ -69,6 +70,11 @@ def ball_name(index: int) -> str:
     return f"ball {index}"
 
 
+def post_name(index: int) -> str:
+    """The holder of a ball."""
+    return f"post {index}"
+
+
 def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> tuple[Body, ...]:
     """Balls, posts and bar as they stand with `pose`. The bar comes in pieces from post to post: the boxes
     around short pieces of a slanting bar keep a broad search sharp."""
@@ -78,7 +84,7 @@ def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> 
     feet = [point(foot) for foot in pose.applied(feet_frame)]
     balls = [Body(ball_name(i), sphere(point(c), artefact.ball_radius_mm)) for i, c in enumerate(centres)]
     posts = [
-        Body(f"post {i}", Capsule(foot, point(centre), geometry.post_radius_mm))
+        Body(post_name(i), Capsule(foot, point(centre), geometry.post_radius_mm))
         for i, (foot, centre) in enumerate(zip(feet, centres, strict=True))
     ]
     return (*balls, *posts, *_bar_pieces(artefact, geometry, pose))
@@ -113,4 +119,4 @@ def _on_bar(pose: Pose, along_mm: float) -> Point:
 def _table(geometry: MountGeometry) -> Body:
     top = geometry.table_z_mm
     lower = (-TABLE_SPAN_MM, 0.0, top - TABLE_THICKNESS_MM)
-    return Body("table", Box(lower, (TABLE_SPAN_MM, TABLE_SPAN_MM, top)))
+    return Body(TABLE, Box(lower, (TABLE_SPAN_MM, TABLE_SPAN_MM, top)))

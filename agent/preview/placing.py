@@ -9,12 +9,11 @@ import numpy as np
 from agent.job import Job
 from agent.preview.scene import Placing, PreviewBall
 from twin.arrays import Array
-from twin.bodies import TIP, Body, artefact_bodies, ball_name, mount_bodies
+from twin.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
 from twin.collision import Scene
 from twin.geometry import point, separation
 from twin.position_set import Pose, Position, mount_pose
 
-TABLE = "table"
 _LOOKED_AT_MM = 25.0
 """Bodies farther from each other than this are no reason for anything."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.settings import CanopenMountSettings
+from drivers.links.can_bus import CanAddress
 from drivers.registry import DeviceContext, DriverPlugin
 
 
@@ -11,4 +12,13 @@ def create(settings: CanopenMountSettings, context: DeviceContext) -> CanopenMou
     return CanopenMount(settings, context)
 
 
-PLUGIN = DriverPlugin("canopen-mount", CanopenMountSettings, create)
+def claims(settings: CanopenMountSettings) -> dict[str, str]:
+    """The nodes on the bus: a node id has one owner."""
+    bus = CanAddress.of(settings.interface, settings.channel, settings.options).name
+    return {
+        f"CANopen node {axis.node_id} on {bus}": f"{name}.node_id"
+        for name, axis in (("azimuth", settings.azimuth), ("elevation", settings.elevation))
+    }
+
+
+PLUGIN = DriverPlugin("canopen-mount", CanopenMountSettings, create, claims)

@@ -17,15 +17,12 @@ from simulators.wire.modbus_controller import ModbusController
 from simulators.wire.modbus_numbers import Float64Numbers, NumberFormat
 from simulators.wire.shared_world import SharedWorld
 from simulators.wire.time_server import Ticker, TimeServer
-from simulators.world.world import MOUNT, World
+from simulators.world.world import World
 
 COUNTS_PER_DEGREE: Final = 131072 * 100 / 360
 """17-bit encoder on the motor, gear 100:1."""
 
-DRIVES: Final = (
-    DriveConfig(node_id=1, axis="azimuth", counts_per_degree=COUNTS_PER_DEGREE),
-    DriveConfig(node_id=2, axis="elevation", counts_per_degree=COUNTS_PER_DEGREE),
-)
+AXES: Final = ("azimuth", "elevation")
 
 Address = tuple[str, int]
 
@@ -67,8 +64,12 @@ class MachineOnWires:
 
     def _open_can(self, spec: str) -> CanServer:
         self._can = open_channel(spec)
-        mount = self.world.mounts[MOUNT]
-        nodes = [drive_node(config, mount)[0] for config in DRIVES]
+        mounts = self.world.mounts.values()
+        nodes = [
+            drive_node(config, mount)[0]
+            for drives, mount in zip(_drives(len(mounts)), mounts, strict=True)
+            for config in drives
+        ]
         server = CanServer(self._can.bus, nodes, self._shared.lock)
         self._shared.subscribe(server.advance)
         return server
@@ -83,17 +84,28 @@ class MachineOnWires:
             self._servers.pop().close()
 
     def ready_line(self) -> dict[str, Any]:
-        """What the other side must know: addresses as they are, stations, and the drives on the bus."""
+        """What the other side must know: addresses as they are, stations, and the drives on the bus: of the first mount
+        and of all, by their number, which is that of the station where each has its own."""
         settings = self.world.scenario.settings
+        nodes = [{drive.axis: drive.node_id for drive in drives} for drives in _drives(len(self.world.mounts))]
         return {
             "modbus": _place(self.modbus.address),
             "control": _place(self.control.address),
             "time": _place(self.time.address) if self.time is not None else None,
             "can": self._can.agent_settings if self._can is not None else None,
-            "can_nodes": {drive.axis: drive.node_id for drive in DRIVES} if self._can is not None else {},
+            "can_nodes": nodes[0] if self._can is not None else {},
+            "can_mounts": {str(number): pair for number, pair in enumerate(nodes, 1)} if self._can is not None else {},
             "stations": [list(place) for place in settings.stations_mm],
             "standing_at": settings.standing_at,
         }
+
+
+def _drives(mounts: int) -> list[tuple[DriveConfig, ...]]:
+    """Nodes 1 and 2 for the first mount, 3 and 4 for the second, and so on."""
+    return [
+        tuple(DriveConfig(2 * number + place, axis, COUNTS_PER_DEGREE) for place, axis in enumerate(AXES, start=1))
+        for number in range(mounts)
+    ]
 
 
 def _clock(speed: float | None) -> RealClock | ScaledClock:

@@ -24,7 +24,7 @@ from simulators.world.play import Play
 from simulators.world.tables import TableBanks
 from simulators.world.thermal import Thermal
 from simulators.world.trigger import Trigger
-from simulators.world.workpiece import Workpiece
+from simulators.world.worktable import Worktable
 from twin.arrays import Array
 from twin.geometry import Point, point
 from twin.machine_description import MachineDescription
@@ -59,7 +59,7 @@ class Controller:
         scenario: Scenario,
         *,
         machine_field: FieldOfMany | None,
-        workpiece: Workpiece,
+        table: Worktable,
         thermal: Thermal,
         on_motion: Callable[[], None],
         on_collision: Callable[[str, str], None],
@@ -67,14 +67,14 @@ class Controller:
         settings = scenario.settings
         self._limits = axis_limits(scenario.machine)
         self._tool = point(scenario.machine.tool(settings.tool))
-        self._workpiece = workpiece
+        self._table = table
         self._thermal = thermal
         self._trigger = Trigger(settings.trigger, settings.seed)
         self._play = Play(settings.axes, settings.seed)
         self._shift = TipShift(machine_field)
-        reach = workpiece.artefact.ball_radius_mm + settings.probe.tip_radius_mm
+        reach = table.ball_radius_mm + settings.probe.tip_radius_mm
         self.contacts = ContactSolver(self._tool, reach, self._shift)
-        self._foresight = Foresight(self._tool, self.contacts, self._trigger, workpiece.artefact.count)
+        self._foresight = Foresight(self._tool, self.contacts, self._trigger)
         self._tables = TableBanks(settings.store)
         self._on_motion, self._on_collision = on_motion, on_collision
         self._position: Point = settings.start_mm or self._limits.lower_mm
@@ -213,7 +213,7 @@ class Controller:
 
     def _begin(self, kind: Kind, target: ArrayLike, feed_mm_per_s: float | None) -> None:
         command = self._command(kind, target, feed_mm_per_s)
-        standing = self._workpiece.standing(self.now_s)
+        standing = self._table.standing(self.now_s)
         resting = self._resting()
         self._shift.drift = self._thermal.drift_mm(self.now_s)
         self._shift.warm = self._thermal.field(self.now_s)
@@ -298,7 +298,7 @@ class Controller:
         or moved away sets it free, one that is turned into it is a collision."""
         if not self._deflected:
             return None
-        resting = self.contacts.resting_on(self._position, self._workpiece.standing(self.now_s))
+        resting = self.contacts.resting_on(self._position, self._table.standing(self.now_s))
         self._deflected = resting is not None
         return resting
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from twin.bodies import TIP, ball_name
+from twin.bodies import TIP
 from twin.geometry import Point
 from twin.motion import MotionLaw, Path
 
@@ -73,5 +73,5 @@ def earliest(*crashes: Crash | None) -> Crash | None:
     return min(met, key=lambda crash: crash.distance, default=None)
 
 
-def tip_on(ball: int, distance: float) -> Crash:
-    return Crash(distance, TIP, ball_name(ball))
+def tip_on(ball: str, distance: float) -> Crash:
+    return Crash(distance, TIP, ball)

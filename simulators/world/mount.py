@@ -20,9 +20,9 @@ LIMITS_DEG = {AZIMUTH: 180.0, ELEVATION: 95.0}
 class RotaryAxis:
     """One axis in degrees, as its encoder tells."""
 
-    def __init__(self, behaviour: MountBehaviour) -> None:
+    def __init__(self, behaviour: MountBehaviour, start_deg: float = 0.0) -> None:
         self._behaviour = behaviour
-        self._angle = 0.0
+        self._angle = start_deg
         self._law: MotionLaw | None = None
         self._direction = 1.0
 
@@ -49,12 +49,23 @@ class RotaryAxis:
 
 
 class MountPhysics:
-    """Both axes of one mount. `on_turn` is called whenever a motion begins or changes."""
+    """Both axes of one mount. `on_turn` is called whenever a motion begins or changes; mounts of another `name` have
+    other errors."""
 
-    def __init__(self, behaviour: MountBehaviour, seed: int, on_turn: Callable[[], None]) -> None:
-        self._axes = {AZIMUTH: RotaryAxis(behaviour), ELEVATION: RotaryAxis(behaviour)}
+    def __init__(
+        self,
+        behaviour: MountBehaviour,
+        seed: int,
+        on_turn: Callable[[], None],
+        *,
+        name: str = "mount",
+        start_deg: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self._axes = {
+            axis: RotaryAxis(behaviour, angle) for axis, angle in zip((AZIMUTH, ELEVATION), start_deg, strict=True)
+        }
         self._on_turn = on_turn
-        self._errors = _MountErrors(behaviour, seed)
+        self._errors = _MountErrors(behaviour, seed, name)
         self._fastest = 2.0 * behaviour.speed_deg_per_s
         self.now_s = 0.0
 
@@ -109,8 +120,8 @@ class MountPhysics:
 class _MountErrors:
     """Index error of one and two periods a turn, wobble of one period: repeatable, so a pose is a pose."""
 
-    def __init__(self, behaviour: MountBehaviour, seed: int) -> None:
-        rng = generator(seed, "mount")
+    def __init__(self, behaviour: MountBehaviour, seed: int, name: str) -> None:
+        rng = generator(seed, name)
         self._index_deg = behaviour.index_error_deg * rng.uniform(-1.0, 1.0, (2, 2))
         self._phase = rng.uniform(0.0, 2.0 * math.pi, 3)
         self._wobble_mm = behaviour.wobble_um * 1e-3

@@ -6,15 +6,20 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from simulators.world.controller import Controller
 from simulators.world.mount import MountPhysics
 from simulators.world.workpiece import Workpiece
+from twin.bodies import TABLE
 from twin.collision import Scene
 from twin.geometry import Point, added, point, separation, sphere, swept_contact
 
 STEP_MM = 4.0
 """A body moves about this far from one sample to the next: less than half the thinnest body that matters."""
 STEP_S = 0.02
+_LOOKED_AT_MM = 150.0
+_HERE: Point = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,40 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
         if pair is not None:
             return TurnCrash(instant, *pair)
     return None
+
+
+def first_meeting(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
+    """First instant at which what turns meets what another mount carries, that turning too or not.
+
+    From one look to the next passes only as much time as the fastest parts need for what lies between the bodies.
+    """
+    apart = np.hypot(*(turning.place_mm - other.place_mm)[:2])
+    if apart > turning.sweep_radius_mm + other.sweep_radius_mm:
+        return None
+    speed = sum(math.radians(piece.mount.fastest_deg_per_s) * piece.sweep_radius_mm for piece in (turning, other))
+    instant = start_s
+    while True:
+        gap_mm, pair = _gap(Scene(turning.standing(instant).bodies, other.standing(instant).bodies))
+        if gap_mm <= 0.0:
+            return TurnCrash(instant, *pair)
+        if instant >= end_s:
+            return None
+        instant = min(end_s, instant + max(gap_mm, STEP_MM) / speed)
+
+
+def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:
+    """Smallest distance in mm of any two bodies, and their names; not looked for beyond `_LOOKED_AT_MM`.
+
+    The table carries both.
+    """
+    smallest, pair = _LOOKED_AT_MM, ("", "")
+    for i, j in scene.near(_HERE, _HERE, _LOOKED_AT_MM):
+        body, obstacle = scene.moving[i], scene.obstacles[j]
+        if TABLE not in (body.name, obstacle.name):
+            distance = separation(body.shape, obstacle.shape)[0]
+            if distance < smallest:
+                smallest, pair = distance, (body.name, obstacle.name)
+    return smallest, pair
 
 
 def _stays_outside(workpiece: Workpiece, controller: Controller, start_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""What stands on the table: the true artefact on its mount, at the place where the operator put it."""
+"""What stands on the table at one mount: the true artefact, if it carries one, where the operator put it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.errors import CommandRejected
 from simulators.scenario import ArtefactTruthSettings, MountBehaviour, Scenario
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
@@ -15,7 +14,7 @@ from simulators.world.thermal import bow_mm, bowed
 from simulators.world.warming import Warming
 from twin.arrays import Array
 from twin.artefact import Artefact
-from twin.bodies import artefact_bodies, mount_bodies
+from twin.bodies import TABLE, Body, artefact_bodies, ball_name, mount_bodies
 from twin.collision import Scene
 from twin.geometry import Point, point
 from twin.position_set import Pose, mount_pose
@@ -23,43 +22,61 @@ from twin.position_set import Pose, mount_pose
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Everything that a motion needs to know of one pose: true ball centres, and the bodies around them."""
+    """Everything that a motion needs to know of one instant: true ball centres with their names as bodies, and all
+    bodies around; `pose` of the (first) artefact's mount."""
 
     pose: Pose
     balls: tuple[Point, ...]
+    ball_names: tuple[str, ...]
+    bodies: tuple[Body, ...]
     scene: Scene
 
 
 class Workpiece:
     """True pose of the artefact for mount angles and temperature; rebuilt only when one of them changes, the
-    temperature by 1 mK (17 nm of a long bar)."""
+    temperature by 1 mK (17 nm of a long bar). `named` follows the names of its bodies where there are several."""
 
-    def __init__(self, scenario: Scenario, mount: MountPhysics) -> None:
+    def __init__(
+        self, scenario: Scenario, mount: MountPhysics, artefact: Artefact | None, station: int, named: str = ""
+    ) -> None:
         settings = scenario.settings
-        self.artefact = true_artefact(scenario.artefact, settings.artefact_truth)
         self.mount = mount
-        self._geometry = settings.mount
+        self.station = station
         self.probe_bodies = settings.probe.bodies()
+        self._artefact = artefact
+        self._named = named
+        self._geometry = settings.mount
         self._places = np.array(settings.stations_mm, dtype=np.float64)
         self._behaviour = settings.mount_behaviour
-        self._seed = settings.seed
         self._temperatures = settings.temperatures
         self._warming = Warming(settings.temperatures)
-        self._placements = 0
         self._cached: tuple[object, Standing] | None = None
-        self.station = 0
-        self.place(settings.standing_at)
+        self._place_mm: Array = self._places[station - 1]
+        self._yaw_rad = 0.0
 
-    def place(self, station: int) -> None:
+    def put(self, station: int, rng: np.random.Generator) -> None:
         """The operator's hand: never exactly the nominal place, and a little turned."""
-        if not 1 <= station <= len(self._places):
-            raise CommandRejected(f"there is no station {station}", hint=f"stations are 1 to {len(self._places)}")
-        rng = generator(self._seed, f"placement {self._placements}")
-        self._placements += 1
         self.station = station
-        self._place_mm: Array = np.add(self._places[station - 1], _hand(self._behaviour, rng))
+        self._place_mm = np.add(self._places[station - 1], _hand(self._behaviour, rng))
         self._yaw_rad = math.radians(self._behaviour.place_error_deg) * float(rng.uniform(-1.0, 1.0))
         self._cached = None
+
+    def shift(self, by_mm: Point, turn_deg: float) -> None:
+        """Somebody bumps into it, or puts it down carelessly."""
+        self._place_mm = np.add(self._place_mm, by_mm)
+        self._yaw_rad += math.radians(turn_deg)
+        self._cached = None
+
+    def carry(self, artefact: Artefact | None) -> None:
+        """From now on this mount holds `artefact`, or nothing."""
+        self._artefact = artefact
+        self._cached = None
+
+    @property
+    def artefact(self) -> Artefact:
+        """The true one; asking a bare mount for it is a defect."""
+        assert self._artefact is not None  # noqa: S101  whoever asks knows where it stands
+        return self._artefact
 
     @property
     def place_mm(self) -> Array:
@@ -70,8 +87,10 @@ class Workpiece:
     def sweep_radius_mm(self) -> float:
         """No part of the artefact is farther from the place, whatever the mount's angles."""
         geometry = self._geometry
-        reach = float(np.linalg.norm(self.artefact.balls, axis=1).max()) + geometry.shaft_mm
-        return reach + max(geometry.bar_overhang_mm, self.artefact.ball_radius_mm) + geometry.bar_radius_mm
+        if self._artefact is None:
+            return geometry.shaft_mm + max(geometry.shaft_radius_mm, geometry.pedestal_radius_mm)
+        reach = float(np.linalg.norm(self._artefact.balls, axis=1).max()) + geometry.shaft_mm
+        return reach + max(geometry.bar_overhang_mm, self._artefact.ball_radius_mm) + geometry.bar_radius_mm
 
     def temperature_c(self, now_s: float) -> float:
         return self._warming.artefact_c(now_s)
@@ -88,15 +107,25 @@ class Workpiece:
         azimuth, elevation = self.mount.true_angles_rad(azimuth_deg, elevation_deg)
         place = self._place_mm + self.mount.wobble_mm(azimuth_deg)
         pose = mount_pose(place, self._geometry, azimuth + self._yaw_rad, elevation)
-        centres = pose.applied(bowed(self.artefact.at(temperature_c, elevation), bow))
-        bodies = artefact_bodies(self.artefact, self._geometry, pose)
-        around = (*bodies, *mount_bodies(self._geometry, place, pose))
-        return Standing(pose, tuple(point(centre) for centre in centres), Scene(self.probe_bodies, around))
+        mount = mount_bodies(self._geometry, place, pose)
+        if self._artefact is None:
+            bodies = self._renamed(mount)
+            return Standing(pose, (), (), bodies, Scene(self.probe_bodies, bodies))
+        centres = pose.applied(bowed(self._artefact.at(temperature_c, elevation), bow))
+        bodies = self._renamed((*artefact_bodies(self._artefact, self._geometry, pose), *mount))
+        names = tuple(f"{ball_name(number)}{self._named}" for number in range(self._artefact.count))
+        scene = Scene(self.probe_bodies, bodies)
+        return Standing(pose, tuple(point(centre) for centre in centres), names, bodies, scene)
+
+    def _renamed(self, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+        if not self._named:
+            return bodies
+        return tuple(body if body.name == TABLE else replace(body, name=f"{body.name}{self._named}") for body in bodies)
 
 
-def true_artefact(certified: Artefact, settings: ArtefactTruthSettings) -> Artefact:
-    """An artefact whose certificate is wrong within its own uncertainty."""
-    rng = generator(settings.seed, "artefact")
+def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: str = "artefact") -> Artefact:
+    """An artefact whose certificate is wrong within its own uncertainty; one of another `name` is wrong otherwise."""
+    rng = generator(settings.seed, name)
     values, vectors = np.linalg.eigh(certified.covariance)
     spread = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.size))
     cte = certified.cte_standard_uncertainty_per_k * float(rng.standard_normal())

@@ -1,9 +1,10 @@
-"""The simulated world: one machine, one mount with its artefact, one clock that others drive."""
+"""The simulated world: one machine, its mounts and artefacts, one clock that others drive."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from drivers.errors import CommandRejected
 from simulators.scenario import Scenario
 from simulators.world.ageing import aged
 from simulators.world.controller import Controller
@@ -11,8 +12,9 @@ from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
 from simulators.world.thermal import Thermal
 from simulators.world.truth import Truth
-from simulators.world.turning import TurnCrash, first_turn_crash
+from simulators.world.turning import TurnCrash, first_meeting, first_turn_crash
 from simulators.world.workpiece import Workpiece
+from simulators.world.worktable import Worktable
 from twin.geometry import point
 from twin.true_machine import TrueMachine, draw_machine, perfect_machine
 
@@ -24,6 +26,11 @@ class Collision:
     time_s: float
     body_a: str
     body_b: str
+
+
+def mount_name(station: int) -> str:
+    """Of the mount that stands at `station` for good."""
+    return f"{MOUNT} {station}"
 
 
 class World:
@@ -38,16 +45,15 @@ class World:
             point(scenario.machine.tool(settings.tool)),
             settings.seed,
         )
-        mount = MountPhysics(settings.mount_behaviour, settings.seed, self._look_ahead)
         self.scenario = scenario
         self.now = 0.0
         self.collisions: list[Collision] = []
-        self.mounts = {MOUNT: mount}
-        self.workpiece = Workpiece(scenario, mount)
+        self.mounts = self._mounts(scenario)
+        self.table = Worktable(scenario, list(self.mounts.values()))
         self.controller = Controller(
             scenario,
             machine_field=None if machine.is_perfect else machine.deviation,
-            workpiece=self.workpiece,
+            table=self.table,
             thermal=thermal,
             on_motion=self._look_ahead,
             on_collision=self._record,
@@ -63,10 +69,32 @@ class World:
             self._crash_turning(self._turn_crash)
         self._move_to(instant_s)
 
+    @property
+    def workpiece(self) -> Workpiece:
+        """Where the artefact that can be carried stands; the first one where every station has its own."""
+        return self.table.workpiece
+
+    def mount_at(self, station: int) -> MountPhysics:
+        """That which turns what stands at `station`; CommandRejected where there is no such station."""
+        if self.scenario.mounts == 1:
+            return self.mounts[MOUNT]
+        if mount_name(station) not in self.mounts:
+            raise CommandRejected(f"there is no station {station}", hint=f"stations are 1 to {len(self.mounts)}")
+        return self.mounts[mount_name(station)]
+
     def place_artefact(self, station: int) -> None:
-        """The operator's hand: mount and bar stand at `station` (from 1) afterwards. CommandRejected elsewhere."""
-        self.workpiece.place(station)
+        """The operator's hand: the artefact stands at `station` (from 1) afterwards. CommandRejected elsewhere."""
+        self.table.place_artefact(station)
         self._look_ahead()
+
+    def _mounts(self, scenario: Scenario) -> dict[str, MountPhysics]:
+        settings = scenario.settings
+        angles = settings.mounts_deg or [(0.0, 0.0)] * scenario.mounts
+        names = [mount_name(station) for station in range(1, scenario.mounts + 1)] if settings.own_mounts else [MOUNT]
+        return {
+            name: MountPhysics(settings.mount_behaviour, settings.seed, self._look_ahead, name=name, start_deg=start)
+            for name, start in zip(names, angles, strict=True)
+        }
 
     def _move_to(self, instant_s: float) -> None:
         self.now = instant_s
@@ -75,11 +103,17 @@ class World:
         self.controller.advance_to(instant_s)
 
     def _look_ahead(self) -> None:
-        """A turning artefact is watched against the probe; a standing one is no concern of this."""
-        mount = self.mounts[MOUNT]
-        self._turn_crash = None
-        if mount.settled_s > self.now:
-            self._turn_crash = first_turn_crash(self.workpiece, self.controller, self.now, mount.settled_s)
+        """Turning mounts are watched against the probe and each other; standing ones are no concern of this."""
+        crashes: list[TurnCrash] = []
+        for piece in self.table.pieces:
+            ends_s = piece.mount.settled_s
+            if ends_s <= self.now:
+                continue
+            others = [other for other in self.table.pieces if other is not piece]
+            met = [first_turn_crash(piece, self.controller, self.now, ends_s)]
+            met += [first_meeting(piece, other, self.now, ends_s) for other in others]
+            crashes += [crash for crash in met if crash is not None]
+        self._turn_crash = min(crashes, key=lambda crash: crash.time_s, default=None)
 
     def _crash_turning(self, crash: TurnCrash) -> None:
         self._move_to(max(crash.time_s, self.now))

@@ -1,0 +1,95 @@
+"""Everything that stands on the table: one mount that is carried with its artefact, or a mount at every station."""
+
+from __future__ import annotations
+
+from drivers.errors import CommandRejected
+from simulators.scenario import Scenario
+from simulators.world.mount import MountPhysics
+from simulators.world.noise import generator
+from simulators.world.workpiece import Standing, Workpiece, true_artefact
+from twin.artefact import Artefact
+from twin.bodies import TABLE
+from twin.collision import Scene
+
+
+class Worktable:
+    """`workpieces`: station → what stands there, or, with one mount, that one alone under its first station."""
+
+    def __init__(self, scenario: Scenario, mounts: list[MountPhysics]) -> None:
+        self._scenario = scenario
+        self._stations = len(scenario.settings.stations_mm)
+        self._placements = 0
+        self._cached: tuple[tuple[Standing, ...], Standing] | None = None
+        self._at = scenario.settings.standing_at
+        if scenario.settings.own_mounts:
+            self._pieces = [self._own(scenario, mount, number) for number, mount in enumerate(mounts, start=1)]
+        else:
+            artefact = true_artefact(scenario.artefact, scenario.settings.artefact_truth)
+            self._pieces = [Workpiece(scenario, mounts[0], artefact, self._at)]
+            self._put(self._pieces[0], self._at)
+
+    def _own(self, scenario: Scenario, mount: MountPhysics, station: int) -> Workpiece:
+        piece = Workpiece(scenario, mount, self._first_artefact(station), station, f" at station {station}")
+        piece.put(station, generator(scenario.settings.seed, f"place of mount {station}"))
+        return piece
+
+    def _first_artefact(self, station: int) -> Artefact | None:
+        """What the mount at `station` carries when the world begins."""
+        truth = self._scenario.settings.artefact_truth
+        if self._scenario.artefacts:
+            return true_artefact(self._scenario.artefacts[station - 1], truth, f"artefact {station}")
+        return true_artefact(self._scenario.artefact, truth) if station == self._at else None
+
+    @property
+    def pieces(self) -> tuple[Workpiece, ...]:
+        return tuple(self._pieces)
+
+    @property
+    def workpiece(self) -> Workpiece:
+        """The one with the artefact that can be carried; with artefacts at every station the first one."""
+        if len(self._pieces) == 1 or self._scenario.artefacts:
+            return self._pieces[0]
+        return self._pieces[self._at - 1]
+
+    @property
+    def ball_radius_mm(self) -> float:
+        return self.workpiece.artefact.ball_radius_mm
+
+    def place_artefact(self, station: int) -> None:
+        """The operator's hand; CommandRejected where there is no such station or nothing is ever carried."""
+        if not 1 <= station <= self._stations:
+            raise CommandRejected(f"there is no station {station}", hint=f"stations are 1 to {self._stations}")
+        if self._scenario.artefacts:
+            raise CommandRejected("every station has an artefact of its own: nothing is carried")
+        piece = self.workpiece
+        self._at = station
+        if len(self._pieces) > 1:
+            artefact = piece.artefact
+            piece.carry(None)
+            piece = self.workpiece
+            piece.carry(artefact)
+        self._put(piece, station)
+
+    def standing(self, now_s: float) -> Standing:
+        """All balls and bodies at an instant; kept as long as nothing turns, moves or warms."""
+        parts = tuple(piece.standing(now_s) for piece in self._pieces)
+        if len(parts) == 1:
+            return parts[0]
+        if self._cached is None or any(a is not b for a, b in zip(self._cached[0], parts, strict=True)):
+            self._cached = (parts, self._together(parts))
+        return self._cached[1]
+
+    def _together(self, parts: tuple[Standing, ...]) -> Standing:
+        first, *others = parts
+        bodies = (*first.bodies, *(body for part in others for body in part.bodies if body.name != TABLE))
+        return Standing(
+            pose=parts[self._pieces.index(self.workpiece)].pose,
+            balls=tuple(ball for part in parts for ball in part.balls),
+            ball_names=tuple(name for part in parts for name in part.ball_names),
+            bodies=bodies,
+            scene=Scene(self.workpiece.probe_bodies, bodies),
+        )
+
+    def _put(self, piece: Workpiece, station: int) -> None:
+        piece.put(station, generator(self._scenario.settings.seed, f"placement {self._placements}"))
+        self._placements += 1
