@@ -41,6 +41,7 @@ def rehearsed_estimate(job: Job, rehearsed: Measured) -> Estimate:
         formulation=chosen.formulation,
         use_prior=chosen.prior,
         weights=chosen.weights,
+        temperature_standard_uncertainty_k=job.settings.temperature.standard_uncertainty_k,
         estimate_scales=False,
         outliers="none",
     )

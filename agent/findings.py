@@ -8,6 +8,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from agent.drifting import observed, options_of
 from agent.files import translated
 from agent.job import Job
 from agent.observing import Correction, no_correction, observations_of
@@ -96,10 +97,9 @@ def scale_warnings(estimate: Estimate) -> tuple[str, ...]:
 
 def find_machine(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Finding:
     """`find` for a run: `correction` is what the table that acted while measuring added. Raises TwinError."""
-    chosen = job.settings.identification
-    options = Options(formulation=chosen.formulation, use_prior=chosen.prior, weights=chosen.weights)
-    observations = observations_of(balls, job.tool_offset_mm, correction)
-    return find(job.machine, job.artefact, job.settings.tool, observations, options, job.settings.table, chosen.order)
+    settings = job.settings
+    observations, order = observed(job, balls, correction), settings.identification.order
+    return find(job.machine, job.artefact, settings.tool, observations, options_of(settings), settings.table, order)
 
 
 def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:

@@ -41,6 +41,7 @@ class IdealMachine:
             s.TouchTowards: self._touch,
             s.OrientTo: self._orient,
             s.ReadTemperatures: lambda _: {"artefact": self._layout.artefact.reference_temperature_c},
+            s.ReadClock: lambda _: 0.0,
             s.ReadPosition: lambda _: self._at_mm,
             s.CheckPermissions: lambda _: None,
             s.CheckProbe: lambda _: None,

@@ -12,11 +12,13 @@ import numpy as np
 from agent.execution.steps import Plan
 from agent.files import load_artefact, load_machine, load_positions, read_text, translated
 from agent.gates import GateLimits
+from agent.plans.closing import ClosingRules
 from agent.plans.measure import Measured, MeasuringOrder, by_station
 from agent.plans.position import MeasuredBall, PositionRules
 from agent.plans.preparation import Preparation, Prepared, prepare_probe
-from agent.procedure_rules import MM_PER_UM, course_of, layout_of, preparation_of, probing_of
+from agent.procedure_rules import course_of, layout_of, preparation_of, probing_of
 from agent.settings import Settings, parse_settings
+from agent.warmth import drift_limits_of, settling_of
 from drivers.errors import ConfigurationError, UserError
 from drivers.registry import check_options
 from twin.arrays import Array
@@ -63,6 +65,12 @@ class Job:
         """The set, and at the verified stations the held-out positions as they are before."""
         both = (*self.positions, *self.held_out)
         return MeasuringOrder("measure", by_station(both, self.stations), self.settings.stations.standing_at)
+
+    @property
+    def closing(self) -> ClosingRules:
+        """When the first position is measured again at the end: one of the set, never a held-out one."""
+        chosen = self.settings.temperature
+        return ClosingRules(chosen.close_run_k, chosen.declared_change_k, self.positions)
 
     def preparing(self) -> Plan[Prepared]:
         """The probe check and the qualification before everything else."""
@@ -139,7 +147,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         verified_stations=verified,
         layout=layout_of(settings, machine, artefact, probing),
         preparation=preparation_of(settings, machine, artefact, probing),
-        rules=PositionRules(probing, course_of(settings, machine), settings.procedure.drift_limit_um * MM_PER_UM),
+        rules=PositionRules(probing, course_of(settings, machine), drift_limits_of(settings), settling_of(settings)),
         gate_limits=GateLimits(**settings.gates.model_dump()),
     )
     _refuse_nothing_reachable(job)

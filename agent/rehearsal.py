@@ -12,6 +12,7 @@ from agent.assembly import assemble_rehearsal
 from agent.execution.engine import Engine
 from agent.execution.steps import Plan, Point, Step
 from agent.job import Job
+from agent.plans.closing import measure_closed
 from agent.plans.measure import Measured, measure_positions
 from agent.time_model import TimeModel, time_model
 from agent.timing import TimedStep
@@ -97,7 +98,7 @@ def whole_procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
     """Everything that moves: the probe's preparation, the set with the held-out positions, then these again."""
     prepared = yield from job.preparing()
     order = replace(job.measuring, standing_at=prepared.standing_at)
-    measured = yield from measure_positions(order, job.layout, prepared.rules)
+    measured = yield from measure_closed(order, job.layout, prepared.rules, job.closing)
     order = job.verifying(measured.standing_at)
     verified = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
     return measured, verified

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from agent.consent import Consent, asked, granted
+from agent.drifting import balls_for_estimate
 from agent.execution.states import RunState
 from agent.files import translated
 from agent.findings import Finding, find_machine, prove, provenance
@@ -16,8 +17,10 @@ from agent.kinds.change import change_since
 from agent.last_accepted import Accepted, LastAccepted, record_accepted
 from agent.outcome import Proof
 from agent.plans import publish
+from agent.plans.closing import measure_closed
 from agent.plans.measure import Measured, measure_positions
 from agent.plans.position import MeasuredBall
+from agent.recording import record_held_out, record_identified
 from agent.table_image import image_of
 from drivers.errors import MeasurementFault
 from drivers.roles import TableImage
@@ -49,17 +52,19 @@ class CalibrationRun(GuardedRun):
         """From the first position of the set on; the machine is measuring, and what acts has been read."""
         job, progress = self._job, self.progress
         order = replace(job.measuring, standing_at=standing_at)
-        progress.measured = self._engine.run(measure_positions(order, job.layout, self._rules))
+        progress.measured = self._engine.run(measure_closed(order, job.layout, self._rules, job.closing))
         self._conduct.enter(RunState.IDENTIFYING)
+        balls = balls_for_estimate(job, progress.measured)
         with translated(MeasurementFault):
-            finding = find_machine(job, job.balls_of(progress.measured, held_out=False), self._correction)
-        self._keep_estimate(finding)
+            finding = find_machine(job, balls, self._correction)
+        self._keep_estimate(finding, balls)
         gates = table_gates(finding.table, self._rig.store.store_limits(), job.gate_limits)
         self._pass_gates((*self._estimate_gates(finding), *gates))
         self._write_and_prove(finding, progress.measured)
 
-    def _keep_estimate(self, finding: Finding) -> None:
+    def _keep_estimate(self, finding: Finding, balls: Sequence[MeasuredBall]) -> None:
         self.progress.finding = finding
+        record_identified(self._journal, balls, finding)
         self._journal.estimate(format_estimate(finding.estimate, provenance(self._job, self._journal.run_id)))
 
     def _estimate_gates(self, finding: Finding) -> tuple[Gate, ...]:
@@ -103,6 +108,7 @@ class CalibrationRun(GuardedRun):
         after = job.balls_of(progress.verified, held_out=True)
         progress.proof = self._proof(finding, before, after)
         self._journal.decision("proof", vars(progress.proof))
+        record_held_out(self._journal, job, before, after)
         if progress.proof.accepted:
             self._accept(finding, image)
             self._conduct.enter(RunState.COMPLETE, progress.proof.reason)

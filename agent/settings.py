@@ -13,6 +13,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 from agent.service.gateway.settings import GatewaySettings
 from agent.service.opcua.settings import OpcUaSettings
 from agent.service.settings import ServiceSettings
+from agent.temperature_settings import TemperatureSettings
 from twin.bodies import ProbeGeometry
 from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
 from twin.position_set import MountGeometry
@@ -217,6 +218,7 @@ class Settings(Strict):
     gates: GateSettings = GateSettings()
     verification: VerificationSettings = VerificationSettings()
     nightly: NightlySettings = NightlySettings()
+    temperature: TemperatureSettings = TemperatureSettings()
     timing: TimingSettings = TimingSettings()
     preflight: PreflightSettings = PreflightSettings()
     service: ServiceSettings = ServiceSettings()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,9 @@ class Observations:
     `position` (n,) pose of the artefact, counted from 0; `ball` (n,) index into the artefact's list; `tool` (n,) index
     into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm machine coordinates, no tool offset added;
     `covariance` (n, 3, 3) mm² of one fitted centre; `temperature_c` (n,) of the artefact; `elevation_rad` (n,) of
-    the mount. Raises DataError naming the row (from 0) when a value cannot be used.
+    the mount; `course` (n, w) K: how far the machine was, at the instant of each row, from the state for which the
+    estimate is to hold, in each of w ways (none: it did not change). Raises DataError naming the row (from 0) when a
+    value cannot be used.
     """
 
     position: np.ndarray[Any, np.dtype[np.int64]]
@@ -30,18 +32,21 @@ class Observations:
     temperature_c: Array
     elevation_rad: Array
     tool_offsets: Array
+    course: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         for name in ("position", "ball", "tool"):
             object.__setattr__(self, name, _whole_numbers(name, getattr(self, name)))
         for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad", "tool_offsets"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
+        course = np.array(self.course, dtype=np.float64)
+        object.__setattr__(self, "course", course if course.size else np.zeros((len(self.ball), 0)))
         self._check_shapes()
         self._check_values()
         self._check_covariance()
         self._check_duplicates()
-        for field in fields(self):
-            getattr(self, field.name).setflags(write=False)
+        for one in fields(self):
+            getattr(self, one.name).setflags(write=False)
 
     @property
     def size(self) -> int:
@@ -71,13 +76,15 @@ class Observations:
             found = getattr(self, name).shape
             if found != shape:
                 raise DataError(f"{name} has the shape {found}, expected {shape}", column=name)
+        if self.course.ndim != 2 or len(self.course) != n:
+            raise DataError(f"course has the shape {self.course.shape}, expected ({n}, ways)", column="course")
         if self.tool_offsets.ndim != 2 or self.tool_offsets.shape[1] != 3:
             raise DataError(f"tool_offsets has the shape {self.tool_offsets.shape}, expected (T, 3)")
         if n == 0:
             raise DataError("no ball centre at all", hint="measure at least two positions")
 
     def _check_values(self) -> None:
-        for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad"):
+        for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad", "course"):
             finite = np.isfinite(getattr(self, name)).reshape(self.size, -1).all(axis=1)
             _refuse_rows(~finite, f"{name} is not a finite number", name)
         if not np.isfinite(self.tool_offsets).all():
@@ -94,15 +101,16 @@ class Observations:
         _refuse_rows(~_positive_definite(self.covariance), "the covariance is not positive definite", "covariance")
 
     def _check_duplicates(self) -> None:
-        seen: dict[tuple[int, int, int], int] = {}
-        keys = zip(self.position.tolist(), self.tool.tolist(), self.ball.tolist(), strict=True)
+        seen: dict[tuple[object, ...], int] = {}
+        when = map(tuple, self.course.tolist())
+        keys = zip(self.position.tolist(), self.tool.tolist(), self.ball.tolist(), when, strict=True)
         for row, key in enumerate(keys):
             first = seen.setdefault(key, row)
             if first != row:
                 raise DataError(
                     f"ball {key[2]} of position {key[0]} was already given in row {first}",
                     row=row,
-                    hint="keep one centre per position, tool and ball",
+                    hint="keep one centre per position, tool and ball (a machine that drifts: and instant)",
                 )
 
 

@@ -28,6 +28,16 @@ class MoveTo:
 
 
 @dataclass(frozen=True, slots=True)
+class Retrace:
+    """A guarded move that ends where and as the step `of` has ended: from the same side, its play taken up alike."""
+
+    key: str
+    target_mm: Point
+    of: str
+    feed_mm_per_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class TouchTowards:
     """Result: `Touch` or `Miss`."""
 
@@ -151,6 +161,7 @@ class ActivateBank:
 
 Step: TypeAlias = (
     MoveTo
+    | Retrace
     | TouchTowards
     | HomeMount
     | OrientTo
@@ -174,5 +185,5 @@ T = TypeVar("T")
 Plan: TypeAlias = Generator[Step, Any, T]
 """Yields steps, is sent their results, returns its conclusion."""
 
-ACTING = (MoveTo, TouchTowards, HomeMount, OrientTo, ResetFault, AskOperator, Dwell, StageTable, ActivateBank)
+ACTING = (MoveTo, Retrace, TouchTowards, HomeMount, OrientTo, ResetFault, AskOperator, Dwell, StageTable, ActivateBank)
 """Steps that move or change something: durable in the journal before they begin."""

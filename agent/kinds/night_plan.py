@@ -10,6 +10,7 @@ from agent.execution.steps import Plan, Point
 from agent.job import Job
 from agent.kinds.judging import Judge
 from agent.kinds.positions import Chooser
+from agent.plans.closing import joined
 from agent.plans.measure import Measured, MeasuringOrder, measure_positions
 from agent.rehearsal import Procedure, Rehearsal, rehearse
 from drivers.errors import ConfigurationError, PlanRefused
@@ -148,23 +149,6 @@ def positions_in(measured: Measured) -> tuple[Position, ...]:
     """What has been measured."""
     first = [position.balls[0] for position in measured.positions if position.balls]
     return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)
-
-
-def joined(one: Measured, other: Measured) -> Measured:
-    """As if all had been one order; the positions of the second are numbered on."""
-    numbers = [ball.position for position in one.positions for ball in position.balls]
-    start = max(numbers, default=-1) + 1
-    renumbered = tuple(
-        replace(position, balls=tuple(replace(ball, position=start + ball.position) for ball in position.balls))
-        for position in other.positions
-    )
-    return Measured(
-        positions=(*one.positions, *renumbered),
-        left_out=(*one.left_out, *other.left_out),
-        unreachable_balls=one.unreachable_balls + other.unreachable_balls,
-        standing_at=other.standing_at,
-        standings=other.standings,
-    )
 
 
 def _held_out(chooser: Chooser, count: int) -> tuple[Position, ...]:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from agent.consent import Consent
+from agent.drifting import balls_for_estimate, going_on, observed
 from agent.execution.states import RunState
-from agent.execution.steps import Point
 from agent.files import translated
 from agent.findings import Finding, find
 from agent.gates import Gate, change_gate, estimate_gates, shape_gates
@@ -23,24 +23,23 @@ from agent.kinds.night_plan import (
     FURTHER,
     LOOK,
     NightPlan,
-    joined,
     night_plan,
     only_these,
     positions_in,
     standing,
     station_of,
 )
+from agent.kinds.outset import Outset
 from agent.kinds.positions import Chooser
 from agent.kinds.proof import prove_step
 from agent.last_accepted import full_needed, record_accepted, record_full_needed, require_accepted
-from agent.observing import observations_of
 from agent.outcome import Decision, NightReport, Proof
+from agent.plans.closing import joined
 from agent.plans.measure import Measured
 from agent.plans.position import MeasuredBall
 from agent.rehearsal import Rehearsal, rehearse
 from agent.run import CalibrationRun
 from drivers.errors import MeasurementFault
-from twin.identification import Options
 from twin.position_set import Position
 
 DIAGNOSIS = "diagnosis"
@@ -63,22 +62,22 @@ class Night:
     nights: float | None = None
     name: str = "nightly"
 
-    def ready(self, job: Job, start_mm: Point) -> Ready:
+    def ready(self, job: Job, outset: Outset) -> Ready:
         chosen = job.settings.nightly
-        last = require_accepted(job)
+        last = require_accepted(job, outset.run)
         station = station_of(job, self.station)
         here = standing(job, station)
-        judge = Judge(job, last, nights_since(last, self.nights))
+        judge = Judge(job, last, nights_since(last, self.nights, outset.at))
         slot = Slot(
             chosen.slot_minutes if self.slot_minutes is None else self.slot_minutes,
             chosen.full_allowed if self.full_allowed is None else self.full_allowed,
             chosen.reserve_minutes,
         )
-        pending = full_needed(job.settings.state_directory)
+        pending = full_needed(job.settings.state_directory, outset.run)
         if pending is not None:
-            return ready_for_full(here, station, judge, slot, pending, start_mm)
+            return ready_for_full(here, station, judge, slot, pending, outset.start_mm)
         chooser = Chooser(here, station)
-        plan, rehearsal = night_plan(chooser, judge, slot.minutes, start_mm)
+        plan, rehearsal = night_plan(chooser, judge, slot.minutes, outset.start_mm)
         own = plan.job(job)
         return Ready(own, rehearsal, lambda means: NightlyRun(own, means, judge, plan, chooser, rehearsal, slot))
 
@@ -198,17 +197,17 @@ class NightlyRun(CalibrationRun):
 
     def _fuse(self, measured: Measured, report: NightReport) -> None:
         job, judge = self._job, self._judge
-        balls = job.balls_of(measured, held_out=False)
+        balls = balls_for_estimate(job, measured)
         if len({ball.position for ball in balls}) < FEWEST_FUSED:
             self._end(replace(report, reason="too little time was left to fuse anything"))
             return
         chosen = job.settings
         with translated(MeasurementFault):
-            observations = observations_of(balls, job.tool_offset_mm, self._correction)
-            options = Options(carried_over=judge.known)
+            observations = observed(job, balls, self._correction)
+            options = going_on(chosen, judge.known)
             order = chosen.identification.order
             finding = find(job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order)
-        self._keep_estimate(finding)
+        self._keep_estimate(finding, balls)
         limits = self._rig.store.store_limits()
         self._pass_gates((*self._estimate_gates(finding), *shape_gates(finding.table, limits, job.gate_limits)))
         written = judge.last.accepted.written

@@ -86,7 +86,8 @@ def measure_positions(
             yield Record(f"{key}/left-out", "event", {"reachable_balls": int(mask.sum())})
             continue
         task = PositionTask(key, index, position.station, position.azimuth_deg, position.elevation_deg, predicted, mask)
-        measured = yield from measure_position(task, here, rules)
+        before = [ball.conditions for ball in done[-1].balls] if done else []
+        measured = yield from measure_position(task, here, rules, before)
         standings[position.station] = standing.having_found(nominal[measured.ball_numbers], measured.centres_mm)
         here = np.array((yield ReadPosition(f"{key}/here")))
         done.append(measured)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.execution.steps import MoveTo, OrientTo, Plan, ReadTemperatures, Record
+from agent.execution.steps import MoveTo, OrientTo, Plan, Record
 from agent.plans.ball import BallFound, BallLost, measure_ball, point
+from agent.plans.conditions import Conditions, read_conditions
+from agent.plans.drift import DriftLimits, judge_drift
 from agent.plans.probing import Probing, Search
+from agent.plans.settling import SettlingRules, settled
 from drivers.errors import MeasurementFault
 from twin.alignment import align_to_ends
 
@@ -75,7 +78,12 @@ class MeasuredBall:
     elevation_deg: float
     ball: int
     found: BallFound
-    temperature_c: float
+    conditions: Conditions
+
+    @property
+    def temperature_c(self) -> float:
+        """Of the artefact."""
+        return self.conditions.artefact_c
 
     def record(self, key: str) -> dict[str, object]:
         return {
@@ -90,17 +98,20 @@ class MeasuredBall:
             "radius_mm": self.found.radius_mm,
             "form_mm": self.found.form_mm,
             "temperature_c": self.temperature_c,
+            "machine_c": self.conditions.machine_c,
+            "instant_s": self.conditions.instant_s,
         }
 
 
 @dataclass(frozen=True)
 class MeasuredPosition:
-    """What one position gave; `drift_mm` (3,): by how much the first ball was found elsewhere at the end."""
+    """What one position gave; `drift_mm` (3,): by how much the first ball was found elsewhere at the end, `again`."""
 
     balls: tuple[MeasuredBall, ...]
     lost: int
     touches: int
     drift_mm: Array
+    again: MeasuredBall | None = None
 
     @property
     def ball_numbers(self) -> list[int]:
@@ -116,21 +127,25 @@ class MeasuredPosition:
 class PositionRules:
     probing: Probing
     course: Course
-    drift_limit_mm: float
+    drift: DriftLimits
+    settling: SettlingRules = field(default_factory=SettlingRules)
 
 
-def measure_position(task: PositionTask, here: Array, rules: PositionRules) -> Plan[MeasuredPosition]:
+def measure_position(
+    task: PositionTask, here: Array, rules: PositionRules, before: Sequence[Conditions] = ()
+) -> Plan[MeasuredPosition]:
     """Measure every reachable ball of `task`; begins and ends at the retreat plane.
 
     `here` (3,): the axis positions at which the machine stands when the plan begins. Both end balls come first
-    (wide search), the rest is aligned to them; the first ball is measured again last, for drift.
+    (wide search), the rest is aligned to them; the first ball is measured again last, for drift. `before`: conditions
+    in which the position before was measured; where the artefact has not settled, nothing moves until it has.
     """
     probing, course = rules.probing, rules.course
     yield MoveTo(f"{task.key}/retreat", point(course.retreated(here)))
     yield MoveTo(f"{task.key}/park", point(course.parked(here, task.station)))
     yield OrientTo(f"{task.key}/orient", task.station, task.azimuth_deg, task.elevation_deg)
-    temperatures = yield ReadTemperatures(f"{task.key}/temperatures")
-    measuring = _Measuring(task, rules, temperatures["artefact"])
+    yield from settled(task.key, rules.settling, before)
+    measuring = _Measuring(task, rules)
     first, *between, last = task.balls
     yield MoveTo(f"{task.key}/enter", point(course.retreated(course.above(task.predicted_mm[first], probing))))
     found_first = yield from measuring.end_ball(first)
@@ -138,20 +153,21 @@ def measure_position(task: PositionTask, here: Array, rules: PositionRules) -> P
     aligned = align_to_ends(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
     for ball in reversed(between):
         yield from measuring.ball(ball, aligned[ball])
-    drift = yield from measuring.drift(first, found_first, rules.drift_limit_mm)
+    drift = yield from measuring.drift(first, found_first, rules.drift)
     yield MoveTo(f"{task.key}/leave", point(course.retreated(course.above(found_first.centre_mm, probing))))
-    return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, drift)
+    return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, drift, measuring.again)
 
 
 class _Measuring:
     """Measures balls of one position and keeps what was found, lost and touched."""
 
-    def __init__(self, task: PositionTask, rules: PositionRules, temperature_c: float) -> None:
+    def __init__(self, task: PositionTask, rules: PositionRules) -> None:
         self._task = task
         self._probing = rules.probing
         self._course = rules.course
-        self._temperature_c = temperature_c
+        self._thermometers = rules.settling.thermometers
         self.found: list[MeasuredBall] = []
+        self.again: MeasuredBall | None = None
         self.lost = 0
         self.touches = 0
 
@@ -174,31 +190,27 @@ class _Measuring:
             self.lost += 1
             yield Record(f"{key}/lost", "event", {"ball": ball, "reason": result.reason})
             return result
-        task = self._task
-        measured = MeasuredBall(
-            task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, result, self._temperature_c
-        )
+        measured = yield from self._measured(key, ball, result)
         self.found.append(measured)
         yield Record(f"{key}/centre", "ball", measured.record(key))
         return result
 
-    def drift(self, first: int, found: BallFound, limit_mm: float) -> Plan[Array]:
+    def drift(self, first: int, found: BallFound, limits: DriftLimits) -> Plan[Array]:
         """The first ball again: (3,) mm by which it seems to have moved; NaN where it was lost."""
         key = f"{self._task.key}/ball-{first:02d}/again"
         again = yield from self._approach_and_measure(key, found.centre_mm, self._probing.narrow)
         if isinstance(again, BallLost):
             yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})
             return np.full(3, np.nan)
-        drift = again.centre_mm - found.centre_mm
-        yield Record(f"{key}/drift", "event", {"drift_um": drift * 1e3, "limit_um": limit_mm * 1e3})
-        if float(np.linalg.norm(drift)) > limit_mm:
-            raise MeasurementFault(
-                f"the first ball moved by {np.linalg.norm(drift) * 1e3:.1f} µm within the position, "
-                f"allowed {limit_mm * 1e3:.1f} µm",
-                hint="let machine and artefact settle, check that the mount is clamped",
-                step=key,
-            )
+        self.again = yield from self._measured(key, first, again)
+        drift: Array = again.centre_mm - found.centre_mm
+        yield from judge_drift(key, drift, limits)
         return drift
+
+    def _measured(self, key: str, ball: int, found: BallFound) -> Plan[MeasuredBall]:
+        conditions = yield from read_conditions(key, self._thermometers)
+        task = self._task
+        return MeasuredBall(task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, found, conditions)
 
     def _approach_and_measure(self, key: str, predicted: Array, search: Search) -> Plan[BallFound | BallLost]:
         yield MoveTo(f"{key}/approach", point(self._course.above(predicted, self._probing)))

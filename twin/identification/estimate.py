@@ -12,6 +12,7 @@ from twin.arrays import Array
 from twin.error_model import ErrorModel
 from twin.identification.alternatives import Alternative
 from twin.identification.carried_over import CarriedOver
+from twin.identification.drift import DriftFound
 from twin.identification.evidence import OrderEvidence, at_bounds
 from twin.identification.misfit import MisfitModes
 from twin.identification.normal import Scales
@@ -50,7 +51,8 @@ class Estimate:
     `scales`: found for noise, prior and misfit; `misfit`: None where it was switched off; `information` (p, p): of the
     measurements alone in units of `prior_scale`; `z` (P,), `z_covariance` (P, P): of all `unknowns` together;
     `alternatives`: of equal weight, what the measurements say under other scales that they allow;
-    `order_evidence`: how likely each Legendre order was, where the order was chosen by it.
+    `order_evidence`: how likely each Legendre order was, where the order was chosen by it; `drift`: of the machine
+    while it was measured, where that was looked for; all else is marginal over it.
     """
 
     model: ErrorModel
@@ -70,6 +72,7 @@ class Estimate:
     z_covariance: Array = field(repr=False)
     alternatives: tuple[Alternative, ...] = field(default=(), repr=False)
     order_evidence: tuple[OrderEvidence, ...] = ()
+    drift: DriftFound | None = field(default=None, repr=False)
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOver:
         """What it knows, as the prior of a later estimate.

@@ -12,7 +12,9 @@ from twin.artefact import Artefact
 from twin.error_model import ErrorModel
 from twin.errors import DataError, SingularSet
 from twin.family import Family
+from twin.identification.alternatives import Alternative
 from twin.identification.distances import DistanceEquations
+from twin.identification.drift import DriftFound
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
@@ -127,6 +129,7 @@ def _refuse_chaos(kept: Mask) -> None:
 def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
     solution = over_scales(settled.solution or solve(settled.problem, options, options.formulation))
     block, unknowns = whole.blocks.parameters, whole.unknowns
+    lasting = slice(0, whole.blocks.drift.start)
     seen = whole.observations
     dropped = np.flatnonzero(~settled.kept)
     named = [(int(seen.position[row]), int(seen.ball[row]), int(seen.tool[row])) for row in dropped]
@@ -143,11 +146,19 @@ def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
         tool_offsets=seen.used_tool_offsets,
         misfit=_misfit(whole, solution),
         information=solution.equations.matrix[block, block],
-        unknowns=unknowns,
-        z=solution.z,
-        z_covariance=solution.covariance,
-        alternatives=solution.alternatives,
+        unknowns=replace(unknowns, drift=None),
+        z=solution.z[lasting],
+        z_covariance=solution.covariance[lasting, lasting],
+        alternatives=tuple(
+            Alternative(one.scales, one.z[lasting], one.covariance[lasting, lasting]) for one in solution.alternatives
+        ),
+        drift=_drift(whole, solution),
     )
+
+
+def _drift(whole: Problem, solution: Solution) -> DriftFound | None:
+    drift, block = whole.unknowns.drift, whole.blocks.drift
+    return None if drift is None else DriftFound(drift, solution.z[block], solution.covariance[block, block])
 
 
 def _misfit(whole: Problem, solution: Solution) -> Misfit | None:

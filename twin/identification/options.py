@@ -8,6 +8,7 @@ from typing import Literal
 from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification.carried_over import CarriedOver
+from twin.identification.drift import DriftPrior
 
 Formulation = Literal["centres", "distances"]
 Weights = Literal["full", "unit"]
@@ -29,6 +30,7 @@ class Options:
     `misfit_mm`: prior rms, over the workspace, of what the model cannot represent; 0 switches it off. What is carried
     over keeps its own.
     `temperature_standard_uncertainty_k`: of the artefact's thermometer, common to all rows.
+    `drift`: what a machine may do that changes along the observations' course; None: it does not change.
     """
 
     formulation: Formulation = "centres"
@@ -41,6 +43,7 @@ class Options:
     false_alarm: float = 0.01
     misfit_mm: float = 0.001
     temperature_standard_uncertainty_k: float = 0.0
+    drift: DriftPrior | None = None
 
     def __post_init__(self) -> None:
         _check_word("formulation", self.formulation, ("centres", "distances"))

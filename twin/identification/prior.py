@@ -10,6 +10,7 @@ from twin.arrays import Array, as_vector
 from twin.artefact import Artefact
 from twin.errors import DataError
 from twin.family import Family
+from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes, misfit_modes
 from twin.identification.options import Options
 from twin.identification.unknowns import ArtefactErrors, Unknowns
@@ -22,9 +23,10 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
     Raises DataError for a prior of zero, of the wrong shape, or that of another model.
     """
     errors, carried = _artefact_errors(artefact, options), options.carried_over
+    drift = _drift(family, seen, options)
     if carried is None:
         modes = _modes(family, seen) if options.misfit_mm > 0.0 else None
-        return Unknowns(family.model, _scale(family, options), errors, modes, options.misfit_mm)
+        return Unknowns(family.model, _scale(family, options), errors, modes, options.misfit_mm, drift)
     old = carried.unknowns
     if old.model != family.model:
         raise DataError("the estimate carried over belongs to another model", hint="identify the model that it is of")
@@ -33,8 +35,15 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
         thermometer = thermometer or options.temperature_standard_uncertainty_k
         errors = replace(old.artefact, thermometer_standard_uncertainty_k=thermometer)
     if old.modes is None and options.misfit_mm > 0.0:
-        return Unknowns(old.model, old.scale, errors, _modes(family, seen), options.misfit_mm)
-    return Unknowns(old.model, old.scale, errors, old.modes, old.misfit_mm)
+        return Unknowns(old.model, old.scale, errors, _modes(family, seen), options.misfit_mm, drift)
+    return Unknowns(old.model, old.scale, errors, old.modes, old.misfit_mm, drift)
+
+
+def _drift(family: Family, seen: Observations, options: Options) -> MachineDrift | None:
+    ways = seen.course.shape[1]
+    if options.drift is None or ways == 0:
+        return None
+    return MachineDrift.of(family.model, options.drift, ways)
 
 
 def _scale(family: Family, options: Options) -> Array:

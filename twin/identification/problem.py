@@ -2,10 +2,10 @@
 
 For row i of position k, with ball b and tool offset t,
 
-    X_i + t + d(X_i; E) + misfit(X_i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
+    X_i + t + d(X_i; E) + misfit(X_i) + drift(X_i, i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
 
 and every unknown but the poses is a vector z of unit-normal prior: parameters E, certificate errors δb, thermal strain
-δs (CTE and thermometer), misfit modes. Rows are kept sorted by position.
+δs (CTE and thermometer), misfit modes, drift of the machine. Rows are kept sorted by position.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ class Problem:
         """Both sides at z; the artefact points are yet to be placed by a pose."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
-        if self.unknowns.modes is not None:
-            left += self.change(_only(z, blocks.misfit))
+        if blocks.size > blocks.misfit.start:
+            left += self.change(_only(z, blocks.misfit, blocks.drift))
         change = self.nuisance.displacement(seen.ball, z[blocks.certificate], z[blocks.strain])
         return left, self.local + change
 
@@ -82,7 +82,7 @@ class Problem:
         """Both sides after a step (P,) of z so small that its second order does not matter."""
         seen, blocks = self.observations, self.blocks
         left, local = sides
-        moved = self.change(_only(step, blocks.parameters, blocks.misfit))
+        moved = self.change(_only(step, blocks.parameters, blocks.misfit, blocks.drift))
         change = self.nuisance.displacement(seen.ball, step[blocks.certificate], step[blocks.strain])
         return left + moved, local + change
 
@@ -211,20 +211,27 @@ def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: 
         return deviation_basis(unknowns.model, at, seen.tool_offsets[tool[0]], unknowns.scale)
     design = np.empty((len(source), 3, blocks.size))
     for number, rows in _rows_by_tool(tool):
-        _fill_field(design, rows, unknowns, at[rows], seen.tool_offsets[number])
+        _fill_field(design, rows, unknowns, at[rows], seen.tool_offsets[number], seen.course[source][rows])
     rotation = np.repeat(poses.rotation, layout.width, axis=0)
     _fill_artefact(design, blocks, nuisance, source, seen.ball[source], rotation)
     return design
 
 
 def _fill_field(
-    design: Array, rows: slice | np.ndarray[Any, Any], unknowns: Unknowns, at: Array, tool_offset: Array
+    design: Array,
+    rows: slice | np.ndarray[Any, Any],
+    unknowns: Unknowns,
+    at: Array,
+    tool_offset: Array,
+    course: Array,
 ) -> None:
     basis, blocks, modes = deviation_basis(unknowns.model, at, tool_offset), unknowns.blocks, unknowns.modes
     design[rows, :, blocks.parameters] = basis * unknowns.scale
     if modes is not None:
         at_hand = basis if (tool_offset == modes.tool_offset).all() else None
         design[rows, :, blocks.misfit] = unknowns.misfit_mm * modes.at(at, at_hand)
+    if unknowns.drift is not None:
+        design[rows, :, blocks.drift] = unknowns.drift.columns(basis, course)
 
 
 def _fill_artefact(

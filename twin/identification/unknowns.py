@@ -11,6 +11,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.artefact import Artefact
 from twin.error_model import ErrorModel
+from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes
 
 _SAME = 1e-9  # of the largest variance: how far two covariances of one certificate may differ
@@ -20,24 +21,29 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Where each kind of unknown stands in z; `kinds`: within the misfit, one after the other."""
+    """Where each kind of unknown stands in z; `kinds`: within the misfit, one after the other; the drift comes last."""
 
     parameters: slice
     certificate: slice
     strain: slice
     misfit: slice
     kinds: tuple[slice, ...] = ()
+    drifting: int = 0
 
     @classmethod
-    def of(cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = ()) -> Blocks:
+    def of(cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = (), drift: int = 0) -> Blocks:
         """One after the other, of these sizes; of the misfit those of its kinds."""
         ends = np.cumsum([parameters, certificate, strain, *misfit]).tolist()
         first, second, third, *kinds = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
-        return cls(first, second, third, slice(third.stop, ends[-1]), tuple(kinds))
+        return cls(first, second, third, slice(third.stop, ends[-1]), tuple(kinds), drift)
+
+    @property
+    def drift(self) -> slice:
+        return slice(self.misfit.stop, self.size)
 
     @property
     def size(self) -> int:
-        return int(self.misfit.stop)
+        return int(self.misfit.stop) + self.drifting
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,18 +93,21 @@ class ArtefactErrors:
 @dataclass(frozen=True, eq=False)
 class Unknowns:
     """z (P,): parameters = `scale` (p,) mm or rad · z, certificate and strain of `artefact`, misfit = `misfit_mm` ·
-    `modes` · z."""
+    `modes` · z, and what the machine drifted while it was measured; an estimate that is kept has no such part."""
 
     model: ErrorModel
     scale: Array
     artefact: ArtefactErrors
     modes: MisfitModes | None
     misfit_mm: float
+    drift: MachineDrift | None = None
 
     @property
     def blocks(self) -> Blocks:
         misfit = () if self.modes is None else self.modes.sizes
-        return Blocks.of(self.model.size, self.artefact.certificate.shape[1], len(self.artefact.strains), misfit)
+        drift = 0 if self.drift is None else self.drift.size
+        certificate, strains = self.artefact.certificate.shape[1], len(self.artefact.strains)
+        return Blocks.of(self.model.size, certificate, strains, misfit, drift)
 
     def name(self, index: int) -> str:
         """For people: `EXX[1]`, `certificate 3`, `strain cte`, `misfit 12`."""
@@ -109,7 +118,9 @@ class Unknowns:
             return f"certificate {index - blocks.certificate.start}"
         if index < blocks.misfit.start:
             return f"strain {self.artefact.strains[index - blocks.strain.start]}"
-        return f"misfit {index - blocks.misfit.start}"
+        if index < blocks.drift.start:
+            return f"misfit {index - blocks.misfit.start}"
+        return f"drift {index - blocks.drift.start}"
 
     def parameters(self, z: Array) -> Array:
         """(p,) in mm or rad from z (P,)."""

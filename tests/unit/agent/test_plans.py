@@ -65,6 +65,8 @@ class Answers:
                 return 0.0, 0.0, 0.0
             case s.ReadTemperatures():
                 return {"artefact": 20.0}
+            case s.ReadClock():
+                return 0.0
             case s.OrientTo():
                 return Orientation(step.azimuth_deg, step.elevation_deg)
         return None

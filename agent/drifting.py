@@ -1,0 +1,74 @@
+"""The drift of the machine while it was measured: which balls tell of it, and the course that it is fitted along."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from agent.job import Job
+from agent.observing import Correction, observations_of
+from agent.plans.closing import machine_change_k
+from agent.plans.measure import Measured
+from agent.plans.position import MeasuredBall
+from agent.settings import Settings
+from agent.warmth import drift_prior_of
+from twin.course import machine_course, smoothed
+from twin.identification import CarriedOver, Options
+from twin.observations import Observations
+
+
+def balls_for_estimate(job: Job, measured: Measured) -> list[MeasuredBall]:
+    """All but those of held-out positions; where the machine drifted, also the first of each position found again."""
+    kept = {id(ball) for ball in job.balls_of(measured, held_out=False)}
+    drifts = is_drifting(job.settings, [ball for position in measured.positions for ball in position.balls])
+    found = []
+    for position in measured.positions:
+        own = [ball for ball in position.balls if id(ball) in kept]
+        found += own
+        if drifts and own and position.again is not None:
+            found.append(position.again)
+    return found
+
+
+def is_drifting(settings: Settings, balls: Sequence[MeasuredBall]) -> bool:
+    """Whether the machine has changed by more than may be neglected."""
+    chosen = settings.temperature
+    return chosen.fit_machine_drift and change_k(settings, balls) >= chosen.smallest_change_k
+
+
+def change_k(settings: Settings, balls: Sequence[MeasuredBall]) -> float:
+    """Of the machine while these balls were measured."""
+    return machine_change_k([ball.conditions for ball in balls], settings.temperature.declared_change_k)
+
+
+def observed(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Observations:
+    """Observations with the machine's course to the last of them, where it drifted."""
+    seen = observations_of(balls, job.tool_offset_mm, correction)
+    if not is_drifting(job.settings, balls):
+        return seen
+    instants_s = np.array([ball.conditions.instant_s for ball in balls])
+    told = [ball.conditions.machine_c for ball in balls]
+    known = [value for value in told if value is not None]
+    machine_c = np.array(known) if len(known) == len(balls) else None
+    course = machine_course(instants_s, machine_c, change_k(job.settings, balls))
+    return replace(seen, course=course, temperature_c=smoothed(instants_s, seen.temperature_c))
+
+
+def options_of(settings: Settings) -> Options:
+    """How a run identifies from the family."""
+    chosen = settings.identification
+    return replace(_warm(settings), formulation=chosen.formulation, use_prior=chosen.prior, weights=chosen.weights)
+
+
+def going_on(settings: Settings, known: CarriedOver) -> Options:
+    """How a night goes on from what is known before."""
+    return replace(_warm(settings), carried_over=known)
+
+
+def _warm(settings: Settings) -> Options:
+    return Options(
+        temperature_standard_uncertainty_k=settings.temperature.standard_uncertainty_k,
+        drift=drift_prior_of(settings) if settings.temperature.fit_machine_drift else None,
+    )

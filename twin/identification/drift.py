@@ -1,0 +1,118 @@
+"""A machine whose field changes while it is measured: the low errors and the tip, each in a few ways of time.
+
+What a warming machine does is smooth in space: scales grow, guides and columns bend, squareness opens, the tip wanders.
+It is smooth in time too: along with a thermometer, or like a low power of the time. Both together are a small block of
+unknowns, `field = Σ course · form`, with a prior that is stated per kelvin; a row's `course` is zero at the instant for
+which the estimate is to hold, so the parameters are those of that instant, and what the drift leaves open of them is in
+their covariance.
+
+A rigid motion of the artefact or of the whole machine between two positions is in the poses already; the tip's drift is
+seen within a position alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.chain import AXES
+from twin.error_model import ErrorModel, Parameter
+from twin.errors import DataError
+
+_STRAIGHTNESS_ORDER = 2  # the lowest there is: a bow
+_OTHER_ORDER = 1  # of a scale and of a rotation
+
+
+@dataclass(frozen=True)
+class DriftPrior:
+    """Standard deviations per kelvin: `strain` of scales (1/K), of bows over half the travel, of angles (rad/K); and of
+    the tip, mm/K."""
+
+    strain_per_k: float = 12e-6
+    tip_mm_per_k: float = 0.015
+
+    def __post_init__(self) -> None:
+        for name in ("strain_per_k", "tip_mm_per_k"):
+            if not getattr(self, name) > 0.0:
+                raise DataError(f"{name} must be positive, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True, eq=False)
+class MachineDrift:
+    """`places` (f,) of the parameters that drift, their `deviations` (f,) mm/K or rad/K; `ways` in which they do."""
+
+    names: tuple[str, ...]
+    places: tuple[int, ...]
+    deviations: Array
+    tip_mm_per_k: float
+    ways: int
+
+    @classmethod
+    def of(cls, model: ErrorModel, prior: DriftPrior, ways: int) -> MachineDrift:
+        drifting = [(place, one) for place, one in enumerate(model.parameters) if _drifts(one)]
+        deviations = [prior.strain_per_k * _lever_mm(model, one) for _, one in drifting]
+        names, places = tuple(one.name for _, one in drifting), tuple(place for place, _ in drifting)
+        return cls(names, places, np.array(deviations), prior.tip_mm_per_k, ways)
+
+    @property
+    def forms(self) -> int:
+        """Parameters that drift, and the three directions of the tip."""
+        return len(self.places) + 3
+
+    @property
+    def size(self) -> int:
+        return self.ways * self.forms
+
+    def columns(self, basis: Array, course: Array) -> Array:
+        """(n, 3, size) mm per unit: `basis` (n, 3, p) of the model at the rows, `course` (n, ways) K."""
+        forms = np.empty((len(basis), 3, self.forms))
+        forms[:, :, :-3] = basis[:, :, self.places] * self.deviations
+        forms[:, :, -3:] = self.tip_mm_per_k * np.eye(3)
+        return np.asarray((course[:, None, :, None] * forms[:, :, None, :]).reshape(len(basis), 3, self.size))
+
+    def change(self, z: Array, course: Array) -> Array:
+        """(f + 3,) by how much parameters and tip are off, for unknowns z (size,), where the course is (ways,) K."""
+        return np.asarray(course @ z.reshape(self.ways, self.forms) * self._units)
+
+    def change_covariance(self, covariance: Array, course: Array) -> Array:
+        """(f + 3, f + 3) of `change` for the covariance (size, size) of z."""
+        lever = np.einsum("w,fg->fwg", course, np.diag(self._units)).reshape(self.forms, self.size)
+        return np.asarray(lever @ covariance @ lever.T)
+
+    @property
+    def _units(self) -> Array:
+        return np.append(self.deviations, np.full(3, self.tip_mm_per_k))
+
+
+@dataclass(frozen=True, eq=False)
+class DriftFound:
+    """What a set says of the drift: z (size,) of `drift` with its covariance."""
+
+    drift: MachineDrift
+    z: Array
+    covariance: Array
+
+    def change(self, course: Array) -> dict[str, tuple[float, float]]:
+        """By name (``EXX[1]``, ``tip X``): mm or rad by which the field is off where the course is (ways,) K, and its
+        standard uncertainty."""
+        values = self.drift.change(self.z, course)
+        doubts = np.sqrt(np.maximum(np.diagonal(self.drift.change_covariance(self.covariance, course)), 0.0))
+        names = (*self.drift.names, *(f"tip {axis}" for axis in AXES))
+        return dict(zip(names, zip(values.tolist(), doubts.tolist(), strict=True), strict=True))
+
+
+def _drifts(parameter: Parameter) -> bool:
+    if parameter.kind == "squareness":
+        return True
+    wanted = {"positioning": _OTHER_ORDER, "rotation": _OTHER_ORDER, "straightness": _STRAIGHTNESS_ORDER}
+    return wanted.get(parameter.kind) == parameter.order
+
+
+def _lever_mm(model: ErrorModel, parameter: Parameter) -> float:
+    """What makes a strain the parameter's own: half the travel for a displacement, 1 for an angle."""
+    if parameter.unit == "rad":
+        return 1.0
+    low, high = model.ranges_mm[AXES.index(parameter.error[2])]
+    return 0.5 * (high - low)
