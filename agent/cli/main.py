@@ -24,17 +24,23 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 COMMAND_GROUP = "volcal.commands"
 
 OWN_COMMANDS = {
+    "abort": "agent.cli.asking:abort_command",
+    "answer": "agent.cli.asking:answer_command",
     "calibrate": "agent.cli.calibrate:calibrate_command",
     "config": "agent.cli.config:config_group",
     "demo": "agent.cli.demo:demo_command",
     "design": "agent.cli.design:design_command",
     "doctor": "agent.cli.doctor:doctor_command",
+    "hold": "agent.cli.asking:hold_command",
     "identify": "agent.cli.identify:identify",
     "nightly": "agent.cli.nightly:nightly_command",
     "plan": "agent.cli.plan:plan_command",
     "study": "agent.cli.study:study_command",
     "rank": "agent.cli.rank:rank_command",
+    "reset": "agent.cli.asking:reset_command",
     "serve": "agent.cli.serve:serve_command",
+    "start": "agent.cli.start:start_command",
+    "status": "agent.cli.status:status_command",
     "timing": "agent.cli.timing:timing_command",
     "verify": "agent.cli.verify:verify_command",
     "table": "agent.cli.table:table_group",

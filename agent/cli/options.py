@@ -22,8 +22,12 @@ def config_option(command: click.decorators.FC) -> click.decorators.FC:
 
 def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
     """Options that every command with a procedure takes."""
+    return measured_options(click.option("--formulation", type=click.Choice(["centres", "distances"]))(command))
+
+
+def measured_options(command: click.decorators.FC) -> click.decorators.FC:
+    """What is measured, and on which machine."""
     for option in (
-        click.option("--formulation", type=click.Choice(["centres", "distances"])),
         click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations to measure at."),
         click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),
         config_option,
