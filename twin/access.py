@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,10 +34,14 @@ def standing_scene(
     place_mm: Array,
     azimuth_rad: float,
     elevation_rad: float,
+    further: Sequence[Body] = (),
 ) -> tuple[Array, Scene]:
-    """Nominal ball centres (N, 3) mm in the workpiece frame, and the scene of all bodies, for one position."""
+    """Nominal ball centres (N, 3) mm in the workpiece frame, and the scene of all bodies, for one position.
+
+    `further`: what else stands in the workspace.
+    """
     pose = mount_pose(place_mm, geometry, azimuth_rad, elevation_rad)
-    around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place_mm, pose))
+    around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place_mm, pose), *further)
     return pose.applied(artefact.balls), Scene(probe.bodies(), around)
 
 

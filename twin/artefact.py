@@ -22,7 +22,8 @@ REFERENCE_TEMPERATURE_C = 20.0
 @dataclass(frozen=True, eq=False)
 class Artefact:
     """`balls` (N, 3) mm at the reference temperature and free of gravity; `covariance` (3N, 3N) mm², ball by
-    ball. `sag_mm`: how far the ends hang below the middle when the bar lies level."""
+    ball. `sag_mm`: how far the ends hang below the middle when the bar lies level. `members` (N,): where several
+    artefacts go into one estimate, to which of them each ball belongs; empty for one alone."""
 
     name: str
     certificate: str
@@ -34,6 +35,7 @@ class Artefact:
     covariance: Array = field(repr=False)
     holder_length_mm: float = 0.0
     sag_mm: float = 0.0
+    members: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         balls = as_points(self.balls, "balls of the artefact")
@@ -41,7 +43,11 @@ class Artefact:
             raise DataError("an artefact needs at least two balls", artefact=self.name)
         if not self.ball_diameter_mm > 0.0:
             raise DataError(f"ball diameter must be positive, got {self.ball_diameter_mm}", artefact=self.name)
-        _refuse_overlap(balls, self.ball_diameter_mm, self.name)
+        members = np.array(self.members or (0,) * len(balls))
+        if len(members) != len(balls):
+            raise DataError(f"{len(members)} members for {len(balls)} balls", artefact=self.name)
+        for member in np.unique(members):
+            _refuse_overlap(balls[members == member], self.ball_diameter_mm, self.name)
         _refuse_bad_covariance(self.covariance, 3 * len(balls), self.name)
 
     @property

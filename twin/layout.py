@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from twin.access import FIVE_TOUCHES, accessible, standing_scene
 from twin.arrays import Array
 from twin.artefact import Artefact
-from twin.bodies import ProbeGeometry
+from twin.bodies import Body, ProbeGeometry
 from twin.errors import DataError
 from twin.position_set import MountGeometry, Position, mount_pose, reachable
 
 Mask = NDArray[np.bool_]
-_Standing = tuple[float, float, float, float]
+_Standing = tuple[float, float, float, float, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,10 @@ class Layout:
     `places_mm`: station number → (3,) foot of the mount in the workpiece frame. `lower_mm`, `upper_mm` (3,): travel
     less what touching needs of it. `contact_mm`: ball and tip radius together; `approach_mm`: how far outside contact
     a touch begins; `directions` (k, 3): along which every ball is touched.
+
+    `artefact`: that by which observations count their balls. Where each station has its own, `own_artefacts` holds them
+    and `artefact` is all of them, joined in the order of the stations. `around`: station → bodies of other mounts,
+    and of what they carry, that stand in the workspace while it is measured there.
     """
 
     artefact: Artefact
@@ -39,15 +43,18 @@ class Layout:
     contact_mm: float
     approach_mm: float
     directions: Array = field(default_factory=lambda: FIVE_TOUCHES)
-    # What is in the way depends on orientation, depth and height alone; asking is dear, and every position is asked for
-    # more than once.
+    own_artefacts: Mapping[int, Artefact] = field(default_factory=dict)
+    around: Mapping[int, tuple[Body, ...]] = field(default_factory=dict)
+    # What is in the way depends on orientation, depth and height alone, unless more than one mount stands there; asking
+    # is dear, and every position is asked for more than once.
     _accessible: dict[_Standing, Mask] = field(default_factory=dict, init=False, repr=False)
 
     def nominal(self, position: Position) -> Array:
-        """Axis positions (N, 3) of all balls of `position` when the mount stands where it is said to stand."""
+        """Axis positions (N, 3) of all balls of the artefact at `position` when the mount stands where it is said to
+        stand."""
         azimuth, elevation = math.radians(position.azimuth_deg), math.radians(position.elevation_deg)
         pose = mount_pose(self.place(position.station), self.mount, azimuth, elevation)
-        return pose.applied(self.artefact.balls) - self.tool_offset_mm
+        return pose.applied(self.artefact_at(position.station).balls) - self.tool_offset_mm
 
     def reachable(self, position: Position, predicted: Array) -> Mask:
         """(N,): balls of `position` inside the travel with nothing in the way."""
@@ -57,15 +64,18 @@ class Layout:
     def accessible(self, position: Position) -> Mask:
         """(N,): balls of `position` where nothing of artefact or mount stands in the way of the probe."""
         place = self.place(position.station)
-        key = (position.azimuth_deg, position.elevation_deg, float(place[1]), float(place[2]))
+        further = self.around.get(position.station, ())
+        among = position.station if further else 0
+        key = (position.azimuth_deg, position.elevation_deg, float(place[1]), float(place[2]), among)
         if key not in self._accessible:
             centres, scene = standing_scene(
-                self.artefact,
+                self.artefact_at(position.station),
                 self.probe,
                 self.mount,
                 place_mm=place,
                 azimuth_rad=math.radians(position.azimuth_deg),
                 elevation_rad=math.radians(position.elevation_deg),
+                further=further,
             )
             self._accessible[key] = accessible(
                 centres,
@@ -75,6 +85,14 @@ class Layout:
                 directions=self.directions,
             )
         return self._accessible[key]
+
+    def artefact_at(self, station: int) -> Artefact:
+        """What is measured there."""
+        return self.own_artefacts.get(station, self.artefact)
+
+    def first_ball(self, station: int) -> int:
+        """The number, as observations count, of ball 0 of the artefact at a station."""
+        return sum(own.count for number, own in self.own_artefacts.items() if number < station)
 
     def place(self, station: int) -> Array:
         """(3,) mm. DataError for a station that has none."""

@@ -64,8 +64,8 @@ class Procedure:
         return self.layouts[tool]
 
     def with_artefact(self, artefact: Artefact) -> Procedure:
-        """The same places and tools with another artefact."""
-        layouts = {name: replace(layout, artefact=artefact) for name, layout in self.layouts.items()}
+        """The same places and tools with another artefact, the same at all stations."""
+        layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
         return replace(self, layouts=layouts)
 
     def with_covariance(self, covariance_mm2: Array) -> Procedure:
@@ -73,11 +73,12 @@ class Procedure:
         return replace(self, covariance_mm2=covariance_mm2)
 
     def balls_of(self, position: Position) -> tuple[Numbers, Array]:
-        """Numbers (m,) and nominal axis positions (m, 3) mm of the balls that a position can measure."""
+        """Numbers (m,), as observations count, and nominal axis positions (m, 3) mm of the balls that a position can
+        measure."""
         layout = self.layout(position.tool)
         nominal = layout.nominal(position)
         balls = np.flatnonzero(layout.reachable(position, nominal))
-        return balls, nominal[balls]
+        return balls + layout.first_ball(position.station), nominal[balls]
 
     def planned(self, positions: Sequence[Position]) -> Planned:
         """What `positions` would measure. DataError where nothing is within reach."""
@@ -87,7 +88,7 @@ class Procedure:
         unreachable = 0
         for position in positions:
             balls, places = self.balls_of(position)
-            unreachable += self.artefact.count - len(balls)
+            unreachable += self.layout(position.tool).artefact_at(position.station).count - len(balls)
             if len(balls) < FEWEST_BALLS:
                 left_out.append(position)
                 continue
