@@ -7,6 +7,7 @@ noticed there and nowhere else, so it is noticed everywhere.
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import time
 from collections.abc import Callable
@@ -70,8 +71,9 @@ class VirtualClock:
         return self._now
 
     def sleep(self, duration_s: float) -> None:
+        """Time passes, however short the sleep: who waits for an instant would otherwise wait for ever just before it."""
         if duration_s > 0.0:
-            self.advance_to(self._now + duration_s)
+            self.advance_to(max(self._now + duration_s, math.nextafter(self._now, math.inf)))
 
     def advance_to(self, instant_s: float) -> None:
         if instant_s <= self._now:
