@@ -8,7 +8,6 @@ from pathlib import Path
 
 from agent.assembly import assemble, closed_after, make_clock
 from agent.consent import Consent
-from agent.execution.steps import Point
 from agent.job import Job, naming, prepare_job, with_overrides
 from agent.kinds.kind import FullCalibration, Kind, Ready
 from agent.kinds.nightly import Night
@@ -63,43 +62,27 @@ def job_of(request: StartRequest, settings: Settings, config: Path) -> Job:
 
 
 def kind_of(request: StartRequest, settings: Settings, slot_minutes: float | None) -> Kind:
-    """`slot_minutes` of machine time there are; None: as many as it takes."""
+    """`slot_minutes` of machine time there are; None: as the settings say."""
     match request.kind:
         case "calibrate":
             consent = Consent.ASK if request.consent else Consent.REFUSED
-            return _fitting(FullCalibration(consent=consent), slot_minutes)
+            return FullCalibration(consent=consent)
         case "verify":
-            return _fitting(Verification(station=_one_station(request)), slot_minutes)
+            return Verification(station=_one_station(request))
         case "nightly":
             slot = settings.nightly.slot_minutes if request.slot_minutes is None else request.slot_minutes
             slot = slot if slot_minutes is None else min(slot, slot_minutes)
             return Night(slot, request.full_allowed, _one_station(request))
 
 
-@dataclass(frozen=True)
-class WithinSlot:
-    """A kind of run that is refused where its rehearsal takes longer than there is time."""
-
-    kind: Kind
-    minutes: float
-
-    @property
-    def name(self) -> str:
-        return self.kind.name
-
-    def ready(self, job: Job, start_mm: Point) -> Ready:
-        ready = self.kind.ready(job, start_mm)
-        needed = ready.rehearsal.machine_minutes
-        if needed > self.minutes:
-            raise PlanRefused(
-                f"the run takes {needed:.0f} min of machine time, there are {self.minutes:.0f}",
-                hint="give it a longer slot, fewer stations or a smaller position set",
-            )
-        return ready
-
-
-def _fitting(kind: Kind, minutes: float | None) -> Kind:
-    return kind if minutes is None else WithinSlot(kind, minutes)
+def require_within(ready: Ready, slot_minutes: float | None) -> None:
+    """PlanRefused where the rehearsal takes longer than there is time."""
+    needed = ready.rehearsal.machine_minutes
+    if slot_minutes is not None and needed > slot_minutes:
+        raise PlanRefused(
+            f"the run takes {needed:.0f} min of machine time, there are {slot_minutes:.0f}",
+            hint="give it a longer slot, fewer stations or a smaller position set",
+        )
 
 
 def _one_station(request: StartRequest) -> int | None:

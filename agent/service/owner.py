@@ -16,17 +16,18 @@ import structlog
 from agent.execution.run_lock import Ownership
 from agent.execution.states import RunState
 from agent.execution.steps import Step
+from agent.kinds.kind import Ready
 from agent.service import requests
 from agent.service.alarms import alarm_of
 from agent.service.board import Board, Standing
 from agent.service.bulletin import Bulletin
 from agent.service.control import Event, Source, StartRequest, Status
 from agent.service.health import Health
-from agent.service.ordering import Devices, job_of, kind_of
+from agent.service.ordering import Devices, job_of, kind_of, require_within
 from agent.service.past import Past
 from agent.service.questions import Questions
 from agent.service.running import Running
-from agent.service.scenes import Scenes, Shown
+from agent.service.scenes import Scenes
 from agent.service.unattended import Circumstances, minutes_until_end, require_permission, require_warm
 from agent.session import Ended, Request, carry_out, new_run_id
 from agent.settings import Settings
@@ -189,19 +190,24 @@ class Owner:
             left = self._permitted_minutes(settings)
             slot = left if slot is None else slot if left is None else min(slot, left)
         house = self._house
-        kind = Shown(kind_of(request, settings, slot), house.scenes, running.run_id)
+
+        def passed(ready: Ready) -> None:
+            house.scenes.rehearsed(running.run_id, ready)
+            require_within(ready, slot)
+
         return Request(
             job=job,
             base=house.config.parent,
             listener=self._board.hear,
             interrupts=running.attach,
-            kind=kind,
+            kind=kind_of(request, settings, slot),
             clock=house.devices.make_clock(settings.clock),
             rig=house.devices.asking(self._questions, attended=request.consent),
             run_id=running.run_id,
             asked={**asdict(request), "source": request.source.value},
             lock=house.ownership.for_run,
             observer=self._observe,
+            passed=passed,
         )
 
     def _permitted_minutes(self, settings: Settings) -> float | None:

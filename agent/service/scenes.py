@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agent.execution.steps import AskOperator, MoveTo, OrientTo, Point, TouchTowards
+from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
 from agent.job import Job, prepare_job
-from agent.kinds.kind import Kind, Ready
+from agent.kinds.kind import Ready
 from agent.preview.blob import document
 from agent.preview.building import preview_of
 from agent.preview.walk import Waypoint
@@ -54,24 +53,6 @@ class Scenes:
                     _of_run(current[1]) if current else document(preview_of(prepare_job(settings, base))),
                 )
             return {"run_id": run_id, **self._kept[1]}
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A kind of run whose rehearsal is shown when its preflight has passed."""
-
-    kind: Kind
-    scenes: Scenes
-    run_id: str
-
-    @property
-    def name(self) -> str:
-        return self.kind.name
-
-    def ready(self, job: Job, start_mm: Point) -> Ready:
-        ready = self.kind.ready(job, start_mm)
-        self.scenes.rehearsed(self.run_id, ready)
-        return ready
 
 
 def machine_facts(job: Job) -> Document:
