@@ -12,7 +12,16 @@ import numpy as np
 from agent.files import load_artefact, load_balls, load_machine, read_text, translated, write_all_atomically
 from agent.findings import Finding, find, order_text, scale_warnings
 from agent.gates import Gate, GateLimits, estimate_gates, table_gates
-from agent.report import Header, ReportData, name_of_positions, render_report
+from agent.report import (
+    ArtefactFacts,
+    Header,
+    Identified,
+    ReportData,
+    TableFacts,
+    name_of_positions,
+    render_report,
+    triple,
+)
 from agent.settings import GateSettings, Order, TableSettings
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
@@ -226,15 +235,17 @@ def _report_data(result: Result, request: Request, crc32: str) -> ReportData:
     )
     return ReportData(
         header=header,
-        machine=material.machine,
-        artefact=material.artefact,
-        observations=material.balls.observations,
-        estimate=finding.estimate,
-        positions=material.balls.positions,
+        machine=material.machine.name,
+        artefact=ArtefactFacts.of(material.artefact),
         tool_name=material.tool,
-        table=finding.table,
-        table_crc32=crc32,
-        volumetric=finding.volumetric,
+        tool_offset=triple(material.machine.tool(material.tool)),
+        found=Identified.of(
+            material.balls.observations,
+            finding.estimate,
+            material.balls.positions,
+            finding.volumetric,
+            TableFacts.of(finding.table, crc32),
+        ),
         gates=result.gates,
         gates_enforced=False,
         warnings=_warnings(material, finding, options),

@@ -6,16 +6,16 @@ noticed. Sections whose value is None or empty are left out of the page.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.gates import Gate
 from twin.artefact import Artefact
-from twin.identification import Estimate
-from twin.machine_description import MachineDescription
+from twin.identification import Estimate, FieldKnowledge, Scales
 from twin.observations import Observations
 from twin.position_set import Position
 from twin.table import CompensationTable
@@ -48,6 +48,87 @@ class VolumetricSummary:
     @property
     def after(self) -> Volumetric:
         return Volumetric(1e-3 * self.after_raw.value_um, 1e-3 * self.after_aligned.value_um)
+
+
+@dataclass(frozen=True)
+class ArtefactFacts:
+    """The artefact as its certificate has it; `balls` is their number."""
+
+    name: str
+    certificate: str
+    balls: int
+    ball_diameter_mm: float
+    reference_temperature_c: float
+    cte_per_k: float
+    cte_standard_uncertainty_per_k: float
+
+    @classmethod
+    def of(cls, artefact: Artefact) -> Self:
+        names = [field.name for field in fields(cls)]
+        return cls(**{name: artefact.count if name == "balls" else getattr(artefact, name) for name in names})
+
+
+@dataclass(frozen=True)
+class TableFacts:
+    """A compensation table in a few figures. `largest_um`: of the correction of each axis; `crc32`: of its CSV file."""
+
+    nodes: tuple[int, int, int]
+    largest_um: tuple[float, float, float]
+    anchor_mm: tuple[float, float, float]
+    primary: str
+    secondary: str
+    tool_offset_mm: tuple[float, float, float]
+    extrapolated: int
+    crc32: str
+
+    @classmethod
+    def of(cls, table: CompensationTable, crc32: str) -> Self:
+        x, y, z = table.extrapolated.shape
+        anchor = table.anchor
+        return cls(
+            nodes=(x, y, z),
+            largest_um=triple(1e3 * np.abs(table.corrections).max(axis=(0, 1, 2))),
+            anchor_mm=triple(anchor.point_mm),
+            primary=anchor.primary,
+            secondary=anchor.secondary,
+            tool_offset_mm=triple(table.tool_offset),
+            extrapolated=int(table.extrapolated.sum()),
+            crc32=crc32,
+        )
+
+    @property
+    def cells(self) -> int:
+        return int(np.prod(self.nodes))
+
+
+def triple(values: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)
+
+
+class ReportedEstimate(FieldKnowledge, Protocol):
+    """What a page shows of an estimate, whether it has just been found or is read back."""
+
+    @property
+    def formulation(self) -> str: ...
+    @property
+    def parameters(self) -> Array: ...
+    @property
+    def standard_uncertainty(self) -> Array: ...
+    @property
+    def chi2_normalised(self) -> float: ...
+    @property
+    def degrees_of_freedom(self) -> float: ...
+    @property
+    def rejected(self) -> tuple[tuple[int, int, int], ...]: ...
+    @property
+    def scales(self) -> Scales: ...
+    @property
+    def rank(self) -> int: ...
+    @property
+    def conditioning(self) -> float: ...
+    @property
+    def null_summary(self) -> tuple[str, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -122,41 +203,93 @@ class ProbeFacts:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """A question to a person, the machine minute of the run, and the answer; None: none was given."""
+
+    minute: float
+    text: str
+    yes: bool | None
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class NightFacts:
+    """What a verification or a night decided, `since` the last accepted run, and the rows that say why."""
+
+    decision: str
+    good: bool
+    since: str
+    rows: tuple[tuple[str, str], ...]
+    ve_now_um: float | None = None
+    ve_before_um: float | None = None
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a run came from: `started_by`; name and SHA-256 of each input file; digest of the settings in full."""
+
+    started_by: str
+    files: tuple[tuple[str, str], ...]
+    settings_sha256: str
+
+
+@dataclass(frozen=True)
 class RunFacts:
-    """What only a run on a machine knows."""
+    """What only a run on a machine knows. `banks`: rows about tables before, written and at the end; `trend`: an SVG
+    with all runs up to this one."""
 
     touches: int | None = None
     machine_minutes: float | None = None
-    table_bank: str | None = None
+    balls: int | None = None
+    reason: str = ""
+    banks: tuple[tuple[str, str], ...] = ()
     verification: Verification | None = None
+    night: NightFacts | None = None
+    asked: tuple[Asked, ...] = ()
+    provenance: Provenance | None = None
+    trend: str = ""
     temperatures: tuple[TemperatureTrace, ...] = ()
     events: tuple[EventLine, ...] = ()
     probe: ProbeFacts | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """What an identification found. `positions` are the poses that `observations.position` counts; `residuals_mm`
+    (n, 3) in the order of the observations."""
+
+    observations: Observations
+    estimate: ReportedEstimate
+    residuals_mm: Array
+    positions: tuple[Position, ...]
+    volumetric: VolumetricSummary
+    table: TableFacts | None = None
+
+    @classmethod
+    def of(
+        cls,
+        observations: Observations,
+        estimate: Estimate,
+        positions: Sequence[Position],
+        volumetric: VolumetricSummary,
+        table: TableFacts | None = None,
+    ) -> Self:
+        return cls(observations, estimate, estimate.residuals_mm, tuple(positions), volumetric, table)
+
+
 @dataclass(frozen=True)
 class ReportData:
-    """Everything a page is drawn from. `positions` are the poses that `observations.position` counts.
-
-    `volumetric` is computed where it is not at hand. `gates_enforced`: whether they decided anything.
+    """Everything a page is drawn from. `tool_offset` (3,) mm: what the table and every stated volumetric error belong
+    to. `found` is None where a run did not come to an estimate. `gates_enforced`: whether they decided anything.
     """
 
     header: Header
-    machine: MachineDescription
-    artefact: Artefact
-    observations: Observations
-    estimate: Estimate
-    positions: tuple[Position, ...]
+    machine: str
+    artefact: ArtefactFacts
     tool_name: str
-    table: CompensationTable | None = None
-    table_crc32: str | None = None
-    volumetric: VolumetricSummary | None = None
+    tool_offset: tuple[float, float, float]
+    found: Identified | None = None
     gates: tuple[Gate, ...] = ()
     gates_enforced: bool = True
     warnings: tuple[str, ...] = ()
     run: RunFacts = RunFacts()
-
-    @property
-    def tool_offset(self) -> Array:
-        """(3,) mm: the offset that the table and every stated volumetric error belong to."""
-        return np.asarray(self.machine.tools[self.tool_name], dtype=np.float64)

@@ -10,10 +10,12 @@ from markupsafe import Markup
 from agent.report.data import ReportData
 from agent.report.figures import report_figures
 from agent.report.page import page_values
+from agent.report.texts import ENGLISH, Texts
 
 
-def render_report(data: ReportData) -> str:
-    """HTML text of the whole report. Takes a few seconds at most; reads no clock and no device."""
+def render_report(data: ReportData, texts: Texts = ENGLISH) -> str:
+    """HTML text of the whole report. Takes a few seconds at most; reads no clock and no device: the same data give the
+    same bytes."""
     environment = Environment(
         loader=PackageLoader("agent.report", package_path=""),
         autoescape=select_autoescape(["html"]),
@@ -25,6 +27,6 @@ def render_report(data: ReportData) -> str:
     figures = {name: Markup(svg) for name, svg in report_figures(data).items()}  # noqa: S704  drawn by ourselves
     return environment.get_template("report.html").render(
         css=Markup(style),  # noqa: S704  our own file
-        **page_values(data),
+        **page_values(data, texts),
         **figures,
     )

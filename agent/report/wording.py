@@ -12,16 +12,18 @@ from agent.report.data import Quantity
 
 COVERAGE = 2.0
 """Coverage factor of every expanded uncertainty in the page (GUM, about 95 %)."""
+Rows = list[tuple[str, str]]
 MINUS = "\N{MINUS SIGN}"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Column heads, rows of ready text, and which columns hold numbers."""
+    """Column heads, rows of ready text, and which columns hold numbers, and which long codes in fine print."""
 
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     numeric: tuple[str, ...] = ()
+    fine: tuple[str, ...] = ()
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.report.data import ReportedEstimate
 from agent.report.map_figure import PlaneMap
-from twin.identification import Estimate, field_uncertainty
+from twin.identification import field_uncertainty
 from twin.machine_model import exact_deviation
 from twin.volumetric import evaluation_grid, rigid_part
 
@@ -23,7 +24,7 @@ class WorkspaceMaps:
     uncertainty: tuple[PlaneMap, ...]
 
 
-def workspace_maps(estimate: Estimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
+def workspace_maps(estimate: ReportedEstimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
     """Maps at the bottom, the middle and the top of Z; `measured` (n, 3) axis positions go to the nearest plane."""
     heights = np.linspace(*estimate.model.ranges_mm[2], 3)
     planes = [_plane(estimate, float(height)) for height in heights]
@@ -45,7 +46,7 @@ def workspace_maps(estimate: Estimate, tool_offset: Array, measured: Array) -> W
     return WorkspaceMaps(maps(left), maps(unknown))
 
 
-def _plane(estimate: Estimate, height: float) -> tuple[Array, Array, Array]:
+def _plane(estimate: ReportedEstimate, height: float) -> tuple[Array, Array, Array]:
     ranges = estimate.model.ranges_mm[:2]
     x, y = (np.linspace(*limits, count) for limits, count in zip(ranges, PLANE_SHAPE, strict=True))
     grid = np.stack(np.meshgrid(x, y, [height], indexing="ij"), axis=-1).reshape(-1, 3)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
+from twin.error_model import ErrorModel
 from twin.grid_sums import GridSums
-from twin.identification.estimate import Estimate
+from twin.identification.estimate import Misfit
 from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
 from twin.volumetric import Volumetric
@@ -18,7 +20,18 @@ from twin.volumetric import Volumetric
 _CHUNK = 2000  # points whose basis is held at a time
 
 
-def predicted_vce(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> Volumetric:
+class FieldKnowledge(Protocol):
+    """What must be known of an estimate to say what it leaves; an estimate that was read back has it too."""
+
+    @property
+    def model(self) -> ErrorModel: ...
+    @property
+    def covariance(self) -> Array: ...
+    @property
+    def misfit(self) -> Misfit | None: ...
+
+
+def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Volumetric:
     """Predicted volumetric compensated error at axis positions (n, 3): root of the expected mean square, over the
     posterior, of machine less model; raw and after the best rigid motion.
 
@@ -32,7 +45,7 @@ def predicted_vce(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike)
 
 
 def field_uncertainty(
-    estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike, aligned_over: ArrayLike | None = None
+    estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike, aligned_over: ArrayLike | None = None
 ) -> Array:
     """Posterior root mean square (n, 3) mm of machine less model at axis positions (n, 3), per direction.
 
@@ -51,7 +64,7 @@ def field_uncertainty(
     return np.sqrt(np.maximum(squares, 0.0) + unresolved(estimate))
 
 
-def left_covariance(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> Array:
+def left_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
     """Expected outer product (3n, 3n) mm² of machine less model at axis positions (n, 3), point by point x, y, z."""
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -59,7 +72,7 @@ def left_covariance(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLik
     return np.asarray(columns @ moments @ columns.T) + unresolved(estimate) * np.eye(len(columns))
 
 
-def field_forms(estimate: Estimate, points: Array, offset: Array) -> tuple[Array, Array]:
+def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:
     """Mean squares (p + q, p + q) in mm² of the field's columns over axis positions (n, 3), raw and after the best
     rigid motion."""
     sums = _sums(estimate, points, offset)
@@ -81,7 +94,7 @@ class _Sums:
         return np.asarray(np.linalg.lstsq(self.motion, self.shared, rcond=1e-12)[0])
 
 
-def _sums(estimate: Estimate, grid: Array, offset: Array) -> _Sums:
+def _sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> _Sums:
     motions = _motions_about(grid, offset)
     sums = GridSums.over(grid, _degrees(estimate))
     size = len(_second_moments(estimate))
@@ -97,7 +110,7 @@ def _sums(estimate: Estimate, grid: Array, offset: Array) -> _Sums:
     return _Sums(field_sum, shared, motion)
 
 
-def _degrees(estimate: Estimate) -> tuple[int, int, int]:
+def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
     """Highest powers of x, y, z in a column: a series or the cross-effect with a lever, or a mode of the misfit."""
     modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
     x, y, z = (
@@ -113,7 +126,7 @@ def _motions_about(grid: Array, offset: Array) -> Callable[[Array], Array]:
     return lambda points: rigid_fields(points + offset, middle, size_mm)
 
 
-def _second_moments(estimate: Estimate) -> Array:
+def _second_moments(estimate: FieldKnowledge) -> Array:
     """Expected outer product of (true less estimated parameters, true misfit coefficients)."""
     misfit = estimate.misfit
     if misfit is None:
@@ -122,12 +135,12 @@ def _second_moments(estimate: Estimate) -> Array:
     return np.block([[estimate.covariance, misfit.cross_covariance], [misfit.cross_covariance.T, expected]])
 
 
-def unresolved(estimate: Estimate) -> float:
+def unresolved(estimate: FieldKnowledge) -> float:
     """Variance (mm²), per direction and without correlation, of what is too short in space for the misfit's modes."""
     return 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2
 
 
-def field_columns(estimate: Estimate, points: Array, offset: Array) -> Array:
+def field_columns(estimate: FieldKnowledge, points: Array, offset: Array) -> Array:
     """(n, 3, p + q) mm per parameter and per misfit coefficient."""
     basis = deviation_basis(estimate.model, points, offset)
     misfit = estimate.misfit

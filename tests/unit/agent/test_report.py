@@ -11,15 +11,19 @@ import pytest
 
 from agent.gates import Gate
 from agent.report import (
+    ArtefactFacts,
     EventLine,
     Header,
+    Identified,
     Quantity,
     ReportData,
     RunFacts,
+    TableFacts,
     TemperatureTrace,
     Verification,
     VerifiedPosition,
     render_report,
+    triple,
 )
 from agent.report.error_curves import cross_effect_curves, geometric_error_curves
 from agent.report.position_naming import name_of_positions
@@ -32,7 +36,6 @@ from twin.chain import parse_chain
 from twin.error_model import ErrorModel
 from twin.family import family_from_amplitudes
 from twin.identification import Estimate, Options, identify, predicted_vce
-from twin.machine_description import MachineDescription
 from twin.machine_model import exact_deviation
 from twin.observations import Observations
 from twin.position_set import MountGeometry, Position, mount_pose, positions_of
@@ -87,10 +90,6 @@ def report_data() -> ReportData:
     estimate = identify(MODEL, seen, BAR, FAMILY, Options())
     nodes = regular_nodes(RANGES, (100.0, 100.0, 100.0))
     table = build_table(MODEL, estimate.parameters, nodes, OFFSET, Anchor(np.zeros(3)), seen.axis_positions)
-    fast = (20000.0, 20000.0, 20000.0)
-    machine = MachineDescription(
-        "mill <5>", MODEL, RANGES, fast, fast, (500.0,) * 3, {"probe": OFFSET}, FAMILY, AMPLITUDES, None
-    )
     header = Header(
         title="Volumetric calibration",
         run_id="run-17",
@@ -99,7 +98,20 @@ def report_data() -> ReportData:
         state="complete",
         position_set="S1+S3, 2 stations",
     )
-    return ReportData(header, machine, BAR, seen, estimate, POSITIONS, "probe", table, "0badcafe")
+    volumetric = volumetric_summary(estimate, OFFSET)
+    found = Identified.of(seen, estimate, POSITIONS, volumetric, TableFacts.of(table, "0badcafe"))
+    return ReportData(header, "mill <5>", ArtefactFacts.of(BAR), "probe", triple(OFFSET), found)
+
+
+def estimate_of(data: ReportData) -> Estimate:
+    assert data.found is not None
+    assert isinstance(data.found.estimate, Estimate)
+    return data.found.estimate
+
+
+def with_estimate(data: ReportData, estimate: Estimate) -> ReportData:
+    assert data.found is not None
+    return replace(data, found=replace(data.found, estimate=estimate))
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +227,8 @@ class TestRunSections:
             (VerifiedPosition("station 1", 9.0, 9.5, 1.5), VerifiedPosition("station 2", None, 3.0, 1.5)),
         )
         trace = TemperatureTrace("column", np.array([0.0, 60.0]), np.array([20.0, 20.4]))
-        run = RunFacts(800, 91.2, "1", proof, (trace,), (EventLine("2026-03-01T02:03:04Z", "retry", "ball 3"),))
+        event = EventLine("2026-03-01T02:03:04Z", "retry", "ball 3")
+        run = RunFacts(800, 91.2, verification=proof, temperatures=(trace,), events=(event,))
         gate = Gate("fit", False, 3.2, 2.0, "normalised χ²")
         page = Page(render_report(replace(offline, run=run, gates=(gate,), warnings=("mind the probe",))))
         text = " ".join(page.text)
@@ -224,8 +237,8 @@ class TestRunSections:
             assert wanted in text
 
     def test_rejected_balls_are_named(self, offline: ReportData) -> None:
-        rejected = replace(offline.estimate, rejected=((4, 2, 0),))
-        text = " ".join(Page(render_report(replace(offline, estimate=rejected))).text)
+        rejected = replace(estimate_of(offline), rejected=((4, 2, 0),))
+        text = " ".join(Page(render_report(with_estimate(offline, rejected))).text)
         place = POSITIONS[4]
         assert f"station {place.station}, azimuth {place.azimuth_deg:g}°, elevation {place.elevation_deg:g}°" in text
 
@@ -272,7 +285,7 @@ class TestNumbers:
         values, covariance = np.zeros(MODEL.size), np.zeros((MODEL.size, MODEL.size))
         place = MODEL.index("A0Z")
         values[place], covariance[place, place] = 20e-6, (2e-6) ** 2
-        estimate: Estimate = replace(offline.estimate, parameters=values, covariance=covariance)
+        estimate: Estimate = replace(estimate_of(offline), parameters=values, covariance=covariance)
         summary = volumetric_summary(estimate, OFFSET)
         z = np.linspace(0.0, 500.0, 20)
         by_hand = 20e-3 * np.sqrt(np.mean(z**2))
@@ -283,7 +296,7 @@ class TestNumbers:
         """The planes, put under the standard grid and aligned with it, point by point."""
         values = FAMILY.draw(np.random.default_rng(5), 1)[0]
         nothing = np.zeros((MODEL.size, MODEL.size))
-        estimate = replace(offline.estimate, parameters=values, covariance=nothing, misfit=None)
+        estimate = replace(estimate_of(offline), parameters=values, covariance=nothing, misfit=None)
         maps = workspace_maps(estimate, OFFSET, np.zeros((1, 3)))
         grid = evaluation_grid(RANGES)
         field = exact_deviation(MODEL, grid, OFFSET, values)
@@ -304,7 +317,7 @@ class TestNumbers:
     def test_the_uncertainty_map_is_the_posterior_by_sampling(self, offline: ReportData) -> None:
         rng = np.random.default_rng(6)
         factor = rng.normal(0.0, 1e-6, (MODEL.size, MODEL.size))
-        estimate = replace(offline.estimate, covariance=factor @ factor.T, misfit=None)
+        estimate = replace(estimate_of(offline), covariance=factor @ factor.T, misfit=None)
         draws = rng.standard_normal((60, MODEL.size)) @ factor.T
         sampled = [
             workspace_maps(replace(estimate, parameters=draw), OFFSET, np.zeros((1, 3))).deviation[2] for draw in draws
@@ -315,10 +328,10 @@ class TestNumbers:
 
     def test_the_uncertainty_map_adds_up_to_the_predicted_error(self, offline: ReportData) -> None:
         """Simpson's rule over the three planes, misfit included, comes near the rms over the volume."""
-        maps = workspace_maps(offline.estimate, OFFSET, np.zeros((1, 3))).uncertainty
+        maps = workspace_maps(estimate_of(offline), OFFSET, np.zeros((1, 3))).uncertainty
         bottom, middle, top = (float(np.mean(plane.length_um**2)) for plane in maps)
         grid = evaluation_grid(RANGES, (21, 13, 13))
-        stated = predicted_vce(offline.estimate, grid, OFFSET).aligned_um
+        stated = predicted_vce(estimate_of(offline), grid, OFFSET).aligned_um
         assert np.sqrt((bottom + 4.0 * middle + top) / 6.0) == pytest.approx(stated, rel=0.15)
 
     def test_rms_per_ball_leaves_the_rejected_out(self) -> None:

@@ -1,0 +1,166 @@
+"""History in its database: one row a run and machine, written again as often as one likes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, delete, event, insert, inspect, select, text
+from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+from sqlalchemy.orm import Session, selectinload
+from sqlalchemy.pool import NullPool
+
+from agent.history.fed import FedRun
+from agent.history.place import Place
+from agent.history.tables import (
+    SCHEMA_VERSION,
+    Base,
+    SchemaVersion,
+    StoredDecision,
+    StoredParameter,
+    StoredRun,
+    StoredTemperature,
+)
+from drivers.errors import ConfigurationError, LinkLost
+
+_LOCK = 7_283_001
+"""Of PostgreSQL's advisory locks: who makes or changes the tables."""
+_CHILDREN = (StoredParameter, StoredTemperature, StoredDecision)
+
+
+class HistoryStore:
+    """Open on one database. Raises ConfigurationError for one that cannot be used, LinkLost for one that is away."""
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        with self._speaking():
+            self._engine = _engine(place)
+            self._prepare()
+
+    def close(self) -> None:
+        self._engine.dispose()
+
+    def digests(self, machine: str) -> Mapping[str, str]:
+        """Of what is stored of each run of that machine."""
+        with self._speaking(), Session(self._engine) as session:
+            rows = session.execute(select(StoredRun.run_id, StoredRun.digest).where(StoredRun.machine == machine))
+            return {run_id: digest for run_id, digest in rows}  # noqa: C416  a Row is no pair
+
+    def put(self, fed: FedRun) -> None:
+        """Store the run, or what has become of it since; all of it or nothing."""
+        values = {**fed.run, "digest": fed.digest, **{at: _moment(fed.run[at]) for at in ("started", "ended")}}
+        key = {name: values[name] for name in ("machine", "run_id")}
+        with self._speaking(), self._engine.begin() as connection:
+            connection.execute(_upsert(connection, values))
+            for table in _CHILDREN:
+                connection.execute(delete(table).where(table.machine == key["machine"], table.run_id == key["run_id"]))
+            decisions = [{**row, "at": _moment(row["at"])} for row in fed.decisions]
+            for table, rows in zip(_CHILDREN, (fed.parameters, fed.temperatures, decisions), strict=True):
+                if rows:
+                    connection.execute(insert(table), [{**key, **row} for row in rows])
+
+    def machines(self) -> tuple[str, ...]:
+        with self._speaking(), Session(self._engine) as session:
+            return tuple(session.scalars(select(StoredRun.machine).distinct().order_by(StoredRun.machine)))
+
+    def runs(self, machine: str | None = None, last: int | None = None) -> Sequence[StoredRun]:
+        """The runs of a machine, or of all, oldest first, complete with what belongs to them; `last`: so many."""
+        query = select(StoredRun).options(
+            selectinload(StoredRun.parameters), selectinload(StoredRun.temperatures), selectinload(StoredRun.decisions)
+        )
+        if machine is not None:
+            query = query.where(StoredRun.machine == machine)
+        query = query.order_by(StoredRun.started.desc(), StoredRun.run_id.desc()).limit(last)
+        with self._speaking(), Session(self._engine) as session:
+            found = list(session.scalars(query))
+            session.expunge_all()
+            return found[::-1]
+
+    def _prepare(self) -> None:
+        """Make the tables, or see that they are of a version that is known here."""
+        with self._engine.begin() as connection:
+            if connection.dialect.name == "postgresql":
+                connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
+            if not inspect(connection).has_table(SchemaVersion.__tablename__):
+                Base.metadata.create_all(connection)
+                connection.execute(insert(SchemaVersion), {"version": SCHEMA_VERSION})
+            found = connection.execute(select(SchemaVersion.version)).scalar_one()
+        if found != SCHEMA_VERSION:
+            raise ConfigurationError(
+                f"the history is of version {found}, this program knows version {SCHEMA_VERSION}",
+                key="history.url",
+                database=self.place.text,
+                hint="install the newer program here too" if found > SCHEMA_VERSION else "name a new database",
+            )
+
+    @contextmanager
+    def _speaking(self) -> Iterator[None]:
+        """Errors of the library as errors of the house; a password never gets into one."""
+        try:
+            yield
+        except ModuleNotFoundError as error:
+            raise ConfigurationError(
+                f"the driver for PostgreSQL is not installed: {error.name}",
+                key="history.url",
+                hint="install volcal with the extra `postgres`",
+            ) from None
+        except ArgumentError as error:
+            raise ConfigurationError(f"the database URL cannot be used: {error}", key="history.url") from None
+        except DBAPIError as error:
+            raise self._lost(str(error.orig)) from None
+        except SQLAlchemyError as error:
+            raise self._lost(str(error)) from None
+
+    def _lost(self, reason: str) -> LinkLost:
+        first = reason.strip().splitlines()[0] if reason.strip() else "no reason given"
+        password = self.place.url.password
+        if password:
+            first = first.replace(str(password), "***")
+        return LinkLost(
+            f"the history cannot be reached: {first}",
+            database=self.place.text,
+            hint="nothing is lost: the journal has it all, and `volcal history sync` feeds it again",
+        )
+
+
+def _engine(place: Place) -> Engine:
+    """No connection is kept: a run's end and a page's question are minutes apart, and servers are restarted."""
+    seconds = place.timeout_s
+    if place.is_file:
+        engine = create_engine(place.url, poolclass=NullPool, connect_args={"timeout": seconds})
+        event.listen(engine, "connect", _enforce_keys)
+        event.listen(engine, "begin", _begin_writing)
+        return engine
+    wait = max(int(seconds), 1)
+    options = f"-c statement_timeout={1000 * wait} -c lock_timeout={1000 * wait}"
+    return create_engine(
+        place.url,
+        poolclass=NullPool,
+        connect_args={"connect_timeout": wait, "options": options, "tcp_user_timeout": 1000 * wait},
+    )
+
+
+def _enforce_keys(connection: Any, _: object) -> None:
+    connection.isolation_level = None  # transactions are begun below, not by the driver
+    connection.execute("PRAGMA foreign_keys=ON")
+
+
+def _begin_writing(connection: Connection) -> None:
+    connection.exec_driver_sql("BEGIN IMMEDIATE")
+
+
+def _upsert(connection: Connection, values: Mapping[str, Any]) -> Any:
+    dialect: Any = postgresql if connection.dialect.name == "postgresql" else sqlite
+    changed = {name: value for name, value in values.items() if name not in ("machine", "run_id")}
+    return (
+        dialect.insert(StoredRun)
+        .values(**values)
+        .on_conflict_do_update(index_elements=["machine", "run_id"], set_=changed)
+    )
+
+
+def _moment(stamp: str | None) -> datetime | None:
+    return None if stamp is None else datetime.fromisoformat(stamp)

@@ -1,0 +1,52 @@
+"""Which events a report tells, and in what words.
+
+What happens at every position as it should (the first ball found again within its limit) is counted in one line;
+everything that asked for a decision is told as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from agent.history.run_record import Note, RunRecord
+from agent.report import EventLine
+
+
+def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
+    kept = [note for note in record.events if not _routine(note)]
+    drifts = [note for note in record.events if _drift_um(note) is not None]
+    lines = [EventLine(note.at, note.kind, in_words(note.record)) for note in kept]
+    if drifts:
+        largest = max(_drift_um(note) or 0.0 for note in drifts)
+        text = f"the first ball was found again in {len(drifts)} positions, at most {largest:.1f} µm away"
+        lines.append(EventLine(drifts[-1].at, "event", text))
+    return tuple(sorted(lines, key=lambda line: line.timestamp))
+
+
+def _routine(note: Note) -> bool:
+    record = note.record
+    drift_um = _drift_um(note)
+    if drift_um is not None:
+        return bool(drift_um <= record["limit_um"])
+    return note.kind == "asked" or str(record.get("step", "")).endswith("/found")
+
+
+def _drift_um(note: Note) -> float | None:
+    values = note.record.get("drift_um")
+    return None if values is None or "limit_um" not in note.record else float(np.linalg.norm(values))
+
+
+def in_words(record: Mapping[str, Any]) -> str:
+    """`name value, name value`; numbers to four digits, empty values left out."""
+    return ", ".join(f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None))
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_shown(part) for part in value) + "]"
+    return str(value)
