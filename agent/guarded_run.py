@@ -23,6 +23,7 @@ from agent.plans.measure import Measured
 from agent.plans.position import PositionRules
 from agent.plans.preparation import Prepared
 from agent.plans.recover import withdraw
+from agent.recording import record_probe
 from agent.rig import Rig
 from agent.table_image import table_of
 from drivers.clock import Clock
@@ -110,6 +111,7 @@ class GuardedRun(ABC):
     def _prepare_probe(self) -> Prepared:
         """Probe check and qualification; what they tell holds for all that is measured after."""
         prepared = self.progress.prepared = self._engine.run(self._job.preparing())
+        record_probe(self._journal, prepared)
         return prepared
 
     @property

@@ -17,7 +17,8 @@ from agent.execution.run_lock import run_lock
 from agent.execution.states import RunState
 from agent.execution.steps import Point, Record, Step
 from agent.execution.supervisor import Supervisor
-from agent.guarded_run import Means, Progress
+from agent.guarded_run import Means, Progress, attempt
+from agent.recording import record_inputs, record_outcome
 from agent.job import Job
 from agent.kinds.kind import FullCalibration, Kind, Ready
 from agent.last_accepted import write_copy
@@ -118,6 +119,7 @@ class _Session:
         progress = Progress()
         try:
             self._conduct.enter(RunState.PREFLIGHT)
+            record_inputs(self._journal, self._job)
             progress = self._on(rig)
         except VolcalError as error:
             progress.error = error
@@ -125,8 +127,9 @@ class _Session:
             self._conduct.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
         minutes = (self._clock.now() - started_s) / 60.0
         outcome = self._outcome(progress, minutes, wall_seconds() - began)
+        attempt("record the outcome", lambda: record_outcome(self._journal, outcome))
         if self._request.files:
-            outcome = write_results(self._job, outcome, progress, self._journal)
+            outcome = write_results(self._job, outcome, progress)
             write_copy(self._job.settings.state_directory, self._run_id)
         return Ended(outcome, progress.error)
 

@@ -12,6 +12,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from agent.service.gateway.settings import GatewaySettings
 from agent.service.opcua.settings import OpcUaSettings
+from agent.history.settings import HistorySettings
 from agent.service.settings import ServiceSettings
 from agent.temperature_settings import TemperatureSettings
 from twin.bodies import ProbeGeometry
@@ -222,6 +223,7 @@ class Settings(Strict):
     timing: TimingSettings = TimingSettings()
     preflight: PreflightSettings = PreflightSettings()
     service: ServiceSettings = ServiceSettings()
+    history: HistorySettings = HistorySettings()
     gateway: GatewaySettings = GatewaySettings()
     opcua: OpcUaSettings = OpcUaSettings()
 
@@ -242,7 +244,7 @@ class Settings(Strict):
     def resolved(self, base: Path) -> Settings:
         """The same with every path made absolute, starting from `base`."""
         paths = {name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
-        doors = {name: getattr(self, name).resolved(base) for name in ("service", "gateway", "opcua")}
+        doors = {name: getattr(self, name).resolved(base) for name in ("service", "gateway", "opcua", "history")}
         return self.model_copy(update={**paths, **doors})
 
 
