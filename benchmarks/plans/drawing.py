@@ -108,7 +108,7 @@ def draw(seed: int, directory: Path) -> Drawn:
 
 
 def _sizes(dice: Dice) -> Sizes:
-    length, balls = dice.between(300, 1800), dice.one_of(3, 3, 4, 4, 5, 7)
+    length, balls = dice.between(300, 1800), dice.one_of(3, 3, 3, 4, 4, 6)
     diameter = dice.between(8, 30)
     holder = dice.between(max(35.0, 1.5 * diameter), 120)
     tip = dice.between(1, 4)
@@ -195,7 +195,7 @@ def _artefact(sizes: Sizes) -> Document:
 def _procedure(dice: Dice, sizes: Sizes) -> Document:
     """Limits wide enough for the noise that is drawn; this is about motion."""
     approach = dice.between(1.5, 6)
-    touches = dice.one_of(*[5] * 16, 9, 9, 13, 25)
+    touches = dice.one_of(*[5] * 20, 9, 9, 13, 25)
     return {
         "procedure": {
             "touches_per_ball": touches,
@@ -215,8 +215,8 @@ def _procedure(dice: Dice, sizes: Sizes) -> Document:
             "radius_limit_um": 40.0,
             "drift_limit_um": 20.0,
         },
-        "probe_check": {"enabled": dice.chance(0.4), "touches": 3, "limit_um": 6.0},
-        "qualification": {"enabled": dice.chance(0.2)},
+        "probe_check": {"enabled": dice.chance(0.25), "touches": 3, "limit_um": 6.0},
+        "qualification": {"enabled": dice.chance(0.15)},
     }
 
 
@@ -226,7 +226,7 @@ def _with_positions(dice: Dice, settings: Document, directory: Path) -> Job:
     stations = sorted({dice.whole(1, places) for _ in range(dice.whole(1, 2))})
     provisional = {**settings, "procedure": {**settings["procedure"], "position_set": "S3", "stations": stations}}
     layout = prepare_job(Settings.model_validate(provisional), directory).layout
-    wanted, listed = dice.one_of(1, 1, 1, 1, 2, 3), list[Position]()
+    wanted, listed = dice.one_of(1, 1, 1, 1, 1, 1, 2, 3), list[Position]()
     held_at = dice.one_of(*stations)
     held: list[float] | None = None
     for _ in range(CANDIDATES):
@@ -291,7 +291,12 @@ def _scenario(dice: Dice, settings: Document, machine: Document, seed: int) -> S
             "standing_at": settings["stations"]["standing_at"] or dice.whole(1, len(settings["stations"]["places_mm"])),
             "start_mm": start,
             "seed": seed % 2**31,
-            "truth": {"seed": seed % 2**31, "legendre_order": 5, "scale": dice.between(0, 4), "deflection": False},
+            "truth": {
+                "seed": seed % 2**31,
+                "legendre_order": 5,
+                "scale": dice.one_of(0.0, 0.0, 0.0, dice.between(0, 4)),
+                "deflection": False,
+            },
             "trigger": {
                 "pretravel_um": dice.between(0, 15),
                 "lobing_um": dice.between(0, 1),

@@ -161,6 +161,12 @@ def cloud_of(job: Job, place: Array, centre: Array, rotation: Array) -> Cloud:
     )
 
 
+def _row(start: Array, end: Array) -> Array:
+    """(n, 3) points from `start` to `end`, both included."""
+    count = max(1, math.ceil(float(np.linalg.norm(end - start)) / SPACING_MM)) + 1
+    return np.asarray(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start))
+
+
 def look(seen: Seen, tips: Array, cloud: Cloud, figures: Figures) -> None:
     """Judge the tip centres `tips` (n, 3) among what stands."""
     for first in range(0, len(tips), CHUNK):

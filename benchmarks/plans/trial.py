@@ -7,7 +7,7 @@ import os
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -115,7 +115,9 @@ def _judge_world(trial: Trial, what: str, world: World) -> None:
         trial.failures.append(f"{what}: left {world.controller.motion.value}")
 
 
-def _carried_out(drawn: Drawn, kind: Moving, world: World, clock: AlarmClock, prepare) -> Ended:  # type: ignore[no-untyped-def]
+def _carried_out(
+    drawn: Drawn, kind: Moving, world: World, clock: AlarmClock, prepare: Callable[[Supervisor], None]
+) -> Ended:
     return carry_out(
         Request(
             drawn.job,
