@@ -17,6 +17,7 @@ from drivers.roles import (
     CompensationStore,
     Device,
     Machine,
+    MountsAtStations,
     Operator,
     Probe,
     RotaryMount,
@@ -89,18 +90,18 @@ def assemble_rehearsal(job: Job, clock: VirtualClock, start_mm: Point | None) ->
         "standing_at": settings.stations.standing_at or 1,
         "mount_behaviour": settings.timing.model_dump(include={"speed_deg_per_s", "acceleration_deg_per_s2"}),
         "ideal": True,
+        **_own_at_stations(job),
     }
     if start_mm is not None:
         options["start_mm"] = list(start_mm)
     context = DeviceContext("preflight", clock, settings.machine.parent)
     device = create_device(settings.preflight.driver, options, context)
     devices = {"preflight": device}
-    mount = in_role(devices, "preflight", RotaryMount, "preflight.driver")
     return Rig(
         devices=devices,
         machine=in_role(devices, "preflight", Machine, "preflight.driver"),
         probe=in_role(devices, "preflight", Probe, "preflight.driver"),
-        mounts=dict.fromkeys(range(1, len(settings.stations.places_mm) + 1), mount),
+        mounts={n: _mount(devices, "preflight", n, "preflight.driver") for n in _stations(settings)},
         store=in_role(devices, "preflight", CompensationStore, "preflight.driver"),
         thermometer=in_role(devices, "preflight", Thermometer, "preflight.driver"),
         operator=in_role(devices, "preflight", Operator, "preflight.driver"),
@@ -108,12 +109,29 @@ def assemble_rehearsal(job: Job, clock: VirtualClock, start_mm: Point | None) ->
     )
 
 
+def _own_at_stations(job: Job) -> dict[str, object]:
+    """What the simulated machine is told where each station has a mount of its own."""
+    change, settings = job.rules.change, job.settings
+    if not change.own_mounts:
+        return {}
+    return {
+        "own_mounts": True,
+        "artefacts": [str(path) for path in settings.stations.artefacts or ()],
+        "mounts_deg": [list(change.parked_deg)] * len(change.own_mounts),
+    }
+
+
 def _mounts(devices: Mapping[str, Device], settings: Settings) -> dict[int, RotaryMount]:
-    stations = range(1, len(settings.stations.places_mm) + 1)
     named = settings.roles.mount
     if isinstance(named, str):
-        return dict.fromkeys(stations, in_role(devices, named, RotaryMount, "roles.mount"))
-    missing = [station for station in stations if station not in named]
-    if missing:
-        raise ConfigurationError(f"station {missing[0]} has no mount", key=f"roles.mount.{missing[0]}")
-    return {n: in_role(devices, named[n], RotaryMount, f"roles.mount.{n}") for n in stations}
+        return {n: _mount(devices, named, n, "roles.mount") for n in _stations(settings)}
+    return {n: _mount(devices, named[n], n, f"roles.mount.{n}") for n in _stations(settings)}
+
+
+def _mount(devices: Mapping[str, Device], name: str, station: int, key: str) -> RotaryMount:
+    mount = in_role(devices, name, RotaryMount, key)
+    return mount.mount_at(station) if isinstance(mount, MountsAtStations) else mount
+
+
+def _stations(settings: Settings) -> range:
+    return range(1, len(settings.stations.places_mm) + 1)

@@ -19,9 +19,9 @@ from twin.position_set import Position
 
 
 class IdealMachine:
-    """Axes at `start_mm`, the mount's at zero. `spent(step, motion_s, beyond_s)` hears of every step that takes time.
+    """Axes at `start_mm`, the mount's at zero; mounts at every station begin where they are turned to first.
 
-    Every ball stands where `layout` has it; the probe trips at contact.
+    `spent(step, motion_s, beyond_s)` hears of every step that takes time. Every ball stands where `layout` has it; the probe trips at contact.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class IdealMachine:
         self._model = model
         self._spent = spent
         self._at_mm = start_mm
-        self._turned_deg = (0.0, 0.0)
+        self._turned_deg: dict[int, tuple[float, float]] = {}
         self._balls: list[Point] = []
 
     def actions(self) -> dict[type, Action]:
@@ -62,8 +62,11 @@ class IdealMachine:
 
     def _orient(self, step: s.OrientTo) -> Orientation:
         target_deg = (step.azimuth_deg, step.elevation_deg)
-        self._took(step, self._model.turn_s(self._turned_deg, target_deg))
-        self._turned_deg = target_deg
+        own_mounts = bool(self._layout.around)
+        mount = step.station if own_mounts else 0
+        before_deg = self._turned_deg.get(mount, target_deg if own_mounts else (0.0, 0.0))
+        self._took(step, self._model.turn_s(before_deg, target_deg))
+        self._turned_deg[mount] = target_deg
         nominal = self._layout.nominal(Position(step.station, step.azimuth_deg, step.elevation_deg))
         self._balls = [point(ball) for ball in nominal]
         return Orientation(*target_deg)

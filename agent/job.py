@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.execution.steps import Plan
-from agent.files import load_artefact, load_machine, load_positions, read_text, translated
+from agent.files import load_machine, load_positions, read_text, translated
 from agent.gates import GateLimits
 from agent.plans.closing import ClosingRules
 from agent.plans.measure import Measured, MeasuringOrder, by_station
@@ -18,6 +18,7 @@ from agent.plans.position import MeasuredBall, PositionRules
 from agent.plans.preparation import Preparation, Prepared, prepare_probe
 from agent.procedure_rules import course_of, layout_of, preparation_of, probing_of
 from agent.settings import Settings, parse_settings
+from agent.stations import check_stations, load_artefacts, station_change
 from agent.warmth import drift_limits_of, settling_of
 from drivers.errors import ConfigurationError, UserError
 from drivers.registry import check_options
@@ -64,7 +65,9 @@ class Job:
     def measuring(self) -> MeasuringOrder:
         """The set, and at the verified stations the held-out positions as they are before."""
         both = (*self.positions, *self.held_out)
-        return MeasuringOrder("measure", by_station(both, self.stations), self.settings.stations.standing_at)
+        carried = self.rules.change.moves_artefact
+        standing_at = self.settings.stations.standing_at if carried else None
+        return MeasuringOrder("measure", by_station(both, self.stations), standing_at)
 
     @property
     def closing(self) -> ClosingRules:
@@ -82,10 +85,10 @@ class Job:
         return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
 
     def balls_of(self, measured: Measured, *, held_out: bool) -> list[MeasuredBall]:
-        """The balls of the held-out positions, or of all others."""
+        """The balls of the held-out positions, or of all others, numbered as `artefact` has them."""
         kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
         return [
-            ball
+            replace(ball, ball=ball.ball + self.layout.first_ball(ball.station))
             for position in measured.positions
             for ball in position.balls
             if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
@@ -118,8 +121,9 @@ def prepare_job(settings: Settings, base: Path) -> Job:
 
     `base`: where a relative path of a position file starts.
     """
+    check_stations(settings)
     machine = load_machine(settings.machine)
-    artefact = load_artefact(settings.artefact)
+    artefacts = load_artefacts(settings)
     if settings.tool not in machine.tools:
         raise ConfigurationError(
             f"the machine has no tool {settings.tool!r}",
@@ -136,18 +140,24 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     )
     _refuse_overlap(positions, held_out)
     used = tuple(dict.fromkeys((*stations, *(p.station for p in positions), *verified)))
-    probing = probing_of(settings, artefact)
+    probing = probing_of(settings, artefacts.kind)
     job = Job(
         settings=settings,
         machine=machine,
-        artefact=artefact,
+        artefact=artefacts.all,
         positions=positions,
         held_out=held_out,
         stations=used,
         verified_stations=verified,
-        layout=layout_of(settings, machine, artefact, probing),
-        preparation=preparation_of(settings, machine, artefact, probing),
-        rules=PositionRules(probing, course_of(settings, machine), drift_limits_of(settings), settling_of(settings)),
+        layout=layout_of(settings, machine, artefacts, probing),
+        preparation=preparation_of(settings, machine, artefacts, probing),
+        rules=PositionRules(
+            probing,
+            course_of(settings, machine),
+            drift_limits_of(settings),
+            settling_of(settings),
+            station_change(settings),
+        ),
         gate_limits=GateLimits(**settings.gates.model_dump()),
     )
     _refuse_nothing_reachable(job)
@@ -180,9 +190,16 @@ def with_overrides(
 
 
 def _check_devices(settings: Settings) -> None:
-    """Every driver is installed and takes its options, every role has a device: known before anything is opened."""
+    """Every driver is installed and takes its options, no two want the same, every role has a device: known before
+    anything is opened."""
+    claimed: dict[str, str] = {}
     for name, device in settings.devices.items():
-        check_options(device.driver, device.options, name)
+        for claim, option in check_options(device.driver, device.options, name).items():
+            first = claimed.setdefault(claim, name)
+            if first != name:
+                raise ConfigurationError(
+                    f"{claim} belongs to device {first!r} already", key=f"devices.{name}.options.{option}"
+                )
     for role, named in settings.roles:
         for name in [named] if isinstance(named, str) else named.values():
             if name not in settings.devices:

@@ -6,18 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.plans.position import Course
+from agent.plans.course import Course
 from agent.plans.preparation import Preparation
 from agent.plans.probe_check import ProbeCheck
 from agent.plans.probing import BallLimits, FindFirst, Probing, Search
 from agent.plans.qualification import QualificationRules
 from agent.plans.reversal import ReversalCheck
+from agent.plans.traffic import Roads
 from agent.settings import Settings
+from agent.stations import Artefacts, bodies_around
+from agent.time_model import time_model
 from drivers.errors import ConfigurationError
 from twin.access import STYLUS_AXIS
 from twin.artefact import Artefact
 from twin.layout import Layout
 from twin.machine_description import MachineDescription
+from twin.paths import Dynamics
 from twin.touch_pattern import QUALIFYING_RINGS, approach_directions, directions_of
 
 MM_PER_UM = 1e-3
@@ -50,10 +54,10 @@ def probing_of(settings: Settings, artefact: Artefact) -> Probing:
 
 
 def preparation_of(
-    settings: Settings, machine: MachineDescription, artefact: Artefact, probing: Probing
+    settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing
 ) -> Preparation:
     """Raises ConfigurationError for a datum ball that the artefact does not have."""
-    _refuse_unknown_datum(settings, artefact)
+    _refuse_unknown_datum(settings, artefacts.kind)
     check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
     dense = replace(probing, directions=directions_of(QUALIFYING_RINGS, STYLUS_AXIS))
     limit_mm = qualifying.limit_um * MM_PER_UM
@@ -63,7 +67,7 @@ def preparation_of(
     return Preparation(
         check=ProbeCheck(check.touches, check.limit_um * MM_PER_UM) if check.enabled else None,
         qualification=rules if qualifying.enabled else None,
-        layout=layout_of(settings, machine, artefact, dense),
+        layout=layout_of(settings, machine, artefacts, dense),
         reversal=ReversalCheck(turning.touches, turning.limit_um * MM_PER_UM, turning.on_excess == "stop")
         if turning.enabled
         else None,
@@ -80,12 +84,12 @@ def _refuse_unknown_datum(settings: Settings, artefact: Artefact) -> None:
         )
 
 
-def layout_of(settings: Settings, machine: MachineDescription, artefact: Artefact, probing: Probing) -> Layout:
+def layout_of(settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing) -> Layout:
     """What the pattern of `probing` needs of the travel is taken off it."""
     travel = np.array(machine.limits)
     below, above = probing.room_mm
     return Layout(
-        artefact=artefact,
+        artefact=artefacts.all,
         mount=settings.mount,
         probe=settings.probe,
         places_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
@@ -95,6 +99,8 @@ def layout_of(settings: Settings, machine: MachineDescription, artefact: Artefac
         contact_mm=probing.contact_mm,
         approach_mm=probing.wide.approach_mm,
         directions=probing.directions,
+        own_artefacts=artefacts.own,
+        around=bodies_around(settings, artefacts),
     )
 
 
@@ -111,4 +117,20 @@ def course_of(settings: Settings, machine: MachineDescription) -> Course:
                 key="stations.park_distance_mm",
             )
         park[number] = target
-    return Course(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park)
+    roads = roads_of(settings, machine) if settings.procedure.paths == "shortest" else None
+    return Course(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park, roads=roads)
+
+
+def roads_of(settings: Settings, machine: MachineDescription) -> Roads:
+    """By the same dynamics and latencies that machine time is reckoned with."""
+    chosen, times = settings.procedure, time_model(machine, settings.timing)
+    travel = np.array(machine.limits)
+    return Roads(
+        stylus_axis=STYLUS_AXIS,
+        lower_mm=travel[:, 0],
+        upper_mm=travel[:, 1],
+        dynamics=Dynamics(times.rapid_mm_per_s, times.acceleration_mm_per_s2, times.command_latency_s),
+        clearance_mm=chosen.clearance_mm,
+        known_mm=chosen.recentre_mm,
+        unknown_mm=chosen.wide_approach_mm,
+    )

@@ -52,11 +52,27 @@ class RoleSettings(Strict):
 
 
 class StationSettings(Strict):
-    """`places_mm`: foot of the mount at each station (counted from 1), workpiece frame."""
+    """`places_mm`: foot of the mount at each station (counted from 1), workpiece frame.
+
+    Where each station has a mount of its own: `artefacts`, one file a station, if nothing is carried; `parked_deg`:
+    azimuth and elevation of every mount but the one that is measured at.
+    """
 
     places_mm: list[Coordinates] = Field(min_length=1)
     standing_at: PositiveInt | None = None
+    artefacts: list[Path] | None = Field(default=None, min_length=1)
+    parked_deg: tuple[Annotated[float, Field(ge=-180.0, le=180.0)], Annotated[float, Field(ge=-90.0, le=90.0)]] = (
+        0.0,
+        90.0,
+    )
     park_distance_mm: PositiveFloat = 1000.0
+
+
+    def resolved(self, base: Path) -> StationSettings:
+        """The same with every path made absolute, starting from `base`."""
+        if self.artefacts is None:
+            return self
+        return self.model_copy(update={"artefacts": [(base / path).resolve() for path in self.artefacts]})
 
 
 class ProcedureSettings(Strict):
@@ -72,6 +88,9 @@ class ProcedureSettings(Strict):
     wide_search_mm: PositiveFloat = Field(default=8.0, le=20.0)
     recentre_mm: PositiveFloat = 0.3
     retract_mm: PositiveFloat = 45.0
+    paths: Literal["shortest", "plain"] = "shortest"
+    clearance_mm: PositiveFloat = Field(default=1.0, le=50.0)
+    reorder: bool = True
     touch_stages: Literal[1, 2] = 1
     find_feed_mm_per_min: PositiveFloat = Field(default=1000.0, le=3000.0)
     back_off_mm: PositiveFloat = Field(default=1.0, le=10.0)
@@ -245,7 +264,7 @@ class Settings(Strict):
         """The same with every path made absolute, starting from `base`."""
         paths = {name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
         doors = {name: getattr(self, name).resolved(base) for name in ("service", "gateway", "opcua", "history")}
-        return self.model_copy(update={**paths, **doors})
+        return self.model_copy(update={**paths, **doors, "stations": self.stations.resolved(base)})
 
 
 def parse_settings(text: str, source: str) -> Settings:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.execution.steps import (
-    AskOperator,
     CheckPermissions,
     CheckProbe,
     Plan,
@@ -16,8 +15,9 @@ from agent.execution.steps import (
     ReadTemperatures,
     Record,
 )
+from agent.plans.changing import change_station
 from agent.plans.position import MeasuredPosition, PositionRules, PositionTask, measure_position
-from drivers.roles import OperatorRequest, OperatorTask
+from agent.plans.shortest import pilot_of
 from twin.layout import Layout
 from twin.position_set import Position
 from twin.procedure import FEWEST_BALLS
@@ -28,7 +28,8 @@ from twin.standing import Standing
 class MeasuringOrder:
     """What is to be measured: `prefix` begins every key; positions in order, stations contiguous.
 
-    `standing_at` is the station where the artefact stands when the plan begins; None when nobody knows.
+    `standing_at` is the station where the artefact stands when the plan begins; None when nobody knows, and where every
+    station has its own and all mounts are parked.
     """
 
     prefix: str
@@ -71,10 +72,19 @@ def measure_positions(
     done: list[MeasuredPosition] = []
     left_out: list[str] = []
     unreachable = 0
+    pilot = pilot_of(rules.course, rules.probing, layout)
+    inside = ""
     for index, position in enumerate(order.positions):
         if position.station != stands_at:
-            stands_at = yield from carry_to(order.prefix, position.station, index)
-            standings.pop(position.station, None)
+            if inside:
+                yield from pilot.leave(inside, done[-1].balls[0].found.centre_mm)
+                inside = ""
+            here = yield from change_station(
+                order.prefix, rules.change, rules.course, here, leaving=stands_at, to=position.station, index=index
+            )
+            stands_at = position.station
+            if rules.change.moves_artefact:
+                standings.pop(position.station, None)
         standing = standings.get(position.station, Standing.as_stated())
         nominal = layout.nominal(position)
         predicted = standing.carried(nominal)
@@ -87,10 +97,13 @@ def measure_positions(
             continue
         task = PositionTask(key, index, position.station, position.azimuth_deg, position.elevation_deg, predicted, mask)
         before = [ball.conditions for ball in done[-1].balls] if done else []
-        measured = yield from measure_position(task, here, rules, before)
+        measured = yield from measure_position(task, here, rules, before, pilot)
         standings[position.station] = standing.having_found(nominal[measured.ball_numbers], measured.centres_mm)
         here = np.array((yield ReadPosition(f"{key}/here")))
         done.append(measured)
+        inside = key
+    if inside:
+        yield from pilot.leave(inside, done[-1].balls[0].found.centre_mm)
     return Measured(tuple(done), tuple(left_out), unreachable, stands_at, standings)
 
 
@@ -102,15 +115,3 @@ def position_key(position: Position) -> str:
 def by_station(positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
     """Positions in the order of `stations`, their own order kept within each."""
     return tuple(p for station in stations for p in positions if p.station == station)
-
-
-def carry_to(prefix: str, station: int, index: int) -> Plan[int]:
-    """Have the operator put artefact and mount at `station`, and see that motion is permitted again."""
-    request = OperatorRequest(
-        OperatorTask.MOVE_ARTEFACT,
-        f"Put the artefact and its mount at station {station}, clamp it, clear the workspace, close the doors.",
-        station,
-    )
-    yield AskOperator(f"{prefix}/carry-{index}-to-station-{station}", request)
-    yield CheckPermissions(f"{prefix}/carry-{index}/permissions")
-    return station

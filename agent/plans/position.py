@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.execution.steps import MoveTo, OrientTo, Plan, Record
-from agent.plans.ball import BallFound, BallLost, measure_ball, point
+from agent.execution.steps import Plan, Record
+from agent.plans.ball import BallFound, BallLost, measure_ball
+from agent.plans.changing import StationChange
 from agent.plans.conditions import Conditions, read_conditions
+from agent.plans.course import Course
 from agent.plans.drift import DriftLimits, judge_drift
+from agent.plans.pilot import Pilot, PlainPilot
 from agent.plans.probing import Probing, Search
 from agent.plans.settling import SettlingRules, settled
 from drivers.errors import MeasurementFault
@@ -35,37 +38,6 @@ class PositionTask:
     @property
     def balls(self) -> list[int]:
         return [int(i) for i in np.flatnonzero(self.reachable)]
-
-
-@dataclass(frozen=True)
-class Course:
-    """Where it is safe to be: the way between positions.
-
-    `retreat_axis` is the axis the stylus points along, `retreat_mm` the axis position on it that no part of
-    artefact or mount reaches; `park_mm` the X position at each station's mount, clear of the turning artefact.
-    """
-
-    retreat_axis: int
-    retreat_mm: float
-    station_axis: int
-    park_mm: Mapping[int, float]
-
-    def retreated(self, position: Array) -> Array:
-        out = position.copy()
-        out[self.retreat_axis] = self.retreat_mm
-        return out
-
-    def above(self, centre: Array, probing: Probing) -> Array:
-        """Where the tip clears the balls beside: back from a ball along the stylus, inside the travel."""
-        out = centre - probing.stylus_axis * (probing.contact_mm + probing.retract_mm)
-        towards = np.sign(probing.stylus_axis[self.retreat_axis])
-        out[self.retreat_axis] = towards * max(towards * out[self.retreat_axis], towards * self.retreat_mm)
-        return out
-
-    def parked(self, position: Array, station: int) -> Array:
-        out = self.retreated(position)
-        out[self.station_axis] = self.park_mm[station]
-        return out
 
 
 @dataclass(frozen=True)
@@ -129,42 +101,47 @@ class PositionRules:
     course: Course
     drift: DriftLimits
     settling: SettlingRules = field(default_factory=SettlingRules)
+    change: StationChange = field(default_factory=StationChange)
 
 
 def measure_position(
-    task: PositionTask, here: Array, rules: PositionRules, before: Sequence[Conditions] = ()
+    task: PositionTask,
+    here: Array,
+    rules: PositionRules,
+    before: Sequence[Conditions] = (),
+    pilot: Pilot | None = None,
 ) -> Plan[MeasuredPosition]:
-    """Measure every reachable ball of `task`; begins and ends at the retreat plane.
+    """Measure every reachable ball of `task`; ends at the retreat plane, where `pilot` does not go on to the next.
 
     `here` (3,): the axis positions at which the machine stands when the plan begins. Both end balls come first
     (wide search), the rest is aligned to them; the first ball is measured again last, for drift. `before`: conditions
     in which the position before was measured; where the artefact has not settled, nothing moves until it has.
     """
-    probing, course = rules.probing, rules.course
-    yield MoveTo(f"{task.key}/retreat", point(course.retreated(here)))
-    yield MoveTo(f"{task.key}/park", point(course.parked(here, task.station)))
-    yield OrientTo(f"{task.key}/orient", task.station, task.azimuth_deg, task.elevation_deg)
+    own = pilot or PlainPilot(rules.course, rules.probing)
+    first, between, last = own.sequence(task)
+    yield from own.turn(task, here)
     yield from settled(task.key, rules.settling, before)
-    measuring = _Measuring(task, rules)
-    first, *between, last = task.balls
-    yield MoveTo(f"{task.key}/enter", point(course.retreated(course.above(task.predicted_mm[first], probing))))
+    measuring = _Measuring(task, rules, own)
+    yield from own.enter(task, first)
     found_first = yield from measuring.end_ball(first)
     found_last = yield from measuring.end_ball(last)
     aligned = align_to_ends(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
-    for ball in reversed(between):
+    own.align(aligned)
+    for ball in between:
         yield from measuring.ball(ball, aligned[ball])
     drift = yield from measuring.drift(first, found_first, rules.drift)
-    yield MoveTo(f"{task.key}/leave", point(course.retreated(course.above(found_first.centre_mm, probing))))
+    if pilot is None:
+        yield from own.leave(task.key, found_first.centre_mm)
     return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, drift, measuring.again)
 
 
 class _Measuring:
     """Measures balls of one position and keeps what was found, lost and touched."""
 
-    def __init__(self, task: PositionTask, rules: PositionRules) -> None:
+    def __init__(self, task: PositionTask, rules: PositionRules, pilot: Pilot) -> None:
         self._task = task
         self._probing = rules.probing
-        self._course = rules.course
+        self._pilot = pilot
         self._thermometers = rules.settling.thermometers
         self.found: list[MeasuredBall] = []
         self.again: MeasuredBall | None = None
@@ -185,7 +162,7 @@ class _Measuring:
     def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[BallFound | BallLost]:
         """One ball for the record; journaled as soon as it is known."""
         key = f"{self._task.key}/ball-{ball:02d}"
-        result = yield from self._approach_and_measure(key, predicted, search or self._probing.narrow)
+        result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow)
         if isinstance(result, BallLost):
             self.lost += 1
             yield Record(f"{key}/lost", "event", {"ball": ball, "reason": result.reason})
@@ -198,7 +175,7 @@ class _Measuring:
     def drift(self, first: int, found: BallFound, limits: DriftLimits) -> Plan[Array]:
         """The first ball again: (3,) mm by which it seems to have moved; NaN where it was lost."""
         key = f"{self._task.key}/ball-{first:02d}/again"
-        again = yield from self._approach_and_measure(key, found.centre_mm, self._probing.narrow)
+        again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow)
         if isinstance(again, BallLost):
             yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})
             return np.full(3, np.nan)
@@ -212,10 +189,11 @@ class _Measuring:
         task = self._task
         return MeasuredBall(task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, found, conditions)
 
-    def _approach_and_measure(self, key: str, predicted: Array, search: Search) -> Plan[BallFound | BallLost]:
-        yield MoveTo(f"{key}/approach", point(self._course.above(predicted, self._probing)))
-        result = yield from measure_ball(key, predicted, self._probing, search)
+    def _approach_and_measure(
+        self, key: str, ball: int, predicted: Array, search: Search
+    ) -> Plan[BallFound | BallLost]:
+        yield from self._pilot.to_ball(key, predicted)
+        result = yield from measure_ball(key, predicted, self._probing, search, self._pilot.way_at(ball))
         self.touches += result.touches
-        at = result.centre_mm if isinstance(result, BallFound) else predicted
-        yield MoveTo(f"{key}/withdraw", point(self._course.above(at, self._probing)))
+        yield from self._pilot.from_ball(key, result.centre_mm if isinstance(result, BallFound) else predicted)
         return result

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
 from agent.plans.ball import BallFound, BallLost, measure_ball, point
-from agent.plans.measure import MeasuringOrder, carry_to, position_key
+from agent.plans.changing import change_station, park_mounts
+from agent.plans.measure import MeasuringOrder, position_key
 from agent.plans.position import PositionRules
 from agent.plans.probe_check import ProbeCheck, Repeatability, check_repeatability
 from agent.plans.qualification import Qualification, QualificationRules, qualify_stylus
@@ -62,6 +63,7 @@ def prepare_probe(
 
     Raises MeasurementFault where the ball is not found, the probe does not repeat, or the ball is no ball.
     """
+    yield from _mounts_parked(rules)
     if preparation.nothing:
         return Prepared(rules, order.standing_at)
     position, ball, preparation = yield from _datum(order, layout, preparation)
@@ -69,13 +71,24 @@ def prepare_probe(
     yield CheckPermissions(f"{key}/permissions")
     yield CheckProbe(f"{key}/probe")
     if position.station != order.standing_at:
-        yield from carry_to(PREFIX, position.station, 0)
+        here = np.array((yield ReadPosition(f"{key}/before")))
+        yield from change_station(
+            PREFIX, rules.change, rules.course, here, leaving=order.standing_at, to=position.station, index=0
+        )
     predicted = layout.nominal(position)[ball]
     yield from _go_to(key, position, predicted, rules)
     found = yield from _found(f"{key}/ball-{ball:02d}", predicted, rules)
     prepared = yield from _looked_at(f"{key}/ball-{ball:02d}", found.centre_mm, rules, preparation)
     yield MoveTo(f"{key}/leave", point(rules.course.retreated(rules.course.above(found.centre_mm, rules.probing))))
     return replace(prepared, standing_at=position.station)
+
+
+def _mounts_parked(rules: PositionRules) -> Plan[None]:
+    """Nobody knows how mounts stand that a person or an earlier run has left."""
+    if rules.change.own_mounts:
+        yield CheckPermissions(f"{PREFIX}/mounts/permissions")
+        here = np.array((yield ReadPosition(f"{PREFIX}/mounts/here")))
+        yield from park_mounts(f"{PREFIX}/mounts", rules.change, rules.course, here, rules.change.own_mounts)
 
 
 def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[Prepared]:

@@ -36,7 +36,9 @@ def standing_bodies(job: Job, position: Position) -> tuple[Body, ...]:
     place = job.layout.place(position.station)
     pose = _pose(job, position, place)
     geometry = job.layout.mount
-    return (*artefact_bodies(job.artefact, geometry, pose), *mount_bodies(geometry, place, pose))
+    artefact = job.layout.artefact_at(position.station)
+    around = job.layout.around.get(position.station, ())
+    return (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place, pose), *around)
 
 
 def why_not(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
