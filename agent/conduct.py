@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -25,7 +26,10 @@ Listener = Callable[[Announcement], None]
 class Conduct:
     """Owns the state of one run."""
 
-    def __init__(self, journal: RunJournal, listener: Listener) -> None:
+    def __init__(self, journal: RunJournal, listener: Listener, replayed: deque[RunState] | None = None) -> None:
+        """`replayed`: states that a run which is gone on with has been in; entered again, they are no news."""
+        self._replayed = deque[RunState]() if replayed is None else replayed
+        self._silent = False
         self._journal = journal
         self._listener = listener
         self.state = RunState.IDLE
@@ -36,6 +40,19 @@ class Conduct:
         if not may_follow(self.state, state):
             raise ValueError(f"no way from {self.state.value} to {state.value}")
         self.state = state
+        if self._replayed and self._replayed[0] is state:
+            self._replayed.popleft()
+            self._silent = True
+            return
+        self._announce(reason)
+
+    def announce_again(self) -> None:
+        """A replay is over: say where the run goes on."""
+        if self._silent:
+            self._announce("gone on with")
+
+    def _announce(self, reason: str) -> None:
+        state, self._silent = self.state, False
         try:
             self._journal.state(state, reason, final=state in FINAL)
         finally:

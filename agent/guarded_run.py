@@ -27,7 +27,8 @@ from agent.recording import record_probe
 from agent.rig import Rig
 from agent.table_image import table_of
 from drivers.clock import Clock
-from drivers.errors import Aborted, GateRefused, JournalFailed, LinkError, VolcalError
+from drivers.errors import Aborted, GateRefused, JournalFailed, LinkError, PlanDiverged, VolcalError
+from drivers.roles import Activation
 
 
 @dataclass
@@ -115,6 +116,16 @@ class GuardedRun(ABC):
         return prepared
 
     @property
+    def activation(self) -> Activation:
+        """When an activated bank takes effect."""
+        return self._rig.store.store_limits().activation
+
+    @property
+    def rules(self) -> PositionRules:
+        """With what is known of the stylus by now."""
+        return self._rules
+
+    @property
     def _rules(self) -> PositionRules:
         prepared = self.progress.prepared
         return self._job.rules if prepared is None else prepared.rules
@@ -130,11 +141,12 @@ class GuardedRun(ABC):
         """Stop, withdraw, restore; whatever cannot be done is said beside the first cause."""
         aborted = isinstance(error, Aborted)
         self._supervisor.shield()
+        self._engine, self._journal = self._engine.aside(), self._journal.aside()
         if isinstance(error, JournalFailed):
             self._engine = self._engine.without_journal()
         complaints = attempt("record the state", lambda: self._conduct.enter(RunState.ABORTING, str(error)))
         complaints += self._rig.stop()
-        if not isinstance(error, LinkError):
+        if not isinstance(error, (LinkError, PlanDiverged)):
             complaints += attempt("bring the axes to a standstill", self._rig.await_standstill)
             complaints += attempt("withdraw the probe", self._withdraw)
         not_restored = self._attempt_restore()
@@ -164,7 +176,7 @@ class GuardedRun(ABC):
     def _restore(self, *, after_fault: bool) -> None:
         found = self.progress.found
         assert found is not None  # noqa: S101  read before anything is written
-        self._engine.run(publish.restore(found.bank, after_fault=after_fault))
+        self._engine.run(publish.restore(found.bank, after_fault=after_fault, activation=self.activation))
         self.progress.active_bank = found.bank
         attempt("record what was restored", lambda: self._journal.table("restored", found.bank, found.table))
 

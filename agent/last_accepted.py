@@ -30,16 +30,18 @@ COPY_NAME = "last-accepted.json"
 
 _ACCEPTED, _FULL_NEEDED = "accepted", "full-calibration-needed"
 _SECONDS_A_NIGHT = 86400.0
+_ANY_RUN = 2**62
 
 _LAST = (
     "SELECT runs.run_id, decisions.at, decisions.record, "
     "(SELECT record FROM estimates WHERE estimates.run = decisions.run ORDER BY estimates.rowid DESC LIMIT 1) "
-    "FROM decisions JOIN runs USING (run) WHERE decisions.kind = ? ORDER BY decisions.rowid DESC LIMIT 1"
+    "FROM decisions JOIN runs USING (run) WHERE decisions.kind = ? AND decisions.run < ? "
+    "ORDER BY decisions.rowid DESC LIMIT 1"
 )
 _PENDING = (
     "SELECT runs.run_id, decisions.at, decisions.record FROM decisions JOIN runs USING (run) "
-    "WHERE decisions.kind = ? AND decisions.rowid > "
-    "coalesce((SELECT max(rowid) FROM decisions WHERE kind = ?), 0) ORDER BY decisions.rowid DESC LIMIT 1"
+    "WHERE decisions.kind = ? AND decisions.run < ? AND decisions.rowid > "
+    "coalesce((SELECT max(rowid) FROM decisions WHERE kind = ? AND run < ?), 0) ORDER BY decisions.rowid DESC LIMIT 1"
 )
 
 
@@ -96,15 +98,15 @@ def record_full_needed(journal: RunJournal, reason: str) -> None:
 def write_copy(directory: Path, run_id: str) -> None:
     """Lay the estimate of `run_id` beside the journal where that is the last accepted night. InputError where the
     journal cannot be read or the directory not be written."""
-    row = _one(directory, _LAST, (_ACCEPTED,))
+    row = _one(directory, _LAST, (_ACCEPTED, _ANY_RUN))
     if row is not None and row[0] == run_id and row[3] is not None:
         write_atomically(directory / COPY_NAME, row[3])
 
 
-def last_accepted(directory: Path) -> LastAccepted | None:
-    """From the journal in the state directory; None where no night was accepted yet. InputError where it cannot be
-    read."""
-    row = _one(directory, _LAST, (_ACCEPTED,))
+def last_accepted(directory: Path, before_run: int = _ANY_RUN) -> LastAccepted | None:
+    """From the journal in the state directory, as runs `before_run` have left it; None where no night was accepted yet.
+    InputError where it cannot be read."""
+    row = _one(directory, _LAST, (_ACCEPTED, before_run))
     if row is None:
         return None
     run_id, since, record, estimate = row
@@ -116,22 +118,22 @@ def last_accepted(directory: Path) -> LastAccepted | None:
     return LastAccepted(run_id, since, Accepted(**document), parse_estimate(estimate, source))
 
 
-def full_needed(directory: Path) -> FullNeeded | None:
+def full_needed(directory: Path, before_run: int = _ANY_RUN) -> FullNeeded | None:
     """The decision that no accepted night has answered yet."""
-    row = _one(directory, _PENDING, (_FULL_NEEDED, _ACCEPTED))
+    row = _one(directory, _PENDING, (_FULL_NEEDED, before_run, _ACCEPTED, before_run))
     return None if row is None else FullNeeded(row[0], row[1], json.loads(row[2])["reason"])
 
 
-def accepted_for(job: Job) -> LastAccepted | None:
+def accepted_for(job: Job, before_run: int = _ANY_RUN) -> LastAccepted | None:
     """The last accepted night of the job's machine; None where there is none or where it was of another one."""
-    last = last_accepted(job.settings.state_directory)
+    last = last_accepted(job.settings.state_directory, before_run)
     return None if last is None or strangeness(job, last) else last
 
 
-def require_accepted(job: Job) -> LastAccepted:
+def require_accepted(job: Job, before_run: int = _ANY_RUN) -> LastAccepted:
     """The same; ConfigurationError with the reason where there is none to be compared with."""
     directory = job.settings.state_directory
-    last = last_accepted(directory)
+    last = last_accepted(directory, before_run)
     if last is None:
         raise ConfigurationError(
             "no night was accepted yet, so there is nothing to compare with",
@@ -169,7 +171,7 @@ def strangeness(job: Job, last: LastAccepted) -> str:
     return ""
 
 
-def _one(directory: Path, query: str, values: tuple[str, ...]) -> tuple[Any, ...] | None:
+def _one(directory: Path, query: str, values: tuple[str | int, ...]) -> tuple[Any, ...] | None:
     path = directory / FILE_NAME
     if not path.is_file():
         return None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar, cast
 
@@ -16,10 +17,12 @@ from drivers.errors import (
     ConfigurationError,
     DeviceError,
     MeasurementFault,
+    NotActiveYet,
     PermissionMissing,
     VolcalError,
 )
 from drivers.roles import (
+    Activation,
     CompensationStore,
     Device,
     Machine,
@@ -31,9 +34,23 @@ from drivers.roles import (
     RotaryMount,
     Thermometer,
     Touch,
+    Traced,
 )
 
 Role = TypeVar("Role")
+
+AFTER = {
+    Activation.IMMEDIATE: "the controller has taken it over",
+    Activation.RESET: "a reset of the controller",
+    Activation.POWER_CYCLE: "the controller has been switched off and on",
+    Activation.REFERENCE: "the axes have been referenced",
+}
+DO = {
+    Activation.IMMEDIATE: "look at the controller",
+    Activation.RESET: "reset the controller",
+    Activation.POWER_CYCLE: "switch the controller off and on",
+    Activation.REFERENCE: "reference the axes",
+}
 
 STANDSTILL_WITHIN_S = 10.0
 """Generous: 20 m/min is braked with 0.5 m/s² in 0.7 s."""
@@ -92,11 +109,28 @@ class Rig:
             deadline.require("standstill after a stop", hint="look at the machine before anything else")
             self.clock.sleep(STANDSTILL_POLL_S)
 
-    def actions(self) -> dict[type, Action]:
-        """What each type of step has done, for the engine."""
+    def actions(self, run: int | None = None) -> dict[type, Action]:
+        """What each type of step has done, for the engine. `run`: its number, where the devices are to be told which
+        step of which run moves them."""
+        told = _nobody if run is None else self._told(run)
+
+        def move(step: s.MoveTo) -> None:
+            told(step.key)
+            self._move(step)
+
+        def retrace(step: s.Retrace) -> None:
+            told(step.of)
+            target = np.array(step.target_mm)
+            self.machine.move_to(target, feed_mm_per_s=step.feed_mm_per_s, guarded=True)
+
+        def touch(step: s.TouchTowards) -> Touch | Miss:
+            told(step.key)
+            return self._touch(step)
+
         return {
-            s.MoveTo: self._move,
-            s.TouchTowards: self._touch,
+            s.MoveTo: move,
+            s.Retrace: retrace,
+            s.TouchTowards: touch,
             s.HomeMount: lambda step: self.mounts[step.station].home(),
             s.OrientTo: self._orient,
             s.ReadTemperatures: lambda _: dict(self.thermometer.temperatures_c()),
@@ -109,10 +143,22 @@ class Rig:
             s.Dwell: lambda step: self.clock.sleep(step.duration_s),
             s.Record: lambda _: None,
             s.ReadActiveBank: lambda _: self.store.active_bank(),
+            s.AwaitActive: self._await_active,
             s.ReadTable: lambda step: self.store.read_table(step.bank),
             s.StageTable: lambda step: self.store.stage(step.bank, step.table),
             s.ActivateBank: lambda step: self.store.activate(step.bank),
         }
+
+    def _told(self, run: int) -> Callable[[str], None]:
+        """Tells every device that wants to know which step comes next."""
+        traced = [device for device in self.devices.values() if isinstance(device, Traced)]
+
+        def tell(key: str) -> None:
+            tag = step_tag(run, key)
+            for device in traced:
+                device.trace(tag)
+
+        return tell if traced else _nobody
 
     def _move(self, step: s.MoveTo) -> None:
         self.machine.move_to(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s, guarded=step.guarded)
@@ -147,9 +193,27 @@ class Rig:
             if not given:
                 raise MeasurementFault(f"{text} {status.detail}".strip(), hint=hint)
 
+    def _await_active(self, step: s.AwaitActive) -> None:
+        if self.store.pending_bank() == step.bank:
+            event = self.store.store_limits().activation
+            raise NotActiveYet(
+                f"bank {step.bank} is written and acts only after {AFTER[event]}",
+                hint=f"{DO[event]}, then `volcal resume` goes on",
+                bank=step.bank,
+            )
+
     def _ask(self, step: s.AskOperator) -> None:
         if not self.operator.ask(step.request):
             raise Aborted(f"the operator said no to: {step.request.text}")
+
+
+def step_tag(run: int, key: str) -> int:
+    """CRC-32 of ``RUN/KEY``, never 0: 32 bits that a controller can show and log beside its own."""
+    return zlib.crc32(f"{run}/{key}".encode()) or 1
+
+
+def _nobody(_: str) -> None:
+    """No device wants to know."""
 
 
 def in_role(devices: Mapping[str, Device], name: str, role: type[Role], key: str) -> Role:

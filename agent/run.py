@@ -22,7 +22,7 @@ from agent.plans.measure import Measured, measure_positions
 from agent.plans.position import MeasuredBall
 from agent.recording import record_held_out, record_identified
 from agent.table_image import image_of
-from drivers.errors import MeasurementFault
+from drivers.errors import MeasurementFault, NotActiveYet
 from drivers.roles import TableImage
 from twin.formats.estimate_file import format_estimate
 
@@ -96,7 +96,13 @@ class CalibrationRun(GuardedRun):
         self._journal.table("staged", bank, image)
         enter(RunState.ACTIVATING)
         progress.active_bank = bank
-        self._engine.run(publish.activate("activate", bank))
+        try:
+            self._engine.run(publish.activate("activate", bank, self.activation))
+        except NotActiveYet as waiting:
+            # Nothing has gone wrong: the run is gone on with when the controller has done its part.
+            progress.error = waiting
+            enter(RunState.WRITTEN, str(waiting))
+            return
         enter(RunState.VERIFYING)
         self._verify(finding, measured, image)
 

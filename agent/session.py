@@ -6,23 +6,24 @@ import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 
 from agent.assembly import LOCKSTEP_SLICE_S, assemble, closed_after, make_clock
+from agent.beginning import Beginning, Fresh, Wanted
 from agent.conduct import Conduct, Listener
-from agent.execution.engine import Engine, Observer
+from agent.execution.engine import Observer
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.run_lock import run_lock
 from agent.execution.states import RunState
-from agent.execution.steps import Point, Record, Step
+from agent.execution.steps import Record, Step
 from agent.execution.supervisor import Supervisor
 from agent.guarded_run import Means, Progress, attempt
-from agent.recording import record_inputs, record_outcome
 from agent.job import Job
 from agent.kinds.kind import FullCalibration, Kind, Ready
+from agent.kinds.outset import Outset
 from agent.last_accepted import write_copy
 from agent.outcome import Outcome
+from agent.recording import record_outcome
 from agent.rehearsal import Rehearsal
 from agent.rig import Rig
 from agent.settings import Settings
@@ -44,6 +45,8 @@ class Request:
     `clock` and `rig`: instead of those that the settings describe, for a machine that somebody holds already. `files`:
     whether results are written as files too; the journal has them anyway. `asked`: who wanted it and how, kept with
     the run. `lock`: what keeps everybody else from the machine meanwhile. `observer` sees every step and its result.
+    `passed` is handed what has passed its preflight, and may still refuse it.
+    `beginning`: anew, or where a run that broke off goes on.
     """
 
     job: Job
@@ -58,6 +61,8 @@ class Request:
     asked: Mapping[str, object] = field(default_factory=dict)
     lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
     observer: Observer | None = None
+    passed: Callable[[Ready], None] = lambda _: None
+    beginning: Beginning = field(default_factory=Fresh)
 
 
 @dataclass(frozen=True)
@@ -82,13 +87,12 @@ def carry_out(request: Request) -> Ended:
         supervisor = Supervisor(outer)
         request.interrupts(supervisor)
         slice_s = LOCKSTEP_SLICE_S if isinstance(outer, LockstepClock) else INTERRUPT_SLICE_S
-        clock = WatchedClock(outer, supervisor.check, slice_s)
+        clock = WatchedClock(request.beginning.clock(outer), supervisor.check, slice_s)
         rig = (request.rig or assemble)(settings, clock, request.base)
-        document = settings.model_dump(mode="json")
-        run_journal = journal.start_run(run_id, request.kind.name, document, version("volcal"), clock)
+        wanted = Wanted(run_id, request.job, request.kind, request.base)
+        run_journal, conduct = request.beginning.written(journal, wanted, clock, request.listener)
         if request.asked:
             run_journal.event("asked", request.asked)
-        conduct = Conduct(run_journal, request.listener)
         session = _Session(request, run_id, clock, supervisor, run_journal, conduct)
         return session.run(rig, began)
 
@@ -104,6 +108,7 @@ class _Session:
         conduct: Conduct,
     ) -> None:
         self._request = request
+        self._beginning = request.beginning
         self._run_id = run_id
         self._clock = clock
         self._supervisor = supervisor
@@ -118,8 +123,7 @@ class _Session:
         started_s = self._clock.now()
         progress = Progress()
         try:
-            self._conduct.enter(RunState.PREFLIGHT)
-            record_inputs(self._journal, self._job)
+            self._conduct.enter(self._beginning.state)
             progress = self._on(rig)
         except VolcalError as error:
             progress.error = error
@@ -138,11 +142,15 @@ class _Session:
         try:
             self._supervisor.on_hold = lambda: self._hold(rig)
             self._supervisor.on_resume = lambda: self._resume(rig)
-            start = rig.machine.position().tolist()
-            ready = self._preflight((start[0], start[1], start[2]))
-            engine = Engine(rig.actions(), self._journal, self._observe)
+            request = self._request
+            wanted = Wanted(self._run_id, request.job, request.kind, request.base)
+            ready = self._preflight(self._beginning.outset(rig, self._journal, wanted))
+            engine = self._beginning.engine(rig, self._journal, self._observe)
             run = ready.begin(Means(rig, engine, self._journal, self._conduct, self._supervisor, self._clock))
+            self._beginning.begun(run, self._journal, self._conduct)
             progress = run.carry_out()
+            if progress.error is not None:
+                self._beginning.broken_off(rig, self._conduct.note)
             self._job = progress.job or self._job
             return progress
         finally:
@@ -157,8 +165,9 @@ class _Session:
         rig.machine.resume()
         self._conduct.go_on()
 
-    def _preflight(self, start_mm: Point) -> Ready:
-        ready = self._request.kind.ready(self._job, start_mm)
+    def _preflight(self, outset: Outset) -> Ready:
+        ready = self._request.kind.ready(self._job, outset)
+        self._request.passed(ready)
         self._job, self._rehearsal = ready.job, ready.rehearsal
         rehearsal = ready.rehearsal
         self._conduct.note(

@@ -18,7 +18,8 @@
     │   ├── PermissionMissing     door open, not in automatic, spindle turning, no probe ...
     │   └── StoreError            compensation tables
     │       ├── ChecksumMismatch
-    │       └── ReadBackMismatch
+    │       ├── ReadBackMismatch
+    │       └── NotActiveYet      written, and the controller makes it act only later
     └── RunError                  the run itself decided                              exit code 4
         ├── PlanRefused           preflight found a limit, a collision, an unreachable ball
         ├── GateRefused           the estimate must not become a table
@@ -120,6 +121,10 @@ class ChecksumMismatch(StoreError):
 
 
 class ReadBackMismatch(StoreError):
+    pass
+
+
+class NotActiveYet(StoreError):
     pass
 
 

@@ -164,6 +164,15 @@ class Machine(Protocol):
 
 
 @runtime_checkable
+class Traced(Protocol):
+    """A device that passes on which step of a procedure its motions belong to, for the controller's own log."""
+
+    def trace(self, tag: int) -> None:
+        """The motions from now on belong to the step of this tag (32 bits, not 0)."""
+        ...
+
+
+@runtime_checkable
 class Probe(Protocol):
     """A touch-trigger probe in the spindle."""
 
@@ -201,6 +210,10 @@ class CompensationStore(Protocol):
     def store_limits(self) -> StoreLimits: ...
 
     def active_bank(self) -> int: ...
+
+    def pending_bank(self) -> int | None:
+        """The bank that will act once the controller has been reset, restarted or referenced; None: none waits."""
+        ...
 
     def read_table(self, bank: int) -> TableImage | None:
         """The whole table, its CRC-32 proved; None where the bank is empty."""

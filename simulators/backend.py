@@ -81,6 +81,9 @@ class SimulatedMachineDevice:
         self._catch_up()
         return self._controller.displayed_position()
 
+    def trace(self, tag: int) -> None:
+        self._controller.trace(tag)
+
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         self._catch_up()
         self._controller.begin_move(target_mm, feed_mm_per_s, guarded)
@@ -148,6 +151,10 @@ class SimulatedMachineDevice:
 
     def active_bank(self) -> int:
         return self._controller.active_bank
+
+    def pending_bank(self) -> int | None:
+        """In this process an activation takes effect at once."""
+        return None
 
     def read_table(self, bank: int) -> TableImage | None:
         return self._controller.banks.get(bank)

@@ -116,13 +116,15 @@ class ScenarioDocument(Strict):
 
     `own_mounts`: a mount at every station, instead of one that is carried with the artefact; the artefact is carried
     from one to the next, unless `artefacts` names one for each station. `mounts_deg`: azimuth and elevation of each
-    mount at the start, by default zero.
+    mount at the start, by default zero. `noise_by_step`: noise belongs to the step that an agent tells with a motion,
+    so that a step done again meets the same; else it follows one upon the other.
     """
 
     machine: Path
     artefact: Path
     tool: str = "probe"
     seed: int = Field(default=1, ge=0)
+    noise_by_step: bool = False
     ideal: bool = False
     stations_mm: list[Coordinates] = Field(min_length=1)
     standing_at: PositiveInt = 1

@@ -27,6 +27,10 @@ class StepJournal(Protocol):
 
     def fail(self, step: Step, error: BaseException) -> None: ...
 
+    def aside(self) -> StepJournal:
+        """For steps that do not belong to the procedure."""
+        ...
+
 
 class Engine:
     """Runs plans. `actions` maps the type of a step to what does it."""
@@ -44,6 +48,10 @@ class Engine:
     def without_journal(self) -> Engine:
         """The same actions and observer, for a way out that must be gone although it cannot be written down."""
         return Engine(self._actions, None, self._observer)
+
+    def aside(self) -> Engine:
+        """The same actions for ways out and ways back: written down, and never met by a replay."""
+        return Engine(self._actions, None if self._journal is None else self._journal.aside(), self._observer)
 
     def run(self, plan: Plan[T]) -> T:
         """Run `plan` to its end and return its conclusion.

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
+from agent.execution.encoding import encode_result, encode_step, table_digest, table_from, to_json
 from agent.execution.journal_schema import prepare
 from agent.execution.recorded import Recorded, comparable, read_recorded
 from agent.execution.states import RunState
@@ -137,7 +137,15 @@ class RunJournal:
         self._count.ordinal += 1
         self._execute(
             "INSERT INTO steps (run, ordinal, key, kind, detail, begun, aside) VALUES (?,?,?,?,?,?,?)",
-            (self._run, self._ordinal, step.key, type(step).__name__, encode_step(step), self._clock.now(), self._aside),
+            (
+                self._run,
+                self._ordinal,
+                step.key,
+                type(step).__name__,
+                encode_step(step),
+                self._clock.now(),
+                self._aside,
+            ),
         )
 
     def finish(self, step: Step, result: object, *, begun: bool) -> None:
@@ -194,6 +202,15 @@ class RunJournal:
             "INSERT INTO tables VALUES (?,?,?,?,?,?,?,?,?,?,?)",
             (self._run, utc_timestamp(), role, bank, *values, self._aside),
         )
+
+    def stored_table(self, crc32: int) -> TableImage | None:
+        """A whole table that this run has kept, by its digest."""
+        row = self._execute(
+            "SELECT origin_mm, step_mm, resolution_mm, shape, counts FROM tables "
+            "WHERE run = ? AND crc32 = ? AND counts IS NOT NULL LIMIT 1",
+            (self._run, crc32),
+        ).fetchone()
+        return None if row is None else table_from(*row)
 
     def state(self, state: RunState, reason: str = "", *, final: bool = False) -> None:
         with self._transaction():

@@ -77,7 +77,10 @@ def read_recorded(connection: sqlite3.Connection, run: int) -> Recorded:
             "balls": _rows(connection, "SELECT key, record FROM balls WHERE run = ? ORDER BY ordinal", run),
             "events": _events(connection, run),
             "decisions": _rows(
-                connection, "SELECT kind, record FROM decisions WHERE run = ? AND NOT aside ORDER BY rowid", run
+                connection,
+                "SELECT kind, record FROM decisions WHERE run = ? AND NOT aside "
+                "AND kind NOT IN ('inputs', 'outcome') ORDER BY rowid",
+                run,
             ),
             "estimates": deque(
                 (comparable(text),)

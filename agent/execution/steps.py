@@ -71,8 +71,7 @@ class ReadTemperatures:
 
 @dataclass(frozen=True, slots=True)
 class ReadClock:
-    """Result: seconds of machine time on the clock of the run; a run that is taken up again goes on from its last one.
-    """
+    """Result: seconds of machine time on the clock of the run; a run that is taken up again goes on from its last one."""
 
     key: str
 
@@ -139,6 +138,14 @@ class ReadActiveBank:
 
 
 @dataclass(frozen=True, slots=True)
+class AwaitActive:
+    """Raises NotActiveYet while `bank` waits for the controller before it acts."""
+
+    key: str
+    bank: int
+
+
+@dataclass(frozen=True, slots=True)
 class ReadTable:
     """Result: `TableImage`, or None where the bank is empty."""
 
@@ -175,6 +182,7 @@ Step: TypeAlias = (
     | Dwell
     | Record
     | ReadActiveBank
+    | AwaitActive
     | ReadTable
     | StageTable
     | ActivateBank
@@ -185,5 +193,17 @@ T = TypeVar("T")
 Plan: TypeAlias = Generator[Step, Any, T]
 """Yields steps, is sent their results, returns its conclusion."""
 
-ACTING = (MoveTo, Retrace, TouchTowards, HomeMount, OrientTo, ResetFault, AskOperator, Dwell, StageTable, ActivateBank)
+ACTING = (
+    MoveTo,
+    Retrace,
+    TouchTowards,
+    HomeMount,
+    OrientTo,
+    ResetFault,
+    AskOperator,
+    Dwell,
+    StageTable,
+    ActivateBank,
+    AwaitActive,
+)
 """Steps that move or change something: durable in the journal before they begin."""

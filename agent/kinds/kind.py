@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from agent.consent import Consent
-from agent.execution.steps import Point
 from agent.expectation import rehearsed_estimate
 from agent.guarded_run import GuardedRun, Means
 from agent.job import Job
+from agent.kinds.outset import Outset
 from agent.last_accepted import LastAccepted, accepted_for
 from agent.rehearsal import Rehearsal, rehearse
 from agent.run import CalibrationRun
-from drivers.clock import utc_timestamp
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,8 @@ class Kind(Protocol):
     @property
     def name(self) -> str: ...
 
-    def ready(self, job: Job, start_mm: Point) -> Ready:
-        """Decide what will be measured and rehearse it from where the machine stands. PlanRefused or UserError where
+    def ready(self, job: Job, outset: Outset) -> Ready:
+        """Decide what will be measured and rehearse it from where the machine stands; the same `outset` gives the same. PlanRefused or UserError where
         it cannot be done."""
         ...
 
@@ -46,16 +45,16 @@ class FullCalibration:
     consent: Consent = Consent.ASK
     name: str = "calibrate"
 
-    def ready(self, job: Job, start_mm: Point) -> Ready:
-        rehearsal = rehearse(job, start_mm)
+    def ready(self, job: Job, outset: Outset) -> Ready:
+        rehearsal = rehearse(job, outset.start_mm)
         rehearsed_estimate(job, rehearsal.measured)
-        last = accepted_for(job)
-        nights = nights_since(last, self.nights)
+        last = accepted_for(job, outset.run)
+        nights = nights_since(last, self.nights, outset.at)
         return Ready(job, rehearsal, lambda means: CalibrationRun(job, means, last, nights, self.consent))
 
 
-def nights_since(last: LastAccepted | None, stated: float | None) -> float:
+def nights_since(last: LastAccepted | None, stated: float | None, at: str) -> float:
     """As stated, else by the calendar."""
     if stated is not None:
         return stated
-    return 0.0 if last is None else last.nights_until(utc_timestamp())
+    return 0.0 if last is None else last.nights_until(at)

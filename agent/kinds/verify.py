@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from agent.execution.states import RunState
-from agent.execution.steps import Point
 from agent.guarded_run import GuardedRun, Means
 from agent.job import Job
 from agent.kinds.judging import Judge
 from agent.kinds.kind import Ready, nights_since
 from agent.kinds.looking import judged, measure, require_table_of
 from agent.kinds.night_plan import LOOK, NightPlan, looking_plan, only_looking, standing, station_of
+from agent.kinds.outset import Outset
 from agent.kinds.positions import Chooser
 from agent.last_accepted import require_accepted
 from agent.rehearsal import rehearse
@@ -26,13 +26,13 @@ class Verification:
     nights: float | None = None
     name: str = "verify"
 
-    def ready(self, job: Job, start_mm: Point) -> Ready:
-        last = require_accepted(job)
+    def ready(self, job: Job, outset: Outset) -> Ready:
+        last = require_accepted(job, outset.run)
         station = station_of(job, self.station)
-        judge = Judge(job, last, nights_since(last, self.nights))
+        judge = Judge(job, last, nights_since(last, self.nights, outset.at))
         plan = looking_plan(Chooser(standing(job, station), station), judge)
         own = plan.job(job)
-        rehearsal = rehearse(own, start_mm, only_looking(plan))
+        rehearsal = rehearse(own, outset.start_mm, only_looking(plan))
         return Ready(own, rehearsal, lambda means: VerifyRun(own, means, judge, plan))
 
 

@@ -5,9 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from agent.execution.encoding import table_digest
-from agent.execution.steps import ActivateBank, Plan, ReadActiveBank, ReadTable, Record, ResetFault, StageTable
+from agent.execution.steps import (
+    ActivateBank,
+    AwaitActive,
+    Plan,
+    ReadActiveBank,
+    ReadTable,
+    Record,
+    ResetFault,
+    StageTable,
+)
 from drivers.errors import ReadBackMismatch, StoreError
-from drivers.roles import TableImage
+from drivers.roles import Activation, TableImage
 
 
 @dataclass(frozen=True)
@@ -50,16 +59,21 @@ def stage_table(bank: int, table: TableImage) -> Plan[None]:
     yield Record("publish/staged", "decision", {"bank": bank, "crc32": table_digest(table)})
 
 
-def restore(bank: int, *, after_fault: bool) -> Plan[None]:
+def restore(bank: int, *, after_fault: bool, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
     """Make the former `bank` act again. A controller in fault takes no table command, so its fault is cleared."""
     if after_fault:
         yield ResetFault("restore/reset")
-    yield from activate("restore", bank)
+    yield from activate("restore", bank, activation)
 
 
-def activate(prefix: str, bank: int) -> Plan[None]:
-    """Activate `bank` and read back that it acts."""
+def activate(prefix: str, bank: int, activation: Activation = Activation.IMMEDIATE) -> Plan[None]:
+    """Activate `bank` and read back that it acts. Raises NotActiveYet where a person must do something before it does;
+    from there the plan can be gone on with."""
     yield ActivateBank(f"{prefix}/activate", bank)
+    if activation is Activation.RESET:
+        yield ResetFault(f"{prefix}/reset-to-take-effect")
+    if activation is not Activation.IMMEDIATE:
+        yield AwaitActive(f"{prefix}/takes-effect", bank)
     active = yield ReadActiveBank(f"{prefix}/active-bank")
     if active != bank:
         raise ReadBackMismatch(

@@ -65,6 +65,9 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
     errors.ReadBackMismatch: AlarmCode(
         362, "the controller read back another table than was written", "see which table is active; restore a backup"
     ),
+    errors.NotActiveYet: AlarmCode(
+        363, "a compensation table is written and waits for the controller", "do what is named, then resume the run"
+    ),
     errors.RunError: AlarmCode(400, "the run ended itself", "read the text of the alarm"),
     errors.PlanRefused: AlarmCode(
         410, "the plan would hit a limit or an obstacle", "move the mount or choose another position set"

@@ -80,6 +80,9 @@ class ModbusCnc:
             code = Code.GUARDED_FEED if guarded else Code.MOVE_FEED
         self._open.motion.run(code, [float(value) for value in target_mm], feed_mm_per_s)
 
+    def trace(self, tag: int) -> None:
+        self._open.motion.tag = tag
+
     def hold(self) -> None:
         self._session.urgent(Code.HOLD)
 
@@ -108,6 +111,9 @@ class ModbusCnc:
 
     def active_bank(self) -> int:
         return self._open.store.active_bank()
+
+    def pending_bank(self) -> int | None:
+        return self._open.store.pending_bank()
 
     def read_table(self, bank: int) -> TableImage | None:
         return self._open.store.read_table(bank)

@@ -52,6 +52,8 @@ class Motion:
         self._session = session
         self._limits = limits
         self._braking = False
+        self.tag = 0
+        """Which step the motions belong to; it travels in the place of the CRC, which motions do not use."""
 
     def run(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Ended:
         """Returns when the outcome is in position, tripped or missed; any other is raised."""
@@ -59,7 +61,7 @@ class Motion:
         target = self._proved(code, target_mm, feed_mm_per_s)
         try:
             self._await_rest()
-            sequence, accepted = session.start(Command(code, target=target, feed=feed_mm_per_s or 0.0))
+            sequence, accepted = session.start(Command(code, crc=self.tag, target=target, feed=feed_mm_per_s or 0.0))
             status = self._wait(code, target, feed_mm_per_s, accepted)
         except BaseException as error:
             self._stop_because_of(error)

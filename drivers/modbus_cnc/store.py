@@ -17,6 +17,7 @@ from drivers.modbus_cnc.codes import (
     ACCEPTED,
     ACTIVATIONS,
     CRC_DIFFERS,
+    NO_BANK,
     BankState,
     Code,
     result_text,
@@ -50,6 +51,10 @@ class Store:
 
     def active_bank(self) -> int:
         return self._session.status().active_bank
+
+    def pending_bank(self) -> int | None:
+        pending = self._session.status().pending_bank
+        return None if pending == NO_BANK else pending
 
     def read_table(self, bank: int) -> TableImage | None:
         """None for bank 0 and for a bank without a complete table; StoreError if that is the active one."""

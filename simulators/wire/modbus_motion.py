@@ -45,6 +45,7 @@ class MotionOrder:
     code: CommandCode
     target_mm: tuple[float, ...]
     feed_mm_per_s: float
+    tag: int = 0
 
     @property
     def rapid(self) -> bool:
@@ -166,6 +167,7 @@ class MotionRegisters:
         target = np.array(order.target_mm)
         latch = self._machine.latch
         self._latch_before = latch.sequence if latch is not None else 0
+        self._machine.trace(order.tag)
         if order.touch:
             self._machine.begin_touch(target, order.feed_mm_per_s)
         else:

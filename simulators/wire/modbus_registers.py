@@ -132,7 +132,7 @@ class ControllerRegisters:
         try:
             if command in MOTION_COMMANDS:
                 *target, feed = self._numbers.unpack(motion)
-                return self.motion.start(MotionOrder(command, tuple(target), feed), sequence)
+                return self.motion.start(MotionOrder(command, tuple(target), feed, tag=table[2]), sequence)
             if command >= CommandCode.TABLE_BEGIN and self.motion.state:
                 return ResultCode.NOT_IN_THIS_STATE
             return self._commands[command](*table)

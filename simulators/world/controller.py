@@ -20,6 +20,7 @@ from simulators.world.contact import ContactSolver
 from simulators.world.course import Command, Course, Kind, Outlook, course_of
 from simulators.world.field import FieldOfMany, TipShift
 from simulators.world.foresight import Foresight
+from simulators.world.noise import BY_STEP
 from simulators.world.play import Play
 from simulators.world.tables import TableBanks
 from simulators.world.thermal import Thermal
@@ -83,6 +84,8 @@ class Controller:
         self._state = MotionState.IDLE
         self._deflected = False
         self._touches = 0
+        self._by_step = settings.noise_by_step
+        self._tag = 0
         self.now_s = 0.0
         self.fault = ""
         self.latch: Latch | None = None
@@ -134,6 +137,10 @@ class Controller:
         return self._thermal.temperatures_c(self.now_s)
 
     # ------------------------------------------------------------------ what it does
+
+    def trace(self, tag: int) -> None:
+        """The motions from now on belong to this step of a procedure; 0: to none."""
+        self._tag = tag
 
     def begin_move(self, target: ArrayLike, feed_mm_per_s: float | None, guarded: bool) -> None:
         """Straight line; rapid without a feed. A guarded one that trips the probe ends in a fault."""
@@ -217,8 +224,9 @@ class Controller:
         resting = self._resting()
         self._shift.drift = self._thermal.drift_mm(self.now_s)
         self._shift.warm = self._thermal.field(self.now_s)
-        self._shift.play = self._play.after(self._position, command.target)
-        outlook = self._foresight.outlook(command, standing, resting, self._touches)
+        step = BY_STEP + self._tag if self._by_step and self._tag else None
+        self._shift.play = self._play.after(self._position, command.target, step)
+        outlook = self._foresight.outlook(command, standing, resting, self._touches if step is None else step)
         law = trapezoid(self.now_s, command.path.length, command.speed, command.acceleration)
         self._touches += kind is Kind.TOUCH
         self._deflected = resting is not None
@@ -268,7 +276,9 @@ class Controller:
         if motion.command.kind is Kind.GUARDED:
             motion.ends_in, motion.reason = MotionState.FAULT, motion.reason or "probe tripped in a guarded move"
         elif self.latch is None or self.latch.sequence < self._touches:
-            position = motion.command.path.at(motion.course.law.distance_at(instant_s))
+            assert motion.outlook.trip_mm is not None  # noqa: S101  or nothing had tripped
+            # Not by way of time: the same touch latches the same at whatever instant it is made.
+            position = motion.command.path.at(motion.outlook.trip_mm)
             self.latch = Latch(self._touches, np.array(position))
 
     def _arrive(self, motion: _Motion) -> None:

@@ -7,6 +7,8 @@ from zlib import crc32
 import numpy as np
 
 _BLOCK = 1024
+BY_STEP = 2**40
+"""Counters from here on are drawn one by one: tags of steps, which come in no order."""
 
 
 class NoiseSource:
@@ -18,6 +20,8 @@ class NoiseSource:
 
     def normal(self, counter: int) -> list[float]:
         """Three independent standard normal numbers of `counter`."""
+        if counter >= BY_STEP:
+            return np.random.default_rng([*self._key, counter]).standard_normal(3).tolist()
         block, place = divmod(counter, _BLOCK)
         if block not in self._blocks:
             rng = np.random.default_rng([*self._key, block])

@@ -28,12 +28,13 @@ class Play:
         self._lag: Point = ZERO
         self._scatter: Point = ZERO
 
-    def after(self, start: Point, end: Point) -> Point:
-        """(3,) mm by which the tip is off during and after a motion between two axis positions."""
+    def after(self, start: Point, end: Point, step: int | None = None) -> Point:
+        """(3,) mm by which the tip is off during and after a motion between two axis positions. `step`: a counter of the
+        noise in place of that of the motions."""
         self._motions += 1
         if self._idle:
             return ZERO
-        noise = self._noise.normal(self._motions) if self._sigma_mm else ZERO
+        noise = self._noise.normal(self._motions if step is None else step) if self._sigma_mm else ZERO
         moved = [abs(e - s) > STILL_MM for s, e in zip(start, end, strict=True)]
         lag = [self._taken_up(axis, start[axis], end[axis]) if moved[axis] else self._lag[axis] for axis in range(3)]
         scatter = [self._sigma_mm * noise[axis] if moved[axis] else self._scatter[axis] for axis in range(3)]

@@ -59,6 +59,9 @@ class FakeController:
     def store_limits(self) -> StoreLimits:
         return StoreLimits((1, 2), (20, 10, 10), 1000, 0.0001, 1.0, self.activation)
 
+    def trace(self, tag: int) -> None:
+        self.tag = tag
+
     def limits(self) -> AxisLimits:
         return AxisLimits((0.0, 0.0, -10.0), (4000.0, 1300.0, 1500.0), (200.0,) * 3, (1000.0,) * 3)
 

@@ -1,0 +1,91 @@
+"""How a run enters its life: begun anew, or gone on with (`agent.resuming.resumption`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Protocol
+
+from agent.conduct import Conduct, Listener
+from agent.execution.engine import Engine, Observer
+from agent.execution.journal import Journal, RunJournal
+from agent.execution.states import RunState
+from agent.guarded_run import GuardedRun
+from agent.job import Job
+from agent.kinds.kind import Kind
+from agent.kinds.outset import Outset
+from agent.recording import record_inputs
+from agent.resuming.origin import origin_record
+from agent.rig import Rig
+from drivers.clock import Clock, utc_timestamp
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be carried out, whichever way it begins."""
+
+    run_id: str
+    job: Job
+    kind: Kind
+    base: Path
+
+
+class Beginning(Protocol):
+    @property
+    def state(self) -> RunState:
+        """The first state that the run enters."""
+        ...
+
+    def clock(self, outer: Clock) -> Clock:
+        """Machine seconds of the run."""
+        ...
+
+    def written(self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener) -> tuple[RunJournal, Conduct]:
+        """The run in the journal, and its state."""
+        ...
+
+    def outset(self, rig: Rig, journal: RunJournal, wanted: Wanted) -> Outset:
+        """What the run begins from; the rig is open."""
+        ...
+
+    def engine(self, rig: Rig, journal: RunJournal, observe: Observer) -> Engine: ...
+
+    def begun(self, run: GuardedRun, journal: RunJournal, conduct: Conduct) -> None:
+        """The preflight is over; nothing of the run has been done yet."""
+        ...
+
+    def broken_off(self, rig: Rig, complain: Callable[[str], None]) -> None:
+        """The run has ended by an error while the rig was open."""
+        ...
+
+
+class Fresh:
+    """A run that begins now."""
+
+    state = RunState.PREFLIGHT
+
+    def clock(self, outer: Clock) -> Clock:
+        return outer
+
+    def written(self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener) -> tuple[RunJournal, Conduct]:
+        document = wanted.job.settings.model_dump(mode="json")
+        run_journal = journal.start_run(wanted.run_id, wanted.kind.name, document, version("volcal"), clock)
+        return run_journal, Conduct(run_journal, listener)
+
+    def outset(self, rig: Rig, journal: RunJournal, wanted: Wanted) -> Outset:
+        x, y, z = rig.machine.position().tolist()
+        outset = Outset(journal.run, utc_timestamp(), (x, y, z))
+        record_inputs(journal, wanted.job)
+        journal.origin(origin_record(wanted.job.settings, wanted.kind, wanted.base, outset))
+        return outset
+
+    def engine(self, rig: Rig, journal: RunJournal, observe: Observer) -> Engine:
+        return Engine(rig.actions(journal.run), journal, observe)
+
+    def begun(self, run: GuardedRun, journal: RunJournal, conduct: Conduct) -> None:
+        journal.begun()
+
+    def broken_off(self, rig: Rig, complain: Callable[[str], None]) -> None:
+        """The run's own way out has done what there was to do."""

@@ -1,0 +1,17 @@
+"""What a run began from. Everything that it decided by the day, by the journal or by where the machine stood is decided
+by this, so that a run that is gone on with decides the same again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agent.execution.steps import Point
+
+
+@dataclass(frozen=True)
+class Outset:
+    """`run`: its number in the journal, earlier ones are what it knows; `at` UTC, ISO 8601; `start_mm` axis positions."""
+
+    run: int
+    at: str
+    start_mm: Point
