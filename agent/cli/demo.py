@@ -82,7 +82,9 @@ def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
     devices = document["devices"]
     roles = document["roles"]
     devices[roles["machine"]]["options"] |= ready["modbus"]
-    devices[roles["mount"]]["options"] |= ready["can"]
+    mounts = [roles["mount"]] if isinstance(roles["mount"], str) else roles["mount"].values()
+    for mount in mounts:
+        devices[mount]["options"] |= ready["can"]
     devices[roles["operator"]]["options"] |= ready["control"]
     document["clock"] = {"kind": "lockstep", **ready["time"]}
     document["state_directory"] = str(out.resolve())

@@ -53,7 +53,7 @@ def change_station(
     """Park the mount that is left, where it stays; have the operator carry what is carried, and see that motion is
     permitted again. Begins with the probe anywhere free; the axis positions afterwards."""
     if leaving is not None and change.own_mounts:
-        here = yield from park_mounts(f"{prefix}/change-{index}", change, ways, here, (leaving,))
+        here = yield from park_mounts(prefix, f"change-{index}", change, ways, here, (leaving,))
     if change.carried is Carried.NOTHING:
         return here
     request = OperatorRequest(OperatorTask.MOVE_ARTEFACT, change.carried.value.format(to), to)
@@ -62,14 +62,16 @@ def change_station(
     return here
 
 
-def park_mounts(key: str, change: StationChange, ways: Ways, here: Array, stations: Sequence[int]) -> Plan[Array]:
+def park_mounts(
+    prefix: str, when: str, change: StationChange, ways: Ways, here: Array, stations: Sequence[int]
+) -> Plan[Array]:
     """Turn the mounts at `stations` to where they are in nobody's way, the probe beside each; where that is then."""
-    here = ways.retreated(here)
-    yield MoveTo(f"{key}/retreat", _point(here))
     for station in stations:
+        key = f"{prefix}/station-{station}/{when}"
+        yield MoveTo(f"{key}/retreat", _point(ways.retreated(here)))
         here = ways.parked(here, station)
-        yield MoveTo(f"{key}/beside-{station}", _point(here))
-        yield OrientTo(f"{key}/park-{station}", station, *change.parked_deg)
+        yield MoveTo(f"{key}/beside", _point(here))
+        yield OrientTo(f"{key}/park", station, *change.parked_deg)
     return here
 
 

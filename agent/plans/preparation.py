@@ -88,7 +88,7 @@ def _mounts_parked(rules: PositionRules) -> Plan[None]:
     if rules.change.own_mounts:
         yield CheckPermissions(f"{PREFIX}/mounts/permissions")
         here = np.array((yield ReadPosition(f"{PREFIX}/mounts/here")))
-        yield from park_mounts(f"{PREFIX}/mounts", rules.change, rules.course, here, rules.change.own_mounts)
+        yield from park_mounts(PREFIX, "mounts", rules.change, rules.course, here, rules.change.own_mounts)
 
 
 def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[Prepared]:

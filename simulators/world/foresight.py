@@ -7,7 +7,6 @@ from simulators.world.contact import ContactSolver
 from simulators.world.course import Command, Crash, Kind, Outlook, earliest, tip_on
 from simulators.world.trigger import Trigger
 from simulators.world.workpiece import Standing
-from twin.bodies import TIP
 from twin.geometry import Point, added
 
 
@@ -57,9 +56,9 @@ class Foresight:
         length = path.length if until_mm is None else min(until_mm, path.length)
         if length == 0.0:
             return None
-        meant = {(TIP, name) for name in standing.ball_names}
+        meant = standing.meant
         if touched is not None:
-            meant.add(("stem", standing.ball_names[touched]))
+            meant = meant | {("stem", standing.ball_names[touched])}
         start, end = added(path.start, self._tool), added(path.at(length), self._tool)
         hit = standing.scene.first_hit(start, end, ignored=meant)
         return None if hit is None else Crash(hit.fraction * length, hit.moving, hit.obstacle)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from simulators.world.thermal import bow_mm, bowed
 from simulators.world.warming import Warming
 from twin.arrays import Array
 from twin.artefact import Artefact
-from twin.bodies import TABLE, Body, artefact_bodies, ball_name, mount_bodies
+from twin.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
 from twin.collision import Scene
 from twin.geometry import Point, point
 from twin.position_set import Pose, mount_pose
@@ -23,13 +23,17 @@ from twin.position_set import Pose, mount_pose
 @dataclass(frozen=True, eq=False)
 class Standing:
     """Everything that a motion needs to know of one instant: true ball centres with their names as bodies, and all
-    bodies around; `pose` of the (first) artefact's mount."""
+    bodies around; `pose` of the (first) artefact's mount. `meant`: pairs of bodies that may touch."""
 
     pose: Pose
     balls: tuple[Point, ...]
     ball_names: tuple[str, ...]
     bodies: tuple[Body, ...]
     scene: Scene
+    meant: frozenset[tuple[str, str]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "meant", frozenset((TIP, name) for name in self.ball_names))
 
 
 class Workpiece:
