@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from agent.history.settings import HistorySettings
 from agent.service.gateway.settings import GatewaySettings
 from agent.service.opcua.settings import OpcUaSettings
-from agent.history.settings import HistorySettings
 from agent.service.settings import ServiceSettings
 from agent.temperature_settings import TemperatureSettings
 from twin.bodies import ProbeGeometry

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from twin.arrays import Array
 from twin.bodies import Body
 from twin.geometry import Point, separation, swept_contact
+
+_NOTHING: Mapping[tuple[str, str], float] = {}
 
 
 @dataclass(frozen=True)
@@ -55,10 +57,30 @@ class Scene:
             body, obstacle = self.moving[i], self.obstacles[j]
             if (body.name, obstacle.name) in ignored:
                 continue
-            fraction = swept_contact(body.shape.moved(start), obstacle.shape, displacement, clearance_mm)
+            fraction = swept_contact(body.shape, obstacle.shape, displacement, clearance_mm, start)
             if fraction is not None and (first is None or fraction < first.fraction):
                 first = Hit(fraction, body.name, obstacle.name)
         return first
+
+    def free(
+        self, start: Point, end: Point, clearance_mm: float, closer: Mapping[tuple[str, str], float] = _NOTHING
+    ) -> bool:
+        """Whether every two bodies keep `clearance_mm` from each other while the tip goes from `start` to `end`.
+
+        `closer`: (moving, obstacle) names → what these two keep instead, where that is less. Bodies that are nearer
+        at the start may go away from each other, as in `first_hit`.
+        """
+        displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
+        for i, j in self.near(start, end, clearance_mm):
+            body, obstacle = self.moving[i], self.obstacles[j]
+            apart_mm = min(clearance_mm, closer.get((body.name, obstacle.name), clearance_mm))
+            if swept_contact(body.shape, obstacle.shape, displacement, apart_mm, start) is not None:
+                return False
+        return True
+
+    def shifted(self, by: Point) -> Scene:
+        """The same with everything that stands moved by `by`."""
+        return Scene(self.moving, [Body(body.name, body.shape.moved(by)) for body in self.obstacles])
 
     def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = (), at_most: float = math.inf) -> float:
         """Smallest distance in mm of any two bodies with the tip centre at `tip`; negative where they overlap.

@@ -23,6 +23,7 @@ Separation = tuple[float, Point]
 CONTACT_TOLERANCE_MM = 1e-6
 _MOST_TANGENTS = 60
 _TINY = 1e-12
+_NOWHERE: Point = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -100,25 +101,25 @@ def capsule_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
 
 def separation(first: Shape, second: Shape) -> Separation:
     """Distance of the surfaces in mm and the unit vector from the second body to the first."""
-    if isinstance(first, Capsule):
-        if isinstance(second, Capsule):
-            return _between_capsules(first, second)
-        return _capsule_from_box(first, second)
-    if isinstance(second, Capsule):
-        distance, (x, y, z) = _capsule_from_box(second, first)
-        return distance, (-x, -y, -z)
-    return _between_boxes(first, second)
+    return _separation_at(first, _NOWHERE, second)
 
 
-def swept_contact(moving: Shape, obstacle: Shape, displacement: Point, clearance_mm: float = 0.0) -> float | None:
+def swept_contact(
+    moving: Shape, obstacle: Shape, displacement: Point, clearance_mm: float = 0.0, start: Point = _NOWHERE
+) -> float | None:
     """Fraction of `displacement` (0..1) at which the bodies come within `clearance_mm`, or None.
 
-    Bodies that already are within it at the start count only where the motion brings them closer.
+    `moving` is taken as if moved by `start` first. Bodies that already are within the clearance there count only where
+    the motion brings them closer.
     """
     fraction = 0.0
     for _ in range(_MOST_TANGENTS):
-        here = moving.moved((displacement[0] * fraction, displacement[1] * fraction, displacement[2] * fraction))
-        distance, (nx, ny, nz) = separation(here, obstacle)
+        here = (
+            start[0] + displacement[0] * fraction,
+            start[1] + displacement[1] * fraction,
+            start[2] + displacement[2] * fraction,
+        )
+        distance, (nx, ny, nz) = _separation_at(moving, here, obstacle)
         slope = nx * displacement[0] + ny * displacement[1] + nz * displacement[2]
         if slope >= 0.0:
             return None
@@ -131,10 +132,20 @@ def swept_contact(moving: Shape, obstacle: Shape, displacement: Point, clearance
     return fraction
 
 
-def _between_capsules(first: Capsule, second: Capsule) -> Separation:
-    near, far = _closest_on_segments(first.a, first.b, second.a, second.b)
-    distance, normal = _direction(far, near)
-    return distance - first.radius - second.radius, normal
+def _separation_at(first: Shape, by: Point, second: Shape) -> Separation:
+    """`separation` with the first body moved by `by`; no body is made for it, since this is asked a million times."""
+    if isinstance(first, Capsule):
+        a, b = added(first.a, by), added(first.b, by)
+        if isinstance(second, Capsule):
+            near, far = _closest_on_segments(a, b, second.a, second.b)
+            distance, normal = _direction(far, near)
+            return distance - first.radius - second.radius, normal
+        return _capsule_from_box(a, b, first.radius, second.lower, second.upper)
+    lower, upper = added(first.lower, by), added(first.upper, by)
+    if isinstance(second, Capsule):
+        distance, (x, y, z) = _capsule_from_box(second.a, second.b, second.radius, lower, upper)
+        return distance, (-x, -y, -z)
+    return _between_boxes(lower, upper, second)
 
 
 def _closest_on_segments(a0: Point, a1: Point, b0: Point, b1: Point) -> tuple[Point, Point]:
@@ -157,25 +168,25 @@ def _closest_on_segments(a0: Point, a1: Point, b0: Point, b1: Point) -> tuple[Po
     )
 
 
-def _capsule_from_box(capsule: Capsule, box: Box) -> Separation:
-    near = _closest_on_segment_to_box(capsule.a, capsule.b, box)
-    distance, normal = _direction(_clamped_into(near, box), near)
-    return distance - capsule.radius, normal
+def _capsule_from_box(a: Point, b: Point, radius: float, lower: Point, upper: Point) -> Separation:
+    near = _closest_on_segment_to_box(a, b, lower, upper)
+    distance, normal = _direction(_clamped_into(near, lower, upper), near)
+    return distance - radius, normal
 
 
-def _closest_on_segment_to_box(a: Point, b: Point, box: Box) -> Point:
+def _closest_on_segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -> Point:
     """The squared distance along a segment is convex, with kinks where it crosses a face's plane."""
     d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     kinks = [0.0, 1.0]
-    for start, step, low, high in zip(a, d, box.lower, box.upper, strict=True):
+    for start, step, low, high in zip(a, d, lower, upper, strict=True):
         if abs(step) > _TINY:
             kinks += [s for s in ((low - start) / step, (high - start) / step) if 0.0 < s < 1.0]
     kinks.sort()
-    previous, slope_before = 0.0, _slope_to_box(a, d, 0.0, box)
+    previous, slope_before = 0.0, _slope_to_box(a, d, 0.0, lower, upper)
     if slope_before >= 0.0:
         return a
     for kink in kinks[1:]:
-        slope = _slope_to_box(a, d, kink, box)
+        slope = _slope_to_box(a, d, kink, lower, upper)
         if slope >= 0.0:
             s = previous - slope_before * (kink - previous) / (slope - slope_before)
             return a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2]
@@ -183,17 +194,17 @@ def _closest_on_segment_to_box(a: Point, b: Point, box: Box) -> Point:
     return b
 
 
-def _slope_to_box(a: Point, d: Point, s: float, box: Box) -> float:
+def _slope_to_box(a: Point, d: Point, s: float, lower: Point, upper: Point) -> float:
     """Half the derivative of the squared distance at a + s·d; linear between two kinks."""
     here = (a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2])
-    inside = _clamped_into(here, box)
+    inside = _clamped_into(here, lower, upper)
     return sum((p - q) * step for p, q, step in zip(here, inside, d, strict=True))
 
 
-def _between_boxes(first: Box, second: Box) -> Separation:
+def _between_boxes(lower: Point, upper: Point, second: Box) -> Separation:
     gap = [
         fl - su if fl > su else fu - sl if fu < sl else 0.0
-        for fl, fu, sl, su in zip(first.lower, first.upper, second.lower, second.upper, strict=True)
+        for fl, fu, sl, su in zip(lower, upper, second.lower, second.upper, strict=True)
     ]
     return _direction((0.0, 0.0, 0.0), (gap[0], gap[1], gap[2]))
 
@@ -207,8 +218,7 @@ def _direction(origin: Point, target: Point) -> Separation:
     return distance, (x / distance, y / distance, z / distance)
 
 
-def _clamped_into(p: Point, box: Box) -> Point:
-    lower, upper = box.lower, box.upper
+def _clamped_into(p: Point, lower: Point, upper: Point) -> Point:
     return (
         min(max(p[0], lower[0]), upper[0]),
         min(max(p[1], lower[1]), upper[1]),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from agent.execution.steps import Plan, Point, Record
 from agent.plans.ball_gates import Tripped, doubtful, tripped_gate
 from agent.plans.probing import Probing, Search
-from agent.plans.touching import point, touch_ball
+from agent.plans.touching import TouchWay, point, touch_ball
 from drivers.errors import MeasurementFault
 from twin.errors import TwinError
 from twin.sphere import SphereFit, fit_sphere
@@ -44,13 +44,15 @@ class BallLost:
     touches: int
 
 
-def measure_ball(key: str, predicted_mm: Vector, probing: Probing, search: Search) -> Plan[BallFound | BallLost]:
+def measure_ball(
+    key: str, predicted_mm: Vector, probing: Probing, search: Search, way: TouchWay | None = None
+) -> Plan[BallFound | BallLost]:
     """Touch the ball where it is expected; clean up and repeat where a limit is broken; decide by policy.
 
     A miss widens the search once; a miss of the wide search ends it. A centre that is found far from where it was
     expected is measured again from there, so that every ball is approached along the same normals.
     """
-    ball = _Ball(key, predicted_mm, probing, search)
+    ball = _Ball(key, predicted_mm, probing, search, way)
     for attempt in range(1 + probing.repeats):
         found = yield from ball.attempt(attempt, last=attempt == probing.repeats)
         if found is not None:
@@ -69,8 +71,9 @@ def measure_ball(key: str, predicted_mm: Vector, probing: Probing, search: Searc
 class _Ball:
     """What is known of a ball while it is attempted."""
 
-    def __init__(self, key: str, predicted_mm: Vector, probing: Probing, search: Search) -> None:
+    def __init__(self, key: str, predicted_mm: Vector, probing: Probing, search: Search, way: TouchWay | None) -> None:
         self._key = key
+        self._way = way
         self._probing = probing
         self._centre = predicted_mm
         self._search = search
@@ -137,7 +140,8 @@ class _Ball:
         return float(np.linalg.norm(fit.centre - self._centre))
 
     def _touch(self, key: str, index: int) -> Plan[Point | None]:
-        touched = yield from touch_ball(key, self._centre, self._probing.directions[index], self._probing, self._search)
+        direction = self._probing.directions[index]
+        touched = yield from touch_ball(key, self._centre, direction, self._probing, self._search, self._way)
         self.touches += touched.trips
         return touched.latched_mm
 

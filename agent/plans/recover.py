@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from agent.execution.steps import CheckPermissions, MoveTo, Plan, ReadPosition
 from agent.plans.ball import point
-from agent.plans.position import Course
+from agent.plans.course import Course
 
 WITHDRAW_FEED_MM_PER_S = 20.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +23,69 @@ class Touched:
     trips: int
 
 
-def touch_ball(key: str, centre: Vector, direction: Vector, probing: Probing, search: Search) -> Plan[Touched]:
-    """Touch the ball at `centre` along `direction`; begins and ends in the plane before the ball, along the stylus."""
-    reach = probing.contact_mm + search.approach_mm
-    start = centre - direction * reach
-    above = start - probing.stylus_axis * (reach + float((start - centre) @ probing.stylus_axis))
-    yield MoveTo(f"{key}/above", point(above))
-    if np.abs(start - above).max() > 0.0:
-        yield MoveTo(f"{key}/start", point(start))
+@dataclass(frozen=True, eq=False)
+class Begin:
+    """Where a touch begins: the ball thought at `centre`, touched along the unit vector `direction`."""
+
+    centre: Vector
+    direction: Vector
+    search: Search
+    contact_mm: float
+
+    @property
+    def out_mm(self) -> float:
+        return self.contact_mm + self.search.approach_mm
+
+    @property
+    def start(self) -> Vector:
+        return np.asarray(self.centre - self.direction * self.out_mm)
+
+    @property
+    def surface(self) -> Vector:
+        """Where the tip should trip."""
+        return np.asarray(self.centre - self.direction * self.contact_mm)
+
+
+class TouchWay(Protocol):
+    """How the tip gets to where a touch begins, and away from where it ended."""
+
+    def to(self, key: str, begin: Begin) -> Plan[None]: ...
+
+    def away(self, key: str, begin: Begin, latched_mm: Point | None) -> Plan[None]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class PlainWay:
+    """From the plane before the ball, along the stylus, and back there: free wherever the ball is accessible."""
+
+    probing: Probing
+
+    def to(self, key: str, begin: Begin) -> Plan[None]:
+        start, above = begin.start, before_ball(begin, self.probing)
+        yield MoveTo(f"{key}/above", point(above))
+        if np.abs(start - above).max() > 0.0:
+            yield MoveTo(f"{key}/start", point(start))
+
+    def away(self, key: str, begin: Begin, latched_mm: Point | None) -> Plan[None]:
+        yield MoveTo(f"{key}/back", point(before_ball(begin, self.probing)))
+
+
+def before_ball(begin: Begin, probing: Probing) -> Vector:
+    """Before where the touch begins, in the plane before the ball, as far out as any touch begins."""
+    along = begin.out_mm + float((begin.start - begin.centre) @ probing.stylus_axis)
+    return np.asarray(begin.start - probing.stylus_axis * along)
+
+
+def touch_ball(
+    key: str, centre: Vector, direction: Vector, probing: Probing, search: Search, way: TouchWay | None = None
+) -> Plan[Touched]:
+    """Touch the ball at `centre` along `direction`, `way` there and back; by default by the plane before the ball."""
+    begin = Begin(centre, direction, search, probing.contact_mm)
+    chosen = way or PlainWay(probing)
+    yield from chosen.to(key, begin)
     target = centre - direction * (probing.contact_mm - search.beyond_mm)
     touched = yield from _trip(key, target, direction, probing)
-    yield MoveTo(f"{key}/back", point(above))
+    yield from chosen.away(key, begin, touched.latched_mm)
     return touched
 
 

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.roles import MotionState
 from simulators.world.controller import Controller
-from simulators.world.mount import MountPhysics
 from simulators.world.workpiece import Workpiece
 from twin.bodies import TABLE
 from twin.collision import Scene
 from twin.geometry import Point, added, point, separation, sphere, swept_contact
 
 STEP_MM = 4.0
-"""A body moves about this far from one sample to the next: less than half the thinnest body that matters."""
-STEP_S = 0.02
+"""Nearer bodies are looked at again after so much motion: less than half the thinnest body that matters."""
 _LOOKED_AT_MM = 150.0
 _HERE: Point = (0.0, 0.0, 0.0)
 
@@ -33,12 +31,20 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
     """First collision of probe and ram with the turning artefact in a span of time, if nothing intervenes."""
     if _stays_outside(workpiece, controller, start_s):
         return None
-    for instant in _instants(workpiece.mount, workpiece.sweep_radius_mm, start_s, end_s):
+    speed = math.radians(workpiece.mount.fastest_deg_per_s) * workpiece.sweep_radius_mm
+    if controller.motion is MotionState.MOVING:
+        speed += math.hypot(*controller.limits().rapid_mm_per_s)
+    instant = start_s
+    while True:
         tip = added(controller.displayed_at(instant), controller.tool_offset)
-        pair = _touching(workpiece.standing(instant).scene, tip)
+        scene = workpiece.standing(instant).scene
+        gap_mm = scene.clearance(tip, at_most=_LOOKED_AT_MM)
+        pair = _touching(scene, tip) if gap_mm < 0.0 else None
         if pair is not None:
             return TurnCrash(instant, *pair)
-    return None
+        if instant >= end_s:
+            return None
+        instant = min(end_s, instant + max(gap_mm, STEP_MM) / speed)
 
 
 def first_meeting(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
@@ -86,13 +92,6 @@ def _stays_outside(workpiece: Workpiece, controller: Controller, start_s: float)
         if separation(here, reach)[0] <= 0.0 or swept_contact(here, reach, way) is not None:
             return False
     return True
-
-
-def _instants(mount: MountPhysics, radius_mm: float, start_s: float, end_s: float) -> Iterator[float]:
-    fastest = mount.fastest_deg_per_s
-    step = min(STEP_S, STEP_MM / (math.radians(fastest) * radius_mm))
-    count = math.ceil((end_s - start_s) / step)
-    return (start_s + (end_s - start_s) * i / count for i in range(1, count + 1))
 
 
 def _touching(scene: Scene, tip: Point) -> tuple[str, str] | None:

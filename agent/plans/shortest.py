@@ -1,0 +1,229 @@
+"""The tip on the fastest ways that are proved to be free, and on plain ones where none is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import MoveTo, OrientTo, Plan, Point
+from agent.plans.course import Course
+from agent.plans.pilot import Orientation, PlainPilot
+from agent.plans.probing import Probing
+from agent.plans.touching import Begin, TouchWay, before_ball, point
+from agent.plans.tour import measuring_sequence
+from agent.plans.traffic import Spot, Stand, Traffic, TurningWay
+from twin.geometry import Point as Corner
+from twin.layout import Layout
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class _Pose:
+    """The pose that is being measured. `nominal` and `centres` (N, 3): axis positions of the balls by the drawings and
+    as known; `uncertain_mm`: by so much the latter may be off."""
+
+    stand: Stand
+    station: int
+    nominal: Array
+    centres: Array
+    uncertain_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class _There:
+    """Where the tip is: at a spot of a ball that was thought `off` (3,) its drawing's place."""
+
+    spot: Spot
+    off: Array
+
+
+class ShortestPilot:
+    """Remembers where the tip is; a plan that is rebuilt from the same results makes the same one again."""
+
+    def __init__(self, traffic: Traffic, course: Course, probing: Probing) -> None:
+        self._traffic = traffic
+        self._course = course
+        self._probing = probing
+        self._plain = PlainPilot(course, probing)
+        self._pose: _Pose | None = None
+        self._there: _There | None = None
+        self._way_in: tuple[Corner, ...] | None = None
+        self._here: Array = np.zeros(3)
+
+    def sequence(self, task: Orientation) -> tuple[int, list[int], int]:
+        stand = self._stand(task)
+        first, last = self._ends(task, stand)
+        return first, measuring_sequence(self._traffic, stand, self._probing, task.balls, first, last), last
+
+    def turn(self, task: Orientation, here: Array) -> Plan[None]:
+        before, stand = self._pose, self._stand(task)
+        nominal = self._traffic.nominal(stand, task.station)
+        first = self._ends(task, stand)[0]
+        way = self._turning(task, stand, first)
+        if way is None or before is None or self._there is None:
+            yield from self._plain.turn(task, here)
+            self._way_in = None
+        else:
+            off = self._there.off
+            for number, corner in enumerate(way.out):
+                yield MoveTo(f"{task.key}/out-{number}", point(self._traffic.axes_at(task.station, corner) + off))
+            yield MoveTo(f"{task.key}/wait", point(self._traffic.axes_at(task.station, way.waiting)))
+            yield OrientTo(f"{task.key}/orient", task.station, task.azimuth_deg, task.elevation_deg)
+            self._way_in = way.into
+        self._pose = _Pose(stand, task.station, nominal, task.predicted_mm, self._traffic.roads.unknown_mm)
+        self._there = None
+
+    def enter(self, task: Orientation, ball: int) -> Plan[None]:
+        if self._way_in is None:
+            yield from self._plain.enter(task, ball)
+
+    def align(self, centres_mm: Array) -> None:
+        pose = self._known_pose
+        pose.centres = centres_mm
+        off = centres_mm - pose.nominal
+        # A turned artefact stands differently beside a probe that does not turn, by no more than this.
+        pose.uncertain_mm = self._traffic.roads.known_mm + float(np.linalg.norm(np.ptp(off, axis=0)))
+
+    def to_ball(self, key: str, centre: Array) -> Plan[None]:
+        yield from ()
+
+    def from_ball(self, key: str, centre: Array) -> Plan[None]:
+        yield from ()
+
+    def way_at(self, ball: int) -> TouchWay:
+        return _BallWay(self, ball)
+
+    def leave(self, key: str, centre: Array) -> Plan[None]:
+        """Off the surface first, then straight back: nothing but the tip has been anywhere new."""
+        there = self._there
+        if there is not None and there.spot.touching:
+            out = self._probing.contact_mm + self._probing.narrow.approach_mm
+            self._here = self._here - np.array(there.spot.direction) * (out - there.spot.out_mm)
+            yield MoveTo(f"{key}/off", point(self._here))
+        yield MoveTo(f"{key}/leave", point(self._course.retreated(self._here)))
+        self._there = self._pose = self._way_in = None
+
+    # ------------------------------------------------------------------ at a ball
+
+    def to(self, key: str, ball: int, begin: Begin) -> Plan[None]:
+        """To where a touch of `ball` begins."""
+        pose = self._known_pose
+        spot = Spot(ball, point(begin.direction), begin.out_mm)
+        off = begin.centre - pose.nominal[ball]
+        for number, target in enumerate(self._corners(spot, off, begin)):
+            yield MoveTo(f"{key}/via-{number}", point(target))
+        yield MoveTo(f"{key}/start", point(begin.start))
+        self._at(_There(spot, off), begin.start)
+
+    def away(self, key: str, ball: int, begin: Begin, latched_mm: Point | None) -> Plan[None]:
+        """Nothing, where the surface was found as expected: the next way begins there. Else back where it was begun."""
+        there = self._there
+        assert there is not None  # noqa: S101  `to` came before
+        if latched_mm is not None and begin.search == self._probing.narrow:
+            missed_mm = float(np.linalg.norm(np.array(latched_mm) - begin.surface))
+            if missed_mm <= self._traffic.roads.known_mm:
+                spot = Spot(ball, there.spot.direction, begin.contact_mm, touching=True)
+                self._at(_There(spot, there.off), np.array(latched_mm))
+                return
+        yield MoveTo(f"{key}/back", point(begin.start))
+
+    def _corners(self, spot: Spot, off: Array, begin: Begin) -> list[Array]:
+        """Axis positions on the way."""
+        pose, there = self._known_pose, self._there
+        if there is None:
+            found, self._way_in = self._way_in or (), None
+            return [self._traffic.axes_at(pose.station, corner) + off for corner in found]
+        known = pose.centres - pose.nominal
+        mistaken = max(_apart(off, known[spot.ball]), _apart(there.off, known[there.spot.ball]))
+        place_x = float(self._traffic.layout.place(pose.station)[0])
+        way = self._traffic.between(pose.stand, there.spot, spot, pose.uncertain_mm + mistaken, place_x)
+        if way is None:
+            return self._plain_corners(there, begin)
+        first, last = (
+            self._traffic.axes_at(pose.station, self._traffic.at(pose.stand, one)) for one in (there.spot, spot)
+        )
+        corners = [self._traffic.axes_at(pose.station, corner) for corner in way.corners]
+        return [corner + _blended(there.off, off, _share(corner, first, last)) for corner in corners]
+
+    def _plain_corners(self, there: _There, begin: Begin) -> list[Array]:
+        """Back to the plane before the ball on the same one; over the retreat plane to another."""
+        here = self._here
+        beside = here - np.array(there.spot.direction) * (begin.out_mm - there.spot.out_mm)
+        leaving = [beside] if there.spot.touching else []
+        before = before_ball(begin, self._probing)
+        if float(np.linalg.norm(here - begin.centre)) < 2.0 * begin.out_mm:
+            depth = before - begin.centre
+            back = beside + self._probing.stylus_axis * float(
+                (depth - (beside - begin.centre)) @ self._probing.stylus_axis
+            )
+            return [*leaving, back, before]
+        return [*leaving, self._course.retreated(beside), self._course.retreated(before)]
+
+    def _at(self, there: _There, here: Array) -> None:
+        self._there, self._here = there, here
+
+    # ------------------------------------------------------------------ between positions
+
+    def _ends(self, task: Orientation, stand: Stand) -> tuple[int, int]:
+        """First and last ball: whichever end is nearer in time to where the tip is."""
+        ends = task.balls[0], task.balls[-1]
+        costs = [way.seconds for way in (self._turning(task, stand, end) for end in ends) if way is not None]
+        return ends[::-1] if len(costs) == len(ends) and costs[1] < costs[0] else ends
+
+    def _turning(self, task: Orientation, stand: Stand, ball: int) -> TurningWay | None:
+        there, pose = self._there, self._pose
+        if there is None or pose is None or pose.station != task.station or self._moved_far(there, task):
+            return None
+        pole = Spot(ball, point(self._probing.directions[0]), self._probing.contact_mm + self._probing.wide.approach_mm)
+        place_x = float(self._traffic.layout.place(task.station)[0])
+        return self._traffic.turning(pose.stand, there.spot, stand, pole, place_x)
+
+    def _moved_far(self, there: _There, task: Orientation) -> bool:
+        """A mount that stands farther off its place than the wide search allows is not met on planned ways."""
+        return float(np.linalg.norm(there.off)) > self._traffic.roads.unknown_mm
+
+    def _stand(self, task: Orientation) -> Stand:
+        return self._traffic.standing(task.station, task.azimuth_deg, task.elevation_deg)
+
+    @property
+    def _known_pose(self) -> _Pose:
+        assert self._pose is not None  # noqa: S101  `turn` came before
+        return self._pose
+
+
+@dataclass(frozen=True, eq=False)
+class _BallWay:
+    """The ways of one ball."""
+
+    pilot: ShortestPilot
+    ball: int
+
+    def to(self, key: str, begin: Begin) -> Plan[None]:
+        yield from self.pilot.to(key, self.ball, begin)
+
+    def away(self, key: str, begin: Begin, latched_mm: Point | None) -> Plan[None]:
+        yield from self.pilot.away(key, self.ball, begin, latched_mm)
+
+
+def pilot_of(course: Course, probing: Probing, layout: Layout) -> PlainPilot | ShortestPilot:
+    """The plain one where no roads are known."""
+    if course.roads is None:
+        return PlainPilot(course, probing)
+    return ShortestPilot(course.roads.among(layout), course, probing)
+
+
+def _apart(one: Array, other: Array) -> float:
+    return float(np.linalg.norm(one - other))
+
+
+def _share(corner: Array, first: Array, last: Array) -> float:
+    """How far along the straight way a corner is, 0 … 1."""
+    way = last - first
+    return float(np.clip((corner - first) @ way / max(float(way @ way), 1e-12), 0.0, 1.0))
+
+
+def _blended(first: Array, last: Array, share: float) -> Array:
+    return np.asarray((1.0 - share) * first + share * last)

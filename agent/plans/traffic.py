@@ -1,0 +1,383 @@
+"""The shortest free ways of one run: from touch to touch, from ball to ball, and out of one pose into the next.
+
+Ways are sought among the bodies as they stand by the drawings, in coordinates that begin at the place of the mount,
+so that what was found once holds at every station and however often a position is measured. What is known better or
+worse about the pose goes into the clearance. The corners are then carried over to where the artefact was found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.access import AT_CONTACT_MM, standing_scene
+from twin.artefact import Artefact
+from twin.bodies import TIP, ball_name, post_name
+from twin.collision import Scene
+from twin.geometry import Point, Shape, point
+from twin.layout import Layout
+from twin.motion import travel_times
+from twin.paths import RETRACTS_MM, Apart, Dynamics, Way, fastest, straight_and_retracted
+from twin.turn_sweep import CELL_MM, Cover, TurnSweep, cover_of, turn_sweep
+
+Array = NDArray[np.float64]
+
+UNCERTAIN_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""What a pose is off by is rounded up to one of these, so that few ways serve many."""
+
+ROUND_THE_BALL = (1.05, 1.2, 1.4, 1.7)
+"""Corners of the ways round a ball, in units of the distance at which touches begin."""
+
+LEAVING = 0.15
+"""Least cosine between the normal at a touch and the first move away from it: the stylus must come free at once."""
+
+LEAVES_BY_MM = 3.0
+"""How far the stylus leaves the surface before it draws back, where it does not leave at once."""
+
+NEAR_ENOUGH = 0.95
+"""A place to wait while the mount turns is not bettered for less than this."""
+
+_TURNING_PLACES_TRIED = 24
+_GRID_MM = 80.0
+
+
+@dataclass(frozen=True)
+class Stand:
+    """How the artefact stands: the mount's angles, and depth and height of its place (workpiece frame).
+
+    `among`: the station, where something else than this mount stands in the workspace; 0 where all stations are alike.
+    """
+
+    azimuth_deg: float
+    elevation_deg: float
+    depth_mm: float
+    height_mm: float
+    among: int = 0
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where the tip may be at a ball: out from its centre by `out_mm` against the unit vector `direction`.
+
+    `touching`: at the surface, after a touch.
+    """
+
+    ball: int
+    direction: Point
+    out_mm: float
+    touching: bool = False
+
+
+@dataclass(frozen=True)
+class TurningWay:
+    """Out of the old pose, and from where the tip waits while the mount turns, into the new one. Corners and `waiting`
+    relative to the place of the mount; `seconds` of both ways."""
+
+    out: tuple[Point, ...]
+    waiting: Point
+    into: tuple[Point, ...]
+    seconds: float
+
+
+@dataclass(eq=False)
+class _Pose:
+    """Ball centres (N, 3) and all bodies, relative to the place of the mount."""
+
+    centres: Array
+    scene: Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Roads:
+    """`stylus_axis` (3,): unit vector along which the stylus points. `lower_mm`, `upper_mm` (3,): travel of the axes.
+    `clearance_mm`: what every two bodies keep on every way, beside what the pose may be off by: `known_mm` once the end
+    balls are found, `unknown_mm` before.
+    """
+
+    stylus_axis: Array
+    lower_mm: Array
+    upper_mm: Array
+    dynamics: Dynamics
+    clearance_mm: float
+    known_mm: float
+    unknown_mm: float
+    _traffic: dict[Layout, Traffic] = field(default_factory=dict, init=False, repr=False)
+
+    def among(self, layout: Layout) -> Traffic:
+        """The ways among what stands as `layout` says; the same each time, with all that was found."""
+        if layout not in self._traffic:
+            self._traffic[layout] = Traffic(layout, self)
+        return self._traffic[layout]
+
+
+@dataclass(frozen=True, eq=False)
+class Traffic:
+    """Every way that was asked for is kept: the same ones are asked for at every station, and again in every proof."""
+
+    layout: Layout
+    roads: Roads
+    sequences: dict[object, list[int]] = field(default_factory=dict, init=False, repr=False)
+    _covers: dict[int, Cover] = field(default_factory=dict, init=False, repr=False)
+    _poses: dict[Stand, _Pose] = field(default_factory=dict, init=False, repr=False)
+    _sweeps: dict[object, TurnSweep] = field(default_factory=dict, init=False, repr=False)
+    _ways: dict[object, Way | None] = field(default_factory=dict, init=False, repr=False)
+    _turning: dict[object, TurningWay | None] = field(default_factory=dict, init=False, repr=False)
+
+    def standing(self, station: int, azimuth_deg: float, elevation_deg: float) -> Stand:
+        _, depth, height = point(self.layout.place(station))
+        alone = not (self.layout.around or self.layout.own_artefacts)
+        return Stand(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
+
+    def axes_at(self, station: int, corner: Point) -> Array:
+        """(3,) axis positions of a tip centre relative to the place of the mount at `station`."""
+        return np.asarray(self.layout.place(station) - self.layout.tool_offset_mm + corner)
+
+    def nominal(self, stand: Stand, station: int) -> Array:
+        """(N, 3) axis positions of all balls."""
+        return np.asarray(self._pose(stand).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
+
+    def at(self, stand: Stand, spot: Spot) -> Point:
+        """Tip centre at `spot`, relative to the place of the mount."""
+        return point(self._pose(stand).centres[spot.ball] - np.array(spot.direction) * spot.out_mm)
+
+    def between(self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, place_x_mm: float) -> Way | None:
+        """The fastest free way, relative to the place of the mount at `place_x_mm`; None where no way is proved to be
+        free. `uncertain_mm`: by so much the artefact may stand off.
+        """
+        uncertain_mm = rounded_up(uncertain_mm)
+        anywhere = self._known_way(stand, start, end, uncertain_mm, (-math.inf, math.inf))
+        low, high = self._room(place_x_mm)
+        if anywhere is None or all(low <= x <= high for x, _, _ in anywhere.corners):
+            return anywhere
+        return self._known_way(stand, start, end, uncertain_mm, (low, high))
+
+    def _known_way(
+        self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, room: tuple[float, float]
+    ) -> Way | None:
+        key = (stand, start, end, uncertain_mm, room)
+        if key not in self._ways:
+            self._ways[key] = self._sought(*key)
+        return self._ways[key]
+
+    def seconds_between(self, stand: Stand, start: Spot, end: Spot) -> float:
+        """Of the way where the pose is known; where none is proved to be free, of one as far back as any candidate."""
+        way = self._known_way(stand, start, end, rounded_up(self.roads.known_mm), (-math.inf, math.inf))
+        if way is not None:
+            return way.seconds
+        across = float(self.straight_seconds(stand, [start], [end])[0, 0])
+        return across + 2.0 * float(self._straight(np.zeros(3), self.roads.stylus_axis * RETRACTS_MM[-1]))
+
+    def straight_seconds(self, stand: Stand, starts: Sequence[Spot], ends: Sequence[Spot]) -> Array:
+        """(n, m): no way from one to the other is faster."""
+        first, last = (np.array([self.at(stand, spot) for spot in spots]) for spots in (starts, ends))
+        return self._straight(first[:, None], last[None])
+
+    def turning(self, before: Stand, start: Spot, after: Stand, end: Spot, place_x_mm: float) -> TurningWay | None:
+        """From `start` in one pose to `end` in the next; None where nothing proved to be free was found."""
+        (low, high), reach = self._room(place_x_mm), self._reach_mm(after)
+        key = (before, start, after, end, (max(low, -reach), min(high, reach)))
+        if key not in self._turning:
+            self._turning[key] = self._waiting_place(*key)
+        return self._turning[key]
+
+    def _room(self, place_x_mm: float) -> tuple[float, float]:
+        """Travel of the tip along X, relative to the place."""
+        low, high = (
+            float(end[0] + self.layout.tool_offset_mm[0]) - place_x_mm
+            for end in (self.roads.lower_mm, self.roads.upper_mm)
+        )
+        return low, high
+
+    # ------------------------------------------------------------------ touches and balls
+
+    def _sought(
+        self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, room: tuple[float, float]
+    ) -> Way | None:
+        pose = self._pose(stand)
+        first, last = self.at(stand, start), self.at(stand, end)
+        corners = self._corners(stand, start, last, end.out_mm - start.out_mm)
+        if start.ball == end.ball:
+            round_it = self._round(pose.centres[start.ball], start, end)
+            corners.append(_leaving(first, last, round_it, start))
+        low, high = self._travel(stand)
+        low[0], high[0] = room
+        corners = [group[((group >= low) & (group <= high)).all(axis=(1, 2))] for group in corners]
+        for apart in self._aparts(start, end, uncertain_mm):
+            way = fastest(pose.scene, self.roads.dynamics, first, last, corners, apart)
+            if way is not None:
+                return way
+        return None
+
+    def _corners(self, stand: Stand, start: Spot, last: Point, beside_mm: float) -> list[Array]:
+        """Candidates from `start`, from a touch only such as leave the surface, by `beside_mm` first if need be."""
+        first = self.at(stand, start)
+        aside = -beside_mm * np.array(start.direction) if start.touching else None
+        least = float(self._travel(stand)[0] @ np.abs(self.roads.stylus_axis))
+        corners = straight_and_retracted(first, last, -self.roads.stylus_axis, least, aside)
+        return [_leaving(first, last, group, start) for group in corners]
+
+    def _round(self, centre: Array, start: Spot, end: Spot) -> Array:
+        """(n, 1, 3): corners beside the ball, between both spots and before it."""
+        around = -np.array(start.direction) - np.array(end.direction)
+        out_mm = max(start.out_mm, end.out_mm)
+        ways = [around - ahead * self.roads.stylus_axis for ahead in (0.0, 0.4, 0.8, 1.6)]
+        units = np.array([way / np.linalg.norm(way) for way in ways if np.linalg.norm(way) > 0.1])
+        return np.concatenate([centre + out_mm * far * units for far in ROUND_THE_BALL])[:, None]
+
+    def _aparts(self, start: Spot, end: Spot, uncertain_mm: float) -> Iterator[Apart]:
+        """What is kept from everything; less from the balls at both ends, whose surface the touch is to find, and
+        least from their holders, which stand by their balls wherever these are."""
+        apart_mm = self.roads.clearance_mm + uncertain_mm
+        balls = {start.ball, end.ball}
+        begins_mm = min(apart_mm, end.out_mm - self._contact_mm - 1e-3)
+        near = {(body, ball_name(ball)): begins_mm for body in (TIP, "stem") for ball in balls}
+        yield Apart(apart_mm, near)
+        yield Apart(apart_mm, near | {(b, post_name(ball)): AT_CONTACT_MM for b in (TIP, "stem") for ball in balls})
+
+    # ------------------------------------------------------------------ turning
+
+    def _waiting_place(
+        self, before: Stand, start: Spot, after: Stand, end: Spot, between_mm: tuple[float, float]
+    ) -> TurningWay | None:
+        """The first of the places, by what they cost at least, to which and from which a way is free."""
+        first, last = self.at(before, start), self.at(after, end)
+        places = self._offered(before, after, first, last, between_mm)
+        if not len(places):
+            return None
+        least = self._straight(np.array(first), places) + self._straight(places, np.array(last))
+        order = np.argsort(least, kind="stable")[:_TURNING_PLACES_TRIED]
+        best: TurningWay | None = None
+        for index in order:
+            if best is not None and least[index] >= NEAR_ENOUGH * best.seconds:
+                break
+            waiting = point(places[index])
+            out = self._to_waiting(before, start, waiting)
+            into = None if out is None else self._to_waiting(after, end, waiting)
+            if out is not None and into is not None:
+                seconds = out.seconds + into.seconds
+                if best is None or seconds < best.seconds:
+                    best = TurningWay(out.corners, waiting, into.corners[::-1], seconds)
+        return best
+
+    def _offered(
+        self, before: Stand, after: Stand, first: Point, last: Point, between_mm: tuple[float, float]
+    ) -> Array:
+        """(n, 3): places before everything that turns, a grid and straight before both ends, inside the travel."""
+        sweep = self._sweep(before, after)
+        low, high = self._travel(before)
+        low[0], high[0] = between_mm
+        grids = []
+        for axis in (0, 2):
+            own = np.array([first[axis], last[axis], 0.5 * (first[axis] + last[axis])])
+            steps = np.arange(low[axis], high[axis], _GRID_MM)
+            grids.append(np.clip(np.concatenate([own, steps]), low[axis], high[axis]))
+        x, z = (grid.ravel() for grid in np.meshgrid(*grids))
+        y = np.minimum(sweep.at(x, z), max(first[1], last[1]))
+        places = np.column_stack([x, y, z])
+        return np.asarray(places[y >= low[1]])
+
+    def _to_waiting(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
+        """Out from `spot`; the way in is the same backwards, since nothing but the tip is at a ball."""
+        key = (stand, spot, waiting)
+        if key not in self._ways:
+            first = self.at(stand, spot)
+            corners = self._corners(stand, spot, waiting, LEAVES_BY_MM)
+            apart_mm = self.roads.clearance_mm + self.roads.unknown_mm
+            near_mm = min(apart_mm, max(spot.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
+            near = {(body, ball_name(spot.ball)): near_mm for body in (TIP, "stem")}
+            holder = {(body, post_name(spot.ball)): min(apart_mm, near_mm) for body in (TIP, "stem")}
+            scene = self._pose(stand).scene
+            self._ways[key] = fastest(
+                scene, self.roads.dynamics, first, waiting, corners, Apart(apart_mm, near | holder)
+            )
+        return self._ways[key]
+
+    def _sweep(self, before: Stand, after: Stand) -> TurnSweep:
+        low, high = (
+            tuple(choose(a, b) for a, b in zip(_angles(before), _angles(after), strict=True)) for choose in (min, max)
+        )
+        key = (low, high, after.depth_mm, after.height_mm, after.among)
+        if key not in self._sweeps:
+            self._sweeps[key] = turn_sweep(
+                self._cover(after),
+                self.layout.probe,
+                self._standing_still(after),
+                (low[0], low[1]),
+                (high[0], high[1]),
+                clearance_mm=self.roads.clearance_mm + self.roads.unknown_mm,
+            )
+        return self._sweeps[key]
+
+    def _standing_still(self, stand: Stand) -> list[Shape]:
+        """What does not turn with the mount: its pedestal, the table and what else is there."""
+        scene = self._pose(stand).scene
+        carried = self._artefact(stand).count
+        turning = {"shaft", "bar", *map(ball_name, range(carried)), *map(post_name, range(carried))}
+        return [body.shape for body in scene.obstacles if body.name not in turning]
+
+    def _straight(self, start: Array, end: Array) -> Array:
+        dynamics = self.roads.dynamics
+        return travel_times(start, end, dynamics.rapid_mm_per_s, dynamics.acceleration_mm_per_s2) + dynamics.command_s
+
+    def _travel(self, stand: Stand) -> tuple[Array, Array]:
+        """Of the tip, relative to the place; along X relative to the table."""
+        place = np.array([0.0, stand.depth_mm, stand.height_mm])
+        shift = self.layout.tool_offset_mm - place
+        return self.roads.lower_mm + shift, self.roads.upper_mm + shift
+
+    # ------------------------------------------------------------------ bodies
+
+    def _cover(self, stand: Stand) -> Cover:
+        if stand.among not in self._covers:
+            self._covers[stand.among] = cover_of(self._artefact(stand), self.layout.mount)
+        return self._covers[stand.among]
+
+    def _artefact(self, stand: Stand) -> Artefact:
+        return self.layout.artefact_at(stand.among)
+
+    def _reach_mm(self, stand: Stand) -> float:
+        return (
+            self._cover(stand).reach_mm + self.layout.probe.ram_half_width_mm + self.roads.unknown_mm + 10.0 * CELL_MM
+        )
+
+    @property
+    def _contact_mm(self) -> float:
+        return self.layout.contact_mm
+
+    def _pose(self, stand: Stand) -> _Pose:
+        if stand not in self._poses:
+            x = float(self.layout.place(stand.among)[0]) if stand.among else 0.0
+            centres, scene = standing_scene(
+                self._artefact(stand),
+                self.layout.probe,
+                self.layout.mount,
+                place_mm=np.array([x, stand.depth_mm, stand.height_mm]),
+                azimuth_rad=math.radians(stand.azimuth_deg),
+                elevation_rad=math.radians(stand.elevation_deg),
+                further=self.layout.around.get(stand.among, ()),
+            )
+            back = (-x, -stand.depth_mm, -stand.height_mm)
+            self._poses[stand] = _Pose(centres + back, scene.shifted(back))
+        return self._poses[stand]
+
+
+def rounded_up(uncertain_mm: float) -> float:
+    """To the next of `UNCERTAIN_MM`, beyond the last as it is."""
+    return next((value for value in UNCERTAIN_MM if uncertain_mm <= value), uncertain_mm)
+
+
+def _angles(stand: Stand) -> tuple[float, float]:
+    return stand.azimuth_deg, stand.elevation_deg
+
+
+def _leaving(first: Point, last: Point, corners: Array, start: Spot) -> Array:
+    """Those candidates (n, k, 3) whose first move goes away from the surface that is touched."""
+    if not start.touching:
+        return corners
+    firsts = corners[:, 0] if corners.shape[1] else np.broadcast_to(np.array(last), (len(corners), 3))
+    ways = firsts - np.array(first)
+    return np.asarray(corners[-ways @ np.array(start.direction) >= LEAVING * np.linalg.norm(ways, axis=1)])

@@ -1,0 +1,122 @@
+"""The order in which places are visited that costs least: exact for few of them, improved by exchanges for more.
+
+Costs need not be the same both ways and may be dear to know: they are asked for one by one, through the caller's
+function, and an exchange whose new legs cost more at the least than the old ones do is never asked about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from itertools import pairwise
+from typing import TypeVar
+
+Place = TypeVar("Place", bound=Hashable)
+
+MOST_EXACT = 8
+_LEAST_GAIN = 1e-9
+
+
+def shortest_tour(
+    places: Sequence[Place],
+    start: Place,
+    end: Place | None,
+    cost: Callable[[Place, Place], float],
+    least: Callable[[Place, Place], float],
+) -> list[Place]:
+    """`places` in the order that costs least from `start` to `end` (None: wherever it ends).
+
+    `least(a, b)`: a lower bound of `cost(a, b)` that is cheap to know. Up to `MOST_EXACT` places the answer is the
+    best there is (Held and Karp 1962); beyond, no exchange of two legs and no move of up to three places makes the
+    answer better. Of equals the earlier in `places`.
+    """
+    if len(places) <= MOST_EXACT:
+        return _exact(places, start, end, cost)
+    return _improved(_nearest(places, start, least), start, end, cost, least)
+
+
+def tour_cost(order: Sequence[Place], start: Place, end: Place | None, cost: Callable[[Place, Place], float]) -> float:
+    """Sum over all legs from `start` over `order` to `end`."""
+    return sum(cost(a, b) for a, b in pairwise(_stops(order, start, end)))
+
+
+def _stops(order: Sequence[Place], start: Place, end: Place | None) -> list[Place]:
+    return [start, *order, *([] if end is None else [end])]
+
+
+def _exact(
+    places: Sequence[Place], start: Place, end: Place | None, cost: Callable[[Place, Place], float]
+) -> list[Place]:
+    """Best ways through every subset, by its last place."""
+    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {
+        (1 << index, index): (cost(start, place), (index,)) for index, place in enumerate(places)
+    }
+    for subset in range(1, 1 << len(places)):
+        for last in range(len(places)):
+            if (subset, last) not in best:
+                continue
+            paid, way = best[subset, last]
+            for after, place in enumerate(places):
+                if subset >> after & 1:
+                    continue
+                further = (paid + cost(places[last], place), (*way, after))
+                reached = (subset | 1 << after, after)
+                if reached not in best or further[0] < best[reached][0] - _LEAST_GAIN:
+                    best[reached] = further
+    whole = (1 << len(places)) - 1
+    ends = [best[whole, last] for last in range(len(places))]
+    if end is not None:
+        ends = [(paid + cost(places[way[-1]], end), way) for paid, way in ends]
+    return [places[index] for index in min(ends, default=(0.0, ()))[1]]
+
+
+def _nearest(places: Sequence[Place], start: Place, least: Callable[[Place, Place], float]) -> list[Place]:
+    """Always on to the nearest that is left."""
+    left, order, here = list(places), list[Place](), start
+    while left:
+        here = min(left, key=lambda place: least(here, place))
+        left.remove(here)
+        order.append(here)
+    return order
+
+
+def _improved(
+    order: list[Place],
+    start: Place,
+    end: Place | None,
+    cost: Callable[[Place, Place], float],
+    least: Callable[[Place, Place], float],
+) -> list[Place]:
+    better: list[Place] | None = order
+    while better is not None:
+        order, paid = better, tour_cost(better, start, end, cost)
+        better = next((one for one in _exchanged(order) if _cheaper(one, order, start, end, cost, least, paid)), None)
+    return order
+
+
+def _cheaper(
+    one: list[Place],
+    order: list[Place],
+    start: Place,
+    end: Place | None,
+    cost: Callable[[Place, Place], float],
+    least: Callable[[Place, Place], float],
+    paid: float,
+) -> bool:
+    """Whether `one` costs less than `order`, which costs `paid`; legs that both have are known already."""
+    known = set(pairwise(_stops(order, start, end)))
+    bound = sum(cost(a, b) if (a, b) in known else least(a, b) for a, b in pairwise(_stops(one, start, end)))
+    return bound < paid - _LEAST_GAIN and tour_cost(one, start, end, cost) < paid - _LEAST_GAIN
+
+
+def _exchanged(order: list[Place]) -> Iterator[list[Place]]:
+    """Every part turned round (2-opt), and every part of up to three places elsewhere (or-opt)."""
+    count = len(order)
+    for first in range(count):
+        for last in range(first + 2, count + 1):
+            yield order[:first] + order[first:last][::-1] + order[last:]
+    for length in (1, 2, 3):
+        for first in range(count - length + 1):
+            part, rest = order[first : first + length], order[:first] + order[first + length :]
+            for to in range(len(rest) + 1):
+                if to != first:
+                    yield rest[:to] + part + rest[to:]
