@@ -21,15 +21,8 @@ from twin.observations import Observations
 
 def balls_for_estimate(job: Job, measured: Measured) -> list[MeasuredBall]:
     """All but those of held-out positions; where the machine drifted, also the first of each position found again."""
-    kept = {id(ball) for ball in job.balls_of(measured, held_out=False)}
-    drifts = is_drifting(job.settings, [ball for position in measured.positions for ball in position.balls])
-    found = []
-    for position in measured.positions:
-        own = [ball for ball in position.balls if id(ball) in kept]
-        found += own
-        if drifts and own and position.again is not None:
-            found.append(position.again)
-    return found
+    balls = job.balls_of(measured, held_out=False)
+    return job.balls_of(measured, held_out=False, again=True) if is_drifting(job.settings, balls) else balls
 
 
 def is_drifting(settings: Settings, balls: Sequence[MeasuredBall]) -> bool:
@@ -45,15 +38,15 @@ def change_k(settings: Settings, balls: Sequence[MeasuredBall]) -> float:
 
 def observed(job: Job, balls: Sequence[MeasuredBall], correction: Correction) -> Observations:
     """Observations with the machine's course to the last of them, where it drifted."""
-    seen = observations_of(balls, job.tool_offset_mm, correction)
     if not is_drifting(job.settings, balls):
-        return seen
+        return observations_of(balls, job.tool_offset_mm, correction)
     instants_s = np.array([ball.conditions.instant_s for ball in balls])
     told = [ball.conditions.machine_c for ball in balls]
     known = [value for value in told if value is not None]
     machine_c = np.array(known) if len(known) == len(balls) else None
     course = machine_course(instants_s, machine_c, change_k(job.settings, balls))
-    return replace(seen, course=course, temperature_c=smoothed(instants_s, seen.temperature_c))
+    seen = observations_of(balls, job.tool_offset_mm, correction, course)
+    return replace(seen, temperature_c=smoothed(instants_s, seen.temperature_c))
 
 
 def options_of(settings: Settings) -> Options:

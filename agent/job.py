@@ -84,13 +84,14 @@ class Job:
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
 
-    def balls_of(self, measured: Measured, *, held_out: bool) -> list[MeasuredBall]:
-        """The balls of the held-out positions, or of all others, numbered as `artefact` has them."""
+    def balls_of(self, measured: Measured, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
+        """The balls of the held-out positions, or of all others, numbered as `artefact` has them; `again`: with those
+        that were found again at the end of their positions."""
         kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
         return [
             replace(ball, ball=ball.ball + self.layout.first_ball(ball.station))
             for position in measured.positions
-            for ball in position.balls
+            for ball in (position.all_balls if again else position.balls)
             if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
         ]
 

@@ -15,10 +15,13 @@ Array = NDArray[np.float64]
 Correction = Callable[[Array], Array]
 
 
-def observations_of(balls: Sequence[MeasuredBall], tool_offset_mm: Array, correction: Correction) -> Observations:
+def observations_of(
+    balls: Sequence[MeasuredBall], tool_offset_mm: Array, correction: Correction, course: Array | None = None
+) -> Observations:
     """Observations in bare axis positions: what the acting table added is added back to what was displayed.
 
-    `correction` maps displayed axis positions (n, 3) to what the controller adds to them, (n, 3) mm.
+    `correction` maps displayed axis positions (n, 3) to what the controller adds to them, (n, 3) mm; `course` (n, w) K
+    of a machine that drifted.
     """
     displayed = np.array([ball.found.centre_mm for ball in balls])
     return Observations(
@@ -30,6 +33,7 @@ def observations_of(balls: Sequence[MeasuredBall], tool_offset_mm: Array, correc
         temperature_c=np.array([ball.temperature_c for ball in balls]),
         elevation_rad=np.array([math.radians(ball.elevation_deg) for ball in balls]),
         tool_offsets=tool_offset_mm.reshape(1, 3),
+        course=np.zeros((len(balls), 0)) if course is None else course,
     )
 
 

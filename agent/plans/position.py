@@ -86,6 +86,11 @@ class MeasuredPosition:
     again: MeasuredBall | None = None
 
     @property
+    def all_balls(self) -> tuple[MeasuredBall, ...]:
+        """`balls`, and the first one found again."""
+        return self.balls if self.again is None else (*self.balls, self.again)
+
+    @property
     def ball_numbers(self) -> list[int]:
         return [ball.ball for ball in self.balls]
 
