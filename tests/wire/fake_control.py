@@ -18,10 +18,14 @@ AT_REST = (RunState.IDLE, RunState.COMPLETE, RunState.REFUSED)
 
 class FakeControl:
     def __init__(self) -> None:
-        self.asked: list[tuple[str, Any]] = []
-        self.runs = 0
         self._readers: list[Queue[Event]] = []
         self._events = 0
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """As after the start of the service; whoever listens goes on listening."""
+        self.asked: list[tuple[str, Any]] = []
+        self.runs = 0
         self._status = Status("mill-7", RunState.IDLE, PACKML[RunState.IDLE], may=frozenset({"start"}))
 
     def now(self, state: RunState, **changes: Any) -> None:
@@ -29,7 +33,7 @@ class FakeControl:
         self._status = replace(self._status, state=state, packml=PACKML[state], **changes)
         self.tell("state", state.value)
 
-    def tell(self, kind: str, text: str, **data: Any) -> None:
+    def tell(self, kind: str, text: str, /, **data: Any) -> None:
         self._events += 1
         for reader in self._readers:
             reader.put(Event(self._events, kind, text, data))
@@ -52,6 +56,8 @@ class FakeControl:
             raise Busy(f"run {self._status.run_id} is under way")
         if request.position_set == "S99":
             raise UserError("there is no set S99")
+        if request.position_set == "DEFECT":
+            raise ZeroDivisionError("in the owner itself")
         self.asked.append(("start", request))
         return self._begin(request.kind, request.position_set)
 

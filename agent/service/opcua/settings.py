@@ -21,7 +21,7 @@ class OpcUaSettings(Strict):
 
     enabled: bool = False
     host: Annotated[str, AfterValidator(_address)] = "127.0.0.1"
-    port: int = Field(default=4840, ge=0, le=65535)
+    port: int = Field(default=4840, ge=1, le=65535)
     trusted_clients: Path | None = None
     anonymous_reading: bool = False
 

@@ -1,0 +1,96 @@
+"""Who may do what over OPC UA. What asyncua leaves open is closed here, at the session.
+
+asyncua gives a method no user, so the session itself looks at each call. It binds a session to any channel that names
+its authentication token, a small number, before it looks at who activates it, and leaves it bound where that fails;
+here a session stays with the channel that made it.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import structlog
+from asyncua import ua
+from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.server.internal_server import InternalServer
+from asyncua.server.internal_session import InternalSession
+from asyncua.server.user_managers import UserManager
+from asyncua.ua.status_codes import StatusCodes
+
+from agent.service.opcua.certificates import trusted
+
+MOST_CONNECTIONS: Final = 20
+OPERATOR: Final = "operator"
+ANONYMOUS: Final = "anonymous"
+log = structlog.get_logger()
+
+
+def refused(code: int) -> ua.CallMethodResult:
+    """The result of a method that was not carried out."""
+    return ua.CallMethodResult(StatusCode=ua.StatusCode(ua.UInt32(code)))
+
+
+class Users(UserManager):
+    """The channel's certificate must be trusted, whoever asks; then token or, if allowed, nothing."""
+
+    def __init__(self, token: str, trusted_clients: Path, *, anonymous_reading: bool) -> None:
+        self._token = token.encode()
+        self._trusted_clients = trusted_clients
+        self._anonymous_reading = anonymous_reading
+
+    def get_user(
+        self,
+        iserver: InternalServer,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: bytes | None = None,
+    ) -> User | None:
+        """`certificate` is that of the secure channel: whoever sends it has proved to have its key."""
+        if not trusted(certificate, self._trusted_clients):
+            log.warning("OPC UA client refused", reason="its certificate is not trusted")
+            return None
+        if username is None:
+            return User(UserRole.User, ANONYMOUS) if self._anonymous_reading else None
+        if hmac.compare_digest(self._token, (password or "").encode()):
+            return User(UserRole.User, OPERATOR)
+        log.warning("OPC UA client refused", reason="wrong token")
+        return None
+
+
+class GuardedSession(InternalSession):
+    """A client's session: methods that move or write only for who has the token."""
+
+    iserver: GuardedServer
+
+    async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
+        """In the order of the requests; one that is not allowed is refused, the others are done."""
+        return [await self._call(request) for request in params]
+
+    async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
+        free = self.iserver.free_methods.get(request.MethodId, False)
+        if not free and self.user.name != OPERATOR:
+            log.warning("OPC UA method refused", user=self.user.name, method=str(request.MethodId))
+            return refused(StatusCodes.BadUserAccessDenied)
+        (result,) = await super().call([request])
+        return result
+
+
+class GuardedServer(InternalServer):
+    """`free_methods`: by a method's id, whether anybody with a session may call it; all others need the token."""
+
+    def __init__(self, users: Users) -> None:
+        super().__init__(user_manager=users)
+        self.free_methods: Mapping[ua.NodeId, bool] = {}
+        self.max_connections = MOST_CONNECTIONS
+
+    def create_session(self, name: str, user: User | None = None, external: bool = False) -> InternalSession:
+        kind = GuardedSession if external else InternalSession
+        nobody = User(role=UserRole.Anonymous)
+        return kind(self, self.aspace, self.subscription_service, name, user=user or nobody, external=external)
+
+    def lookup_external_session(self, auth_token: Any) -> InternalSession | None:
+        """None: a client whose connection broke makes a new session."""
+        return None

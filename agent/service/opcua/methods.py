@@ -1,0 +1,117 @@
+"""What a method of OPC UA asks of the control, and how a refusal comes back."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import structlog
+from asyncua import ua
+from asyncua.ua.status_codes import StatusCodes
+
+from agent.service.alarms import alarm_of
+from agent.service.control import KINDS, Alarm, Control, Source, StartRequest
+from agent.service.opcua.guard import refused
+from agent.service.opcua.model import METHODS, Argument
+from drivers.errors import Busy, InputError, PermissionMissing, UserError, VolcalError
+
+log = structlog.get_logger()
+
+
+class Calls:
+    """The methods by their names, for any thread but that of the server's loop.
+
+    `last_refusal`: why the last one that was refused was; OPC UA itself has room for a number only.
+    """
+
+    def __init__(self, control: Control) -> None:
+        self._control = control
+        self._guard = threading.Lock()
+        self._last_refusal: Alarm | None = None
+        self._methods: dict[str, Callable[..., str | None]] = {
+            "Start": self._start,
+            "ResumeRun": lambda: control.resume_run(Source.OPC_UA),
+            "Hold": control.hold,
+            "Resume": control.resume,
+            "Abort": self._abort,
+            "Reset": control.reset,
+            "Answer": control.answer,
+        }
+
+    @property
+    def last_refusal(self) -> Alarm | None:
+        with self._guard:
+            return self._last_refusal
+
+    def call(self, name: str, arguments: Sequence[ua.Variant]) -> Any:
+        """Perform the method; what asyncua sends back: output arguments, or a refusal."""
+        try:
+            result = self._methods[name](*_values(name, arguments))
+        except VolcalError as error:
+            log.info("OPC UA method refused", method=name, reason=str(error))
+            return self._refusal(error)
+        except Exception as error:
+            log.exception("OPC UA method failed", method=name)
+            return self._refusal(error)
+        log.info("OPC UA method", method=name)
+        return [] if result is None else [ua.Variant(result, ua.VariantType.String)]
+
+    def _refusal(self, error: Exception) -> ua.CallMethodResult:
+        with self._guard:
+            self._last_refusal = alarm_of(error)
+        return refused(_status_code(error))
+
+    def _start(self, kind: str, position_set: str, stations: list[int], slot: float, full: bool, consent: bool) -> str:
+        if kind not in KINDS:
+            raise InputError(f"Kind is {kind!r}", hint="known are " + ", ".join(KINDS))
+        if not 0.0 <= slot < math.inf:
+            raise InputError(f"SlotMinutes is {slot}", hint="minutes, or 0 for as the settings say")
+        return self._control.start(
+            StartRequest(
+                kind=kind,
+                source=Source.OPC_UA,
+                position_set=position_set or None,
+                stations=tuple(stations) or None,
+                slot_minutes=slot or None,
+                full_allowed=full,
+                consent=consent,
+            )
+        )
+
+    def _abort(self, reason: str) -> None:
+        self._control.abort(reason or "abort over OPC UA")
+
+
+_INPUTS = {method.name: method.inputs for method in METHODS}
+_KINDS: dict[str, type] = {"String": str, "Double": float, "Int32": int, "Boolean": bool}
+
+
+def _values(name: str, arguments: Sequence[ua.Variant]) -> list[Any]:
+    """The arguments as the method declares them, which asyncua leaves to the method. Null is an empty text or array.
+    Raises InputError."""
+    declared = _INPUTS[name]
+    if len(arguments) != len(declared):
+        raise InputError(f"{name} has {len(declared)} arguments, {len(arguments)} came")
+    return [_value(argument, variant) for argument, variant in zip(declared, arguments, strict=True)]
+
+
+def _value(argument: Argument, variant: ua.Variant) -> Any:
+    array = argument.form.endswith("[]")
+    kind = _KINDS[argument.form.removesuffix("[]")]
+    value = variant.Value
+    if value is None and (array or kind is str):
+        return [] if array else ""
+    items = value if array and isinstance(value, list) else [value]
+    if isinstance(value, list) is not array or not all(type(item) is kind for item in items):
+        raise InputError(f"{argument.name} must be of type {argument.form}")
+    return value
+
+
+def _status_code(error: Exception) -> int:
+    if isinstance(error, UserError):
+        return StatusCodes.BadInvalidArgument
+    if isinstance(error, Busy | PermissionMissing):
+        return StatusCodes.BadInvalidState
+    return StatusCodes.BadUnexpectedError

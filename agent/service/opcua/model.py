@@ -1,0 +1,193 @@
+"""What clients of OPC UA can read, call and hear, as data; docs/reference/opc-ua.md shows the same tables.
+
+Names and their order follow OPC 40210 (GMSType, CorrectionType apart) and OPC 40501-1 (ProductionType, MonitoringType,
+NotificationType) where they have one. The nodes are of this program's own namespace and of base types: nothing here is
+an instance of a type of those specifications.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from agent.execution.states import RunState
+from agent.service.control import Status
+
+NAMESPACE: Final = "urn:volcal:opcua:1"
+ROOT: Final = "Volcal"
+
+Value = str | float | bool | int | Sequence[str] | Sequence[int]
+S = RunState
+
+PROGRAM_STATES: Final = {
+    S.IDLE: "Ended",
+    S.PREFLIGHT: "Initializing",
+    S.RESUMING: "Initializing",
+    S.MEASURING: "Running",
+    S.HELD: "Interrupted",
+    S.IDENTIFYING: "Running",
+    S.STAGING: "Running",
+    S.ACTIVATING: "Running",
+    S.VERIFYING: "Running",
+    S.RESTORING: "Running",
+    S.WRITTEN: "Interrupted",
+    S.COMPLETE: "Ended",
+    S.REFUSED: "Ended",
+    S.ABORTING: "Aborted",
+    S.ABORTED: "Aborted",
+    S.FAULTED: "Aborted",
+}
+"""The states of ProductionStateMachineType (OPC 40501-1, 8.4.8)."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A node to read: `path` below the root, `form` the name of its built-in type (with [] for an array)."""
+
+    path: str
+    form: str
+    meaning: str
+    of: Callable[[Status], Value]
+
+
+@dataclass(frozen=True)
+class Argument:
+    name: str
+    form: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Method:
+    """`free`: only ever stops motion, so it asks for no token."""
+
+    name: str
+    inputs: tuple[Argument, ...]
+    outputs: tuple[Argument, ...]
+    meaning: str
+    free: bool = False
+
+
+@dataclass(frozen=True)
+class EventType:
+    name: str
+    severity: int
+    fields: tuple[Argument, ...]
+    meaning: str
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _count(value: int | None) -> int:
+    return -1 if value is None else value
+
+
+VARIABLES: Final = (
+    Variable("Identification/Name", "String", "the machine", lambda s: s.machine),
+    Variable("Monitoring/PackMLState", "String", "state by ISA-TR88.00.02", lambda s: s.packml),
+    Variable("Monitoring/RunState", "String", "state of the run in its own words", lambda s: s.state.value),
+    Variable("Monitoring/Doing", "String", "what it is doing, in words", lambda s: s.doing),
+    Variable("Monitoring/Step", "String", "key of the step", lambda s: s.step),
+    Variable("Monitoring/May", "String[]", "methods that make sense now", lambda s: sorted(s.may)),
+    Variable("Monitoring/ActiveBank", "Int32", "of the compensation table", lambda s: _count(s.active_bank)),
+    Variable(
+        "Monitoring/BankWaiting",
+        "Int32",
+        "written, not active: waits for a restart of the controller",
+        lambda s: _count(s.written_not_active),
+    ),
+    Variable("Production/ActiveProgram/Name", "String", "position set", lambda s: s.position_set or ""),
+    Variable(
+        "Production/ActiveProgram/State",
+        "String",
+        "Initializing, Running, Interrupted, Ended or Aborted",
+        lambda s: PROGRAM_STATES[s.state],
+    ),
+    Variable("Production/Job/Identifier", "String", "of the run", lambda s: s.run_id or ""),
+    Variable("Production/Job/Kind", "String", "calibrate, verify or nightly", lambda s: s.kind or ""),
+    Variable("Production/Job/Started", "String", "time in ISO 8601", lambda s: s.started or ""),
+    Variable("Production/Job/Progress", "Double", "0 to 1", lambda s: s.fraction),
+    Variable("Production/Job/RemainingTime", "Double", "minutes of machine time", lambda s: _number(s.minutes_left)),
+    Variable("Production/Job/Balls", "Int32", "measured", lambda s: s.balls),
+    Variable("Production/Job/Touches", "Int32", "made", lambda s: s.touches),
+    Variable("Production/Job/Unfinished", "String", "run that ResumeRun goes on with", lambda s: s.unfinished or ""),
+    Variable(
+        "ResultManagement/Results/VEBefore",
+        "Double",
+        "µm, VE of the last accepted estimate without table, aligned",
+        lambda s: _number(s.ve_before_um),
+    ),
+    Variable("ResultManagement/Results/VENow", "Double", "µm, the same with the table", lambda s: _number(s.ve_now_um)),
+    Variable(
+        "Notification/AlarmCodes", "Int32[]", "open alarms, see Alarm codes", lambda s: [a.code for a in s.alarms]
+    ),
+    Variable("Notification/AlarmTexts", "String[]", "their texts", lambda s: [a.text for a in s.alarms]),
+    Variable("Notification/AlarmHints", "String[]", "what to do", lambda s: [a.hint for a in s.alarms]),
+    Variable(
+        "Notification/QuestionNumber",
+        "Int32",
+        "open question that Answer answers, -1 none",
+        lambda s: s.question.number if s.question else -1,
+    ),
+    Variable("Notification/QuestionText", "String", "its text", lambda s: s.question.text if s.question else ""),
+)
+
+OUTCOME: Final = "ResultManagement/Results/Outcome"
+REFUSED_CODE: Final = "Notification/LastRefusalCode"
+REFUSED_TEXT: Final = "Notification/LastRefusalText"
+OWN_VARIABLES: Final = (
+    (OUTCOME, "String", "of the last run since the service began, as JSON"),
+    (REFUSED_CODE, "Int32", "why the last method was refused, an alarm code; 0 none"),
+    (REFUSED_TEXT, "String", "the same in words, with what to do"),
+)
+"""Path, form and meaning of what the server itself keeps."""
+
+METHODS: Final = (
+    Method(
+        "Start",
+        (
+            Argument("Kind", "String", "calibrate, verify or nightly"),
+            Argument("PositionSet", "String", "names joined by +; empty: as the settings say"),
+            Argument("Stations", "Int32[]", "empty: as the settings say"),
+            Argument("SlotMinutes", "Double", "0: as the settings say"),
+            Argument("FullAllowed", "Boolean", "a night may become a full calibration"),
+            Argument("Consent", "Boolean", "a person stands at the machine and confirms that it may move"),
+        ),
+        (Argument("Identifier", "String", "of the run that has begun"),),
+        "begin a run",
+    ),
+    Method(
+        "ResumeRun",
+        (),
+        (Argument("Identifier", "String", "of the run that has begun"),),
+        "go on with the run that broke off",
+    ),
+    Method("Hold", (), (), "hold the run", free=True),
+    Method("Resume", (), (), "go on after a hold"),
+    Method("Abort", (Argument("Reason", "String", "for the journal"),), (), "end the run", free=True),
+    Method("Reset", (), (), "acknowledge a fault; moves nothing"),
+    Method(
+        "Answer",
+        (Argument("Number", "Int32", "of the question"), Argument("Yes", "Boolean", "the answer")),
+        (),
+        "answer the open question",
+    ),
+)
+
+STATE_EVENT: Final = EventType(
+    "StateChangeEventType",
+    100,
+    (Argument("PackMLState", "String", "after"), Argument("RunState", "String", "after")),
+    "the state has changed",
+)
+ALARM_EVENT: Final = EventType(
+    "AlarmEventType",
+    800,
+    (Argument("Code", "Int32", "see Alarm codes"), Argument("Hint", "String", "what to do")),
+    "an alarm has come up; its text is the Message",
+)
+EVENT_TYPES: Final = (STATE_EVENT, ALARM_EVENT)

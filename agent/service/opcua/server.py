@@ -1,0 +1,128 @@
+"""The OPC UA server in its loop: opened, fed with events, closed."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, Queue
+from typing import Final
+
+import structlog
+from asyncua import ua
+from asyncua.server.server import Server
+
+from agent.service.control import Control, Event
+from agent.service.opcua.certificates import own_certificate
+from agent.service.opcua.guard import GuardedServer, Users
+from agent.service.opcua.settings import OpcUaSettings
+from agent.service.opcua.space import Space
+from drivers.errors import ConfigurationError
+
+REFRESH_S: Final = 0.5
+"""Longest time for which a node lags behind the status when no event tells of a change."""
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the server keeps its certificates, and which token opens it."""
+
+    directory: Path
+    trusted_clients: Path
+    token: str
+
+
+class OpcUaServer:
+    """One run of the server. `serve` ends when `stop` is set; `opened` is called once it listens."""
+
+    def __init__(self, settings: OpcUaSettings, place: Place, control: Control) -> None:
+        self._settings = settings
+        self._place = place
+        self._control = control
+
+    async def serve(self, stop: asyncio.Event, opened: Callable[[], None]) -> None:
+        """Raises ConfigurationError before it listens."""
+        server, space = await self._open()
+        try:
+            opened()
+            with self._control.subscribe() as events:
+                await self._feed(space, events, stop)
+        finally:
+            await server.stop()
+
+    async def _open(self) -> tuple[Server, Space]:
+        users = Users(
+            self._place.token, self._place.trusted_clients, anonymous_reading=self._settings.anonymous_reading
+        )
+        guarded = GuardedServer(users)
+        server = Server(iserver=guarded)
+        await server.init()
+        await self._secure(server)
+        space = Space(server, guarded, self._control)
+        await space.build()
+        await space.show(self._control.status())
+        try:
+            await server.start()
+        except OSError as error:
+            raise ConfigurationError(
+                f"cannot listen for OPC UA on {self._settings.host}:{self._settings.port}: {error.strerror or error}",
+                hint="choose a free port and an address of this computer",
+                key="opcua.host, opcua.port",
+            ) from error
+        return server, space
+
+    async def _secure(self, server: Server) -> None:
+        """One endpoint, signed and encrypted; without it only the list of endpoints is told."""
+        host = socket.gethostname()
+        uri = f"urn:{host}:volcal"
+        own = own_certificate(self._place.directory, uri, host, self._settings.host)
+        server.set_server_name("volcal")
+        server.product_uri, server.manufacturer_name = "urn:volcal", "volcal"
+        server.application_type = ua.ApplicationType.Server
+        await server.set_application_uri(uri)
+        await server.load_certificate(own.certificate)
+        await server.load_private_key(own.key)
+        shown_host = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
+        server.set_endpoint(f"opc.tcp://{shown_host}:{self._settings.port}/volcal")
+        server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+        tokens: list[type] = [ua.UserNameIdentityToken]
+        server.set_identity_tokens([*tokens, ua.AnonymousIdentityToken] if self._settings.anonymous_reading else tokens)
+
+    async def _feed(self, space: Space, events: Queue[Event], stop: asyncio.Event) -> None:
+        known: tuple[str, tuple[int, ...]] = ("", ())
+        while not stop.is_set():
+            for event in await asyncio.to_thread(_waiting, events):
+                if event.kind == "outcome":
+                    await space.show_outcome(event)
+            known = await self._refresh(space, known)
+
+    async def _refresh(self, space: Space, known: tuple[str, tuple[int, ...]]) -> tuple[str, tuple[int, ...]]:
+        """Nodes first, then the events about them: who hears of a change finds it when it looks."""
+        try:
+            status = self._control.status()
+        except Exception:
+            log.exception("the status cannot be had")
+            return known
+        await space.show(status)
+        now = status.state.value, tuple(alarm.code for alarm in status.alarms)
+        if now[0] != known[0]:
+            await space.tell_state(status)
+        if now[1] != known[1]:
+            for alarm in status.alarms:
+                if alarm.code not in known[1]:
+                    await space.tell_alarm(alarm)
+        return now
+
+
+def _waiting(events: Queue[Event]) -> list[Event]:
+    """All that wait; waits for the first one, but not long."""
+    found: list[Event] = []
+    try:
+        found.append(events.get(timeout=REFRESH_S))
+        while True:
+            found.append(events.get_nowait())
+    except Empty:
+        return found

@@ -1,0 +1,51 @@
+"""The page on OPC UA against the model in the code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from agent.service.opcua.model import (
+    EVENT_TYPES,
+    METHODS,
+    NAMESPACE,
+    OWN_VARIABLES,
+    PROGRAM_STATES,
+    VARIABLES,
+    Argument,
+)
+
+PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "opc-ua.md").read_text(encoding="utf-8")
+
+
+def section(heading: str) -> list[list[str]]:
+    """The cells of the rows of a section's table."""
+    text = PAGE.split(f"\n## {heading}\n", 1)[1].split("\n## ", 1)[0]
+    rows = [line for line in text.splitlines() if line.startswith("| `")]
+    return [[cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip("|"))] for line in rows]
+
+
+def listed(arguments: tuple[Argument, ...]) -> str:
+    return "; ".join(f"`{a.name}` {a.form}: {a.meaning}" for a in arguments)
+
+
+def test_every_node_stands_on_the_page():
+    nodes = [(variable.path, variable.form, variable.meaning) for variable in VARIABLES]
+    assert section("Nodes to read") == [
+        [f"`{path}`", form, meaning] for path, form, meaning in [*nodes, *OWN_VARIABLES]
+    ]
+
+
+def test_every_method_stands_on_the_page():
+    expected = [[f"`{m.name}`", listed(m.inputs), listed(m.outputs), m.meaning] for m in METHODS]
+    assert section("Methods") == expected
+
+
+def test_every_event_stands_on_the_page():
+    assert section("Events") == [[f"`{e.name}`", str(e.severity), listed(e.fields), e.meaning] for e in EVENT_TYPES]
+
+
+def test_names_in_the_text_are_those_of_the_code():
+    assert f"Namespace `{NAMESPACE}`" in PAGE
+    assert {method.name for method in METHODS if method.free} == {"Hold", "Abort"}
+    assert all(state in PAGE for state in PROGRAM_STATES.values())

@@ -1,0 +1,479 @@
+"""The OPC UA door over real sockets with asyncua's client: who gets in, what it reads, calls and hears."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import secrets
+import socket
+import stat
+import sys
+from collections.abc import AsyncIterator, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from asyncua.ua.uaerrors import UaStatusCodeError
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from fake_control import FakeControl
+
+from agent.execution.states import RunState
+from agent.service.control import Source
+from agent.service.opcua.certificates import own_certificate
+from agent.service.opcua.door import OpcUaDoor
+from agent.service.opcua.model import METHODS, NAMESPACE, PROGRAM_STATES, VARIABLES
+from agent.service.opcua.settings import OpcUaSettings
+from drivers.errors import ConfigurationError
+
+TOKEN = secrets.token_urlsafe()
+WITHIN_S = 20.0
+ROOT = "Volcal"
+
+
+def certificate(directory: Path, name: str, *, valid_for=timedelta(days=2)) -> tuple[Path, Path]:
+    """A client's own certificate and key."""
+    directory.mkdir(exist_ok=True)
+    key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
+    subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
+    begin = datetime.now(UTC) - timedelta(days=1)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begin)
+        .not_valid_after(begin + valid_for)
+        .add_extension(x509.SubjectAlternativeName([x509.UniformResourceIdentifier(f"urn:{name}")]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    der, pem = directory / f"{name}.der", directory / f"{name}.pem"
+    der.write_bytes(made.public_bytes(serialization.Encoding.DER))
+    pem.write_bytes(
+        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    )
+    return der, pem
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+class World:
+    """A door that is open, with one trusted and one strange client certificate."""
+
+    def __init__(self, directory: Path, *, anonymous_reading: bool) -> None:
+        self.state = directory / "state"
+        self.control = FakeControl()
+        self.door = OpcUaDoor(OpcUaSettings(port=free_port(), anonymous_reading=anonymous_reading), self.state, TOKEN)
+        self.known = certificate(directory, "known")
+        self.strange = certificate(directory, "strange")
+
+    @property
+    def url(self) -> str:
+        host, port = self.door.address
+        return f"opc.tcp://{host}:{port}/volcal"
+
+    def trust(self, path: Path) -> None:
+        (self.door.trusted_clients / path.name).write_bytes(path.read_bytes())
+
+    def client(self, *, password: str | None = TOKEN, pair: tuple[Path, Path] | None = None) -> Client:
+        client = Client(self.url, timeout=WITHIN_S)
+        if password is not None:
+            client.set_user("panel 1")
+            client.set_password(password)
+        self.pair = pair or self.known
+        return client
+
+    @contextlib.asynccontextmanager
+    async def connected(self, **how) -> AsyncIterator[Client]:
+        client = self.client(**how)
+        await secure(client, self, self.pair)
+        async with client:
+            yield client
+
+
+async def secure(client: Client, world: World, pair: tuple[Path, Path]) -> None:
+    client.application_uri = f"urn:{pair[0].stem}"
+    own = world.state / "opcua" / "own" / "certificate.der"
+    await client.set_security(SecurityPolicyBasic256Sha256, str(pair[0]), str(pair[1]), server_certificate=str(own))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> Iterator[World]:
+    yield from opened(tmp_path_factory.mktemp("opcua"), anonymous_reading=False)
+
+
+@pytest.fixture(scope="module")
+def readable(tmp_path_factory) -> Iterator[World]:
+    yield from opened(tmp_path_factory.mktemp("opcua"), anonymous_reading=True)
+
+
+def opened(directory: Path, *, anonymous_reading: bool) -> Iterator[World]:
+    world = World(directory, anonymous_reading=anonymous_reading)
+    world.door.start(world.control)
+    world.trust(world.known[0])
+    try:
+        yield world
+    finally:
+        world.door.stop()
+
+
+@pytest.fixture(autouse=True)
+def at_rest(request) -> None:
+    for name in ("world", "readable"):
+        if name in request.fixturenames:
+            request.getfixturevalue(name).control.begin_anew()
+
+
+def node(client: Client, path: str):
+    return client.get_node(ua.NodeId(path, 2))
+
+
+async def read(client: Client, path: str):
+    return await node(client, path).read_value()
+
+
+async def call(client: Client, method: str, *arguments):
+    return await node(client, ROOT).call_method(ua.NodeId(method, 2), *arguments)
+
+
+START = ("calibrate", "S1+S3", ua.Variant([1, 2], ua.VariantType.Int32), 15.5, False, True)
+
+
+def refused(code: str):
+    return pytest.raises(UaStatusCodeError, match=code)
+
+
+def test_a_run_from_start_to_abort(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            assert (await client.get_namespace_array())[2] == NAMESPACE
+            assert await read(client, "Monitoring/PackMLState") == "Idle"
+            run = await call(client, "Start", *START)
+            assert run == "2031-05-01-calibrate"
+            assert await read(client, "Production/Job/Identifier") == run
+            assert await read(client, "Production/ActiveProgram/State") == "Running"
+            assert await read(client, "Production/ActiveProgram/Name") == "S1+S3"
+            await call(client, "Hold")
+            assert await read(client, "Monitoring/RunState") == "held"
+            await call(client, "Resume")
+            await call(client, "Abort", "dust on the balls")
+            assert await read(client, "Monitoring/PackMLState") == "Aborted"
+            await call(client, "Reset")
+            assert await read(client, "Monitoring/PackMLState") == "Idle"
+
+    asyncio.run(scene())
+    request = world.control.asked[0][1]
+    assert (request.kind, request.source, request.consent) == ("calibrate", Source.OPC_UA, True)
+    assert (request.position_set, request.stations, request.slot_minutes) == ("S1+S3", (1, 2), 15.5)
+    assert ("abort", "dust on the balls") in world.control.asked
+
+
+def test_what_is_left_empty_is_as_the_settings_say(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            await call(
+                client, "Start", "nightly", "", ua.Variant([], ua.VariantType.Int32, is_array=True), 0.0, True, False
+            )
+
+    asyncio.run(scene())
+    request = world.control.asked[0][1]
+    assert (request.position_set, request.stations, request.slot_minutes) == (None, None, None)
+    assert (request.full_allowed, request.consent) == (True, False)
+
+
+def test_refusals_are_bad_status_codes_with_their_words_beside(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            await call(client, "Start", *START)
+            with refused("BadInvalidState"):
+                await call(client, "Start", *START)
+            assert await read(client, "Notification/LastRefusalCode") == 460
+            assert "under way" in await read(client, "Notification/LastRefusalText")
+            with refused("BadInvalidArgument"):
+                await call(client, "Start", "polish", *START[1:])
+            assert await read(client, "Notification/LastRefusalCode") == 202
+            with refused("BadInvalidArgument"):
+                await call(client, "Answer", ua.Variant(3, ua.VariantType.Int32), True)
+            world.control.now(RunState.COMPLETE)
+            with refused("BadUnexpectedError"):
+                await call(client, "Start", "verify", "DEFECT", *START[2:])
+            assert await read(client, "Notification/LastRefusalCode") == 900
+
+    asyncio.run(scene())
+    assert world.control.count("start") == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("verify",),
+        (*START, True),
+        (1, *START[1:]),
+        ("verify", "S1", "1 2", *START[3:]),
+        ("verify", "S1", ua.Variant(1, ua.VariantType.Int32), *START[3:]),
+        ("verify", "S1", START[2], "15", False, True),
+        ("verify", "S1", START[2], 15.0, 0, 1),
+        ("verify", "S1", START[2], -1.0, False, True),
+        ("verify", "S1", START[2], math.nan, False, True),
+    ],
+)
+def test_arguments_of_another_number_or_type_are_refused(world, arguments):
+    async def scene() -> None:
+        async with world.connected() as client:
+            with refused("BadInvalidArgument"):
+                await call(client, "Start", *arguments)
+
+    asyncio.run(scene())
+    assert world.control.asked == []
+
+
+def test_progress_results_alarms_and_question(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            assert math.isnan(await read(client, "ResultManagement/Results/VENow"))
+            assert await read(client, "Monitoring/ActiveBank") == -1
+            world.control.now(RunState.MEASURING, fraction=0.25, minutes_left=7.5, balls=12)
+            await until(client, "Production/Job/Progress", 0.25)
+            assert await read(client, "Production/Job/RemainingTime") == 7.5
+            assert await read(client, "Production/Job/Balls") == 12
+            world.control.ask(5)
+            await until(client, "Notification/QuestionNumber", 5)
+            await call(client, "Answer", ua.Variant(5, ua.VariantType.Int32), False)
+            assert await read(client, "Notification/QuestionNumber") == -1
+            world.control.now(RunState.COMPLETE, ve_before_um=38.5, ve_now_um=9.25, active_bank=1)
+            world.control.tell("outcome", "accepted", kind="calibrate", vce_um=3.5)
+            await until(client, "ResultManagement/Results/VENow", 9.25)
+            outcome = json.loads(await until_other(client, "ResultManagement/Results/Outcome", ""))
+            assert outcome == {"text": "accepted", "kind": "calibrate", "vce_um": 3.5}
+            assert await read(client, "ResultManagement/Results/VEBefore") == 38.5
+            assert await read(client, "Monitoring/ActiveBank") == 1
+            world.control.fault()
+            await until(client, "Notification/AlarmCodes", [311])
+            assert await read(client, "Notification/AlarmHints") == ["check the cable"]
+
+    asyncio.run(scene())
+    assert ("answer", (5, False)) in world.control.asked
+
+
+class Heard:
+    def __init__(self) -> None:
+        self.events: asyncio.Queue = asyncio.Queue()
+
+    def event_notification(self, event) -> None:
+        self.events.put_nowait(event)
+
+
+def test_events_for_states_and_alarms(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            heard = Heard()
+            types = [
+                await client.nodes.base_event_type.get_child(f"2:{name}")
+                for name in ("StateChangeEventType", "AlarmEventType")
+            ]
+            subscription = await client.create_subscription(50, heard)
+            await subscription.subscribe_events(node(client, ROOT), types)
+            world.control.now(RunState.MEASURING)
+            event = await asyncio.wait_for(heard.events.get(), WITHIN_S)
+            assert (event.RunState, event.PackMLState, event.Severity) == ("measuring", "Execute", 100)
+            world.control.fault()
+            found = [await asyncio.wait_for(heard.events.get(), WITHIN_S) for _ in range(2)]
+            assert found[0].RunState == "faulted"
+            assert (found[1].Code, found[1].Hint, found[1].Severity) == (311, "check the cable", 800)
+            assert found[1].Message.Text == "the mount does not answer"
+            await subscription.delete()
+
+    asyncio.run(scene())
+
+
+async def until(client: Client, path: str, value) -> None:
+    async with asyncio.timeout(WITHIN_S):
+        while await read(client, path) != value:
+            await asyncio.sleep(0.01)
+
+
+async def until_other(client: Client, path: str, value):
+    async with asyncio.timeout(WITHIN_S):
+        while (found := await read(client, path)) == value:
+            await asyncio.sleep(0.01)
+    return found
+
+
+@pytest.mark.parametrize(
+    "password", ["", "wrong", TOKEN + "x", TOKEN[:-1], None], ids=["empty", "wrong", "longer", "shorter", "none"]
+)
+def test_without_the_token_nobody_gets_in(world, password):
+    async def scene() -> None:
+        async with world.connected(password=password):
+            raise AssertionError("let in")
+
+    with pytest.raises((UaStatusCodeError, ua.UaError)):
+        asyncio.run(scene())
+
+
+@pytest.mark.parametrize("password", [TOKEN, None], ids=["token", "none"])
+def test_a_strange_certificate_is_refused_even_with_the_token(readable, password):
+    async def scene() -> None:
+        async with readable.connected(password=password, pair=readable.strange):
+            raise AssertionError("let in")
+
+    with refused("BadUserAccessDenied"):
+        asyncio.run(scene())
+
+
+def test_a_certificate_that_ran_out_is_refused(world, tmp_path):
+    old = certificate(tmp_path, "old", valid_for=timedelta(hours=1))
+    world.trust(old[0])
+
+    async def scene() -> None:
+        async with world.connected(pair=old):
+            raise AssertionError("let in")
+
+    with refused("BadUserAccessDenied"):
+        asyncio.run(scene())
+
+
+def test_trust_is_given_and_taken_without_a_restart(world, tmp_path):
+    guest = certificate(tmp_path, "guest")
+    world.trust(guest[0])
+    (world.door.trusted_clients / "README").write_text("copy certificates of clients here")
+
+    async def scene() -> None:
+        async with world.connected(pair=guest) as client:
+            assert await read(client, "Identification/Name") == "mill-7"
+
+    asyncio.run(scene())
+    (world.door.trusted_clients / guest[0].name).unlink()
+    with refused("BadUserAccessDenied"):
+        asyncio.run(scene())
+
+
+def test_nobody_gets_a_session_without_encryption(readable):
+    async def scene() -> None:
+        client = Client(readable.url, timeout=WITHIN_S)
+        modes = [(e.SecurityPolicyUri, e.SecurityMode) for e in await client.connect_and_get_server_endpoints()]
+        assert modes == [(SecurityPolicyBasic256Sha256.URI, ua.MessageSecurityMode.SignAndEncrypt)]
+        await client.connect()
+
+    with pytest.raises((UaStatusCodeError, ua.UaError)):
+        asyncio.run(scene())
+
+
+def test_anonymous_reads_holds_and_aborts_but_nothing_else(readable):
+    async def scene() -> None:
+        readable.control.now(RunState.MEASURING)
+        async with readable.connected(password=None) as client:
+            for method, arguments in (("Start", START), ("Resume", ()), ("Reset", ()), ("ResumeRun", ())):
+                with refused("BadUserAccessDenied"):
+                    await call(client, method, *arguments)
+            with refused("BadUserAccessDenied"):
+                await call(client, "Answer", ua.Variant(1, ua.VariantType.Int32), True)
+            await until(client, "Monitoring/RunState", "measuring")
+            await call(client, "Hold")
+            await call(client, "Abort", "")
+
+    asyncio.run(scene())
+    assert readable.control.asked == [("hold", None), ("abort", "abort over OPC UA")]
+
+
+def test_other_methods_of_the_server_need_the_token(readable):
+    async def scene() -> None:
+        async with readable.connected(password=None) as client:
+            server = client.get_node(ua.ObjectIds.Server)
+            with refused("BadUserAccessDenied"):
+                await server.call_method(ua.NodeId(ua.ObjectIds.Server_GetMonitoredItems), 1)
+
+    asyncio.run(scene())
+
+
+def test_nobody_writes_a_node_or_changes_the_address_space(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            for path in [variable.path for variable in VARIABLES]:
+                with pytest.raises(UaStatusCodeError):
+                    await node(client, path).write_value(await node(client, path).read_data_value())
+            with pytest.raises((UaStatusCodeError, ConnectionError)):
+                await client.nodes.objects.add_object(2, "mine")
+
+    asyncio.run(scene())
+
+
+def test_a_session_cannot_be_taken_over_from_another_channel(world):
+    """asyncua binds a channel to whatever session it names before it looks at the user; a guessed number is enough."""
+
+    async def scene() -> None:
+        async with world.connected() as victim:
+            token = victim.uaclient.protocol.authentication_token
+            thief = world.client(password=TOKEN[1:], pair=world.strange)
+            await secure(thief, world, world.strange)
+            await thief.connect_socket()
+            try:
+                await thief.send_hello()
+                await thief.open_secure_channel()
+                thief.uaclient.protocol.authentication_token = token
+                parameters = ua.ActivateSessionParameters(UserIdentityToken=ua.AnonymousIdentityToken(PolicyId="x"))
+                with pytest.raises(UaStatusCodeError):
+                    await thief.uaclient.activate_session(parameters)
+                with pytest.raises((UaStatusCodeError, ConnectionError, TimeoutError)):
+                    await call(thief, "Start", *START)
+            finally:
+                thief.disconnect_socket()
+            assert await read(victim, "Monitoring/PackMLState") == "Idle"
+
+    asyncio.run(scene())
+    assert world.control.asked == []
+
+
+def test_the_model_is_what_the_server_offers(world):
+    async def scene() -> None:
+        async with world.connected() as client:
+            for variable in VARIABLES:
+                found = node(client, variable.path)
+                assert (await found.read_data_type_as_variant_type()).name == variable.form.removesuffix("[]")
+                assert (await found.read_attribute(ua.AttributeIds.Description)).Value.Value.Text == variable.meaning
+            offered = {(await method.read_browse_name()).Name for method in await node(client, ROOT).get_methods()}
+            assert offered == {method.name for method in METHODS}
+
+    asyncio.run(scene())
+    assert set(PROGRAM_STATES) == set(RunState)
+
+
+def test_the_key_is_for_the_owner_only_and_stays_from_start_to_start(world):
+    own = world.state / "opcua" / "own"
+    assert stat.S_IMODE((own / "key.pem").stat().st_mode) == 0o600
+    before = (own / "certificate.der").read_bytes()
+    again = own_certificate(world.state / "opcua", "urn:x", "host", "127.0.0.1")
+    assert again.certificate.read_bytes() == before
+
+
+def test_a_damaged_certificate_of_the_server_is_named(tmp_path):
+    own_certificate(tmp_path, "urn:x", "host", "127.0.0.1").certificate.write_bytes(b"\x30\x00")
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        own_certificate(tmp_path, "urn:x", "host", "127.0.0.1")
+
+
+def test_a_taken_port_is_named_and_the_door_can_be_closed(world, tmp_path):
+    door = OpcUaDoor(OpcUaSettings(port=world.door.address[1]), tmp_path, TOKEN)
+    with pytest.raises(ConfigurationError, match=r"cannot listen for OPC UA on 127\.0\.0\.1"):
+        door.start(FakeControl())
+    door.stop()
+
+
+def test_a_missing_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "asyncua", None)
+    for name in [name for name in sys.modules if name.startswith("agent.service.opcua.")]:
+        if name.rpartition(".")[2] in ("server", "space", "guard", "methods"):
+            monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(ConfigurationError, match="asyncua is not installed") as caught:
+        OpcUaDoor(OpcUaSettings(), tmp_path, TOKEN).start(FakeControl())
+    assert "volcal[opcua]" in caught.value.hint
