@@ -14,6 +14,7 @@ from agent.execution.journal import FILE_NAME
 from agent.execution.run_lock import run_lock
 from agent.execution.supervisor import Supervisor
 from agent.job import prepare_job
+from agent.kinds.kind import Ready
 from agent.resuming.origin import Origin, read_origin
 from agent.resuming.resumption import Resumption
 from agent.resuming.unfinished import UnfinishedRun, unfinished_run
@@ -40,6 +41,7 @@ class ResumeRequest:
     asked: Mapping[str, object] = field(default_factory=dict)
     lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
     observer: Observer | None = None
+    passed: Callable[[Ready], None] = lambda _: None
 
 
 def resume(request: ResumeRequest) -> Ended:
@@ -62,6 +64,7 @@ def resume(request: ResumeRequest) -> Ended:
             asked=request.asked,
             lock=request.lock,
             observer=request.observer,
+            passed=request.passed,
             beginning=Resumption(origin),
         )
     )

@@ -12,11 +12,14 @@ from agent.conduct import Announcement
 from agent.execution.states import PACKML, RunState
 from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures, Record, Step, TouchTowards
 from agent.outcome import Outcome
+from agent.resuming.reconciliation import Reconciliation
+from agent.service.alarms import alarm_of
 from agent.service.bulletin import Bulletin
-from agent.service.control import Alarm, Question, StartRequest, Status
+from agent.service.control import Alarm, Question, Source, Status
 from agent.service.requests import AT_REST, may
 from agent.service.words import doing
 from drivers.clock import utc_timestamp
+from drivers.errors import StoreError
 
 log = structlog.get_logger()
 
@@ -68,12 +71,20 @@ class Board:
         self._change(balls=0, touches=0)
         self.enter(RunState.IDLE, "reset")
 
+    def reconciled(self, found: Reconciliation) -> None:
+        """What the controller holds, as it says itself; what is left for a person to do is an alarm."""
+        self._change(active_bank=found.active_bank, written_not_active=found.waiting_bank)
+        self.bulletin.publish("note", found.text, {"found": found.found.value, "done": found.done.value})
+        log.info("reconciled", text=found.text)
+        if found.person:
+            self.alarm(alarm_of(StoreError(found.found.value, hint=found.person)))
+
     # ------------------------------------------------------------------ a run
 
-    def begins(self, run_id: str, request: StartRequest, position_set: str | None) -> None:
+    def begins(self, run_id: str, kind: str, source: Source, position_set: str | None) -> None:
         self._change(
             run_id=run_id,
-            kind=request.kind,
+            kind=kind,
             position_set=position_set,
             started=utc_timestamp(),
             step="",
@@ -83,7 +94,7 @@ class Board:
             touches=0,
             alarms=(),
         )
-        self.enter(RunState.PREFLIGHT, f"{request.kind} asked for by {request.source.value}")
+        self.enter(RunState.PREFLIGHT, f"{kind} asked for by {source.value}")
 
     def hear(self, announcement: Announcement) -> None:
         """The run's listener."""

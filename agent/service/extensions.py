@@ -1,6 +1,6 @@
 """What the service consists of besides the owner and HTTP: further doors, and what HTTP serves besides its endpoints.
 
-Each is imported only where the settings ask for it.
+What an optional extra is needed for imports it when it opens.
 """
 
 from __future__ import annotations
@@ -8,13 +8,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agent.service.doors import Door
+from agent.service.gateway.door import GatewayDoor
 from agent.service.http.app import Extension
+from agent.service.opcua.door import OpcUaDoor
+from agent.service.token import read_token, token_path
 from agent.settings import Settings
 
 
-def further_doors(_: Settings) -> Sequence[Door]:
+def further_doors(settings: Settings) -> Sequence[Door]:
     """Those that the settings ask for, in the order in which they open."""
-    return ()
+    doors: list[Door] = []
+    if settings.gateway.enabled:
+        doors.append(GatewayDoor(settings.gateway, settings.state_directory))
+    if settings.opcua.enabled:
+        doors.append(OpcUaDoor(settings.opcua, settings.state_directory, read_token(token_path(settings))))
+    return doors
 
 
 def http_extensions(_: Settings) -> Sequence[Extension]:

@@ -17,7 +17,8 @@ _SHARED: tuple[Processor, ...] = (
 
 def log_as_json(level: int) -> None:
     """Of this house and of the libraries alike."""
-    rendered: tuple[Processor, ...] = (structlog.processors.format_exc_info, structlog.processors.JSONRenderer())
+    as_line = structlog.processors.JSONRenderer(ensure_ascii=False, default=str)
+    rendered: tuple[Processor, ...] = (structlog.processors.format_exc_info, as_line)
     structlog.configure(
         processors=[*_SHARED, *rendered],
         wrapper_class=structlog.make_filtering_bound_logger(level),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from agent.job import Job, naming, prepare_job, with_overrides
 from agent.kinds.kind import FullCalibration, Kind, Ready
 from agent.kinds.nightly import Night
 from agent.kinds.verify import Verification
+from agent.resuming.reconcile import reconcile
+from agent.resuming.reconciliation import Reconciliation
 from agent.rig import Rig
 from agent.service.control import StartRequest
 from agent.service.questions import Questions, ServiceOperator
@@ -33,11 +36,21 @@ class Devices:
 
     def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
         """Open the machine, ask, close it again; nothing moves."""
+        with self._opened(settings, base) as rig:
+            return rig.machine.status()
+
+    def reconciled(self, settings: Settings, base: Path) -> Reconciliation:
+        """What the last run has left in the controller; an unproved table is taken back. Nothing moves."""
+        with self._opened(settings, base) as rig:
+            return reconcile(rig, settings.state_directory)
+
+    @contextmanager
+    def _opened(self, settings: Settings, base: Path) -> Iterator[Rig]:
         with closed_after(self.make_clock(settings.clock)) as clock:
             rig = self.assemble(settings, clock, base)
             rig.open()
             try:
-                return rig.machine.status()
+                yield rig
             finally:
                 rig.close()
 

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from queue import Queue
-from typing import Protocol
 
 import structlog
 
@@ -17,6 +16,7 @@ from agent.execution.run_lock import Ownership
 from agent.execution.states import RunState
 from agent.execution.steps import Step
 from agent.kinds.kind import Ready
+from agent.resuming.resume import ResumeRequest, origin_of, require_resumable, resume
 from agent.service import requests
 from agent.service.alarms import alarm_of
 from agent.service.board import Board, Standing
@@ -43,10 +43,6 @@ def here_and_now() -> Circumstances:
     return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
 
 
-class CarryOut(Protocol):
-    def __call__(self, request: Request) -> Ended: ...
-
-
 @dataclass(frozen=True)
 class Household:
     """What the owner works with. `config`: the settings file, for messages and for relative paths."""
@@ -59,7 +55,8 @@ class Household:
     past: Past
     scenes: Scenes = field(default_factory=Scenes)
     devices: Devices = field(default_factory=Devices)
-    carry_out: CarryOut = carry_out
+    carry_out: Callable[[Request], Ended] = carry_out
+    go_on: Callable[[ResumeRequest], Ended] = resume
     circumstances: Callable[[], Circumstances] = here_and_now
 
 
@@ -74,6 +71,7 @@ class Owner:
         self._changed = threading.Condition(threading.RLock())
         self._running: Running | None = None
         self._closing = False
+        self._reconciled = False
         self._board.stands(self._standing())
         left = household.past.left_behind()
         if left is not None:
@@ -98,12 +96,26 @@ class Owner:
                 self._house.bulletin.publish("note", text, {"hint": error.hint, "source": request.source.value})
                 log.warning(text, hint=error.hint)
             raise
-        self._board.begins(running.run_id, request, ordered.job.settings.procedure.position_set)
-        threading.Thread(target=self._work, args=(ordered,), name=running.run_id, daemon=True).start()
+        position_set = ordered.job.settings.procedure.position_set
+        self._board.begins(running.run_id, request.kind, request.source, position_set)
+        self._launch(running, lambda: self._house.carry_out(ordered))
         return running.run_id
 
     def resume_run(self, source: Source) -> str:
-        raise UserError(f"there is no run that {source.value} could resume", hint="start a new one")
+        running = self._reserve()
+        try:
+            self.reconcile()
+            run = require_resumable(self.settings.state_directory)
+            origin = origin_of(self.settings.state_directory, run)
+            origin.require_unchanged()
+        except BaseException:
+            self._release()
+            raise
+        running.run_id = run.run_id
+        ordered = self._resumption(source, running)
+        self._board.begins(run.run_id, run.kind, source, origin.settings.procedure.position_set)
+        self._launch(running, lambda: self._house.go_on(ordered))
+        return run.run_id
 
     def hold(self) -> None:
         self._require(requests.HOLD, "only what moves can be held")
@@ -151,6 +163,14 @@ class Owner:
         with self._changed:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
+    def reconcile(self) -> None:
+        """Once: ask the controller what the last run has left in it, and take an unproved table back. Raises
+        DeviceError where the machine cannot be asked; then it will be asked before the next run."""
+        if not self._reconciled:
+            found = self._house.devices.reconciled(self.settings, self._house.config.parent)
+            self._reconciled = True
+            self._board.reconciled(found)
+
     # ------------------------------------------------------------------ starting
 
     def _reserve(self) -> Running:
@@ -186,6 +206,7 @@ class Owner:
         settings = self.settings
         job = job_of(request, settings, self._house.config)
         slot = request.slot_minutes
+        self.reconcile()
         if not request.consent:
             left = self._permitted_minutes(settings)
             slot = left if slot is None else slot if left is None else min(slot, left)
@@ -218,18 +239,35 @@ class Owner:
         require_permission(self._house.devices.machine_status(settings, self._house.config.parent))
         return left
 
+    def _resumption(self, source: Source, running: Running) -> ResumeRequest:
+        house = self._house
+        return ResumeRequest(
+            state_directory=self.settings.state_directory,
+            listener=self._board.hear,
+            interrupts=running.attach,
+            clock=house.devices.make_clock(self.settings.clock),
+            rig=house.devices.asking(self._questions, attended=True),
+            asked={"source": source.value, "resumed": True},
+            lock=house.ownership.for_run,
+            observer=self._observe,
+            passed=lambda ready: house.scenes.rehearsed(running.run_id, ready),
+        )
+
     # ------------------------------------------------------------------ the run's thread
+
+    def _launch(self, running: Running, carry_out: Callable[[], Ended]) -> None:
+        threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True).start()
 
     def _observe(self, step: Step, result: object) -> None:
         self._house.health.beat()
         structlog.contextvars.bind_contextvars(step=step.key)
         self._board.see(step, result)
 
-    def _work(self, request: Request) -> None:
+    def _work(self, run_id: str, carry_out: Callable[[], Ended]) -> None:
         self._house.health.beat()
-        with structlog.contextvars.bound_contextvars(run_id=request.run_id):
+        with structlog.contextvars.bound_contextvars(run_id=run_id):
             try:
-                ended = self._house.carry_out(request)
+                ended = carry_out()
             except VolcalError as error:
                 self._conclude(_end_of(error), error)
             except BaseException as defect:  # the machine must be free again, and the defect seen

@@ -17,6 +17,7 @@ from agent.execution.states import FINAL, RunState
 from agent.job import prepare_job
 from agent.kinds.judging import Judge
 from agent.last_accepted import accepted_for
+from agent.resuming.unfinished import unfinished_run
 from agent.service.board import Standing
 from agent.service.control import Alarm
 from agent.service.requests import STICKY
@@ -29,10 +30,12 @@ log = structlog.get_logger()
 BROKEN_OFF_CODE = 470
 FAULT_CODE = 100
 
-# A reset leaves the event "acknowledged" with the run, so that a fault stays one over a restart of the service.
+# A reset leaves the event "acknowledged" with the run, so that a fault stays one over a restart of the service; a run
+# that is gone on with enters states after it, and what it then ends in is a fault of its own.
 _LAST = (
     "SELECT run_id, kind, state, reason, "
-    "EXISTS (SELECT 1 FROM events WHERE events.run = runs.run AND events.kind = 'acknowledged') "
+    "coalesce((SELECT max(rowid) FROM events WHERE events.run = runs.run AND events.kind = 'acknowledged'), 0) > "
+    "coalesce((SELECT max(rowid) FROM events WHERE events.run = runs.run AND events.kind = 'state'), 0) "
     "FROM runs ORDER BY run DESC LIMIT 1"
 )
 _ACTIVE = (
@@ -66,7 +69,7 @@ class Past:
         run_id, kind, state, reason = row[0], row[1], RunState(row[2]), row[3]
         if state in STICKY:
             return LeftBehind(state, run_id, kind, Alarm(FAULT_CODE, reason or state.value, "see to it, then reset"))
-        if state in FINAL:
+        if state in FINAL or state is RunState.WRITTEN:
             return None
         text = f"run {run_id} was broken off while {state.value}"
         hint = "look at the machine: nothing is known of what happened since; then reset"
@@ -92,12 +95,17 @@ class Past:
     def standing(self, settings: Settings, base: Path) -> Standing:
         """Empty where nothing is known; what cannot be read is said in the log and is no reason not to serve."""
         try:
-            row = self._one(_ACTIVE)
+            row, unfinished = self._one(_ACTIVE), unfinished_run(self.directory)
             before_um, now_um = _volumetric_errors(settings, base)
         except VolcalError as error:
             log.warning("what the machine was left as is not known", error=str(error))
             return Standing()
-        return Standing(before_um, now_um, None if row is None else row[0])
+        return Standing(
+            ve_before_um=before_um,
+            ve_now_um=now_um,
+            active_bank=None if row is None else row[0],
+            unfinished=unfinished.run_id if unfinished is not None and unfinished.resumable else None,
+        )
 
     def _one(self, query: str) -> tuple[Any, ...] | None:
         path = self.directory / FILE_NAME

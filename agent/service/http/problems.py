@@ -93,7 +93,8 @@ def install(app: FastAPI) -> None:
         log.error("defect in the service", exc_info=error)
         status = HTTPStatus.INTERNAL_SERVER_ERROR
         detail = f"defect in the service: {type(error).__name__}"
-        return answer(Problem(title=status.phrase, status=status, detail=detail, hint="please report it"))
+        problem = Problem(title=status.phrase, status=status, detail=detail, hint="please report it")
+        return answer(problem, {"Connection": "close"})
 
 
 def _first_of(error: RequestValidationError) -> Problem:

@@ -1,0 +1,177 @@
+"""An owner of a machine that is never there: what the run does, the test says."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from structlog.testing import capture_logs
+
+from agent.conduct import Announcement
+from agent.execution.run_lock import ownership
+from agent.execution.states import RunState
+from agent.execution.supervisor import Supervisor
+from agent.outcome import Outcome
+from agent.resuming.reconciliation import Done, Found, Reconciliation
+from agent.service.board import Board
+from agent.service.bulletin import Bulletin
+from agent.service.health import Health
+from agent.service.ordering import Devices
+from agent.service.owner import Household, Owner
+from agent.service.past import Past
+from agent.service.unattended import Circumstances
+from agent.session import Ended, Request
+from agent.settings import Settings
+from drivers.clock import VirtualClock
+from drivers.errors import Aborted, VolcalError
+from drivers.roles import MachineStatus, MotionState, Permission
+
+CONFIG = Path(__file__).resolve().parents[3] / "config"
+ALL_GIVEN = dict.fromkeys(Permission, True)
+READY_MACHINE = MachineStatus(MotionState.IDLE, ALL_GIVEN)
+AT_NIGHT = Circumstances(datetime(2026, 11, 21, 2, 0), 600.0)
+PATIENCE_S = 20.0
+
+
+def settings_document(state: Path, **sections: Any) -> dict[str, Any]:
+    roles = ("machine", "probe", "store", "thermometer", "mount")
+    return {
+        "machine": str(CONFIG / "machines" / "case-study.toml"),
+        "artefact": str(CONFIG / "artefacts" / "ball-bar-1500.toml"),
+        "state_directory": str(state),
+        "devices": {"twin": {"driver": "simulated"}, "person": {"driver": "console-operator"}},
+        "roles": {**dict.fromkeys(roles, "twin"), "operator": "person"},
+        "stations": {"places_mm": [[700.0, 1000.0, 750.0], [3300.0, 1000.0, 750.0]], "standing_at": 1},
+        **sections,
+    }
+
+
+@dataclasses.dataclass(frozen=True)
+class AbsentDevices(Devices):
+    """`status`: what the machine says where it is asked."""
+
+    status: MachineStatus = READY_MACHINE
+
+    def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
+        return self.status
+
+    def reconciled(self, settings: Settings, base: Path) -> Reconciliation:
+        return Reconciliation(Found.UNKNOWN, Done.NOTHING, 0)
+
+
+class Puppet:
+    """Plays `carry_out`: does what it is told, one thing at a time, on the run's own thread."""
+
+    def __init__(self) -> None:
+        self.orders: SimpleQueue[Any] = SimpleQueue()
+        self.done: SimpleQueue[Any] = SimpleQueue()
+        self.inside = 0
+        self.most_inside = 0
+        self.requests: list[Request] = []
+        self.supervisor: Supervisor | None = None
+        self.clock = VirtualClock()
+
+    def __call__(self, request: Request) -> Ended:
+        self.inside += 1
+        self.most_inside = max(self.inside, self.most_inside)
+        self.requests.append(request)
+        self.supervisor = Supervisor(self.clock)
+        request.interrupts(self.supervisor)
+        self.done.put("begun")
+        try:
+            while True:
+                order = self.orders.get(timeout=PATIENCE_S)
+                if isinstance(order, BaseException):
+                    raise order
+                if isinstance(order, Ended):
+                    return order
+                order(request)
+                self.done.put("done")
+        finally:
+            self.inside -= 1
+
+    def begun(self) -> None:
+        assert self.done.get(timeout=PATIENCE_S) == "begun"
+
+    def enter(self, state: RunState) -> None:
+        self.orders.put(lambda request: request.listener(Announcement("state", state.value, {"state": state.value})))
+        assert self.done.get(timeout=PATIENCE_S) == "done"
+
+    def end(self, state: RunState, error: VolcalError | None = None) -> None:
+        self.orders.put(Ended(outcome(self.requests[-1].run_id, state, error), error))
+
+    def crash(self, error: BaseException) -> None:
+        self.orders.put(error)
+
+    @property
+    def abort_wanted(self) -> str | None:
+        assert self.supervisor is not None
+        try:
+            self.supervisor._raise_if_aborted()
+        except Aborted as error:
+            return error.message
+        return None
+
+
+def outcome(run_id: str, state: RunState, error: VolcalError | None) -> Outcome:
+    return Outcome(
+        state=state,
+        run_id=run_id,
+        position_set="S3",
+        formulation="centres",
+        balls=1,
+        touches=5,
+        machine_minutes=1.0,
+        wall_seconds=1.0,
+        predicted_minutes=1.0,
+        table_bank=1,
+        report=None,
+        reason="" if error is None else str(error),
+    )
+
+
+@dataclasses.dataclass
+class House:
+    owner: Owner
+    household: Household
+    puppet: Puppet
+
+    @property
+    def bulletin(self) -> Bulletin:
+        return self.household.bulletin
+
+
+@contextmanager
+def house(
+    state: Path,
+    *,
+    circumstances: Circumstances = AT_NIGHT,
+    status: MachineStatus = READY_MACHINE,
+    **sections: Any,
+) -> Iterator[House]:
+    settings = Settings.model_validate(settings_document(state, **sections))
+    with capture_logs(), ownership(state, "the service (process 1)") as owned:
+        bulletin, puppet = Bulletin(), Puppet()
+        household = Household(
+            config=state / "volcal.toml",
+            bulletin=bulletin,
+            board=Board("case-study", bulletin),
+            health=Health(VirtualClock().now, hung_after_s=30.0, computing_s=900.0),
+            ownership=owned,
+            past=Past(state),
+            devices=AbsentDevices(make_clock=lambda _: VirtualClock(), status=status),
+            carry_out=puppet,
+            circumstances=lambda: circumstances,
+        )
+        built = House(Owner(settings, household), household, puppet)
+        try:
+            yield built
+        finally:
+            if built.owner.status().run_id is not None and puppet.inside:
+                puppet.end(RunState.COMPLETE)
+            assert built.owner.wait(PATIENCE_S)
