@@ -146,8 +146,8 @@ class GuardedRun(ABC):
             self._engine = self._engine.without_journal()
         complaints = attempt("record the state", lambda: self._conduct.enter(RunState.ABORTING, str(error)))
         complaints += self._rig.stop()
+        complaints += attempt("bring the axes to a standstill", self._rig.await_standstill)
         if not isinstance(error, (LinkError, PlanDiverged)):
-            complaints += attempt("bring the axes to a standstill", self._rig.await_standstill)
             complaints += attempt("withdraw the probe", self._withdraw)
         not_restored = self._attempt_restore()
         complaints += not_restored
