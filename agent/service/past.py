@@ -84,7 +84,8 @@ class Past:
             with closing(sqlite3.connect(path, timeout=2.0)) as connection, connection:
                 connection.execute("PRAGMA synchronous=FULL")
                 connection.execute(
-                    "INSERT INTO events SELECT run, ?, 'acknowledged', '{}' FROM runs WHERE run_id = ?",
+                    "INSERT INTO events (run, at, kind, record) "
+                    "SELECT run, ?, 'acknowledged', '{}' FROM runs WHERE run_id = ?",
                     (utc_timestamp(), run_id),
                 )
         except sqlite3.Error as error:
