@@ -97,6 +97,8 @@ def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
         "held_out_predicted_um": proof.get("predicted_um", night.get("held_out_predicted_um")),
         "accepted": accepted,
         "night": night.get("decision"),
+        "since": night.get("since"),
+        "nights": night.get("nights"),
     }
 
 

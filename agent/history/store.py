@@ -126,6 +126,17 @@ class HistoryStore:
         )
 
 
+def stored(fed: FedRun) -> StoredRun:
+    """The row that `put` would store, without a database."""
+    moments = {at: _moment(fed.run[at]) for at in ("started", "ended")}
+    key = {name: fed.run[name] for name in ("machine", "run_id")}
+    run = StoredRun(**{**fed.run, **moments, "digest": fed.digest})
+    run.parameters = [StoredParameter(**key, **row) for row in fed.parameters]
+    run.temperatures = [StoredTemperature(**key, **row) for row in fed.temperatures]
+    run.decisions = [StoredDecision(**key, **{**row, "at": _moment(row["at"])}) for row in fed.decisions]
+    return run
+
+
 def _engine(place: Place) -> Engine:
     """No connection is kept: a run's end and a page's question are minutes apart, and servers are restarted."""
     seconds = place.timeout_s

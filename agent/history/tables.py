@@ -27,9 +27,10 @@ class SchemaVersion(Base):
 class StoredRun(Base):
     """One run. µm, VE and VCE rigidly aligned; None where the run did not come so far or is none of that kind.
 
-    `ve_before_um`: bare machine as estimated; `ve_after_um`: predicted with its table; `ve_now_um`: of a night, with
-    the acting table, expected; `acting_um`: with the table that acts at the end. `digest`: of all that was fed, so that
-    what has not changed is not written again.
+    `since`, `nights`: run of the last accepted night, and how many nights ago. `ve_before_um`: bare machine as
+    estimated; `ve_after_um`: predicted with its table; `ve_now_um`: of a night, with the acting table, expected;
+    `acting_um`: with the table that acts at the end. `digest`: of all that was fed, so that what has not changed is not
+    written again.
     """
 
     __tablename__ = "volcal_runs"
@@ -59,6 +60,8 @@ class StoredRun(Base):
     held_out_predicted_um: Mapped[float | None]
     accepted: Mapped[bool | None]
     night: Mapped[str | None]
+    since: Mapped[str | None] = mapped_column(RUN_ID)
+    nights: Mapped[float | None]
     chi2_normalised: Mapped[float | None]
     rank: Mapped[int | None]
     table_bank: Mapped[int | None]

@@ -1,0 +1,163 @@
+"""`volcal history`: every run of this machine and its trends."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.cli.errors import fail, reported
+from agent.cli.options import config_option
+from agent.files import write_all_atomically, write_atomically
+from agent.history.export import as_csv, as_json, run_document
+from agent.history.figure import trends_png
+from agent.history.overview import alarms_of, chosen, foremost, trends_of
+from agent.history.place import place_of
+from agent.history.store import HistoryStore
+from agent.history.sync import sync
+from agent.history.tables import StoredRun
+from agent.history.trends import AlarmKind, Trend
+from agent.job import load_settings, naming
+from agent.settings import Settings
+from drivers.errors import InputError, MeasurementFault
+
+PATH = click.Path(path_type=Path)
+_machine = click.option("--machine", metavar="NAME", help="Another machine of the same database.")
+_json = click.option("--json", "as_json_object", is_flag=True, help="One JSON object on stdout.")
+
+
+@click.group("history")
+def history_group() -> None:
+    """Every run of this machine, and its trends."""
+
+
+@history_group.command("list")
+@config_option
+@_machine
+@click.option("--last", type=click.IntRange(min=1), default=20, show_default=True, help="So many runs.")
+@_json
+@reported
+def list_command(config: Path, machine: str | None, last: int, as_json_object: bool) -> None:
+    """Runs, the newest last."""
+    with _opened(config) as (_, store):
+        runs = store.runs(machine or store.place.machine, last)
+    if as_json_object:
+        click.echo(json.dumps({"runs": [run_document(run, whole=False) for run in runs]}, allow_nan=False))
+        return
+    table = Table("run", "kind", "state", "min", "VE bare", "VE acting", "held out", "night", title_justify="left")
+    for run in runs:
+        table.add_row(*_cells(run))
+    Console().print(table)
+
+
+@history_group.command("trend")
+@config_option
+@_machine
+@click.option(
+    "--of", "names", multiple=True, metavar="NAME", help="A series, an error or a parameter; may be repeated."
+)
+@click.option("--figure", type=PATH, metavar="FILE.png", help="Draw the trends shown.")
+@_json
+@reported
+def trend_command(
+    config: Path, machine: str | None, names: tuple[str, ...], figure: Path | None, as_json_object: bool
+) -> None:
+    """Drift a night, control limits, nights left. Exit code 4 where a tolerance is reached or will be soon."""
+    with _opened(config) as (settings, store):
+        trends = trends_of(store.runs(machine or store.place.machine), settings.history)
+    if not trends:
+        raise InputError("no run has come to a value yet", hint="`volcal history list` shows the runs there are")
+    shown = chosen(trends, names) if names else foremost(trends, 12)
+    if figure is not None:
+        write_all_atomically(figure.parent, {figure.name: trends_png(shown)})
+    alarms = alarms_of(trends)
+    if as_json_object:
+        document = {
+            "trends": [trend.as_json() for trend in shown],
+            "alarms": [{"series": a.series, "kind": a.kind.value, "text": a.text} for a in alarms],
+        }
+        click.echo(json.dumps(document, allow_nan=False))
+    else:
+        Console().print(_trend_table(shown))
+    grave = [alarm.text for alarm in alarms if alarm.kind is not AlarmKind.CONTROL]
+    for alarm in alarms:
+        click.echo(f"{alarm.kind.value}: {alarm.text}", err=True)
+    if grave:
+        raise fail(MeasurementFault("; ".join(grave), hint="calibrate before the tolerance is reached"))
+
+
+@history_group.command("export")
+@config_option
+@_machine
+@click.option("--format", "form", type=click.Choice(["csv", "json"]), default="csv", show_default=True)
+@click.option("--out", type=PATH, required=True, metavar="FILE", help="The file to write.")
+@reported
+def export_command(config: Path, machine: str | None, form: str, out: Path) -> None:
+    """All runs in one file: CSV with a line a run, or JSON with all that history keeps."""
+    with _opened(config) as (_, store):
+        runs = store.runs(machine or store.place.machine)
+    write_atomically(out, as_csv(runs) if form == "csv" else as_json(runs))
+    click.echo(f"{len(runs)} runs: {out}", err=True)
+
+
+@history_group.command("sync")
+@config_option
+@_json
+@reported
+def sync_command(config: Path, as_json_object: bool) -> None:
+    """Feed history from the journal: what is missing or has changed since."""
+    with naming(config):
+        settings = load_settings(config)
+        place = place_of(settings)
+        with closing(HistoryStore(place)) as store:
+            written = sync(settings.state_directory, store)
+    if as_json_object:
+        click.echo(json.dumps({"database": place.text, "machine": place.machine, "written": list(written)}))
+    else:
+        click.echo(f"{len(written)} runs written to {place.text}")
+
+
+@contextmanager
+def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
+    """The store, fed first with what this machine's journal knows; a journal that is not there is no obstacle."""
+    with naming(config):
+        settings = load_settings(config)
+        with closing(HistoryStore(place_of(settings))) as store:
+            try:
+                sync(settings.state_directory, store)
+            except InputError as error:
+                click.echo(f"note: {error}", err=True)
+            yield settings, store
+
+
+def _cells(run: StoredRun) -> list[str]:
+    held_out = run.held_out_after_um if run.accepted else run.held_out_before_um
+    figures = (run.ve_before_um, run.acting_um, held_out)
+    return [
+        run.run_id,
+        run.kind,
+        run.state,
+        f"{run.machine_minutes:.1f}",
+        *("-" if value is None else f"{value:.2f}" for value in figures),
+        run.night or "",
+    ]
+
+
+def _trend_table(trends: tuple[Trend, ...]) -> Table:
+    table = Table("series", "now", "a night (95 %)", "steps", "tolerance", "nights left", title_justify="left")
+    for trend in trends:
+        series, drift, reach = trend.series, trend.drift, trend.crossing
+        table.add_row(
+            series.title,
+            f"{series.values[-1]:.2f} {series.unit}",
+            "-" if drift is None else f"{drift.slope:+.3f} ± {drift.factor * drift.slope_sigma:.3f}",
+            "" if drift is None else ", ".join(f"{size:+.1f} at {at:.0f}" for at, size, _ in drift.steps),
+            "" if series.tolerance is None else f"{series.tolerance:g}",
+            "" if reach is None else f"{reach.expected:.0f} (≥ {reach.earliest:.0f})",
+        )
+    return table

@@ -1,0 +1,46 @@
+"""`volcal report`: the report of a run from the journal, again or for the first time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from agent.cli.errors import reported
+from agent.cli.options import config_option
+from agent.files import write_all_atomically
+from agent.history.run_record import run_ids
+from agent.job import load_settings, naming
+from agent.reporting.rebuilt import rebuilt
+from drivers.errors import InputError
+
+LAST = "last"
+
+
+@click.command("report")
+@click.argument("run", metavar="RUN")
+@config_option
+@click.option("--pdf", is_flag=True, help="Write report.pdf beside report.html.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Where to [default: the run's folder].")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@reported
+def report_command(run: str, config: Path, pdf: bool, out: Path | None, as_json: bool) -> None:
+    """Write the report of RUN (its identity, or `last`), whatever it came to, from the journal alone."""
+    with naming(config):
+        directory = load_settings(config).state_directory
+    run_id = _identity(run, directory)
+    folder = out or directory / run_id
+    files = rebuilt(directory, run_id, pdf=pdf)
+    write_all_atomically(folder, files)
+    written = [str(folder / name) for name in files]
+    click.echo(json.dumps({"run_id": run_id, "files": written}) if as_json else "\n".join(written))
+
+
+def _identity(run: str, directory: Path) -> str:
+    if run != LAST:
+        return run
+    known = run_ids(directory)
+    if not known:
+        raise InputError("the journal has no run yet", directory=str(directory))
+    return known[-1]

@@ -1,0 +1,55 @@
+"""History for other programs: runs as CSV or JSON, without what only this program's tables need."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from agent.history.tables import StoredRun
+
+COLUMNS = tuple(column.key for column in StoredRun.__table__.columns if column.key != "digest")
+
+
+def run_document(run: StoredRun, *, whole: bool = True) -> dict[str, Any]:
+    """One run; `whole`: with parameters, temperatures and decisions. Keys as in docs/reference/json.md."""
+    document = {name: _plain(getattr(run, name)) for name in COLUMNS}
+    if whole:
+        document["parameters"] = [
+            {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
+            for p in run.parameters
+        ]
+        document["temperatures_c"] = {t.sensor: [t.lowest, t.mean, t.highest] for t in run.temperatures}
+        document["decisions"] = [
+            {"at": _plain(d.at), "kind": d.kind, "record": json.loads(d.record)} for d in run.decisions
+        ]
+    return document
+
+
+def as_csv(runs: Sequence[StoredRun]) -> str:
+    """A line a run; parameters follow in columns of their own, value and standard uncertainty of each."""
+    names = list(dict.fromkeys(p.name for run in runs for p in run.parameters))
+    units = {p.name: p.unit for run in runs for p in run.parameters}
+    heads = [head for name in names for head in (f"{name}_{units[name]}", f"u_{name}_{units[name]}")]
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([*COLUMNS, *heads])
+    for run in runs:
+        known = {p.name: (p.value, p.standard_uncertainty) for p in run.parameters}
+        values = [value for name in names for value in known.get(name, (None, None))]
+        writer.writerow([*(_plain(getattr(run, name)) for name in COLUMNS), *values])
+    return file.getvalue()
+
+
+def as_json(runs: Sequence[StoredRun]) -> str:
+    return json.dumps({"runs": [run_document(run) for run in runs]}, allow_nan=False, indent=1) + "\n"
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, datetime):
+        moment = value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+        return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    return value

@@ -1,0 +1,99 @@
+"""Trends as a picture: values with their uncertainty, the line with its band, steps, control limits, tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from agent.history.trends import Trend
+from agent.report import style as report_style
+from agent.studies import figure as study_style
+from twin.trends import Drift
+
+COVERAGE = 2.0
+_COLUMNS = 2
+_ROW_IN = 2.2
+
+
+@dataclass(frozen=True)
+class Colours:
+    value: str
+    line: str
+    limit: str
+    quiet: str
+    band: float
+
+
+PICTURE = Colours(study_style.BLUE, study_style.ORANGE, study_style.PURPLE, study_style.QUIET, study_style.BAND_OPACITY)
+PAGE = Colours(report_style.BLUE, report_style.ORANGE, report_style.PURPLE, report_style.INK, report_style.BAND_OPACITY)
+
+
+def trends_png(trends: Sequence[Trend]) -> bytes:
+    """A panel for each trend, two in a row."""
+    rows = -(-len(trends) // _COLUMNS)
+    size = (9.0, max(_ROW_IN * rows, 2.6) + 0.4)
+    return study_style.picture("trends", lambda figure: _panels(figure, trends, PICTURE), size).png
+
+
+def trends_svg(trends: Sequence[Trend]) -> str:
+    """The same for a report: follows the page's theme."""
+    rows = -(-len(trends) // _COLUMNS)
+    drawing = report_style.Drawing("trends", 10.4, 2.1 * rows + 0.3, report_style.Margins(bottom=0.45))
+    with drawing as figure:
+        figure.subplots_adjust(wspace=0.2, hspace=0.75)
+        _panels(figure, trends, PAGE)
+    return drawing.svg()
+
+
+def _panels(figure: Figure, trends: Sequence[Trend], colours: Colours) -> None:
+    rows = -(-len(trends) // _COLUMNS)
+    columns = min(len(trends), _COLUMNS)
+    panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for panel, trend in zip(panels, trends, strict=False):
+        _panel(panel, trend, colours)
+    for panel in panels[len(trends) :]:
+        panel.set_axis_off()
+
+
+def _panel(panel: Axes, trend: Trend, colours: Colours) -> None:
+    series, drift = trend.series, trend.drift
+    panel.set_title(series.title, loc="left")
+    doubt = COVERAGE * series.sigmas if series.stated else None
+    panel.errorbar(
+        series.nights, series.values, yerr=doubt, fmt="o", color=colours.value, markersize=3.5, elinewidth=0.7
+    )
+    if drift is not None:
+        _line(panel, trend, drift, colours)
+    if trend.chart is not None:
+        for limit in (trend.chart.lower, trend.chart.upper):
+            panel.axhline(limit, color=colours.quiet, linewidth=0.8, linestyle=":")
+    if series.tolerance is not None:
+        for side in (1.0, -1.0) if series.two_sided else (1.0,):
+            panel.axhline(side * series.tolerance, color=colours.limit, linewidth=1.0, linestyle="--")
+    if not series.two_sided:
+        panel.set_ylim(bottom=0.0)
+    panel.set_xlabel("nights", labelpad=1)
+    panel.set_ylabel(series.unit)
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _line(panel: Axes, trend: Trend, drift: Drift, colours: Colours) -> None:
+    """Level by level, so that no slanting stroke stands for a step; the band belongs to the line since the last one."""
+    nights = trend.series.nights
+    edges = [-np.inf, *(at for at, _, _ in drift.steps), np.inf]
+    for start, end in pairwise(edges):
+        chosen = (nights >= start) & (nights < end)
+        panel.plot(nights[chosen], drift.fitted[chosen], color=colours.line, linewidth=1.2)
+    for at, _, _ in drift.steps:
+        panel.axvline(at, color=colours.quiet, linewidth=0.7, linestyle="-.")
+    recent = nights[nights >= edges[-2]]
+    ahead = [drift.ahead(night - nights[-1]) for night in recent]
+    value, sigma = np.array(ahead).T
+    half = drift.factor * sigma
+    panel.fill_between(recent, value - half, value + half, color=colours.line, alpha=colours.band, linewidth=0)

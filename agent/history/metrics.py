@@ -1,0 +1,87 @@
+"""What Prometheus may scrape, in its text format: of one machine, out of its history and what the service knows now."""
+
+from __future__ import annotations
+
+from collections import Counter as Tally
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+
+from prometheus_client import CollectorRegistry, Gauge, generate_latest
+
+from agent.execution.states import FINAL
+from agent.history.overview import VOLUMETRIC, alarms_of
+from agent.history.tables import StoredRun
+from agent.history.trends import AlarmKind, Trend
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+ACCEPTED = "complete"
+
+
+def metrics_text(
+    machine: str, runs: Sequence[StoredRun], trends: Sequence[Trend], live: Mapping[str, float] | None = None
+) -> str:
+    """The whole page. `runs`: of the machine, the oldest first. `live`: further gauges by name (`link_errors` becomes
+    `volcal_link_errors`), as the service counts them. A registry of its own: nothing of the process leaks in."""
+    registry = CollectorRegistry()
+    _of_runs(registry, machine, runs)
+    _of_trends(registry, machine, trends)
+    for name, value in (live or {}).items():
+        _gauge(registry, name, f"{name.replace('_', ' ')} of the service").labels(machine).set(value)
+    return generate_latest(registry).decode()
+
+
+def _of_runs(registry: CollectorRegistry, machine: str, runs: Sequence[StoredRun]) -> None:
+    states = _gauge(registry, "runs", "runs in history by kind and final state", "kind", "state")
+    for (kind, state), count in sorted(Tally((run.kind, run.state) for run in runs).items()):
+        states.labels(machine, kind, state).set(count)
+    ended = [run for run in runs if run.ended is not None]
+    good = [run for run in ended if run.state == ACCEPTED]
+    moments = (("last_run", ended), ("last_success", good))
+    for name, chosen in moments:
+        if chosen and chosen[-1].ended is not None:
+            text = f"end of the {name.replace('_', ' ')}, seconds since 1970"
+            _gauge(registry, f"{name}_timestamp_seconds", text).labels(machine).set(_seconds(chosen[-1].ended))
+    if not ended:
+        return
+    last = ended[-1]
+    current = _gauge(registry, "last_run_state", "1 for the state in which the last run ended", "state")
+    for state in sorted(state.value for state in FINAL):
+        current.labels(machine, state).set(float(last.state == state))
+    for name, text, value in (
+        ("last_run_minutes", "machine time of the last run", last.machine_minutes),
+        ("last_run_touches", "touches of the last run", float(last.touches)),
+        ("last_run_balls", "ball centres of the last run", float(last.balls)),
+    ):
+        _gauge(registry, name, text).labels(machine).set(value)
+
+
+def _of_trends(registry: CollectorRegistry, machine: str, trends: Sequence[Trend]) -> None:
+    value = _gauge(registry, "trend_value", "newest value of a series", "series", "unit")
+    drift = _gauge(registry, "trend_drift_per_night", "drift of a series a night", "series", "unit")
+    doubt = _gauge(registry, "trend_drift_uncertainty", "standard uncertainty of the drift", "series", "unit")
+    left = _gauge(registry, "trend_nights_left", "nights until the tolerance, as the trend goes", "series")
+    for trend in trends:
+        series = trend.series
+        labels = (machine, series.name, series.unit)
+        value.labels(*labels).set(float(series.values[-1]))
+        if trend.drift is not None:
+            drift.labels(*labels).set(trend.drift.slope)
+            doubt.labels(*labels).set(trend.drift.slope_sigma)
+        if trend.crossing is not None:
+            left.labels(machine, series.name).set(trend.crossing.expected)
+    volumetric = _gauge(registry, "last_ve_micrometres", "newest volumetric error", "which")
+    for trend in trends:
+        if trend.series.name in VOLUMETRIC:
+            volumetric.labels(machine, trend.series.name).set(float(trend.series.values[-1]))
+    alarms = _gauge(registry, "trend_alarms", "open alarms of trends", "kind")
+    kinds = Tally(alarm.kind for alarm in alarms_of(trends))
+    for kind in AlarmKind:
+        alarms.labels(machine, kind.value).set(kinds[kind])
+
+
+def _gauge(registry: CollectorRegistry, name: str, text: str, *labels: str) -> Gauge:
+    return Gauge(f"volcal_{name}", text, ("machine", *labels), registry=registry)
+
+
+def _seconds(moment: datetime) -> float:
+    return (moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment).timestamp()

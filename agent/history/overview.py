@@ -1,0 +1,55 @@
+"""The trends of one machine that are worth showing, and all alarms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agent.history.series import ACTING, BARE, HELD_OUT, all_series
+from agent.history.settings import HistorySettings
+from agent.history.tables import StoredRun
+from agent.history.trends import Trend, TrendAlarm, trend_of
+from drivers.errors import InputError
+
+VOLUMETRIC = (BARE, ACTING, HELD_OUT)
+_MOST = 6
+
+
+def trends_of(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Trend, ...]:
+    """Of every series of one machine's runs, the oldest run first."""
+    return tuple(trend_of(series, settings.warn_nights) for series in all_series(runs, settings))
+
+
+def chosen(trends: Sequence[Trend], names: Sequence[str]) -> tuple[Trend, ...]:
+    """Those of that name or error: `EXX` also its coefficients. InputError for a name that no run has."""
+    by_name = {trend.series.name: trend for trend in trends}
+    found: dict[str, Trend] = {}
+    for name in names:
+        same = {known: trend for known, trend in by_name.items() if known == name or known.startswith(f"{name}[")}
+        if not same:
+            listed = ", ".join(list(by_name)[:24]) or "none yet"
+            raise InputError(f"no run has anything called {name!r}", hint=f"there are: {listed}")
+        found |= same
+    return tuple(found.values())
+
+
+def foremost(trends: Sequence[Trend], most: int = _MOST) -> tuple[Trend, ...]:
+    """The volumetric errors first, then what has a tolerance or an alarm, then what drifts most surely."""
+    volumetric = [trend for trend in trends if trend.series.name in VOLUMETRIC]
+    others = [trend for trend in trends if trend.series.name not in VOLUMETRIC]
+    others.sort(key=lambda trend: (trend.series.tolerance is None, not trend.alarms, -_surety(trend)))
+    return tuple((volumetric + others)[:most])
+
+
+def alarms_of(trends: Sequence[Trend]) -> tuple[TrendAlarm, ...]:
+    """Those of volumetric errors and of whatever has a tolerance; a hundred coefficients would cry wolf by chance."""
+    return tuple(
+        alarm
+        for trend in trends
+        if trend.series.name in VOLUMETRIC or trend.series.tolerance is not None
+        for alarm in trend.alarms
+    )
+
+
+def _surety(trend: Trend) -> float:
+    drift = trend.drift
+    return 0.0 if drift is None or drift.slope_sigma == 0.0 else abs(drift.slope) / drift.slope_sigma

@@ -1,0 +1,188 @@
+"""Series over nights out of the runs of one machine: volumetric errors, the 21 geometric errors, single parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from agent.history.settings import HistorySettings
+from agent.history.tables import StoredParameter, StoredRun
+from agent.outcome import Decision
+from twin.arrays import Array
+from twin.legendre import legendre_values
+
+BARE, ACTING, HELD_OUT = "ve_bare", "ve_acting", "held_out"
+TITLES = {
+    BARE: "VE of the bare machine",
+    ACTING: "VE with the acting table",
+    HELD_OUT: "rms of held-out balls",
+}
+_COEFFICIENT = re.compile(r"(E[XYZABC][XYZ])\[(\d+)\]")
+_SHAPES = {"1": "slope", "2": "bow"}
+_SECONDS_A_NIGHT = 86400.0
+_SAMPLES = 101
+_CHANGED = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """`nights` (n,) since the first run of all, `values` and `sigmas` (n,) in `unit`; `stated`: whether the sigmas are
+    known. `tolerance`: None for none; `two_sided`: the value may lie on either side of zero. `steps`: nights from which
+    on the machine or its table is known to be another one."""
+
+    name: str
+    title: str
+    unit: str
+    run_ids: tuple[str, ...]
+    nights: Array
+    values: Array
+    sigmas: Array
+    stated: bool
+    tolerance: float | None
+    two_sided: bool
+    steps: tuple[float, ...]
+
+
+def all_series(runs: Sequence[StoredRun], settings: HistorySettings) -> tuple[Series, ...]:
+    """Of one machine's runs, the oldest first; those without any value are left out."""
+    timeline = nights_of(runs)
+    found = [*_volumetric(runs, timeline, settings), *_errors(runs, timeline, settings)]
+    return tuple(series for series in found if len(series.values))
+
+
+def nights_of(runs: Sequence[StoredRun]) -> Array:
+    """(n,) nights since the first run: by what a run itself says of the time since the last accepted night, which is
+    the calendar unless somebody has stated it, else by the calendar."""
+    nights: dict[str, float] = {}
+    last = 0.0
+    for count, run in enumerate(runs):
+        if run.since in nights and run.nights is not None:
+            last = max(nights[str(run.since)] + run.nights, last)
+        elif count:
+            gap = _utc(run.started) - _utc(runs[count - 1].started)
+            last += max(gap.total_seconds(), 0.0) / _SECONDS_A_NIGHT
+        nights[run.run_id] = last
+    return np.array([nights[run.run_id] for run in runs])
+
+
+def _utc(moment: datetime) -> datetime:
+    """SQLite forgets the zone, which is always UTC."""
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
+
+
+@dataclass(frozen=True)
+class _Point:
+    night: float
+    run_id: str
+    value: float
+    sigma: float | None
+
+
+def _volumetric(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
+    """Of the bare machine, with the acting table, and what held-out balls showed at the end of each run."""
+    changed = _known(runs, timeline, lambda run: run.night in _CHANGED)
+    anew = _known(runs, timeline, lambda run: bool(run.accepted) and run.kind == "calibrate") + changed
+    readings: tuple[tuple[str, Callable[[StoredRun], tuple[float | None, float | None]], float | None], ...] = (
+        (BARE, lambda run: (run.ve_before_um, run.ve_before_sigma_um), None),
+        (ACTING, lambda run: (run.acting_um, None), settings.ve_tolerance_um),
+        (
+            HELD_OUT,
+            lambda run: (run.held_out_after_um if run.accepted else run.held_out_before_um, None),
+            settings.held_out_tolerance_um,
+        ),
+    )
+    for name, read, tolerance in readings:
+        points = [
+            _Point(float(night), run.run_id, value, sigma)
+            for night, run in zip(timeline, runs, strict=True)
+            for value, sigma in [read(run)]
+            if value is not None
+        ]
+        yield _series(name, TITLES[name], "µm", points, tolerance, changed if name == BARE else anew, two_sided=False)
+
+
+def _errors(runs: Sequence[StoredRun], timeline: Array, settings: HistorySettings) -> Iterable[Series]:
+    """Each geometric error by its largest value along the axis, then each parameter."""
+    tolerances = settings.parameter_tolerances
+    steps = _known(runs, timeline, lambda run: run.night in _CHANGED)
+    whole: dict[str, list[_Point]] = {}
+    single: dict[str, list[_Point]] = {}
+    units: dict[str, str] = {}
+    for night, run in zip(timeline, runs, strict=True):
+        for error, coefficients in _by_error(run.parameters).items():
+            value, sigma = _largest(coefficients)
+            whole.setdefault(error, []).append(_Point(float(night), run.run_id, value, sigma))
+            units[error] = next(iter(coefficients.values())).unit
+        for parameter in run.parameters:
+            point = _Point(float(night), run.run_id, parameter.value, parameter.standard_uncertainty)
+            single.setdefault(parameter.name, []).append(point)
+            units[parameter.name] = parameter.unit
+    for name, points in whole.items():
+        yield _series(name, name, units[name], points, tolerances.get(name), steps, two_sided=False)
+    for name, points in single.items():
+        yield _series(name, title_of(name), units[name], points, tolerances.get(name), steps, two_sided=True)
+
+
+def title_of(parameter: str) -> str:
+    """`EXX slope`, `EYX bow`, `EXX order 4`; other names as they are."""
+    found = _COEFFICIENT.fullmatch(parameter)
+    if found is None:
+        return parameter
+    return f"{found[1]} {_SHAPES.get(found[2], f'order {found[2]}')}"
+
+
+def _by_error(parameters: Sequence[StoredParameter]) -> Mapping[str, Mapping[int, StoredParameter]]:
+    """Coefficients by Legendre order of each error motion."""
+    errors: dict[str, dict[int, StoredParameter]] = {}
+    for parameter in parameters:
+        found = _COEFFICIENT.fullmatch(parameter.name)
+        if found is not None:
+            errors.setdefault(found[1], {})[int(found[2])] = parameter
+    return errors
+
+
+def _largest(coefficients: Mapping[int, StoredParameter]) -> tuple[float, float]:
+    """Largest absolute value of the series along the axis and its standard uncertainty there, coefficients taken as
+    uncorrelated: history keeps no covariances, and only the weight of a night depends on it."""
+    orders = list(coefficients)
+    rows = legendre_values(np.linspace(-1.0, 1.0, _SAMPLES), max(orders))[orders]
+    values = np.array([coefficients[order].value for order in orders])
+    sigmas = np.array([coefficients[order].standard_uncertainty for order in orders])
+    along = values @ rows
+    place = int(np.argmax(np.abs(along)))
+    return float(abs(along[place])), float(np.sqrt(np.sum((sigmas * rows[:, place]) ** 2)))
+
+
+def _known(runs: Sequence[StoredRun], timeline: Array, changed: Callable[[StoredRun], bool]) -> tuple[float, ...]:
+    return tuple(float(night) for night, run in zip(timeline, runs, strict=True) if changed(run))
+
+
+def _series(
+    name: str,
+    title: str,
+    unit: str,
+    points: Sequence[_Point],
+    tolerance: float | None,
+    steps: Sequence[float],
+    *,
+    two_sided: bool,
+) -> Series:
+    sigmas = [point.sigma for point in points]
+    stated = all(sigma is not None and sigma > 0.0 for sigma in sigmas)
+    return Series(
+        name=name,
+        title=title,
+        unit=unit,
+        run_ids=tuple(point.run_id for point in points),
+        nights=np.array([point.night for point in points]),
+        values=np.array([point.value for point in points]),
+        sigmas=np.array([sigma if stated and sigma is not None else 1.0 for sigma in sigmas]),
+        stated=stated,
+        tolerance=tolerance,
+        two_sided=two_sided,
+        steps=tuple(sorted(set(steps))),
+    )

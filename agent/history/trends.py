@@ -1,0 +1,137 @@
+"""Trend of each series: drift a night, control limits, and what it warns of before a tolerance is reached."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from agent.history.series import Series
+from twin.errors import DataError
+from twin.trends import Crossing, Drift, Ewma, Individuals, crossing, ewma, find_steps, fit_drift, individuals
+from twin.trends.drift import FREEDOM_FOR_SCATTER
+
+HORIZON_NIGHTS = 3650.0
+FEWEST_CHARTED = 8
+
+
+class AlarmKind(Enum):
+    """`LIMIT`: the tolerance is reached; `TREND`: it will be; `CONTROL`: the series has left its control limits."""
+
+    LIMIT = "limit"
+    TREND = "trend"
+    CONTROL = "control"
+
+
+@dataclass(frozen=True)
+class TrendAlarm:
+    series: str
+    kind: AlarmKind
+    text: str
+    nights: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """`drift` is None where there are too few values for one; `chart` and `smoothed` are of the values since the last
+    step, None below `FEWEST_CHARTED`; `crossing`: None without a tolerance."""
+
+    series: Series
+    drift: Drift | None
+    chart: Individuals | None
+    smoothed: Ewma | None
+    crossing: Crossing | None
+    alarms: tuple[TrendAlarm, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Keys as documented in docs/reference/json.md."""
+        series, drift, chart, reach = self.series, self.drift, self.chart, self.crossing
+        return {
+            "name": series.name,
+            "title": series.title,
+            "unit": series.unit,
+            "runs": list(series.run_ids),
+            "nights": series.nights.tolist(),
+            "values": series.values.tolist(),
+            "standard_uncertainties": series.sigmas.tolist() if series.stated else None,
+            "tolerance": series.tolerance,
+            "drift_a_night": None if drift is None else drift.slope,
+            "drift_standard_uncertainty": None if drift is None else drift.slope_sigma,
+            "significant": None if drift is None else drift.significant,
+            "level": None if drift is None else drift.level,
+            "steps": [] if drift is None else [{"night": at, "size": size} for at, size, _ in drift.steps],
+            "control_limits": None if chart is None else [chart.lower, chart.centre, chart.upper],
+            "nights_left": None if reach is None else _finite(reach.expected),
+            "nights_left_at_least": None if reach is None else _finite(reach.earliest),
+            "alarms": [{"kind": alarm.kind.value, "text": alarm.text} for alarm in self.alarms],
+        }
+
+
+def trend_of(series: Series, warn_nights: float) -> Trend:
+    drift = _drift(series)
+    last_step = max((at for at, _, _ in drift.steps), default=-math.inf) if drift is not None else -math.inf
+    recent = series.values[series.nights >= last_step]
+    chart = individuals(recent) if len(recent) >= FEWEST_CHARTED else None
+    smoothed = None if chart is None else ewma(recent, chart.centre, chart.sigma)
+    reach = None
+    if series.tolerance is not None and drift is not None:
+        reach = crossing(drift, series.tolerance, HORIZON_NIGHTS, two_sided=series.two_sided)
+    alarms = (*_tolerance_alarm(series, drift, reach, warn_nights), *_control_alarm(series, chart, smoothed))
+    return Trend(series, drift, chart, smoothed, reach, alarms)
+
+
+def _drift(series: Series) -> Drift | None:
+    """None where nothing can be said: too few nights, or too few to know a scatter that nobody has stated."""
+    relative = series.sigmas if series.stated else np.ones_like(series.values)
+    try:
+        steps = find_steps(series.nights, series.values, relative, series.steps)
+        drift = fit_drift(series.nights, series.values, relative, steps)
+    except DataError:
+        return None
+    return drift if series.stated or drift.freedom >= FREEDOM_FOR_SCATTER else None
+
+
+def _tolerance_alarm(
+    series: Series, drift: Drift | None, reach: Crossing | None, warn_nights: float
+) -> Iterable[TrendAlarm]:
+    tolerance = series.tolerance
+    if tolerance is None:
+        return
+    value = float(series.values[-1])
+    if (abs(value) if series.two_sided else value) >= tolerance:
+        text = f"{series.title} is {value:.2f} {series.unit}: its tolerance {tolerance:g} {series.unit} is reached"
+        yield TrendAlarm(series.name, AlarmKind.LIMIT, text, 0.0)
+    elif drift is not None and reach is not None and drift.significant and reach.expected <= warn_nights:
+        rate, doubt = abs(drift.slope), drift.factor * drift.slope_sigma
+        in_nights = max(math.floor(reach.expected), 0)
+        text = (
+            f"{series.title} {'grows' if drift.slope * drift.level > 0.0 else 'changes'} by {rate:.2f} ± {doubt:.2f} "
+            f"{series.unit} a night: limit {tolerance:g} {series.unit} in {in_nights} nights"
+        )
+        yield TrendAlarm(series.name, AlarmKind.TREND, text, reach.expected)
+
+
+def _control_alarm(series: Series, chart: Individuals | None, smoothed: Ewma | None) -> Iterable[TrendAlarm]:
+    """Of the newest value alone: older ones have been told when they were new."""
+    if chart is None or smoothed is None:
+        return
+    last = len(smoothed.values) - 1
+    value = float(series.values[-1])
+    if last in chart.outside:
+        text = f"{series.title} is {value:.2f} {series.unit}, outside {chart.lower:.2f} to {chart.upper:.2f}"
+    elif last in smoothed.outside:
+        text = (
+            f"the mean of {series.title} has moved to {smoothed.values[-1]:.2f} {series.unit}, outside "
+            f"{smoothed.lower[-1]:.2f} to {smoothed.upper[-1]:.2f}"
+        )
+    else:
+        return
+    yield TrendAlarm(series.name, AlarmKind.CONTROL, text)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
