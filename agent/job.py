@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from agent.execution.steps import Plan
 from agent.files import load_machine, load_positions, read_text, translated
 from agent.gates import GateLimits
+from agent.ordering import Ordering
 from agent.plans.closing import ClosingRules
 from agent.plans.measure import Measured, MeasuringOrder, by_station
 from agent.plans.position import MeasuredBall, PositionRules
@@ -19,6 +21,7 @@ from agent.plans.preparation import Preparation, Prepared, prepare_probe
 from agent.procedure_rules import course_of, layout_of, preparation_of, probing_of
 from agent.settings import Settings, parse_settings
 from agent.stations import check_stations, load_artefacts, station_change
+from agent.time_model import time_model
 from agent.warmth import drift_limits_of, settling_of
 from drivers.errors import ConfigurationError, UserError
 from drivers.registry import check_options
@@ -67,7 +70,14 @@ class Job:
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
         standing_at = self.settings.stations.standing_at if carried else None
-        return MeasuringOrder("measure", by_station(both, self.stations), standing_at)
+        if not self.settings.procedure.reorder:
+            return MeasuringOrder("measure", by_station(both, self.stations), standing_at)
+        stations = self._ordering.stations(self.stations, standing_at, self.verified_stations)
+        return MeasuringOrder("measure", self._ordering.positions(both, stations), standing_at)
+
+    @cached_property
+    def _ordering(self) -> Ordering:
+        return Ordering(self.layout, self.rules, time_model(self.machine, self.settings.timing))
 
     @property
     def closing(self) -> ClosingRules:
@@ -82,7 +92,9 @@ class Job:
     def verifying(self, standing_at: int | None) -> MeasuringOrder:
         """The held-out positions again, beginning where the artefact stands."""
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
-        return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
+        if not self.settings.procedure.reorder:
+            return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
+        return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
 
     def balls_of(self, measured: Measured, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
         """The balls of the held-out positions, or of all others, numbered as `artefact` has them; `again`: with those
