@@ -15,6 +15,7 @@ from pyModbusTCP.client import ModbusClient
 
 from agent.execution.states import RunState
 from agent.service.control import Source
+from agent.service.gateway.access import access_code_path
 from agent.service.gateway.door import GatewayDoor
 from agent.service.gateway.settings import GatewaySettings
 from drivers.errors import ConfigurationError
@@ -71,6 +72,7 @@ def control() -> FakeControl:
 def code_file(tmp_path: Path) -> Path:
     path = tmp_path / "code"
     path.write_text(f"{CODE}\n")
+    path.chmod(0o600)
     return path
 
 
@@ -432,9 +434,25 @@ def test_the_port_is_free_again_after_a_stop(control, tmp_path):
 def test_a_wrong_access_code_file_is_named(control, tmp_path, text):
     file = tmp_path / "code"
     file.write_text(text)
-    with pytest.raises(ConfigurationError, match="access code") as caught:
+    file.chmod(0o600)
+    with pytest.raises(ConfigurationError, match="access code is no") as caught:
         GatewayDoor(GatewaySettings(port=0, access_code_file=file), tmp_path).start(control)
     assert caught.value.where["file"] == str(file)
+
+
+def test_an_access_code_that_others_can_read_is_refused(control, tmp_path, code_file):
+    code_file.chmod(0o640)
+    with pytest.raises(ConfigurationError, match=r"open to others \(mode 0640\)"):
+        GatewayDoor(GatewaySettings(port=0, access_code_file=code_file), tmp_path).start(control)
+
+
+def test_the_access_code_that_systemd_hands_over_comes_first(tmp_path):
+    settings = GatewaySettings(access_code_file=Path("/etc/volcal/code"))
+    assert access_code_path(settings, {}) == Path("/etc/volcal/code")
+    assert access_code_path(settings, {"CREDENTIALS_DIRECTORY": str(tmp_path)}) == Path("/etc/volcal/code")
+    (tmp_path / "panel-code").write_text("5")
+    assert access_code_path(settings, {"CREDENTIALS_DIRECTORY": str(tmp_path)}) == tmp_path / "panel-code"
+    assert access_code_path(GatewaySettings(), {}) is None
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"accepted": 0, "content": []}', '{"accepted": "7", "content": []}', "[]"])

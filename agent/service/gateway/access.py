@@ -7,19 +7,37 @@ means harm: Modbus carries it in clear, and it has 32 bits.
 from __future__ import annotations
 
 import hmac
+import os
+import stat
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 from agent.files import read_text
+from agent.service.gateway.settings import GatewaySettings
 from drivers.errors import ConfigurationError
 
+CREDENTIAL: Final = "panel-code"
 LOCKED_TICKS: Final = 5
 """Seconds for which no code is looked at after a wrong one: 2³² guesses would take six centuries."""
 
 
+def access_code_path(settings: GatewaySettings, environment: Mapping[str, str] = os.environ) -> Path | None:
+    """The file that systemd hands over (LoadCredential=panel-code:…), the one that the settings name, or none."""
+    credentials = environment.get("CREDENTIALS_DIRECTORY")
+    if credentials and (Path(credentials) / CREDENTIAL).is_file():
+        return Path(credentials) / CREDENTIAL
+    return settings.access_code_file
+
+
 def read_access_code(path: Path) -> int:
-    """Raises ConfigurationError for anything but one number from 1 to 4294967295."""
+    """ConfigurationError for anything but one number from 1 to 4294967295 in a file that is its owner's only."""
     text = read_text(path, error=ConfigurationError).strip()
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & 0o077:
+        raise ConfigurationError(
+            f"the file of the access code is open to others (mode {mode:04o})", hint=f"chmod 600 {path}", file=str(path)
+        )
     if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= 0xFFFFFFFF):
         raise ConfigurationError(
             "the access code is no whole number from 1 to 4294967295",

@@ -10,7 +10,7 @@ from typing import Final
 import structlog
 
 from agent.service.control import Control
-from agent.service.gateway.access import AccessCode, read_access_code
+from agent.service.gateway.access import AccessCode, access_code_path, read_access_code
 from agent.service.gateway.desk import CommandDesk
 from agent.service.gateway.gateway import Gateway
 from agent.service.gateway.sequence import SequenceLedger
@@ -72,7 +72,7 @@ class GatewayDoor:
             self._ticker = None
 
     def _gateway(self, control: Control) -> Gateway:
-        code_file = self._settings.access_code_file
+        code_file = access_code_path(self._settings)
         access = AccessCode(None if code_file is None else read_access_code(code_file))
         desk = CommandDesk(control, SequenceLedger(self._state_directory), access)
         return Gateway(control, desk, access, Watch(self._settings.silence_s), self._settings.on_silence)
