@@ -64,7 +64,8 @@ class ShortestPilot:
         first = self._ends(task, stand)[0]
         way = self._turning(task, stand, first)
         if way is None or before is None or self._there is None:
-            yield from self._plain.turn(task, here)
+            free = yield from self._off(task.key, here)
+            yield from self._plain.turn(task, free)
             self._way_in = None
         else:
             off = self._there.off
@@ -98,13 +99,19 @@ class ShortestPilot:
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
         """Off the surface first, then straight back: nothing but the tip has been anywhere new."""
-        there = self._there
-        if there is not None and there.spot.touching:
-            out = self._probing.contact_mm + self._probing.narrow.approach_mm
-            self._here = self._here - np.array(there.spot.direction) * (out - there.spot.out_mm)
-            yield MoveTo(f"{key}/off", point(self._here))
+        self._here = yield from self._off(key, self._here)
         yield MoveTo(f"{key}/leave", point(self._course.retreated(self._here)))
         self._there = self._pose = self._way_in = None
+
+    def _off(self, key: str, here: Array) -> Plan[Array]:
+        """Where the tip is clear of the surface that it may still rest on; drawn back from there it presses nothing."""
+        there = self._there
+        if there is None or not there.spot.touching:
+            return here
+        out = self._probing.contact_mm + self._probing.narrow.approach_mm
+        free = here - np.array(there.spot.direction) * (out - there.spot.out_mm)
+        yield MoveTo(f"{key}/off", point(free))
+        return np.asarray(free)
 
     # ------------------------------------------------------------------ at a ball
 
