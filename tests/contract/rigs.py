@@ -24,7 +24,7 @@ TOOL = np.array([0.0, 250.0, 0.0])
 REACH = 15.5
 """Radius of the ball and of the tip together."""
 ANY = ("127.0.0.1", 0)
-_channels = itertools.count()
+channels = itertools.count()
 
 
 class StoppedError(Exception):
@@ -95,7 +95,7 @@ def in_process() -> Iterator[Played]:
 @contextmanager
 def on_wires() -> Iterator[Played]:
     machine = MachineOnWires(
-        read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, can=f"virtual:contract-{next(_channels)}")
+        read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, can=f"virtual:contract-{next(channels)}")
     )
     machine.start()
     assert machine.time is not None
