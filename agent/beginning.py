@@ -18,8 +18,11 @@ from agent.kinds.kind import Kind
 from agent.kinds.outset import Outset
 from agent.recording import record_inputs
 from agent.resuming.origin import origin_record
+from agent.resuming.reconcile import reconcile
+from agent.resuming.reconciliation import Found
 from agent.rig import Rig
 from drivers.clock import Clock, utc_timestamp
+from drivers.errors import PlanRefused
 
 
 @dataclass(frozen=True)
@@ -66,16 +69,21 @@ class Fresh:
 
     state = RunState.PREFLIGHT
 
+    def __init__(self) -> None:
+        self._journal: Journal | None = None
+
     def clock(self, outer: Clock) -> Clock:
         return outer
 
     def written(self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener) -> tuple[RunJournal, Conduct]:
+        self._journal = journal
         document = wanted.job.settings.model_dump(mode="json")
         run_journal = journal.start_run(wanted.run_id, wanted.kind.name, document, version("volcal"), clock)
         return run_journal, Conduct(run_journal, listener)
 
     def outset(self, rig: Rig, journal: RunJournal, wanted: Wanted) -> Outset:
         x, y, z = rig.machine.position().tolist()
+        self._require_nothing_unproved(rig, wanted)
         outset = Outset(journal.run, utc_timestamp(), (x, y, z))
         record_inputs(journal, wanted.job)
         journal.origin(origin_record(wanted.job.settings, wanted.kind, wanted.base, outset))
@@ -86,6 +94,18 @@ class Fresh:
 
     def begun(self, run: GuardedRun, journal: RunJournal, conduct: Conduct) -> None:
         journal.begun()
+        assert self._journal is not None  # noqa: S101  written first
+        self._journal.close_dead(journal.run, f"broke off, followed by run {journal.run_id}")
+
+    def _require_nothing_unproved(self, rig: Rig, wanted: Wanted) -> None:
+        """PlanRefused where a former run has left a table that must be proved or taken back first: another run would
+        take it for what the machine is meant to have."""
+        left = reconcile(rig, wanted.job.settings.state_directory, restore=False)
+        if left.found in (Found.UNPROVED, Found.WAITING):
+            raise PlanRefused(
+                f"the last run has left the compensation unfinished: {left.text}",
+                hint="`volcal resume` goes on with it, `volcal resume --give-up` makes the former table act again",
+            )
 
     def broken_off(self, rig: Rig, complain: Callable[[str], None]) -> None:
         """The run's own way out has done what there was to do."""

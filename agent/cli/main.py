@@ -40,6 +40,7 @@ OWN_COMMANDS = {
     "study": "agent.cli.study:study_command",
     "rank": "agent.cli.rank:rank_command",
     "reset": "agent.cli.asking:reset_command",
+    "resume": "agent.cli.resume:resume_command",
     "serve": "agent.cli.serve:serve_command",
     "start": "agent.cli.start:start_command",
     "status": "agent.cli.status:status_command",

@@ -65,6 +65,14 @@ class Journal:
         recorded = read_recorded(self._connection, run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
+    def close_dead(self, before_run: int, reason: str) -> None:
+        """Runs whose process died, and that nobody will go on with any more, get an end."""
+        self._connection.execute(
+            "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
+            "WHERE ended IS NULL AND run < ?",
+            (RunState.FAULTED.value, reason, utc_timestamp(), before_run),
+        )
+
     def read_balls(self, run_id: str) -> list[dict[str, Any]]:
         """The ball records of a run in the order measured, whether or not the run came to an end."""
         rows = self._connection.execute(

@@ -49,12 +49,14 @@ class AxisMove:
 
 @dataclass
 class Trace:
-    """Follows a run step by step. `at_mm` None: nobody has asked yet; `pose` the last finished turn of the mount;
+    """Follows a run step by step. `at_mm` None: nobody has asked yet; `touching` start and target of the touch that was
+    the last motion; `pose` the last finished turn of the mount;
     `datum_mm` the last ball centre found in this pose with the table that acts; `contents` bank → CRC-32."""
 
     at_mm: Point | None = None
     axes: tuple[list[AxisMove], list[AxisMove], list[AxisMove]] = field(default_factory=lambda: ([], [], []))
     moved: bool = False
+    touching: tuple[Point, Point] | None = None
     pose: OrientTo | None = None
     datum_mm: Point | None = None
     datum_key: str = ""
@@ -88,7 +90,7 @@ class Trace:
 
     def _went(self, key: str, end: Point) -> None:
         start = self.at_mm
-        self.at_mm, self.moved = end, True
+        self.at_mm, self.moved, self.touching = end, True, None
         if start is None:
             return
         for moves, before, after in zip(self.axes, start, end, strict=True):
@@ -102,6 +104,7 @@ class Trace:
         """The place short of the surface: to stand there is as good as to stand where the touch has ended."""
         if self.at_mm is None or not isinstance(result, (Touch, Miss)):
             return
+        path = self.at_mm, step.target_mm
         start = np.array(self.at_mm)
         way = np.array(result.position_mm) - start
         length = float(np.linalg.norm(way))
@@ -110,6 +113,7 @@ class Trace:
         still = np.array(step.target_mm) == start
         x, y, z = np.where(still, start, start + share * way).tolist()
         self._went(step.key, (x, y, z))
+        self.touching = path
 
     def _found(self, step: Record) -> None:
         centre = step.payload.get("centre_mm")

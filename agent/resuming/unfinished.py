@@ -21,7 +21,7 @@ fault something about machine, artefact or procedure is not as assumed."""
 
 @dataclass(frozen=True)
 class UnfinishedRun:
-    """The last run of the journal, broken off. `refusal`: why it cannot be gone on with; empty where it can.
+    """The last run of the journal that did anything, broken off. `refusal`: why it cannot be gone on with; empty where it can.
 
     `state`: the last one it entered; `started` UTC; `balls` centres that are kept; `last_step` the last that began.
     """
@@ -59,7 +59,8 @@ def unfinished_run(state_directory: Path) -> UnfinishedRun | None:
 
 def _last(connection: sqlite3.Connection) -> UnfinishedRun | None:
     row = connection.execute(
-        "SELECT run, run_id, kind, started, ended, state, coalesce(reason, '') FROM runs ORDER BY run DESC LIMIT 1"
+        "SELECT run, run_id, kind, started, ended, state, coalesce(reason, '') FROM runs "
+        "WHERE EXISTS (SELECT 1 FROM steps WHERE steps.run = runs.run) ORDER BY run DESC LIMIT 1"
     ).fetchone()
     if row is None:
         return None

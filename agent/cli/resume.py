@@ -1,0 +1,87 @@
+"""`volcal resume`: go on with the run that broke off, or give it up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from agent.assembly import assemble, closed_after, make_clock
+from agent.cli.calibrate import conclude, interruptible, summary_table
+from agent.cli.errors import fail, reported
+from agent.cli.night import night_table
+from agent.cli.options import config_option
+from agent.cli.watching import watching
+from agent.execution.run_lock import run_lock
+from agent.job import load_settings
+from agent.outcome import Decision
+from agent.resuming.giving_up import give_up as end_without_going_on
+from agent.resuming.reconciliation import Done
+from agent.resuming.resume import ResumeRequest, resume
+from agent.session import Ended
+from agent.settings import Settings
+from drivers.errors import MeasurementFault, StoreError
+
+
+@click.command("resume")
+@config_option
+@click.option("--give-up", is_flag=True, help="Do not go on: make the former table act again, and end the run.")
+@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@reported
+def resume_command(config: Path, give_up: bool, as_json: bool) -> None:
+    """Go on with the run that broke off, where it broke off: nothing that is measured is measured again.
+
+    The run keeps the settings and files that it began with; a file that has changed since is refused. The settings
+    named here only say in which state directory the journal is.
+    """
+    settings = load_settings(config)
+    if give_up:
+        _give_up(settings, config.resolve().parent, as_json=as_json)
+        return
+    with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
+        ended = resume(ResumeRequest(settings.state_directory, listener, interrupts.append))
+    _tell(ended, as_json=as_json)
+
+
+def _tell(ended: Ended, *, as_json: bool) -> None:
+    """As the command would have ended that began the run."""
+    outcome = ended.outcome
+    if as_json:
+        click.echo(json.dumps(outcome.as_json(), allow_nan=False))
+    else:
+        console = Console()
+        if outcome.night is not None:
+            console.print(night_table(outcome, outcome.night))
+        if outcome.kind == "calibrate" or outcome.predicted_vce_um is not None:
+            console.print(summary_table(outcome))
+    if ended.error is not None:
+        raise fail(ended.error)
+    decision = None if outcome.night is None else outcome.night.decision
+    if outcome.kind == "verify":
+        if decision is Decision.OUT:
+            raise fail(MeasurementFault(f"out of limits: {outcome.night.reason if outcome.night else ''}"))
+    elif decision is None or decision in (Decision.WRITTEN, Decision.RESTORED, Decision.FULL_DONE):
+        conclude(ended)
+
+
+def _give_up(settings: Settings, base: Path, *, as_json: bool) -> None:
+    with (
+        run_lock(settings.state_directory, "to be given up"),
+        closed_after(make_clock(settings.clock)) as clock,
+    ):
+        rig = assemble(settings, clock, base)
+        rig.open()
+        try:
+            result = end_without_going_on(rig, settings.state_directory, "volcal resume --give-up")
+        finally:
+            rig.close()
+    run = None if result.unfinished is None else result.unfinished.run_id
+    if as_json:
+        facts = {"run_id": run, "found": result.found.value, "done": result.done.value, "person": result.person}
+        click.echo(json.dumps({**facts, "active_bank": result.active_bank, "waiting_bank": result.waiting_bank}))
+    else:
+        click.echo(f"run {run or 'none unfinished'}: {result.text}")
+    if result.done is Done.LEFT:
+        raise fail(StoreError("the former table could not be made to act again", hint=result.person))
