@@ -353,6 +353,17 @@ def test_garbage_and_slow_panels_keep_nobody_waiting(door, panel):
             assert noise.recv(1) == b"", "hung up on"
 
 
+def test_a_panel_that_never_reads_its_answers_keeps_nobody_waiting(door, panel, control):
+    with socket.create_connection(door.address) as link:
+        link.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            while True:
+                link.send(bytes.fromhex("0001 0000 0006 01 03 0000 0074") * 100)
+        assert panel.give(HOLD) == DONE
+        assert panel.client.write_single_coil(0, True)
+    assert [name for name, _ in control.asked] == ["hold", "abort"]
+
+
 def test_the_quietest_panel_makes_room_for_a_new_one(control, tmp_path):
     with opened(control, tmp_path, most_clients=2) as door, panel_at(door) as old, panel_at(door) as busy:
         assert old.read(0) == busy.read(0) == [1]

@@ -402,6 +402,12 @@ def test_nobody_writes_a_node_or_changes_the_address_space(world):
             for path in [variable.path for variable in VARIABLES]:
                 with pytest.raises(UaStatusCodeError):
                     await node(client, path).write_value(await node(client, path).read_data_value())
+            flag = client.get_node(ua.ObjectIds.Server_ServerDiagnostics_EnabledFlag)
+            with refused("BadUserAccessDenied"):
+                await flag.write_value(await flag.read_data_value())
+            name = ua.DataValue(ua.Variant(ua.LocalizedText("Mine"), ua.VariantType.LocalizedText))
+            with refused("BadUserAccessDenied"):
+                await node(client, ROOT).write_attribute(ua.AttributeIds.DisplayName, name)
             with pytest.raises((UaStatusCodeError, ConnectionError)):
                 await client.nodes.objects.add_object(2, "mine")
 

@@ -129,13 +129,13 @@ class ModbusServer:
         return any((mapped or address) in network for network in self._allowed)
 
     def _attend(self, client: _Client) -> None:
-        with client.connection:
+        with client.connection, structlog.contextvars.bound_contextvars(panel=client.peer):
             try:
                 client.connection.settimeout(self._idle_s)
                 client.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._serve(client)
             except (OSError, FramingError) as error:
-                log.info("panel gone", peer=client.peer, reason=str(error))
+                log.info("panel gone", reason=str(error))
             finally:
                 with self._guard:
                     self._clients.discard(client)

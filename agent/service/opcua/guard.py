@@ -61,13 +61,17 @@ class Users(UserManager):
 
 
 class GuardedSession(InternalSession):
-    """A client's session: methods that move or write only for who has the token."""
+    """A client's session: methods that move or write only for who has the token, nodes are written by nobody."""
 
     iserver: GuardedServer
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
         """In the order of the requests; one that is not allowed is refused, the others are done."""
         return [await self._call(request) for request in params]
+
+    async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
+        """The standard's own address space has nodes that say they may be written; not even those."""
+        return [ua.StatusCode(ua.UInt32(StatusCodes.BadUserAccessDenied)) for _ in params.NodesToWrite]
 
     async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
         free = self.iserver.free_methods.get(request.MethodId, False)
