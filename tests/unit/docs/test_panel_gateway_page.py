@@ -42,7 +42,7 @@ def test_every_register_stands_on_the_page_and_nothing_else():
         "- `may`, from bit 0: " + ", ".join(MAY) + ".",
         "- `state`: " + ", ".join(f"{number} {state.value}" for state, number in STATE_NUMBERS.items()) + ".",
         "- `command`: " + ", ".join(f"{command.value} {command.name.lower()}" for command in Command) + ".",
-        "- `result`: " + "; ".join(f"{result.value} {text}" for result, text in RESULT_TEXTS.items()) + ";",
+        *(f"| {result.value} | {text} |" for result, text in RESULT_TEXTS.items()),
     ],
 )
 def test_the_lists_of_numbers_are_those_of_the_code(line):
