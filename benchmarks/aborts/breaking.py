@@ -158,8 +158,8 @@ class BreakableRig(Rig):
         super().__init__(**given)
         self._breaking = breaking
 
-    def actions(self) -> dict[type, Action]:
-        return {kind: self._breakable(action) for kind, action in super().actions().items()}
+    def actions(self, *given: Any, **named: Any) -> dict[type, Action]:
+        return {kind: self._breakable(action) for kind, action in super().actions(*given, **named).items()}
 
     def _breakable(self, action: Action) -> Action:
         return lambda step: self._breaking.performed(action, step)

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from agent.execution.states import RunState
-from agent.execution.steps import Point
 from agent.guarded_run import GuardedRun
 from agent.job import Job
 from agent.kinds.kind import Ready
+from agent.kinds.outset import Outset
 from agent.rehearsal import Rehearsal, rehearse, whole_procedure
 from drivers.clock import VirtualClock
 
@@ -29,11 +29,13 @@ class Moving:
     """Rehearses once, from where the machine stands; a second run of the same plan begins there too."""
 
     name: str = "moving"
-    rehearsal: Rehearsal | None = None
 
-    def ready(self, job: Job, start_mm: Point) -> Ready:
+    def __post_init__(self) -> None:
+        self.rehearsal: Rehearsal | None = None
+
+    def ready(self, job: Job, outset: Outset) -> Ready:
         if self.rehearsal is None:
-            self.rehearsal = rehearse(job, start_mm)
+            self.rehearsal = rehearse(job, outset.start_mm)
         return Ready(job, self.rehearsal, lambda means: MovingRun(job, means))
 
 
