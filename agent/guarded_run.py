@@ -157,7 +157,8 @@ class GuardedRun(ABC):
 
     def _withdraw(self) -> None:
         probing = self._job.rules.probing
-        self._engine.run(withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm))
+        came = self._rig.last_motion
+        self._engine.run(withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, came))
 
     def _attempt_restore(self) -> list[str]:
         """Empty where the former bank acts; a journal that fails on the way is done without."""

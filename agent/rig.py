@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.execution import steps as s
 from agent.execution.engine import Action
+from agent.last_motion import LastMotion
 from drivers.clock import Clock, Deadline
 from drivers.errors import (
     Aborted,
@@ -69,6 +70,7 @@ class Rig:
     thermometer: Thermometer
     operator: Operator
     clock: Clock
+    last_motion: LastMotion = field(default_factory=LastMotion)
     _open: list[str] = field(default_factory=list)
 
     def open(self) -> None:
@@ -120,8 +122,7 @@ class Rig:
 
         def retrace(step: s.Retrace) -> None:
             told(step.of)
-            target = np.array(step.target_mm)
-            self.machine.move_to(target, feed_mm_per_s=step.feed_mm_per_s, guarded=True)
+            self._move(s.MoveTo(step.of, step.target_mm, step.feed_mm_per_s))
 
         def touch(step: s.TouchTowards) -> Touch | Miss:
             told(step.key)
@@ -161,16 +162,22 @@ class Rig:
         return tell if traced else _nobody
 
     def _move(self, step: s.MoveTo) -> None:
+        self.last_motion.begins(step.target_mm, touch=False)
         self.machine.move_to(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s, guarded=step.guarded)
+        self.last_motion.ends(step.target_mm)
 
     def _touch(self, step: s.TouchTowards) -> Touch | Miss:
-        return self.probe.touch_towards(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s)
+        self.last_motion.begins(step.target_mm, touch=True)
+        result = self.probe.touch_towards(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s)
+        self.last_motion.ends(result.position_mm)
+        return result
 
     def _orient(self, step: s.OrientTo) -> Orientation:
         return self.mounts[step.station].orient_to(step.azimuth_deg, step.elevation_deg)
 
     def _read_position(self, _: s.ReadPosition) -> s.Point:
         x, y, z = self.machine.position().tolist()
+        self.last_motion.stands((x, y, z))
         return x, y, z
 
     def _check_permissions(self, _: s.CheckPermissions) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from agent.execution.engine import Engine
@@ -17,9 +17,13 @@ from agent.ideal_machine import IdealMachine
 from agent.job import Job
 from agent.plans.ball import point
 from agent.plans.measure import MeasuringOrder, measure_positions, position_key
+from agent.plans.position import PositionTask, measure_position
+from agent.plans.shortest import ShortestPilot
 from agent.time_model import S_PER_MIN, time_model
+from twin.arrays import Array
 from twin.geometry import Point
 from twin.position_set import Position
+from twin.procedure import FEWEST_BALLS
 
 T = TypeVar("T")
 
@@ -75,11 +79,24 @@ def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
 
 
 def position_minutes(job: Job, position: Position) -> float:
-    """Machine time of one more position at a station: from parked with the mount at zero until parked again."""
+    """Machine time of one more position at a station, the tip beside a ball of a bar that stands with the mount at zero
+    until the last ball is measured; where ways are plain, from parked until parked again."""
     course = job.rules.course
-    parked = point(course.parked(job.layout.nominal(position).mean(axis=0), position.station))
-    _, steps = walked(job, _there_and_back(job, position, parked), parked)
+    if course.roads is None:
+        parked = point(course.parked(job.layout.nominal(position).mean(axis=0), position.station))
+        _, steps = walked(job, _there_and_back(job, position, parked), parked)
+    else:
+        pilot = ShortestPilot(course.roads.among(job.layout), course, job.rules.probing)
+        here = pilot.suppose(position.station)
+        _, steps = walked(job, _one_more(job, position, here, pilot), point(here))
     return sum(timed.seconds for timed in steps) / S_PER_MIN
+
+
+def as_listed(job: Job) -> Job:
+    """The same with stations and positions in the order in which they are listed, and plain ways."""
+    procedure = job.settings.procedure.model_copy(update={"paths": "plain", "reorder": False})
+    rules = replace(job.rules, course=replace(job.rules.course, roads=None))
+    return replace(job, settings=job.settings.model_copy(update={"procedure": procedure}), rules=rules)
 
 
 def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
@@ -113,6 +130,16 @@ def _there_and_back(job: Job, position: Position, parked: Point) -> Plan[None]:
     measured = yield from measure_positions(order, job.layout, job.rules)
     if measured.positions:
         yield MoveTo(f"{PREFIX}/{position_key(position)}/park-again", parked)
+
+
+def _one_more(job: Job, position: Position, here: Array, pilot: ShortestPilot) -> Plan[None]:
+    nominal = job.layout.nominal(position)
+    mask = job.layout.reachable(position, nominal)
+    if mask.sum() < FEWEST_BALLS:
+        return
+    key = f"{PREFIX}/{position_key(position)}"
+    task = PositionTask(key, 0, position.station, position.azimuth_deg, position.elevation_deg, nominal, mask)
+    yield from measure_position(task, here, job.rules, (), pilot)
 
 
 def _lower_end(job: Job) -> Point:

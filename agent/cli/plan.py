@@ -17,8 +17,9 @@ from agent.designing.valued_set import valuation_of
 from agent.expectation import Expectation, expect
 from agent.job import Job, load_settings, naming, prepare_job, with_overrides
 from agent.plans.measure import position_key
-from agent.rehearsal import Rehearsal, rehearse
-from agent.timing import PARTS, minutes_by_part
+from agent.rehearsal import Rehearsal, rehearse, whole_procedure
+from agent.time_model import S_PER_MIN
+from agent.timing import PARTS, as_listed, minutes_by_part, walked
 from drivers.errors import PlanRefused
 from twin.design.valuation import Valuation
 
@@ -58,17 +59,21 @@ def plan_command(
         for path in draw(refused) if draw else ():
             click.echo(f"preview: {path}", err=True)
         raise
+    listed = as_listed(job)
+    before_minutes = sum(timed.seconds for timed in walked(listed, whole_procedure(listed))[1]) / S_PER_MIN
     expectation = expect(job, rehearsal.measured)
     valuation = valuation_of(job, job.positions)
     files = draw(None) if draw else []
     if as_json:
-        click.echo(json.dumps(_document(job, rehearsal, expectation, valuation, files), allow_nan=False))
+        click.echo(
+            json.dumps(_document(job, rehearsal, before_minutes, expectation, valuation, files), allow_nan=False)
+        )
         return
     console = Console()
     if steps:
         for key, seconds in rehearsal.timeline.items():
             click.echo(f"{seconds:10.2f} s  {key}")
-    console.print(_table(job, rehearsal, expectation, valuation))
+    console.print(_table(job, rehearsal, before_minutes, expectation, valuation))
     console.print(_minutes_table(minutes_by_part(rehearsal.steps)))
     for path in files:
         click.echo(str(path))
@@ -83,7 +88,12 @@ def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path
 
 
 def _document(
-    job: Job, rehearsal: Rehearsal, expectation: Expectation, valuation: Valuation, files: list[Path]
+    job: Job,
+    rehearsal: Rehearsal,
+    before_minutes: float,
+    expectation: Expectation,
+    valuation: Valuation,
+    files: list[Path],
 ) -> dict[str, object]:
     balls = sum(len(p.balls) for p in rehearsal.measured.positions)
     return {
@@ -96,6 +106,7 @@ def _document(
         "balls": balls,
         "touches": rehearsal.measured.touches + rehearsal.verified.touches,
         "machine_minutes": round(rehearsal.machine_minutes, 3),
+        "machine_minutes_as_listed": round(before_minutes, 3),
         "minutes_by_station": {
             str(station): {part: round(minutes, 3) for part, minutes in parts.items()}
             for station, parts in minutes_by_part(rehearsal.steps).items()
@@ -111,7 +122,9 @@ def _document(
     }
 
 
-def _table(job: Job, rehearsal: Rehearsal, expectation: Expectation, valuation: Valuation) -> Table:
+def _table(
+    job: Job, rehearsal: Rehearsal, before_minutes: float, expectation: Expectation, valuation: Valuation
+) -> Table:
     table = Table(title="rehearsed: no collision, no limit", show_header=False)
     measured = rehearsal.measured
     rows = [
@@ -122,7 +135,7 @@ def _table(job: Job, rehearsal: Rehearsal, expectation: Expectation, valuation: 
         ("left out", ", ".join(measured.left_out) or "none"),
         ("balls out of reach", str(measured.unreachable_balls)),
         ("touches", str(measured.touches + rehearsal.verified.touches)),
-        ("machine time", f"{rehearsal.machine_minutes:.1f} min"),
+        ("machine time", f"{rehearsal.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain ways)"),
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
         ("VCE to expect", f"{expectation.vce.aligned_um:.2f} µm aligned ({expectation.vce.raw_um:.2f} as defined)"),
         ("valuation", f"{valuation.percent:.1f} % of the family's error is expected to go"),

@@ -1,4 +1,4 @@
-"""The first motion after a fault or an abort: out along the stylus, nothing else."""
+"""The first motion after a fault or an abort: out along the last approach direction, then straight back."""
 
 from __future__ import annotations
 
@@ -6,22 +6,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.execution.steps import CheckPermissions, MoveTo, Plan, ReadPosition
+from agent.last_motion import LastMotion
 from agent.plans.ball import point
 from agent.plans.course import Course
 
 WITHDRAW_FEED_MM_PER_S = 20.0
 
 
-def withdraw(course: Course, stylus_axis: NDArray[np.float64], distance_mm: float) -> Plan[None]:
-    """Back along the stylus by `distance_mm` slowly, then to the retreat plane; guarded all the way.
+def withdraw(
+    course: Course, stylus_axis: NDArray[np.float64], distance_mm: float, came: LastMotion | None = None
+) -> Plan[None]:
+    """Out along the last approach direction, back along the stylus by `distance_mm` slowly, then to the retreat plane;
+    guarded all the way.
 
-    A probe that is deflected at the start of a guarded move may leave its contact; that is what the slow
-    first part is for. A machine in fault does not move: a person looks first.
+    `came`: how the tip came to where it is. A probe that is deflected at the start of a guarded move may leave its
+    contact; that is what the slow first parts are for. A machine in fault does not move: a person looks first.
     """
     yield CheckPermissions("recover/permissions")
     here = np.array((yield ReadPosition("recover/here")))
-    retreated = course.retreated(here)
-    travel = abs(float((here - retreated)[course.retreat_axis]))
-    first = here - stylus_axis * min(distance_mm, travel)
+    out = here if came is None else came.out(here)
+    if np.abs(out - here).max() > 0.0:
+        yield MoveTo("recover/out", point(out), WITHDRAW_FEED_MM_PER_S)
+    retreated = course.retreated(out)
+    travel = abs(float((out - retreated)[course.retreat_axis]))
+    first = out - stylus_axis * min(distance_mm, travel)
     yield MoveTo("recover/withdraw", point(first), WITHDRAW_FEED_MM_PER_S)
     yield MoveTo("recover/retreat", point(retreated))

@@ -53,6 +53,15 @@ class ShortestPilot:
         self._way_in: tuple[Corner, ...] | None = None
         self._here: Array = np.zeros(3)
 
+    def suppose(self, station: int) -> Array:
+        """As if ball 0 had just been measured with the mount at zero; (3,) where the axes stand then."""
+        stand = self._traffic.standing(station, 0.0, 0.0)
+        nominal = self._traffic.nominal(stand, station)
+        spot = Spot(0, point(self._probing.directions[-1]), self._probing.contact_mm, touching=True)
+        self._pose = _Pose(stand, station, nominal, nominal, self._traffic.roads.known_mm)
+        self._at(_There(spot, np.zeros(3)), self._traffic.axes_at(station, self._traffic.at(stand, spot)))
+        return self._here
+
     def sequence(self, task: Orientation) -> tuple[int, list[int], int]:
         stand = self._stand(task)
         first, last = self._ends(task, stand)
@@ -120,9 +129,12 @@ class ShortestPilot:
         pose = self._known_pose
         spot = Spot(ball, point(begin.direction), begin.out_mm)
         off = begin.centre - pose.nominal[ball]
+        looked_for, feed = self._there is None, begin.search.beside_mm_per_s
         for number, target in enumerate(self._corners(spot, off, begin)):
-            yield MoveTo(f"{key}/via-{number}", point(target))
-        yield MoveTo(f"{key}/start", point(begin.start))
+            yield MoveTo(f"{key}/via-{number}", point(target), None if looked_for else feed)
+        if looked_for and feed is not None:
+            yield MoveTo(f"{key}/near", point(self._course.above(begin.centre, self._probing)))
+        yield MoveTo(f"{key}/start", point(begin.start), feed)
         self._at(_There(spot, off), begin.start)
 
     def away(self, key: str, ball: int, begin: Begin, latched_mm: Point | None) -> Plan[None]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from twin.access import AT_CONTACT_MM, standing_scene
 from twin.artefact import Artefact
-from twin.bodies import TIP, ball_name, post_name
+from twin.bodies import TIP, ProbeGeometry, ball_name, post_name
 from twin.collision import Scene
 from twin.geometry import Point, Shape, point
 from twin.layout import Layout
 from twin.motion import travel_times
-from twin.paths import RETRACTS_MM, Apart, Dynamics, Way, fastest, straight_and_retracted
+from twin.paths import Apart, Dynamics, Way, fastest, straight_and_retracted
 from twin.turn_sweep import CELL_MM, Cover, TurnSweep, cover_of, turn_sweep
 
 Array = NDArray[np.float64]
@@ -164,14 +164,6 @@ class Traffic:
         if key not in self._ways:
             self._ways[key] = self._sought(*key)
         return self._ways[key]
-
-    def seconds_between(self, stand: Stand, start: Spot, end: Spot) -> float:
-        """Of the way where the pose is known; where none is proved to be free, of one as far back as any candidate."""
-        way = self._known_way(stand, start, end, rounded_up(self.roads.known_mm), (-math.inf, math.inf))
-        if way is not None:
-            return way.seconds
-        across = float(self.straight_seconds(stand, [start], [end])[0, 0])
-        return across + 2.0 * float(self._straight(np.zeros(3), self.roads.stylus_axis * RETRACTS_MM[-1]))
 
     def straight_seconds(self, stand: Stand, starts: Sequence[Spot], ends: Sequence[Spot]) -> Array:
         """(n, m): no way from one to the other is faster."""
@@ -361,6 +353,12 @@ class Traffic:
         )
 
     @property
+    def _probe(self) -> ProbeGeometry:
+        """With a stem as thick as the tip: then what the tip sweeps straight back, from anywhere, is free."""
+        probe = self.layout.probe
+        return replace(probe, stem_radius_mm=max(probe.stem_radius_mm, probe.tip_radius_mm))
+
+    @property
     def _contact_mm(self) -> float:
         return self.layout.contact_mm
 
@@ -369,7 +367,7 @@ class Traffic:
             x = float(self.layout.place(stand.among)[0]) if stand.among else 0.0
             centres, scene = standing_scene(
                 self._artefact(stand),
-                self.layout.probe,
+                self._probe,
                 self.layout.mount,
                 place_mm=np.array([x, stand.depth_mm, stand.height_mm]),
                 azimuth_rad=math.radians(stand.azimuth_deg),
