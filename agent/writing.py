@@ -11,8 +11,8 @@ from agent.guarded_run import Progress
 from agent.history.run_record import read_record
 from agent.job import Job
 from agent.outcome import Outcome
-from agent.report import render_report
-from agent.reporting.of_run import report_of
+from agent.reporting.of_run import measured_positions
+from agent.reporting.rebuilt import rebuilt
 from twin.formats.ball_file import format_balls
 from twin.formats.estimate_file import format_estimate
 from twin.formats.table_file import format_side_file, format_table
@@ -24,12 +24,12 @@ def write_results(job: Job, outcome: Outcome, progress: Progress) -> Outcome:
 
     A run that did not come to an estimate leaves its report alone; its measurements are in the journal.
     """
-    record = read_record(job.settings.state_directory, outcome.run_id)
-    report = report_of(record)
-    texts = {"report.html": render_report(report)}
-    if progress.finding is not None and report.found is not None:
-        texts |= _results(job, outcome.run_id, progress.finding, report.found.positions)
-    directory = job.settings.state_directory / outcome.run_id
+    state = job.settings.state_directory
+    texts = rebuilt(state, outcome.run_id, pdf=False)
+    if progress.finding is not None:
+        positions = measured_positions(read_record(state, outcome.run_id))
+        texts |= _results(job, outcome.run_id, progress.finding, positions)
+    directory = state / outcome.run_id
     write_all_atomically(directory, texts)
     return replace(outcome, report=directory / "report.html")
 

@@ -85,8 +85,11 @@ def _panel(panel: Axes, curve: ErrorCurve | None, title: str) -> None:
     panel.fill_between(curve.position_mm, low, high, color=colour, alpha=BAND_OPACITY, linewidth=0)
     (line,) = panel.plot(curve.position_mm, curve.value, color=colour)
     line.set_gid(f"curve-{curve.name}")
-    panel.set_xlim(float(curve.position_mm[0]), float(curve.position_mm[-1]))
-    panel.locator_params(axis="x", nbins=3)
+    low_mm, high_mm = float(curve.position_mm[0]), float(curve.position_mm[-1])
+    panel.set_xlim(low_mm, high_mm)
+    panel.set_xticks([low_mm, 0.5 * (low_mm + high_mm), high_mm])
+    for label, side in zip(panel.get_xticklabels(), ("left", "center", "right"), strict=True):
+        label.set_horizontalalignment(side)  # so that numbers of neighbouring panels do not meet
 
 
 def _reach(curves: Sequence[ErrorCurve], unit: str) -> float:

@@ -235,13 +235,14 @@ class Provenance:
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What only a run on a machine knows. `banks`: rows about tables before, written and at the end; `trend`: an SVG
-    with all runs up to this one."""
+    """What only a run on a machine knows. `times`: rows about begin and end; `banks`: about tables before, written
+    and at the end; `trend`: an SVG with all runs up to this one."""
 
     touches: int | None = None
     machine_minutes: float | None = None
     balls: int | None = None
     reason: str = ""
+    times: tuple[tuple[str, str], ...] = ()
     banks: tuple[tuple[str, str], ...] = ()
     verification: Verification | None = None
     night: NightFacts | None = None

@@ -60,7 +60,7 @@ def _quantity(value_um: float | None) -> Quantity | None:
 
 def identity(data: ReportData) -> Rows:
     artefact, run, found = data.artefact, data.run, data.found
-    rows = [("Run", data.header.run_id)]
+    rows = [("Run", data.header.run_id), *run.times]
     if run.provenance is not None:
         rows.append(("Started by", run.provenance.started_by))
     if found is not None:

@@ -7,7 +7,10 @@ in the colours of print.
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import resources
 
 from drivers.errors import InputError
@@ -26,13 +29,17 @@ _SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
 
 def render_pdf(page: str) -> bytes:
     """`page`: HTML of `render_report`. The same page gives the same bytes: no date is written, and the file's identity
-    is that of its text. Nothing is fetched from anywhere."""
-    from weasyprint import CSS, HTML  # noqa: PLC0415  half a second that only a PDF should cost
+    is that of its text. Nothing is fetched from anywhere. InputError where a part of it could not be drawn."""
+    from weasyprint import HTML  # noqa: PLC0415  half a second that only a PDF should cost
+    from weasyprint.urls import URLFetcher  # noqa: PLC0415
 
     style = resources.files("agent.report").joinpath("print.css").read_text(encoding="utf-8")
-    document = HTML(string=_SVG.sub(lambda found: _printed(found[0]), page), url_fetcher=_nothing_else)
+    fetcher = URLFetcher(allowed_protocols=("data",))
+    printed = _SVG.sub(lambda found: _printed(found[0]), page).replace("</style>", f"{style}</style>", 1)
+    document = HTML(string=printed, url_fetcher=fetcher)
     identifier = hashlib.sha256(page.encode()).hexdigest()[:32].encode()
-    written = document.write_pdf(stylesheets=[CSS(string=style)], pdf_identifier=identifier)
+    with _no_failure():
+        written = document.write_pdf(pdf_identifier=identifier)
     assert isinstance(written, bytes)  # noqa: S101  no target was named
     return written
 
@@ -43,10 +50,22 @@ def _printed(svg: str) -> str:
     return svg
 
 
-def _nothing_else(url: str, *_: object, **__: object) -> dict[str, object]:
-    if url.startswith("data:"):
-        from weasyprint import default_url_fetcher  # noqa: PLC0415
+@contextmanager
+def _no_failure() -> Iterator[None]:
+    """The library leaves out what it cannot draw and tells its log; a report with a hole in it is none."""
+    told: list[str] = []
 
-        found: dict[str, object] = default_url_fetcher(url)
-        return found
-    raise InputError("a report loads nothing from elsewhere", address=url)
+    class Listening(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            told.append(record.getMessage())
+
+    logger, listening = logging.getLogger("weasyprint"), Listening(logging.ERROR)
+    logger.addHandler(listening)
+    try:
+        yield
+    finally:
+        logger.removeHandler(listening)
+    if told:
+        raise InputError(
+            f"the report cannot be printed: {told[0]}", hint="print report.html from a browser, and report it"
+        )

@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from agent.report.data import TemperatureTrace, VerifiedPosition
 from agent.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, Drawing, Margins
 
+MOST_UPRIGHT = 8
 SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
 
@@ -51,7 +52,10 @@ def draw_verification(positions: Sequence[VerifiedPosition]) -> str:
         panel.plot(place, [item.after_um for item in positions], "o", color=BLUE, markersize=5, label="after")
         limits = [2.0 * item.predicted_um for item in positions]
         panel.plot(place, limits, "_", color=INK, markersize=14, label="2σ of the prediction")
-        panel.set_xticks(place, [item.label for item in positions], rotation=25, ha="right")
+        many = len(positions) > MOST_UPRIGHT
+        labels = [item.label if many else item.label.replace(", ", "\n", 1) for item in positions]
+        panel.set_xticks(place, labels, rotation=25 if many else 0, ha="right" if many else "center")
+        panel.set_xlim(-0.5, len(positions) - 0.5)
         panel.set_ylim(bottom=0.0)
         panel.set_ylabel("rms at the balls / µm")
         panel.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)

@@ -82,7 +82,7 @@ def events(data: ReportData, t: Texts) -> Table | None:
     if not data.run.events:
         return None
     rows = tuple((event.timestamp.replace("T", " ")[:19], event.kind, event.text) for event in data.run.events)
-    return Table((t["time"], t["kind"], t["event"]), rows)
+    return Table((t["time"], t["kind"], t["event"]), rows, code=(t["time"],))
 
 
 def signatures(t: Texts) -> Table:

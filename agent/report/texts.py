@@ -12,7 +12,8 @@ Texts = Mapping[str, str]
 ENGLISH: Texts = {
     "language": "en",
     "note": "Please note",
-    "page_of": "page {page} of {pages}",
+    "page": "page",
+    "of": "of",
     # headings
     "summary": "Before and after",
     "validity": "What the result holds for",

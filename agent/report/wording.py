@@ -18,12 +18,14 @@ MINUS = "\N{MINUS SIGN}"
 
 @dataclass(frozen=True)
 class Table:
-    """Column heads, rows of ready text, and which columns hold numbers, and which long codes in fine print."""
+    """Column heads, rows of ready text, and which columns hold numbers, long codes in fine print, and what is not to be
+    broken over lines."""
 
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     numeric: tuple[str, ...] = ()
     fine: tuple[str, ...] = ()
+    code: tuple[str, ...] = ()
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -104,10 +104,15 @@ def _found(record: RunRecord) -> Identified | None:
         observations=Observations(**identified["observations"]),
         estimate=kept_estimate(_stored(record), identified["unresolved_mm2"]),
         residuals_mm=np.array(identified["residuals_mm"], dtype=np.float64),
-        positions=tuple(Position(*place) for place in identified["positions"]),
+        positions=measured_positions(record),
         volumetric=VolumetricSummary(**volumetric),
         table=TableFacts(**identified["table"]),
     )
+
+
+def measured_positions(record: RunRecord) -> tuple[Position, ...]:
+    """Those that the observations of the run's estimate count; none without an estimate."""
+    return tuple(Position(*place) for place in (record.decision(IDENTIFIED) or {"positions": ()})["positions"])
 
 
 def _stored(record: RunRecord) -> StoredEstimate:
@@ -128,6 +133,7 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
         machine_minutes=outcome.get("machine_minutes", record.minutes),
         balls=record.balls,
         reason=record.reason,
+        times=(("Begun", _shown(record.started)), ("Ended", _shown(record.ended) if record.ended else "broken off")),
         banks=_banks(record, outcome),
         verification=_verification(record),
         night=night_facts(record),
@@ -141,6 +147,10 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
         probe=None if probe is None else _probe(probe["facts"]),
         trend=trend,
     )
+
+
+def _shown(stamp: str) -> str:
+    return stamp.replace("T", " ")[:19] + " UTC"
 
 
 def _banks(record: RunRecord, outcome: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:

@@ -18,7 +18,7 @@ from agent.report import EventLine
 def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
     kept = [note for note in record.events if not _routine(note)]
     drifts = [note for note in record.events if _drift_um(note) is not None]
-    lines = [EventLine(note.at, note.kind, in_words(note.record)) for note in kept]
+    lines = [EventLine(note.at, note.kind, _told(note)) for note in kept]
     if drifts:
         largest = max(_drift_um(note) or 0.0 for note in drifts)
         text = f"the first ball was found again in {len(drifts)} positions, at most {largest:.1f} µm away"
@@ -37,6 +37,17 @@ def _routine(note: Note) -> bool:
 def _drift_um(note: Note) -> float | None:
     values = note.record.get("drift_um")
     return None if values is None or "limit_um" not in note.record else float(np.linalg.norm(values))
+
+
+def _told(note: Note) -> str:
+    """A change of state by its name, everything else in words."""
+    if note.kind == "state":
+        reason = note.record.get("reason")
+        return f"{note.record['state']}: {reason}" if reason else str(note.record["state"])
+    if note.kind == "note":
+        others = in_words({name: value for name, value in note.record.items() if name != "text"})
+        return f"{note.record['text']} ({others})" if others else str(note.record["text"])
+    return in_words(note.record)
 
 
 def in_words(record: Mapping[str, Any]) -> str:
