@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -9,6 +10,7 @@ from contextlib import contextmanager
 from queue import Queue
 from typing import Any
 
+from agent.execution.encoding import to_json
 from agent.service.control import Event
 
 KEPT = 2000
@@ -37,9 +39,11 @@ class Bulletin:
             wake()
 
     def publish(self, kind: str, text: str, data: Mapping[str, Any] | None = None) -> Event:
+        """`data` becomes what JSON can say, as the journal has it."""
+        plain = json.loads(to_json(data or {}))
         with self._lock:
             self._number += 1
-            event = Event(self._number, kind, text, dict(data or {}))
+            event = Event(self._number, kind, text, plain)
             self._ring.append(event)
             for queue in self._queues:
                 _put(queue, event, self._queued)

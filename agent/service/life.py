@@ -110,7 +110,7 @@ class Life:
             self.owner.reload(load_settings(self.config))
         except VolcalError as error:
             log.error("the settings were not reloaded; those from before stay", reason=str(error))
-            text = f"settings not reloaded: {error.message}"
+            text = f"settings not reloaded: {error}"
         else:
             log.info("the settings were reloaded")
             text = self._text()

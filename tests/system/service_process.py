@@ -1,0 +1,182 @@
+"""The real `volcal serve` against the real `volcal simulate`, each a process of its own, and a plain HTTP client."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+from test_kill import CONFIG, SCENARIO, configured
+
+PATIENCE_S = 45.0
+COMMAND = [sys.executable, "-m", "agent.cli.main"]
+TWO_POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
+SHORT = {
+    'position_set = "S3"': 'position_set = "two.csv"\nstations = [1]',
+    "[verification]\nstations = [1, 4]": (
+        "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nlargest_share = 1.0\nlargest_chi2 = 1e3"
+    ),
+    "[gates]": "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1e3",
+}
+AT_ONCE = "\n[service]\nport = 0\nwarm_up_minutes = 0\n"
+
+
+def wait_for(condition: Callable[[], Any], what: str, within_s: float = PATIENCE_S) -> Any:
+    deadline = time.monotonic() + within_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        time.sleep(0.02)
+    return found
+
+
+@contextmanager
+def simulator(directory: Path) -> Iterator[tuple[subprocess.Popen[bytes], dict[str, Any]]]:
+    scenario = SCENARIO.read_text().replace("[truth]", "[truth]\nscale = 4.0")
+    scenario = scenario.replace('"../', f'"{CONFIG}/')
+    path = directory / "scenario.toml"
+    path.write_text(scenario)
+    command = [*COMMAND, "simulate", "--config", str(path), "--can", "socketcand:127.0.0.1:0", "--end-with-stdin"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            yield process, json.loads(process.stdout.readline())
+        finally:
+            process.kill()
+
+
+def short_settings(ready: dict[str, Any], directory: Path, service: str = AT_ONCE) -> Path:
+    """Two positions and one held out at one station, gates open: a whole run is a few seconds."""
+    path = configured(ready, directory)
+    text = path.read_text()
+    for former, now in SHORT.items():
+        assert former in text
+        text = text.replace(former, now)
+    path.write_text(text + service)
+    (directory / "two.csv").write_text(TWO_POSITIONS)
+    return path
+
+
+@dataclass
+class Service:
+    process: subprocess.Popen[str]
+    directory: Path
+    config: Path
+
+    @property
+    def state(self) -> Path:
+        return self.directory / "state"
+
+    @property
+    def token(self) -> str:
+        return (self.state / "token").read_text().strip()
+
+    @property
+    def url(self) -> str:
+        return str(json.loads((self.state / "service.json").read_text())["url"])
+
+    def client(self, **headers: str) -> httpx.Client:
+        return httpx.Client(base_url=self.url, headers=headers, timeout=PATIENCE_S, trust_env=False)
+
+    def post(self, path: str, body: Any = None) -> httpx.Response:
+        with self.client(Authorization=f"Bearer {self.token}") as client:
+            return client.post(path, json=body)
+
+    def get(self, path: str) -> Any:
+        with self.client() as client:
+            answer = client.get(path)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    def status(self) -> dict[str, Any]:
+        document: dict[str, Any] = self.get("/api/status")
+        return document
+
+    def start(self, kind: str = "calibrate", **body: Any) -> str:
+        answer = self.post("/api/start", {"kind": kind, "consent": True, **body})
+        assert answer.status_code == 202, answer.text
+        return str(answer.json()["run_id"])
+
+    def reached(self, *states: str, within_s: float = PATIENCE_S) -> dict[str, Any]:
+        def there() -> dict[str, Any] | None:
+            assert self.process.poll() is None, self.log()
+            now = self.status()
+            return now if now["state"] in states else None
+
+        found: dict[str, Any] = wait_for(there, f"{states}", within_s)
+        return found
+
+    def until(self, condition: Callable[[dict[str, Any]], Any], what: str) -> Any:
+        """What `condition` finds in the status; a run that ends on the way is a failure."""
+
+        def there() -> Any:
+            now = self.status()
+            found = condition(now)
+            assert found or now["state"] not in ("faulted", "refused", "complete"), now
+            return found
+
+        return wait_for(there, what)
+
+    def log(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in (self.directory / "log").read_text().splitlines() if line]
+
+    def command(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [*COMMAND, *arguments, "--config", str(self.config)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(PATIENCE_S)
+
+
+@contextmanager
+def service(config: Path, **environment: str) -> Iterator[Service]:
+    directory = config.parent
+    (directory / "state" / "service.json").unlink(missing_ok=True)  # of one that was killed
+    with (directory / "log").open("a") as log:
+        process = subprocess.Popen(
+            [*COMMAND, "serve", "--config", str(config)],
+            cwd=directory,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, **environment},
+        )
+    served = Service(process, directory, config)
+    try:
+        place = served.state / "service.json"
+        wait_for(lambda: place.exists() or process.poll() is not None, "the service")
+        yield served
+    finally:
+        process.kill()
+        process.wait(PATIENCE_S)
+
+
+@contextmanager
+def systemd_socket(name: str) -> Iterator[tuple[socket.socket, str]]:
+    """What systemd listens on, and how NOTIFY_SOCKET names it; `@…` is an abstract one."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(f"\0{name[1:]}" if name.startswith("@") else name)
+        listening.settimeout(PATIENCE_S)
+        yield listening, name
+
+
+def told(listening: socket.socket) -> dict[str, str]:
+    return dict(line.split("=", 1) for line in listening.recv(4096).decode().splitlines())
+
+
+def told_until(listening: socket.socket, key: str) -> list[dict[str, str]]:
+    """Every message up to the first one that has `key`."""
+    messages = [told(listening)]
+    while key not in messages[-1]:
+        messages.append(told(listening))
+    return messages

@@ -1,0 +1,329 @@
+"""The night service as a whole: real processes, real sockets, the simulator's clock in step with the service."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from service_process import (
+    PATIENCE_S,
+    Service,
+    service,
+    short_settings,
+    simulator,
+    systemd_socket,
+    told_until,
+)
+
+pytestmark = pytest.mark.timeout(120)
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """One service for those who leave it as they found it: idle."""
+    directory = tmp_path_factory.mktemp("house")
+    with simulator(directory) as (_, ready), service(short_settings(ready, directory)) as running:
+        yield running
+
+
+@pytest.fixture
+def served(house: Service) -> Iterator[Service]:
+    yield house
+    house.post("/api/abort")
+    house.reached("idle", "complete", "refused", "aborted", "faulted")
+    house.post("/api/reset")
+
+
+def streamed(running: Service, until: str, headers: dict[str, str] | None = None) -> list[tuple[str, str, dict]]:
+    """(id, kind, document) of server-sent events up to the first state that is `until`."""
+    found: list[tuple[str, str, dict]] = []
+    with running.client() as client, client.stream("GET", "/api/events", headers=headers or {}) as answer:
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        fields: dict[str, str] = {}
+        for line in answer.iter_lines():
+            if line:
+                name, _, value = line.partition(": ")
+                fields[name] = value
+            elif "data" in fields:
+                found.append((fields.get("id", ""), fields["event"], json.loads(fields["data"])))
+                fields = {}
+                if found[-1][1] == "state" and found[-1][2]["data"]["state"] == until:
+                    return found
+    raise AssertionError(f"the stream ended before {until}")
+
+
+def test_a_whole_run_with_its_events_and_what_the_journal_tells_of_it(served: Service) -> None:
+    before = served.status()["event"]
+    run_id = served.start()
+    events = streamed(served, "complete", {"Last-Event-ID": str(before)})
+    assert events[0][1] == "status"
+    numbers = [int(number) for number, kind, _ in events if kind != "status"]
+    assert numbers == list(range(before + 1, before + 1 + len(numbers)))
+    entered = [event["data"]["state"] for _, kind, event in events if kind == "state"]
+    assert list(dict.fromkeys(entered)) == [
+        *("preflight", "measuring", "identifying", "staging", "activating", "verifying", "complete")
+    ]
+    balls = [event["data"] for _, kind, event in events if kind == "ball"]
+    status = served.status()
+    assert (status["state"], status["run_id"]) == ("complete", run_id)
+    assert status["active_bank"] > 0
+    assert status["balls"] == len(balls) > 20
+    assert status["ve_now_um"] < status["ve_before_um"]
+    summary = served.get("/api/runs?limit=1")["runs"][0]
+    assert (summary["run_id"], summary["state"], summary["balls"]) == (run_id, "complete", len(balls))
+    details = served.get(f"/api/runs/{run_id}")
+    assert details["asked"]["source"] == "page"
+    assert details["accepted"]
+    assert {gate["name"] for gate in details["gates"]}
+    kept = served.get(f"/api/runs/{run_id}/balls")
+    assert [ball["centre_mm"] for ball in kept] == [ball["centre_mm"] for ball in balls]
+    assert served.get(f"/api/runs/{run_id}/temperatures")[0]["celsius"]["artefact"] == pytest.approx(20.5, abs=0.5)
+    assert [table["role"] for table in served.get("/api/tables")["kept"]][:2] == ["staged", "backup"]
+    with served.client() as client:
+        report = client.get(f"/api/runs/{run_id}/report")
+    assert report.headers["content-type"].startswith("text/html")
+    assert run_id in report.text
+
+
+def test_hold_resume_abort_and_the_reset_that_it_takes(served: Service) -> None:
+    run_id = served.start()
+    served.until(lambda now: now["touches"] > 3, "touches")
+    refused = served.post("/api/start", {"kind": "verify", "consent": True})
+    assert refused.status_code == 409
+    assert refused.headers["content-type"] == "application/problem+json"
+    assert run_id in refused.json()["detail"]
+    assert served.post("/api/hold").status_code == 200
+    held = served.reached("held")
+    assert set(held["may"]) == {"resume", "abort"}
+    touches = held["touches"]
+    assert served.status()["touches"] - touches <= 1
+    assert served.post("/api/resume").status_code == 200
+    served.until(lambda now: now["touches"] > touches + 3, "more touches")
+    with served.client() as stranger:  # no token, from whoever stands there
+        assert stranger.post("/api/abort", json={"reason": "a test"}).status_code == 200
+    aborted = served.reached("aborted")
+    assert aborted["alarms"][0]["code"] == 470
+    assert "a test" in aborted["alarms"][0]["text"]
+    assert aborted["may"] == ["reset"]
+    sticky = served.post("/api/start", {"kind": "calibrate", "consent": True})
+    assert sticky.status_code == 409
+    assert "reset" in sticky.json()["hint"]
+    assert served.post("/api/reset").status_code == 200
+    assert served.status()["state"] == "idle"
+    assert served.status()["alarms"] == []
+    states = [e["record"]["state"] for e in served.get(f"/api/runs/{run_id}/events") if e["kind"] == "state"]
+    assert states == ["preflight", "measuring", "held", "measuring", "aborting", "aborted"]
+
+
+def test_a_link_that_breaks_is_a_fault_with_a_hint_that_outlives_the_service(tmp_path: Path) -> None:
+    with simulator(tmp_path) as (machine, ready):
+        config = short_settings(ready, tmp_path)
+        with service(config) as running:
+            run_id = running.start()
+            running.until(lambda now: now["balls"] > 2, "balls")
+            machine.kill()
+            faulted = running.reached("faulted")
+            [alarm] = faulted["alarms"]
+            assert 310 <= alarm["code"] < 320
+            assert alarm["hint"]
+            assert alarm["where"]["step"].startswith(("measure/", "probe/"))
+            assert running.end() == 0
+            gone = running.command("status")
+            assert gone.returncode == 3
+            assert "systemctl start volcal" in gone.stderr
+            assert "Traceback" not in gone.stderr
+        with service(config) as again:
+            left = again.status()
+            assert (left["state"], left["run_id"]) == ("faulted", run_id)
+            assert left["may"] == ["reset"]
+            assert again.post("/api/reset").status_code == 200
+            assert again.status()["unfinished"] == run_id
+        with service(config) as once_more:
+            assert once_more.status()["state"] == "idle"
+            assert "resume_run" in once_more.status()["may"]
+
+
+def test_a_service_that_was_killed_says_so_and_goes_on_after_a_reset(tmp_path: Path) -> None:
+    with simulator(tmp_path) as (_, ready):
+        config = short_settings(ready, tmp_path)
+        with service(config) as running:
+            run_id = running.start()
+            running.until(lambda now: now["balls"] > 2, "balls")
+            running.process.kill()
+            running.process.wait(PATIENCE_S)
+        with service(config) as again:
+            left = again.status()
+            assert (left["state"], left["run_id"]) == ("faulted", run_id)
+            assert "broken off" in left["alarms"][0]["text"]
+            assert again.post("/api/reset").status_code == 200
+            answer = again.post("/api/resume-run")
+            assert answer.status_code == 202, answer.text
+            assert answer.json()["run_id"] == run_id
+            assert again.reached("complete", "faulted")["state"] == "complete"
+        with closing(sqlite3.connect(tmp_path / "state" / "journal.sqlite")) as journal:
+            keys = [key for (key,) in journal.execute("SELECT key FROM balls")]
+        assert len(keys) == len(set(keys))
+
+
+def test_the_end_of_the_service_withdraws_and_closes(tmp_path: Path) -> None:
+    name = str(tmp_path / "notify")
+    with simulator(tmp_path) as (_, ready), systemd_socket(name) as (systemd, _):
+        with service(short_settings(ready, tmp_path), NOTIFY_SOCKET=name) as running:
+            assert told_until(systemd, "READY")[-1]["READY"] == "1"
+            run_id = running.start()
+            running.until(lambda now: now["touches"] > 3, "touches")
+            assert running.end() == 0
+            stopping = told_until(systemd, "STOPPING")
+            assert any("measuring" in message.get("STATUS", "") for message in stopping)
+        assert not (tmp_path / "state" / "service.json").exists()
+        with closing(sqlite3.connect(tmp_path / "state" / "journal.sqlite")) as journal:
+            assert journal.execute("SELECT run_id, state FROM runs").fetchall() == [(run_id, "aborted")]
+        ending = [line for line in running.log() if line["event"] == "ending"]
+        assert ending[0]["asked_by"] == "SIGTERM"
+        assert all("step" in line for line in running.log() if line.get("state") == "aborting")
+
+
+def test_the_watchdog_is_fed_through_an_abstract_socket_and_settings_are_reloaded(tmp_path: Path) -> None:
+    name = f"@volcal-test-{os.getpid()}"
+    with simulator(tmp_path) as (_, ready), systemd_socket(name) as (systemd, _):
+        config = short_settings(ready, tmp_path)
+        with service(config, NOTIFY_SOCKET=name, WATCHDOG_USEC="600000") as running:
+            assert told_until(systemd, "READY")
+            for _ in range(3):  # an idle service is alive
+                assert told_until(systemd, "WATCHDOG")[-1] == {"WATCHDOG": "1"}
+            assert running.get("/api/machine")["slot_minutes"] == 15.0
+            good = config.read_text()
+            config.write_text(good + "\n[nightly]\nslot_minutes = 20.0\n")
+            running.process.send_signal(signal.SIGHUP)
+            assert "MONOTONIC_USEC" in told_until(systemd, "RELOADING")[-1]
+            assert told_until(systemd, "READY")
+            assert running.get("/api/machine")["slot_minutes"] == 20.0
+            config.write_text(good + "\n[nightly]\nslot_minutes = -1.0\n")
+            running.process.send_signal(signal.SIGHUP)
+            told_until(systemd, "RELOADING")
+            assert "slot_minutes" in told_until(systemd, "READY")[-1]["STATUS"]
+            assert running.get("/api/machine")["slot_minutes"] == 20.0
+            config.write_text(good)
+            running.start()
+            running.until(lambda now: now["touches"] > 3, "touches")
+            running.process.send_signal(signal.SIGHUP)
+            told_until(systemd, "RELOADING")
+            assert "under way" in told_until(systemd, "READY")[-1]["STATUS"]
+            assert running.status()["state"] == "measuring"
+
+
+def test_the_commands_and_their_exit_codes(served: Service) -> None:
+    """After the whole run above, which wrote the table that is verified here."""
+    waited = served.command("start", "--kind", "verify", "--wait")
+    assert waited.returncode == 0, waited.stderr
+    run_id = waited.stdout.split()[0]
+    shown = json.loads(served.command("status", "--json").stdout)
+    assert (shown["run_id"], shown["state"]) == (run_id, "complete")
+    assert "complete" in served.command("status").stdout
+    assert served.command("abort").returncode == 0
+    nothing = served.command("hold")
+    assert nothing.returncode == 2
+    assert "makes no sense now" in nothing.stderr
+    assert served.command("reset").returncode == 0
+    other = served.command("calibrate")
+    assert other.returncode == 4
+    assert "the service (process" in other.stderr
+    too_short = served.command("start", "--kind", "calibrate", "--slot", "1min", "--wait")
+    assert too_short.returncode == 4
+    assert "min of machine time" in too_short.stderr
+    assert "Traceback" not in "".join(r.stderr for r in (nothing, other, too_short))
+
+
+def test_two_services_never_own_one_machine(served: Service) -> None:
+    second = served.command("serve")
+    assert second.returncode == 4
+    assert "the service (process" in second.stderr
+
+
+def test_a_question_waits_for_an_answer_of_any_door(tmp_path: Path) -> None:
+    with simulator(tmp_path) as (_, ready):
+        config = short_settings(ready, tmp_path)
+        text = config.read_text()
+        operator = text[text.index("[devices.operator]") : text.index("[roles]")]
+        config.write_text(text.replace(operator, '[devices.operator]\ndriver = "console-operator"\n\n'))
+        with service(config) as running:
+            running.start()
+            question = running.until(lambda now: now["question"], "the question")
+            assert "station" in question["text"]
+            wrong = running.post("/api/answer", {"number": question["number"] + 1, "yes": True})
+            assert wrong.status_code == 422
+            assert running.post("/api/answer", {"number": question["number"], "yes": True}).status_code == 200
+            running.until(lambda now: now["touches"] > 0, "touches")
+            assert running.status()["question"] is None
+            running.post("/api/abort")
+            running.reached("aborted")
+            running.post("/api/reset")
+            running.start()
+            running.until(lambda now: now["question"], "the question")
+            running.post("/api/abort")
+            assert running.reached("aborted")["question"] is None
+
+
+def raw(running: Service, request: bytes) -> bytes:
+    """Everything that is answered until the other side closes."""
+    host, _, port = running.url.removeprefix("http://").partition(":")
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as link:
+        link.sendall(request)
+        answer = b""
+        while chunk := link.recv(65536):
+            answer += chunk
+        return answer
+
+
+def test_strangers_are_kept_out(served: Service) -> None:
+    body = {"kind": "calibrate", "consent": True}
+    with served.client() as client:
+        missing = client.post("/api/start", json=body)
+        assert missing.status_code == 401
+        assert missing.headers["www-authenticate"] == "Bearer"
+        wrong = client.post("/api/start", json=body, headers={"Authorization": "Bearer wrong"})
+        assert wrong.status_code == 403
+        rebound = client.get("/api/status", headers={"Host": "evil.example"})
+        assert rebound.status_code == 421
+        strange = client.post("/api/abort", headers={"Origin": "http://evil.example"})
+        assert strange.status_code == 403
+        assert client.post("/api/abort", headers={"Origin": served.url}).status_code == 200
+        large = client.post("/api/abort", content=b"x" * 100_000)
+        assert large.status_code == 413
+        assert client.get("/api/runs/../../etc/passwd").status_code == 404
+    malformed = raw(
+        served,
+        f"POST /api/start HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {served.token}\r\n"
+        "Content-Type: application/json\r\nConnection: close\r\nContent-Length: 5\r\n\r\n{oops".encode(),
+    )
+    assert malformed.startswith(b"HTTP/1.1 400")
+    assert b"the body is no JSON" in malformed
+    assert raw(served, b"GET /api/status HTTP/1.1\r\nHost: [::1\r\nConnection: close\r\n\r\n").startswith(
+        b"HTTP/1.1 421"
+    )
+    unknown = served.post("/api/start", {"kind": "explode"})
+    assert unknown.status_code == 422
+    assert unknown.json()["where"] == {"key": "kind"}
+    path = served.post("/api/start", {"kind": "calibrate", "position_set": "../../etc/passwd.csv"})
+    assert path.status_code == 422
+    assert served.status()["state"] == "idle"
+
+
+def test_the_token_is_the_owners_alone(served: Service) -> None:
+    token = served.state / "token"
+    assert token.stat().st_mode & 0o777 == 0o600
+    assert served.token not in (served.directory / "log").read_text()
+    token.chmod(0o644)
+    try:
+        open_to_all = served.command("hold")
+    finally:
+        token.chmod(0o600)
+    assert open_to_all.returncode == 2
+    assert "chmod 600" in open_to_all.stderr
