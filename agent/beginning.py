@@ -16,7 +16,7 @@ from agent.guarded_run import GuardedRun
 from agent.job import Job
 from agent.kinds.kind import Kind
 from agent.kinds.outset import Outset
-from agent.recording import record_inputs
+from agent.recording import INPUTS, inputs_of
 from agent.resuming.origin import origin_record
 from agent.resuming.reconcile import reconcile
 from agent.resuming.reconciliation import Found
@@ -77,15 +77,15 @@ class Fresh:
 
     def written(self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener) -> tuple[RunJournal, Conduct]:
         self._journal = journal
-        document = wanted.job.settings.model_dump(mode="json")
+        document, inputs = wanted.job.settings.model_dump(mode="json"), inputs_of(wanted.job)
         run_journal = journal.start_run(wanted.run_id, wanted.kind.name, document, version("volcal"), clock)
+        run_journal.decision(INPUTS, inputs)
         return run_journal, Conduct(run_journal, listener)
 
     def outset(self, rig: Rig, journal: RunJournal, wanted: Wanted) -> Outset:
         x, y, z = rig.machine.position().tolist()
         self._require_nothing_unproved(rig, wanted)
         outset = Outset(journal.run, utc_timestamp(), (x, y, z))
-        record_inputs(journal, wanted.job)
         journal.origin(origin_record(wanted.job.settings, wanted.kind, wanted.base, outset))
         return outset
 

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from agent.execution.journal import RunJournal
 from agent.files import read_text
@@ -36,18 +37,15 @@ _NAMED_FILES = ("grid", "covariance_file")
 """Keys by which a machine or an artefact file names another one."""
 
 
-def record_inputs(journal: RunJournal, job: Job) -> None:
-    """What machine, artefact and files the run was begun with; durable when it returns."""
-    journal.decision(
-        INPUTS,
-        {
-            "machine": job.machine.name,
-            "tools_mm": {name: offset.tolist() for name, offset in job.machine.tools.items()},
-            "artefact": asdict(ArtefactFacts.of(job.artefact)),
-            "held_out": [[p.station, p.azimuth_deg, p.elevation_deg] for p in job.held_out],
-            "files": [{"name": path.name, "sha256": sha256_of(path)} for path in input_files(job.settings)],
-        },
-    )
+def inputs_of(job: Job) -> dict[str, Any]:
+    """What machine, artefact and files a run is begun with. ConfigurationError where a file has gone meanwhile."""
+    return {
+        "machine": job.machine.name,
+        "tools_mm": {name: offset.tolist() for name, offset in job.machine.tools.items()},
+        "artefact": asdict(ArtefactFacts.of(job.artefact)),
+        "held_out": [[p.station, p.azimuth_deg, p.elevation_deg] for p in job.held_out],
+        "files": [{"name": path.name, "sha256": _sha256(path)} for path in _input_files(job.settings)],
+    }
 
 
 def record_probe(journal: RunJournal, prepared: Prepared) -> None:

@@ -43,7 +43,7 @@ def _of_estimate(found: Identified, tool_offset: Array) -> dict[str, str]:
         "curves": draw_error_curves(geometric_error_curves(model, values, covariance)),
         "cross": draw_cross_effect(cross) if cross else "",
         "deviation_map": draw_planes("error-map", maps.deviation, "deviation / µm", dots=False),
-        "uncertainty_map": draw_planes("vce-map", maps.uncertainty, "std. deviation / µm", dots=True),
+        "uncertainty_map": draw_planes("vce-map", maps.uncertainty, "σ / µm", dots=True),
         "residuals_by_position": draw_by_position(residuals),
         "residual_distribution": draw_distribution(residuals),
     }
