@@ -49,6 +49,7 @@ def probing_of(settings: Settings, artefact: Artefact) -> Probing:
         recentre_mm=chosen.recentre_mm,
         repeats=chosen.repeats,
         stop_on_failure=chosen.on_failure == "stop",
+        careful_mm_per_s=chosen.careful_feed_mm_per_min / 60.0,
         find=FindFirst(chosen.find_feed_mm_per_min / 60.0, chosen.back_off_mm) if chosen.touch_stages == 2 else None,
     )
 

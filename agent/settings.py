@@ -21,6 +21,8 @@ from twin.position_set import MountGeometry
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
 Coordinates = tuple[float, float, float]
+Angles = tuple[Annotated[float, Field(ge=-180.0, le=180.0)], Annotated[float, Field(ge=-90.0, le=90.0)]]
+"""Azimuth and elevation of a mount, degrees."""
 Order = Literal["evidence", "file"] | Annotated[int, Field(ge=1, le=15)]
 
 
@@ -61,10 +63,7 @@ class StationSettings(Strict):
     places_mm: list[Coordinates] = Field(min_length=1)
     standing_at: PositiveInt | None = None
     artefacts: list[Path] | None = Field(default=None, min_length=1)
-    parked_deg: tuple[Annotated[float, Field(ge=-180.0, le=180.0)], Annotated[float, Field(ge=-90.0, le=90.0)]] = (
-        0.0,
-        90.0,
-    )
+    parked_deg: Angles = (0.0, 90.0)
     park_distance_mm: PositiveFloat = 1000.0
 
 
@@ -86,6 +85,7 @@ class ProcedureSettings(Strict):
     search_mm: PositiveFloat = Field(default=3.0, le=10.0)
     wide_approach_mm: PositiveFloat = Field(default=8.0, le=50.0)
     wide_search_mm: PositiveFloat = Field(default=8.0, le=20.0)
+    careful_feed_mm_per_min: PositiveFloat = Field(default=3000.0, le=6000.0)
     recentre_mm: PositiveFloat = 0.3
     retract_mm: PositiveFloat = 45.0
     paths: Literal["shortest", "plain"] = "shortest"
@@ -165,7 +165,7 @@ class GateSettings(Strict):
 class VerificationSettings(Strict):
     """Held-out positions: measured before and after at these stations, never used for the estimate."""
 
-    positions_deg: list[tuple[float, float]] = Field(default=[(30.0, 30.0), (-30.0, -30.0)], min_length=1)
+    positions_deg: list[Angles] = Field(default=[(30.0, 30.0), (-30.0, -30.0)], min_length=1)
     stations: list[PositiveInt] | None = None
     largest_chi2: PositiveFloat = 2.0
     largest_share: float = Field(default=0.8, gt=0.0, le=1.0)

@@ -147,7 +147,7 @@ class _Ball:
 
     def _missed(self, key: str, index: int, last: bool) -> Plan[None]:
         self.reason = f"touch {index} met nothing"
-        self.given_up = self._search == self._probing.wide
+        self.given_up = self._search.beyond_mm >= self._probing.wide.beyond_mm
         self._search = self._probing.wide
         then = self._next(last) if self.given_up or last else "search wider"
         yield Record(f"{key}/again", "event", {"ball": self._key, "reason": self.reason, "then": then})

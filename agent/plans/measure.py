@@ -95,7 +95,16 @@ def measure_positions(
             left_out.append(position_key(position))
             yield Record(f"{key}/left-out", "event", {"reachable_balls": int(mask.sum())})
             continue
-        task = PositionTask(key, index, position.station, position.azimuth_deg, position.elevation_deg, predicted, mask)
+        task = PositionTask(
+            key=key,
+            index=index,
+            station=position.station,
+            azimuth_deg=position.azimuth_deg,
+            elevation_deg=position.elevation_deg,
+            predicted_mm=predicted,
+            reachable=mask,
+            found=len(standing.expected) > 0,
+        )
         before = [ball.conditions for ball in done[-1].balls] if done else []
         measured = yield from measure_position(task, here, rules, before, pilot)
         standings[position.station] = standing.having_found(nominal[measured.ball_numbers], measured.centres_mm)

@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PositionTask:
-    """One position to be measured. `predicted_mm` (N, 3): axis positions of all balls; `reachable` (N,)."""
+    """One position to be measured. `predicted_mm` (N, 3): axis positions of all balls; `reachable` (N,). `found`:
+    whether any ball has been found at this station since the artefact was put there."""
 
     key: str
     index: int
@@ -34,6 +35,7 @@ class PositionTask:
     elevation_deg: float
     predicted_mm: Array
     reachable: NDArray[np.bool_]
+    found: bool = True
 
     @property
     def balls(self) -> list[int]:
@@ -128,8 +130,8 @@ def measure_position(
     yield from settled(task.key, rules.settling, before)
     measuring = _Measuring(task, rules, own)
     yield from own.enter(task, first)
-    found_first = yield from measuring.end_ball(first)
-    found_last = yield from measuring.end_ball(last)
+    found_first = yield from measuring.end_ball(first, rules.probing.wide if task.found else rules.probing.unknown)
+    found_last = yield from measuring.end_ball(last, rules.probing.wide)
     aligned = align_to_ends(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
     own.align(aligned)
     for ball in between:
@@ -153,9 +155,9 @@ class _Measuring:
         self.lost = 0
         self.touches = 0
 
-    def end_ball(self, ball: int) -> Plan[BallFound]:
+    def end_ball(self, ball: int, search: Search) -> Plan[BallFound]:
         """Both ends must be found: without them nothing is known about where the artefact stands."""
-        result = yield from self.ball(ball, self._task.predicted_mm[ball], self._probing.wide)
+        result = yield from self.ball(ball, self._task.predicted_mm[ball], search)
         if isinstance(result, BallLost):
             raise MeasurementFault(
                 f"end ball {ball} was not found where it was expected: {result.reason}",

@@ -117,7 +117,7 @@ def _go_to(key: str, position: Position, predicted: Array, rules: PositionRules)
 
 def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[BallFound]:
     """Where the ball really stands: the wide search by the pattern of the run."""
-    result = yield from measure_ball(key, predicted, rules.probing, rules.probing.wide)
+    result = yield from measure_ball(key, predicted, rules.probing, rules.probing.unknown)
     if isinstance(result, BallLost):
         raise MeasurementFault(
             f"the ball for the probe check was not found where it was expected: {result.reason}",

@@ -19,10 +19,14 @@ PLACE_ROOM_MM = 3.0
 
 @dataclass(frozen=True)
 class Search:
-    """Where the slow feed begins before the expected surface, and how far beyond it a miss is declared."""
+    """Where the slow feed begins before the expected surface, and how far beyond it a miss is declared.
+
+    `beside_mm_per_s`: feed of the moves beside the ball before it is found; None: rapid, where its place is known.
+    """
 
     approach_mm: float
     beyond_mm: float
+    beside_mm_per_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,8 @@ class Probing:
 
     The same vectors on every ball keep pretravel and lobing common to all, so that they cancel in
     differences. `ball_radius_mm` + `tip_radius_mm` is the distance of the centres at contact. `feed_mm_per_s` is that
-    of the touch that counts; `find`: None where the first touch counts.
+    of the touch that counts; `find`: None where the first touch counts; `careful_mm_per_s`: of moves near a ball that
+    is looked for.
     """
 
     directions: Vectors
@@ -84,6 +89,12 @@ class Probing:
     stop_on_failure: bool
     find: FindFirst | None = None
     stylus: Stylus | None = None
+    careful_mm_per_s: float | None = None
+
+    @property
+    def unknown(self) -> Search:
+        """For the first ball of an artefact that nobody has found yet: slow enough to stop within the overtravel."""
+        return replace(self.wide, beside_mm_per_s=self.careful_mm_per_s)
 
     @property
     def contact_mm(self) -> float:

@@ -80,7 +80,8 @@ class ShortestPilot:
             off = self._there.off
             for number, corner in enumerate(way.out):
                 yield MoveTo(f"{task.key}/out-{number}", point(self._traffic.axes_at(task.station, corner) + off))
-            yield MoveTo(f"{task.key}/wait", point(self._traffic.axes_at(task.station, way.waiting)))
+            self._here = self._traffic.axes_at(task.station, way.waiting)
+            yield MoveTo(f"{task.key}/wait", point(self._here))
             yield OrientTo(f"{task.key}/orient", task.station, task.azimuth_deg, task.elevation_deg)
             self._way_in = way.into
         self._pose = _Pose(stand, task.station, nominal, task.predicted_mm, self._traffic.roads.unknown_mm)
@@ -88,6 +89,7 @@ class ShortestPilot:
 
     def enter(self, task: Orientation, ball: int) -> Plan[None]:
         if self._way_in is None:
+            self._here = self._course.retreated(task.predicted_mm[ball])
             yield from self._plain.enter(task, ball)
 
     def align(self, centres_mm: Array) -> None:
@@ -126,14 +128,16 @@ class ShortestPilot:
 
     def to(self, key: str, ball: int, begin: Begin) -> Plan[None]:
         """To where a touch of `ball` begins."""
-        pose = self._known_pose
+        pose, there = self._known_pose, self._there
         spot = Spot(ball, point(begin.direction), begin.out_mm)
         off = begin.centre - pose.nominal[ball]
-        looked_for, feed = self._there is None, begin.search.beside_mm_per_s
-        for number, target in enumerate(self._corners(spot, off, begin)):
-            yield MoveTo(f"{key}/via-{number}", point(target), None if looked_for else feed)
-        if looked_for and feed is not None:
-            yield MoveTo(f"{key}/near", point(self._course.above(begin.centre, self._probing)))
+        corners = self._corners(spot, off, begin)
+        feed = begin.search.beside_mm_per_s
+        beside = there is not None and there.spot.ball == ball
+        if feed is not None and not beside:
+            corners = [*corners, _shortly_before(begin, corners[-1] if corners else self._here)]
+        for number, target in enumerate(corners):
+            yield MoveTo(f"{key}/via-{number}", point(target), feed if beside else None)
         yield MoveTo(f"{key}/start", point(begin.start), feed)
         self._at(_There(spot, off), begin.start)
 
@@ -232,6 +236,13 @@ def pilot_of(course: Course, probing: Probing, layout: Layout) -> PlainPilot | S
     if course.roads is None:
         return PlainPilot(course, probing)
     return ShortestPilot(course.roads.among(layout), course, probing)
+
+
+def _shortly_before(begin: Begin, coming_from: Array) -> Array:
+    """On the last leg, before where the ball may already be: from here on the tip goes slowly."""
+    way = coming_from - begin.start
+    length = float(np.linalg.norm(way))
+    return np.asarray(begin.start + way * min(1.0, 2.0 * begin.search.approach_mm / max(length, 1e-9)))
 
 
 def _apart(one: Array, other: Array) -> float:

@@ -62,9 +62,10 @@ class PlainWay:
 
     def to(self, key: str, begin: Begin) -> Plan[None]:
         start, above = begin.start, before_ball(begin, self.probing)
-        yield MoveTo(f"{key}/above", point(above))
+        feed = begin.search.beside_mm_per_s
+        yield MoveTo(f"{key}/above", point(above), feed)
         if np.abs(start - above).max() > 0.0:
-            yield MoveTo(f"{key}/start", point(start))
+            yield MoveTo(f"{key}/start", point(start), feed)
 
     def away(self, key: str, begin: Begin, latched_mm: Point | None) -> Plan[None]:
         yield MoveTo(f"{key}/back", point(before_ball(begin, self.probing)))

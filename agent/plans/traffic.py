@@ -36,6 +36,9 @@ ROUND_THE_BALL = (1.05, 1.2, 1.4, 1.7)
 LEAVING = 0.15
 """Least cosine between the normal at a touch and the first move away from it: the stylus must come free at once."""
 
+LEAST_MOVE_MM = 1e-3
+"""Less is no move."""
+
 LEAVES_BY_MM = 3.0
 """How far the stylus leaves the surface before it draws back, where it does not leave at once."""
 
@@ -389,9 +392,12 @@ def _angles(stand: Stand) -> tuple[float, float]:
 
 
 def _leaving(first: Point, last: Point, corners: Array, start: Spot) -> Array:
-    """Those candidates (n, k, 3) whose first move goes away from the surface that is touched."""
+    """Those candidates (n, k, 3) whose first move goes away from the surface that is touched; one that does not move at
+    all leaves the next one to do so, which may press on."""
     if not start.touching:
         return corners
     firsts = corners[:, 0] if corners.shape[1] else np.broadcast_to(np.array(last), (len(corners), 3))
     ways = firsts - np.array(first)
-    return np.asarray(corners[-ways @ np.array(start.direction) >= LEAVING * np.linalg.norm(ways, axis=1)])
+    lengths = np.linalg.norm(ways, axis=1)
+    away = -ways @ np.array(start.direction) >= LEAVING * lengths
+    return np.asarray(corners[away & (lengths > LEAST_MOVE_MM)])
