@@ -44,7 +44,7 @@ def inputs_of(job: Job) -> dict[str, Any]:
         "tools_mm": {name: offset.tolist() for name, offset in job.machine.tools.items()},
         "artefact": asdict(ArtefactFacts.of(job.artefact)),
         "held_out": [[p.station, p.azimuth_deg, p.elevation_deg] for p in job.held_out],
-        "files": [{"name": path.name, "sha256": _sha256(path)} for path in _input_files(job.settings)],
+        "files": [{"name": path.name, "sha256": sha256_of(path)} for path in input_files(job.settings)],
     }
 
 

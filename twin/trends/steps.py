@@ -30,7 +30,8 @@ def find_steps(
     """Times (ascending, `known` ones included) from which on another level holds.
 
     `known` ones that cannot be told from the slope or from each other are left out. Fewer than `FEWEST` values: none is
-    looked for. A step needs two values on either side of it, so that one wild night is none.
+    looked for. A step needs two values on either side of it and must stand without any
+    single one, so that one wild night is none.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     steps = list(_usable(t, known))
@@ -39,12 +40,24 @@ def find_steps(
     relative = u / np.median(u)
     scatter = max(_successive(y / relative), 1e-12 * max(float(np.abs(y).max()), 1e-300))
     while len(steps) < MOST + len(known):
-        gains = {at: _gain(t, y, relative, steps, at) / scatter**2 for at in _candidates(t, steps)}
-        best = max(gains, key=lambda at: gains[at], default=None)
-        if best is None or gains[best] < _penalty(len(t)):
+        best = _best(t, y, scatter * relative, steps)
+        if best is None:
             break
         steps = sorted([*steps, best])
     return tuple(steps)
+
+
+def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | None:
+    """The step that explains most, if it explains enough without any single one of the values too."""
+    gains = {at: _gain(t, y, sigmas, steps, at) for at in _candidates(t, steps)}
+    penalty = _penalty(len(t))
+    for at in sorted(gains, key=lambda at: -gains[at]):
+        if gains[at] < penalty:
+            return None
+        without = (np.arange(len(t)) != place for place in range(len(t)))
+        if all(_gain(t[kept], y[kept], sigmas[kept], steps, at) >= penalty for kept in without):
+            return at
+    return None
 
 
 def _penalty(count: int) -> float:
@@ -79,12 +92,12 @@ def _candidates(t: Array, steps: Sequence[float]) -> list[float]:
     ]
 
 
-def _gain(t: Array, y: Array, relative: Array, steps: Sequence[float], at: float) -> float:
-    return _square(t, y, relative, steps) - _square(t, y, relative, sorted([*steps, at]))
+def _gain(t: Array, y: Array, sigmas: Array, steps: Sequence[float], at: float) -> float:
+    return _square(t, y, sigmas, steps) - _square(t, y, sigmas, sorted([*steps, at]))
 
 
-def _square(t: Array, y: Array, relative: Array, steps: Sequence[float]) -> float:
-    design = regression_design(t, steps) / relative[:, None]
-    found = np.linalg.lstsq(design, y / relative, rcond=None)[0]
-    left = y / relative - design @ found
+def _square(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float:
+    design = regression_design(t, steps) / sigmas[:, None]
+    found = np.linalg.lstsq(design, y / sigmas, rcond=None)[0]
+    left = y / sigmas - design @ found
     return float(left @ left)
