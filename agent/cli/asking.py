@@ -9,7 +9,8 @@ import click
 from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.job import load_settings
-from agent.service.client import Client
+from agent.service.client import Client, NoService
+from agent.settings import Settings
 
 
 @click.command("hold")
@@ -53,3 +54,18 @@ def answer_command(number: int, said: str, config: Path) -> None:
     with Client(load_settings(config)) as client:
         client.post("/api/answer", {"number": number, "yes": said == "yes"})
     click.echo(f"question {number}: {said}")
+
+
+def resumed_by_service(settings: Settings) -> bool:
+    """Whether a service has been asked to go on, with what is held or with the run that broke off."""
+    try:
+        client = Client(settings)
+    except NoService:
+        return False
+    with client:
+        if "resume" in client.get("/api/status")["may"]:
+            client.post("/api/resume")
+            click.echo("resume asked for")
+        else:
+            click.echo(client.post("/api/resume-run", {"source": "command line"})["run_id"])
+    return True

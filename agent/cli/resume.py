@@ -9,6 +9,7 @@ import click
 from rich.console import Console
 
 from agent.assembly import assemble, closed_after, make_clock
+from agent.cli.asking import resumed_by_service
 from agent.cli.calibrate import conclude, interruptible, summary_table
 from agent.cli.errors import fail, reported
 from agent.cli.night import night_table
@@ -33,12 +34,15 @@ from drivers.errors import MeasurementFault, StoreError
 def resume_command(config: Path, give_up: bool, as_json: bool) -> None:
     """Go on with the run that broke off, where it broke off: nothing that is measured is measured again.
 
-    The run keeps the settings and files that it began with; a file that has changed since is refused. The settings
-    named here only say in which state directory the journal is.
+    Where the service runs it is asked to go on, after a hold as well; else the run goes on here. The run keeps the
+    settings and files that it began with; a file that has changed since is refused. The settings named here only say in
+    which state directory the journal is.
     """
     settings = load_settings(config)
     if give_up:
         _give_up(settings, config.resolve().parent, as_json=as_json)
+        return
+    if resumed_by_service(settings):
         return
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
         ended = resume(ResumeRequest(settings.state_directory, listener, interrupts.append))

@@ -28,8 +28,12 @@ def create_app(site: Site, names: Collection[str] = (), extensions: Sequence[Ext
     app.state.site = site
     app.add_middleware(Guard, names=names)
     problems.install(app)
-    for router in (reading.router, events.router, asking.open_to_all, asking.with_token, diagnostics.router):
-        app.include_router(router)
+    add_endpoints(app)
     for extend in extensions:
         extend(app, site)
     return app
+
+
+def add_endpoints(app: FastAPI) -> None:
+    for router in (reading.router, events.router, asking.open_to_all, asking.with_token, diagnostics.router):
+        app.include_router(router)

@@ -10,9 +10,11 @@ from __future__ import annotations
 import secrets
 from collections.abc import Collection
 from http import HTTPStatus
+from typing import Annotated
 from urllib.parse import urlsplit
 
-from fastapi import Request
+from fastapi import Depends
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -62,17 +64,19 @@ class Guard:
         return None
 
 
-def require_token(request: Request, site: SiteHere) -> None:
+_BEARER = HTTPBearer(auto_error=False, description="The text of the file of `service.token_file`.")
+
+
+def require_token(site: SiteHere, given: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]) -> None:
     """Dependency of what moves or writes."""
-    scheme, _, given = request.headers.get("authorization", "").partition(" ")
-    if scheme.lower() != "bearer" or not given:
+    if given is None:
         raise Refused(
             HTTPStatus.UNAUTHORIZED,
             "this needs the token",
             "send it as `Authorization: Bearer …`; it lies in the file of `service.token_file`",
             {"WWW-Authenticate": "Bearer"},
         )
-    if not secrets.compare_digest(given.strip().encode(), site.token.encode()):
+    if not secrets.compare_digest(given.credentials.encode(), site.token.encode()):
         raise Refused(HTTPStatus.FORBIDDEN, "the token is wrong", "it lies in the file of `service.token_file`")
 
 

@@ -1,0 +1,23 @@
+"""The OpenAPI document of the application, without a service: `python -m agent.service.http.description`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+from fastapi import FastAPI
+
+from agent.service.http.app import add_endpoints
+
+
+def openapi_document() -> dict[str, Any]:
+    """Without the version of the package: a release alone changes no interface."""
+    app = FastAPI(title="volcal", version="1", summary="The night service of one machine.")
+    add_endpoints(app)
+    return app.openapi()
+
+
+if __name__ == "__main__":
+    json.dump(openapi_document(), sys.stdout, indent=1, sort_keys=True)
+    sys.stdout.write("\n")

@@ -1,0 +1,31 @@
+"""The committed description of the HTTP interface is that of the code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from agent.service.http.description import openapi_document
+
+COMMITTED = Path(__file__).resolve().parents[2] / "docs" / "reference" / "openapi.json"
+
+
+def test_the_committed_document_is_the_applications() -> None:
+    """Written by `python -m agent.service.http.description > docs/reference/openapi.json`."""
+    assert json.loads(COMMITTED.read_text(encoding="utf-8")) == openapi_document()
+
+
+def test_what_moves_or_writes_needs_the_token_and_abort_does_not() -> None:
+    paths = openapi_document()["paths"]
+    posts = {path: entry["post"] for path, entry in paths.items() if "post" in entry}
+    guarded = {path for path, entry in posts.items() if entry.get("security")}
+    assert set(posts) - guarded == {"/api/abort"}
+    assert [path for path, entry in paths.items() if "get" in entry and entry["get"].get("security")] == [
+        "/api/diagnostics"
+    ]
+
+
+def test_the_reference_page_names_every_path() -> None:
+    text = COMMITTED.with_name("http.md").read_text(encoding="utf-8")
+    parts = [path.rpartition("/")[2] for path in openapi_document()["paths"]]
+    assert [part for part in parts if part not in text] == []
