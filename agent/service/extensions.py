@@ -11,6 +11,7 @@ from agent.service.doors import Door
 from agent.service.gateway.door import GatewayDoor
 from agent.service.http.app import Extension
 from agent.service.opcua.door import OpcUaDoor
+from agent.service.page.mounting import mount_page
 from agent.service.token import read_token, token_path
 from agent.settings import Settings
 
@@ -18,13 +19,13 @@ from agent.settings import Settings
 def further_doors(settings: Settings) -> Sequence[Door]:
     """Those that the settings ask for, in the order in which they open."""
     doors: list[Door] = []
-    if settings.gateway.enabled:
-        doors.append(GatewayDoor(settings.gateway, settings.state_directory))
     if settings.opcua.enabled:
         doors.append(OpcUaDoor(settings.opcua, settings.state_directory, read_token(token_path(settings))))
+    if settings.gateway.enabled:
+        doors.append(GatewayDoor(settings.gateway, settings.state_directory))
     return doors
 
 
 def http_extensions(_: Settings) -> Sequence[Extension]:
     """Pages and routers behind the guard of the HTTP door."""
-    return ()
+    return (mount_page,)

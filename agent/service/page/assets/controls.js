@@ -1,0 +1,83 @@
+/* The buttons below, and the keys that press them. */
+import { askStart, askToken, showKeys } from "./dialogs.js";
+import { byId } from "./dom.js";
+import { say } from "./language.js";
+import { ask, read, Refused, token } from "./requests.js";
+import { tellDone, tellProblem } from "./saying.js";
+import { on, refresh } from "./store.js";
+
+const KEYS = [
+  ["A", "request.abort"], ["S", "request.start"], ["H", "request.hold"], ["R", "request.resume"], ["Q", "request.reset"],
+  ["1", "view.operator"], ["2", "view.engineer"], ["?", "keys.show"],
+];
+const PRESSED = { a: "abort", s: "start", h: "hold", r: "resume", q: "reset", 1: "tab-operator", 2: "tab-engineer", "?": "keys" };
+
+export function openControls() {
+  byId("start").addEventListener("click", begin);
+  byId("hold").addEventListener("click", () => request("/api/hold", {}, "done.hold"));
+  byId("resume").addEventListener("click", () => request("/api/resume", {}, "done.resume"));
+  byId("reset").addEventListener("click", () => request("/api/reset", {}, "done.reset"));
+  byId("resume-run").addEventListener("click", () => request("/api/resume-run", { source: "page" }, "done.resume_run"));
+  byId("abort").addEventListener("click", abort);
+  byId("token").addEventListener("click", () => askToken());
+  byId("keys").addEventListener("click", () => showKeys(KEYS));
+  addEventListener("keydown", press);
+  on("status", offer);
+}
+
+function offer({ may }) {
+  const can = (what) => may.includes(what);
+  byId("start").disabled = !can("start");
+  byId("hold").disabled = !can("hold");
+  byId("hold").hidden = can("resume");
+  byId("resume").hidden = !can("resume");
+  byId("reset").hidden = !can("reset");
+  byId("resume-run").hidden = !can("resume_run");
+}
+
+/* One press, no question, no token; the answer is awaited by nobody. */
+async function abort() {
+  try {
+    await ask("/api/abort", { reason: say("abort.reason") }, { withToken: false });
+    tellDone("done.abort");
+  } catch (error) {
+    tellProblem(error);
+  }
+}
+
+async function begin() {
+  try {
+    const wanted = await askStart(await read("/api/machine"));
+    if (wanted) await request("/api/start", wanted, "done.start");
+  } catch (error) {
+    tellProblem(error);
+  }
+}
+
+/* With the token, which is asked for where there is none or a wrong one. */
+export async function request(path, body, done) {
+  if (!token() && !(await askToken())) return false;
+  try {
+    await ask(path, body);
+    tellDone(done);
+    await refresh();
+    return true;
+  } catch (error) {
+    tellProblem(error);
+    if (error instanceof Refused && [401, 403].includes(error.problem.status)) {
+      if (await askToken(say("token.wrong"))) return request(path, body, done);
+    }
+    return false;
+  }
+}
+
+function press(event) {
+  const typing = event.target.closest("input, select, textarea, dialog");
+  const id = PRESSED[event.key.toLowerCase()];
+  if (!id || event.ctrlKey || event.altKey || event.metaKey || event.repeat || (typing && id !== "abort")) return;
+  if (event.target.closest("input, textarea")) return;
+  const button = byId(id);
+  if (button.disabled || button.hidden) return;
+  event.preventDefault();
+  button.click();
+}

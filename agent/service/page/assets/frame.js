@@ -1,0 +1,49 @@
+/* What stands around the views: name and state of the machine, which view, language, and whether anybody is there. */
+import { byId } from "./dom.js";
+import { languageNow, languages, number, onLanguage, say, speak, translate } from "./language.js";
+import { on, seen } from "./store.js";
+import { LOOKS, stateWord } from "./wording.js";
+
+const VIEWS = ["operator", "engineer"];
+
+export function openFrame(opened) {
+  for (const view of VIEWS) byId(`tab-${view}`).addEventListener("click", () => choose(view, opened));
+  byId("language").addEventListener("click", () => speak(other()));
+  const words = () => {
+    translate();
+    byId("language").textContent = other().toUpperCase();
+    byId("language").setAttribute("aria-label", say("language.change"));
+    if (seen.status) showState(seen.status);
+  };
+  words();
+  onLanguage(words);
+  on("status", showState);
+  on("stale", showSilence);
+}
+
+const other = () => languages().find((language) => language !== languageNow()) ?? languageNow();
+
+function choose(view, opened) {
+  for (const name of VIEWS) {
+    byId(`view-${name}`).hidden = name !== view;
+    byId(`tab-${name}`).setAttribute("aria-selected", String(name === view));
+    byId(`tab-${name}`).tabIndex = name === view ? 0 : -1;
+  }
+  opened(view);
+}
+
+function showState({ machine, state }) {
+  byId("machine").textContent = machine;
+  const badge = byId("state");
+  badge.dataset.look = LOOKS[state] ?? "quiet";
+  badge.dataset.state = state;
+  badge.querySelector(".word").textContent = stateWord(state);
+  document.title = `${stateWord(state)} – ${machine}`;
+}
+
+function showSilence(stale) {
+  const seconds = Math.round((Date.now() - seen.heard) / 1000);
+  document.body.classList.toggle("stale-data", stale);
+  byId("stale").hidden = !stale;
+  byId("stale").textContent = stale ? say("stale.text", { seconds: number(seconds, 0) }) : "";
+}

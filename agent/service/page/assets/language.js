@@ -1,0 +1,51 @@
+/* All words of the page come from one catalogue, messages.json, in both languages. */
+const KEPT_AS = "volcal.language";
+let catalogue = {};
+let language = "en";
+const listeners = new Set();
+
+export async function loadWords() {
+  catalogue = await (await fetch("/assets/messages.json")).json();
+  const wished = localStorage.getItem(KEPT_AS) ?? navigator.language.slice(0, 2);
+  language = languages().includes(wished) ? wished : "en";
+  document.documentElement.lang = language;
+}
+
+export const languages = () => Object.keys(Object.values(catalogue)[0] ?? { en: "" });
+export const languageNow = () => language;
+
+export function speak(wished) {
+  language = wished;
+  localStorage.setItem(KEPT_AS, wished);
+  document.documentElement.lang = wished;
+  for (const listener of listeners) listener();
+}
+
+export const onLanguage = (listener) => listeners.add(listener);
+
+/* The message `key`; `{name}` in it is replaced. A key that is missing shows itself: a test finds it first. */
+export function say(key, values = {}) {
+  const text = catalogue[key]?.[language] ?? key;
+  return text.replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
+}
+
+export const known = (key) => key in catalogue;
+
+export function number(value, digits = 1) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  return new Intl.NumberFormat(language, { minimumFractionDigits: digits, maximumFractionDigits: digits }).format(value);
+}
+
+export function instant(utc) {
+  if (!utc) return "–";
+  return new Intl.DateTimeFormat(language, { dateStyle: "short", timeStyle: "medium" }).format(new Date(utc));
+}
+
+/* Elements of the document that name their message in `data-text` (content) or `data-label` (accessible name). */
+export function translate(root = document) {
+  for (const element of root.querySelectorAll("[data-text]")) element.textContent = say(element.dataset.text);
+  for (const element of root.querySelectorAll("[data-label]")) {
+    element.setAttribute("aria-label", say(element.dataset.label));
+    element.title = say(element.dataset.label);
+  }
+}

@@ -1,0 +1,77 @@
+/* What somebody at the machine wants to see: what it does, how long, what is wrong, what is asked. */
+import { request } from "./controls.js";
+import { byId, make } from "./dom.js";
+import { known, number, onLanguage, say } from "./language.js";
+import { openResiduals } from "./residuals.js";
+import { openScene } from "./scene.js";
+import { on, seen } from "./store.js";
+import { doing } from "./wording.js";
+
+const FACTS = [
+  ["fact.ve_before", ({ ve_before_um }) => withUnit(ve_before_um, "µm")],
+  ["fact.ve_now", ({ ve_now_um }) => withUnit(ve_now_um, "µm")],
+  ["fact.balls", ({ balls }) => number(balls, 0)],
+  ["fact.bank", bankText],
+];
+
+export function openOperator() {
+  const view = byId("view-operator");
+  const words = make("p", { className: "doing", id: "doing" });
+  const bar = make("div", { className: "done" });
+  const track = make("div", { className: "track", role: "progressbar" }, bar);
+  const percent = make("span"), left = make("span", { id: "minutes-left" });
+  const cards = make("div", { id: "cards" });
+  const facts = make("dl", { className: "facts" });
+  const stage = make("div", { className: "stage" }), residuals = make("section", { className: "residuals" });
+  const progress = make("div", { className: "progress" }, track, make("div", { className: "figures" }, percent, left));
+  view.replaceChildren(stage, make("div", { className: "side" }, words, progress, cards, facts, residuals));
+  const show = () => seen.status && render(seen.status, { words, bar, track, percent, left, cards, facts });
+  on("status", show);
+  onLanguage(show);
+  openScene(stage);
+  openResiduals(residuals);
+}
+
+function render(status, parts) {
+  parts.words.textContent = doing(status);
+  const share = Math.round(100 * status.fraction);
+  parts.bar.style.width = `${share}%`;
+  parts.track.setAttribute("aria-valuenow", share);
+  parts.track.setAttribute("aria-label", say("progress.name"));
+  parts.percent.textContent = status.run_id ? `${number(share, 0)} %` : "";
+  parts.left.textContent = status.minutes_left === null ? "" : say("progress.left", { minutes: number(status.minutes_left, 0) });
+  parts.facts.replaceChildren(...FACTS.map(([name, text]) => make("div", {}, make("dt", {}, say(name)), make("dd", {}, text(status)))));
+  const cards = [...(status.question ? [questionCard(status.question)] : []), ...status.alarms.map(alarmCard)];
+  const now = JSON.stringify([status.question, status.alarms, document.documentElement.lang]);
+  if (parts.cards.dataset.now === now) return;
+  parts.cards.dataset.now = now;
+  parts.cards.replaceChildren(...cards);
+}
+
+function questionCard({ number: asked, text, station }) {
+  const answer = (yes) => request("/api/answer", { number: asked, yes }, yes ? "done.yes" : "done.no");
+  return make("section", { className: "card question" },
+    make("h3", {}, station === null ? say("question.title") : say("question.carry", { station })),
+    make("p", {}, text),
+    make("div", { className: "actions" },
+      make("button", { id: "answer-yes", className: "go", onclick: () => answer(true) }, say("question.yes")),
+      make("button", { id: "answer-no", onclick: () => answer(false) }, say("question.no"))));
+}
+
+function alarmCard({ code, text, hint, where }) {
+  const title = `alarm.${code}`;
+  const at = Object.entries(where).map(([name, value]) => `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${value}`);
+  return make("section", { className: "card alarm" },
+    make("h3", {}, `${say("alarm.word")} ${code}${known(title) ? `: ${say(title)}` : ""}`),
+    make("p", {}, text),
+    hint ? make("p", { className: "hint" }, `${say("alarm.do")} ${hint}`) : null,
+    at.length ? make("p", { className: "where" }, at.join(" · ")) : null);
+}
+
+const withUnit = (value, unit) => (value === null ? "–" : `${number(value, 1)} ${unit}`);
+
+function bankText({ active_bank: bank, written_not_active: waiting }) {
+  if (waiting !== null) return say("bank.waiting", { bank: waiting });
+  if (bank === null) return "–";
+  return bank === 0 ? say("bank.none") : say("bank.number", { bank });
+}

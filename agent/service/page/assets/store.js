@@ -1,0 +1,88 @@
+/* What the page knows: the status, what was measured in this run, what happened; and since when it has heard nothing. */
+import { read } from "./requests.js";
+
+const EVENTS_KEPT = 500;
+const KINDS = ["state", "progress", "note", "gate", "ball", "temperature", "question", "alarm", "outcome"];
+const POLL_MS = 1000;
+const SILENT_MS = 4000;
+
+export const seen = { status: null, balls: [], lost: [], temperatures: [], events: [], heard: Date.now(), stale: false };
+const listeners = new Map();
+
+/* `kind`: "status", "ball", "event", "stale" or "run". */
+export function on(kind, listener) {
+  listeners.set(kind, [...(listeners.get(kind) ?? []), listener]);
+}
+
+const tell = (kind, what) => (listeners.get(kind) ?? []).forEach((listener) => listener(what));
+
+export async function follow() {
+  await refresh();
+  const stream = new EventSource("/api/events");
+  stream.addEventListener("status", (message) => take(JSON.parse(message.data)));
+  for (const kind of KINDS) stream.addEventListener(kind, (message) => happened(kind, message));
+  setInterval(watch, POLL_MS);
+}
+
+/* Events say that something has changed; the status says what it is now. */
+export async function refresh() {
+  try {
+    await take(await read("/api/status"));
+  } catch {
+    grow(Date.now() - seen.heard > SILENT_MS);
+  }
+}
+
+async function take(status) {
+  const former = seen.status;
+  seen.heard = Date.now();
+  grow(false);
+  if (former && status.event < former.event && status.run_id === former.run_id && status.state === former.state) return;
+  seen.status = status;
+  if (former?.run_id !== status.run_id) await beginRun(status.run_id);
+  tell("status", status);
+}
+
+async function beginRun(run) {
+  Object.assign(seen, { balls: [], lost: [], temperatures: [] });
+  if (run) {
+    try {
+      seen.balls = await read(`/api/runs/${encodeURIComponent(run)}/balls`);
+    } catch {
+      seen.balls = [];
+    }
+  }
+  tell("run", run);
+}
+
+let waiting = false;
+
+function happened(kind, message) {
+  const { text, data } = JSON.parse(message.data);
+  const event = { number: Number(message.lastEventId), kind, text, data, at: new Date().toISOString() };
+  seen.heard = Date.now();
+  if (kind === "ball" && !seen.balls.some((ball) => ball.key === data.key)) {
+    seen.balls.push(data);
+    tell("ball", data);
+  }
+  if (kind === "temperature") seen.temperatures.push({ key: text, ...data });
+  if (kind !== "progress" && kind !== "temperature") {
+    seen.events.unshift(event);
+    seen.events.length = Math.min(seen.events.length, EVENTS_KEPT);
+    tell("event", event);
+  }
+  if (waiting) return;
+  waiting = true;
+  requestAnimationFrame(() => {
+    waiting = false;
+    refresh();
+  });
+}
+
+const watch = () => refresh();
+
+function grow(stale) {
+  const changed = seen.stale !== stale;
+  seen.stale = stale;
+  if (changed || stale) tell("stale", stale);
+}

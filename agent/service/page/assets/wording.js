@@ -1,0 +1,38 @@
+/* What the machine is doing, in words, from the state and the key of the step. */
+import { number, say } from "./language.js";
+
+const MOVING = new Set(["measuring", "verifying", "held"]);
+const KEY = /^([\w-]+)(?:\/station-(\d+))?(?:\/az(-?[\d.]+)-el(-?[\d.]+))?(?:\/ball-(\d+))?/;
+
+export const LOOKS = {
+  idle: "quiet", preflight: "busy", resuming: "busy", measuring: "busy", held: "held", identifying: "busy",
+  staging: "busy", activating: "busy", verifying: "busy", restoring: "busy", "written, not active": "held",
+  complete: "done", refused: "refused", aborting: "fault", aborted: "fault", faulted: "fault",
+};
+
+const named = (state) => state.replaceAll(/[ ,]+/g, "_");
+export const stateWord = (state) => say(`state.${named(state)}`);
+
+export function doing({ state, step }) {
+  const words = say(`doing.${named(state)}`);
+  const where = MOVING.has(state) ? place(step) : "";
+  return where ? `${words}: ${where}` : words;
+}
+
+export function placeOf(step) {
+  const found = KEY.exec(step ?? "");
+  if (!found?.[2]) return null;
+  const [, phase, station, azimuth, elevation, ball] = found;
+  return { phase, station: Number(station), azimuth, elevation, ball: ball === undefined ? null : Number(ball) };
+}
+
+function place(step) {
+  const at = placeOf(step);
+  if (!at) return "";
+  const parts = [say("place.station", { station: at.station })];
+  if (at.azimuth !== undefined) {
+    parts.push(say("place.angles", { azimuth: number(Number(at.azimuth), 0), elevation: number(Number(at.elevation), 0) }));
+  }
+  if (at.ball !== null) parts.push(say("place.ball", { ball: at.ball }));
+  return parts.join(", ");
+}
