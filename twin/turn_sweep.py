@@ -90,11 +90,7 @@ def turn_sweep(
     `standing`: what is there besides and does not turn, relative to the place of the mount.
     """
     half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
-    front = np.full((2 * half + 1, 2 * half + 1), np.inf)
-    centres, inflated = _turned(cover, start_deg, end_deg)
-    cells = np.rint(centres[:, [0, 2]] / CELL_MM).astype(int) + half
-    np.minimum.at(front, (cells[:, 0], cells[:, 1]), centres[:, 1] - inflated)
-    front = _dilated(front, float(inflated.max()))
+    front = _front(*_turned(cover, start_deg, end_deg), half)
     for shape in standing:
         _stand(front, shape, half)
     tip = _dilated(front, probe.tip_radius_mm + clearance_mm) - probe.tip_radius_mm
@@ -136,6 +132,19 @@ def _turned(cover: Cover, start_deg: ORIENTATION, end_deg: ORIENTATION) -> tuple
     )
     radii = cover.radii + np.hypot(x, z) * half_elevation + np.sqrt(x**2 + y**2 + z**2) * half_azimuth
     return turned.reshape(-1, 3), np.broadcast_to(radii, turned.shape[:-1]).reshape(-1)
+
+
+def _front(centres: Array, radii: Array, half: int) -> Array:
+    """Nearest y of all balls over each cell; those of about the same size are spread sideways together."""
+    front = np.full((2 * half + 1, 2 * half + 1), np.inf)
+    cells = np.rint(centres[:, [0, 2]] / CELL_MM).astype(int) + half
+    sizes = np.ceil(radii / CELL_MM).astype(int)
+    for size in np.unique(sizes):
+        alike = sizes == size
+        own = np.full_like(front, np.inf)
+        np.minimum.at(own, (cells[alike, 0], cells[alike, 1]), centres[alike, 1] - radii[alike])
+        np.minimum(front, _dilated(own, float(size) * CELL_MM), out=front)
+    return front
 
 
 def _samples(start_deg: float, end_deg: float) -> tuple[Array, float]:

@@ -1,0 +1,106 @@
+"""Ways: their seconds by the scalar law, and what is proved to be free against dense sampling of all bodies."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin.access import standing_scene
+from twin.artefact import ball_bar
+from twin.bodies import Body, ProbeGeometry
+from twin.collision import Scene
+from twin.geometry import Box, Point, point, separation, sphere
+from twin.motion import straight, travel_s, travel_times
+from twin.paths import Apart, Dynamics, fastest, straight_and_retracted
+from twin.position_set import MountGeometry
+
+BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
+               ball_diameter_mm=25.0)  # fmt: skip
+DYNAMICS = Dynamics((333.0, 333.0, 250.0), (500.0, 400.0, 500.0), 0.01)
+BACK = np.array([0.0, -1.0, 0.0])
+coordinate = st.floats(-900.0, 900.0)
+points = st.tuples(coordinate, coordinate, coordinate)
+
+
+@given(points, points)
+@settings(max_examples=200, deadline=None)
+def test_many_times_at_once_are_those_of_the_law(start: Point, end: Point) -> None:
+    path = straight(start, end)
+    speed, acceleration = path.largest(DYNAMICS.rapid_mm_per_s), path.largest(DYNAMICS.acceleration_mm_per_s2)
+    expected = travel_s(path.length, speed, acceleration)
+    found = travel_times(np.array(start), np.array(end), DYNAMICS.rapid_mm_per_s, DYNAMICS.acceleration_mm_per_s2)
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_seconds_of_a_way_are_those_of_its_moves() -> None:
+    # 50 mm along Y with 400 mm/s²: 2·√(50/400) s; 450 mm along X: ramps of 0.666 s to 333 mm/s, then 228.222 mm.
+    corners = np.array([[(0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (450.0, 50.0, 0.0)]])
+    cruise = (450.0 - 333.0**2 / 500.0) / 333.0
+    assert DYNAMICS.seconds(corners) == pytest.approx(2.0 * math.sqrt(0.125) + 2.0 * 0.666 + cruise + 0.02)
+
+
+def sampled_gap(scene: Scene, stops: list[Point]) -> float:
+    """Smallest gap of any two bodies on the way, every 0.5 mm."""
+    smallest = math.inf
+    for a, b in pairwise(stops):
+        count = max(2, math.ceil(math.dist(a, b) / 0.5))
+        for share in np.linspace(0.0, 1.0, count):
+            tip = point(np.array(a) + share * (np.array(b) - np.array(a)))
+            smallest = min(smallest, scene.clearance(tip, at_most=30.0))
+    return smallest
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(45.0, 0.0), (-30.0, -30.0), (0.0, 90.0), (90.0, 45.0)])
+def test_a_way_keeps_its_clearance_from_everything_all_along(azimuth: float, elevation: float) -> None:
+    centres, scene = standing_scene(
+        BAR, ProbeGeometry(), MountGeometry(), place_mm=np.array([700.0, 1000.0, 750.0]),
+        azimuth_rad=math.radians(azimuth), elevation_rad=math.radians(elevation),
+    )  # fmt: skip
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        first, last = rng.choice(11, 2, replace=False)
+        ends = [point(centres[ball] - (0.0, 30.0, 0.0)) for ball in (first, last)]
+        corners = straight_and_retracted(ends[0], ends[1], BACK, -1000.0)
+        way = fastest(scene, DYNAMICS, ends[0], ends[1], corners, Apart(2.0))
+        assert way is not None
+        stops = [ends[0], *way.corners, ends[1]]
+        assert sampled_gap(scene, stops) >= min(2.0, *(scene.clearance(end) for end in ends)) - 0.05
+
+
+def test_the_fastest_that_is_free_is_taken_and_a_faster_one_would_hit() -> None:
+    wall = Body("wall", Box((40.0, -20.0, -500.0), (60.0, 400.0, 500.0)))
+    scene = Scene(ProbeGeometry().bodies(), [wall])
+    start, end = (0.0, 0.0, 0.0), (100.0, 0.0, 0.0)
+    corners = straight_and_retracted(start, end, BACK, -1000.0)
+    way = fastest(scene, DYNAMICS, start, end, corners, Apart(1.0))
+    assert way is not None
+    assert min(y for _, y, _ in way.corners) < -24.0
+    for group in corners:
+        for candidate, seconds in zip(group, DYNAMICS.seconds(whole(start, group, end)), strict=True):
+            if seconds < way.seconds - 1e-9:
+                assert sampled_gap(scene, [start, *(point(corner) for corner in candidate), end]) < 1.0 + 0.01
+
+
+def whole(start: Point, group: np.ndarray, end: Point) -> np.ndarray:
+    return np.array([[start, *candidate.tolist(), end] for candidate in group], dtype=float).reshape(len(group), -1, 3)
+
+
+def test_no_way_where_everything_is_closed() -> None:
+    wall = Body("wall", Box((40.0, -3000.0, -500.0), (60.0, 400.0, 500.0)))
+    scene = Scene(ProbeGeometry().bodies(), [wall])
+    start, end = (0.0, 0.0, 0.0), (100.0, 0.0, 0.0)
+    assert fastest(scene, DYNAMICS, start, end, straight_and_retracted(start, end, BACK, -900.0), Apart(1.0)) is None
+
+
+def test_a_way_leaves_what_it_stands_too_near_to_but_does_not_come_nearer() -> None:
+    near = Body("ball 0", sphere((0.0, 0.0, 8.0), 4.5))
+    scene = Scene(ProbeGeometry(tip_radius_mm=3.0).bodies(), [near])
+    here, away, past = (0.0, 0.0, 0.0), (0.0, 0.0, -50.0), (0.0, 0.0, 60.0)
+    assert separation(scene.moving[0].shape, near.shape)[0] == pytest.approx(0.5)
+    assert scene.free(here, away, 2.0)
+    assert not scene.free(here, past, 2.0)
+    assert not scene.free(away, here, 2.0)
+    assert scene.free(away, here, 2.0, {("tip", "ball 0"): 0.3, ("stem", "ball 0"): 0.3})
