@@ -1,1 +1,1 @@
-"""The page at the machine: what is shown and asked there. Everything it needs is served from here; no network beyond."""
+"""The page at the machine: what is shown and asked there. All it needs is served from here; no network beyond."""
