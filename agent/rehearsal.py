@@ -12,6 +12,7 @@ from agent.assembly import assemble_rehearsal
 from agent.execution.engine import Engine
 from agent.execution.steps import Plan, Point, Step
 from agent.job import Job
+from agent.plan_rules import lawful
 from agent.plans.closing import measure_closed
 from agent.plans.measure import Measured, measure_positions
 from agent.time_model import TimeModel, time_model
@@ -54,7 +55,7 @@ def rehearse(job: Job, start_mm: Point | None = None, procedure: Procedure | Non
     times = _Times(clock, time_model(job.machine, job.settings.timing))
     rig.open()
     try:
-        measured, verified = Engine(rig.actions(), observer=times.note).run(plan)
+        measured, verified = Engine(rig.actions(), observer=times.note).run(lawful(plan, job.settings))
     except (DeviceError, MeasurementFault) as error:
         raise PlanRefused(
             f"preflight: {error.message}", hint="nothing was moved; the plan must change", **error.where

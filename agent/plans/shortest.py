@@ -73,7 +73,7 @@ class ShortestPilot:
         first = self._ends(task, stand)[0]
         way = self._turning(task, stand, first)
         if way is None or before is None or self._there is None:
-            free = yield from self._off(task.key, here)
+            free = yield from self._off(f"{task.key}/before", here)
             yield from self._plain.turn(task, free)
             self._way_in = None
         else:

@@ -330,4 +330,6 @@ def _inline(value: object) -> str:
         return "{ " + ", ".join(f"{name} = {_inline(part)}" for name, part in value.items()) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(_inline(part) for part in value) + "]"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
     return json.dumps(value)

@@ -1,0 +1,46 @@
+"""Random plans through the command that ten thousand of them go through: nothing hits anything, and the same comes
+of the same seed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.timeout(240)
+
+ROOT = Path(__file__).resolve().parents[2]
+COUNT = 24
+
+
+def run(*arguments: str) -> tuple[int, dict[str, Any]]:
+    command = [sys.executable, "-m", "benchmarks.plans", *arguments]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
+    assert ended.stdout, ended.stderr
+    return ended.returncode, json.loads(ended.stdout.splitlines()[-1])
+
+
+def test_random_plans_end_without_a_collision_and_most_are_accepted() -> None:
+    code, result = run("--count", str(COUNT), "--seed", "3", "--judge-every", "6")
+    assert code == 0, result
+    assert result["passed"]
+    assert result["plans"] == COUNT
+    assert result["accepted"] >= 0.7 * COUNT
+    assert result["accepted"] + sum(result["refused"].values()) == COUNT
+    assert result["completed"] >= 0.9 * result["accepted"]
+    assert sum(result["interrupted"].values()) == result["completed"]
+    assert result["judged"] >= 2
+    assert result["judged_collisions"] == 0
+    assert result["judge_collisions"] > 0, "the judge must have seen collisions to be believed"
+    assert result["judge_disagrees"] == []
+
+
+def test_one_plan_comes_again_by_its_seed() -> None:
+    first, second = run("--only", "3000001"), run("--only", "3000001")
+    for _, result in (first, second):
+        del result["wall_seconds"]
+    assert first == second
