@@ -49,19 +49,22 @@ def observed(job: Job, balls: Sequence[MeasuredBall], correction: Correction) ->
     return replace(seen, temperature_c=smoothed(instants_s, seen.temperature_c))
 
 
-def options_of(settings: Settings) -> Options:
-    """How a run identifies from the family."""
+def options_of(settings: Settings, seen: Observations) -> Options:
+    """How a run identifies from the family: the machine as it was at the last of the observations."""
     chosen = settings.identification
-    return replace(_warm(settings), formulation=chosen.formulation, use_prior=chosen.prior, weights=chosen.weights)
+    warm = _warm(settings, seen)
+    return replace(warm, formulation=chosen.formulation, use_prior=chosen.prior, weights=chosen.weights)
 
 
-def going_on(settings: Settings, known: CarriedOver) -> Options:
+def going_on(settings: Settings, seen: Observations, known: CarriedOver) -> Options:
     """How a night goes on from what is known before."""
-    return replace(_warm(settings), carried_over=known)
+    return replace(_warm(settings, seen), carried_over=known)
 
 
-def _warm(settings: Settings) -> Options:
+def _warm(settings: Settings, seen: Observations) -> Options:
+    drifted = seen.course.shape[1] > 0
     return Options(
         temperature_standard_uncertainty_k=settings.temperature.standard_uncertainty_k,
-        drift=drift_prior_of(settings) if settings.temperature.fit_machine_drift else None,
+        drift=drift_prior_of(settings) if drifted else None,
+        holds_at=seen.course[-1] if drifted else None,
     )

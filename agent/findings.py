@@ -99,7 +99,8 @@ def find_machine(job: Job, balls: Sequence[MeasuredBall], correction: Correction
     """`find` for a run: `correction` is what the table that acted while measuring added. Raises TwinError."""
     settings = job.settings
     observations, order = observed(job, balls, correction), settings.identification.order
-    return find(job.machine, job.artefact, settings.tool, observations, options_of(settings), settings.table, order)
+    options = options_of(settings, observations)
+    return find(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
 
 
 def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:

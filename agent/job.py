@@ -83,7 +83,7 @@ class Job:
     def closing(self) -> ClosingRules:
         """When the first position is measured again at the end: one of the set, never a held-out one."""
         chosen = self.settings.temperature
-        return ClosingRules(chosen.close_run_k, chosen.declared_change_k, self.positions)
+        return ClosingRules(chosen.close_run_k, chosen.declared_change_k, chosen.close_positions, self.positions)
 
     def preparing(self) -> Plan[Prepared]:
         """The probe check and the qualification before everything else."""

@@ -22,8 +22,9 @@ class TemperatureSettings(Strict):
     ends the run.
 
     The machine's drift is fitted where its thermometers change by `smallest_change_k` or more (`declared_change_k`
-    where there is none): per kelvin, how much a scale, a guide (over a metre) and a tilt may change, and the tip. The
-    first position is measured again at the end where the machine has changed by `close_run_k`.
+    where there is none): per kelvin, how much a scale may change, how much a guide bends and tilts, and by how much the
+    tip moves, the growth of the scales at the middle of the travel included. The first `close_positions` are measured
+    again at the end where the machine has changed by `close_run_k`.
     """
 
     artefact_sensors: list[Sensor] = Field(default=["artefact"], min_length=1)
@@ -38,9 +39,11 @@ class TemperatureSettings(Strict):
     fit_machine_drift: bool = True
     smallest_change_k: float = Field(default=0.2, gt=0.0, le=10.0)
     declared_change_k: float = Field(default=0.0, ge=0.0, le=20.0)
-    machine_um_per_m_k: float = Field(default=12.0, gt=0.0, le=100.0)
-    tip_um_per_k: float = Field(default=15.0, gt=0.0, le=200.0)
+    scale_um_per_m_k: float = Field(default=12.0, gt=0.0, le=100.0)
+    bending_um_per_m_k: float = Field(default=3.0, gt=0.0, le=100.0)
+    tip_um_per_k: float = Field(default=30.0, gt=0.0, le=500.0)
     close_run_k: float = Field(default=0.5, ge=0.0, le=20.0)
+    close_positions: int = Field(default=3, ge=1, le=20)
 
     @model_validator(mode="after")
     def _declared_can_be_used(self) -> Self:

@@ -33,4 +33,8 @@ def drift_limits_of(settings: Settings) -> DriftLimits:
 
 def drift_prior_of(settings: Settings) -> DriftPrior:
     chosen = settings.temperature
-    return DriftPrior(PER_UM_PER_M * chosen.machine_um_per_m_k, MM_PER_UM * chosen.tip_um_per_k)
+    return DriftPrior(
+        strain_per_k=PER_UM_PER_M * chosen.scale_um_per_m_k,
+        bending_per_k=PER_UM_PER_M * chosen.bending_um_per_m_k,
+        tip_mm_per_k=MM_PER_UM * chosen.tip_um_per_k,
+    )

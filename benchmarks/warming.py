@@ -191,7 +191,7 @@ def _otherwise(run: Run, *, told: bool) -> float:
         elevation_rad=np.radians([record["elevation_deg"] for record in kept]),
         tool_offsets=job.tool_offset_mm.reshape(1, 3),
     )
-    options, order = replace(options_of(settings), drift=None), settings.identification.order
+    options, order = options_of(settings, observations), settings.identification.order
     finding = find(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
     return with_table(run.world, image_of(finding.table, run.world.controller.store_limits))
 

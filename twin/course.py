@@ -7,26 +7,26 @@ import numpy as np
 from twin.arrays import Array
 from twin.legendre import legendre_values
 
-POWERS = (0.5, 0.25, 0.125)
+POWERS = (0.15, 0.07)
 """Share of the whole change of temperature that each Legendre order of the time may have besides the thermometer's own
 course: what warms with a lag of its own follows no thermometer, yet is smooth."""
 SMOOTHED_OVER_S = 150.0
 
 
 def machine_course(instants_s: Array, machine_c: Array | None, change_k: float) -> Array:
-    """(n, w) K: how far a machine was, at instants (n,), from its state at the last of them.
+    """(n, w) K: how far a machine had drifted at instants (n,) since the first of them.
 
     Along with its thermometer (n,), where there is one, and along the first powers of the time as far as a whole
     change of `change_k` permits.
     """
-    last = int(np.argmax(instants_s))
+    first = int(np.argmin(instants_s))
     span_s = max(float(np.ptp(instants_s)), 1.0)
-    ways = legendre_values(1.0 - 2.0 * (instants_s[last] - instants_s) / span_s, len(POWERS))[1:]
+    ways = legendre_values(2.0 * (instants_s - instants_s[first]) / span_s - 1.0, len(POWERS))[1:]
     columns = [change_k * share * way for share, way in zip(POWERS, ways, strict=True)]
     if machine_c is not None:
         columns.insert(0, smoothed(instants_s, machine_c))
     course = np.stack(columns, axis=1)
-    return np.asarray(course - course[last])
+    return np.asarray(course - course[first])
 
 
 def smoothed(instants_s: Array, values: Array, half_window_s: float = SMOOTHED_OVER_S) -> Array:

@@ -19,8 +19,8 @@ class Observations:
     `position` (n,) pose of the artefact, counted from 0; `ball` (n,) index into the artefact's list; `tool` (n,) index
     into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm machine coordinates, no tool offset added;
     `covariance` (n, 3, 3) mm² of one fitted centre; `temperature_c` (n,) of the artefact; `elevation_rad` (n,) of
-    the mount; `course` (n, w) K: how far the machine was, at the instant of each row, from the state for which the
-    estimate is to hold, in each of w ways (none: it did not change). Raises DataError naming the row (from 0) when a
+    the mount; `course` (n, w) K: how far the machine had drifted since the beginning, at the instant of each row, in
+    each of w ways (none: it did not change). Raises DataError naming the row (from 0) when a
     value cannot be used.
     """
 

@@ -204,7 +204,7 @@ class NightlyRun(CalibrationRun):
         chosen = job.settings
         with translated(MeasurementFault):
             observations = observed(job, balls, self._correction)
-            options = going_on(chosen, judge.known)
+            options = going_on(chosen, observations, judge.known)
             order = chosen.identification.order
             finding = find(job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order)
         self._keep_estimate(finding, balls)

@@ -1,8 +1,8 @@
-"""The loop over a run is closed: where the machine has changed, the first position is measured again at the end.
+"""The loop over a run is closed: where the machine has changed, the first positions are measured again at the end.
 
-The artefact stays where it stands, so it is the first position of the last station: nobody has to carry anything. A
-rigid motion of the bar since then is in its new pose; what the two tell together is how the machine's shape has
-changed, most of all its scales.
+Stations are visited one after the other, so what changes with time looks as if it changed along the travel: a scale
+that grows from station to station may as well be one that is not straight. Only a place that is measured twice, early
+and late, tells the two apart. A rigid motion of the bar since then is in its new pose.
 """
 
 from __future__ import annotations
@@ -23,26 +23,27 @@ CLOSE = "close"
 
 @dataclass(frozen=True)
 class ClosingRules:
-    """`change_k` of the machine from which on the loop is closed, with one of the positions `of`; `declared_k` where no
-    thermometer is on the machine."""
+    """`change_k` of the machine from which on the loop is closed, with the first `count` of the positions `of`;
+    `declared_k` where no thermometer is on the machine."""
 
     change_k: float
     declared_k: float
+    count: int
     of: Collection[Position]
 
 
 def measure_closed(
     order: MeasuringOrder, layout: Layout, rules: PositionRules, closing: ClosingRules
 ) -> Plan[Measured]:
-    """`measure_positions`, and the first position again where the machine has changed in between."""
+    """`measure_positions`, and the first ones of them again where the machine has changed in between."""
     measured = yield from measure_positions(order, layout, rules)
     change_k = machine_change_k([ball.conditions for ball in measured_balls(measured)], closing.declared_k)
-    first = _first_at(measured, closing.of)
-    if first is None or change_k < closing.change_k:
+    first = _first(measured, closing)
+    if not first or change_k < closing.change_k:
         return measured
-    note = f"the machine has changed by {change_k:.2f} K: the first position of the station is measured again"
+    note = f"the machine has changed by {change_k:.2f} K: positions of the first station are measured again"
     yield Record(f"{CLOSE}/machine", "event", {"note": note})
-    again = MeasuringOrder(CLOSE, (first,), measured.standing_at)
+    again = MeasuringOrder(CLOSE, first, measured.standing_at)
     return joined(measured, (yield from measure_positions(again, layout, rules, measured.standings)))
 
 
@@ -83,11 +84,9 @@ def _renumbered(position: MeasuredPosition, start: int) -> MeasuredPosition:
     return replace(position, balls=tuple(shifted(ball) for ball in position.balls), again=again)
 
 
-def _first_at(measured: Measured, of: Collection[Position]) -> Position | None:
-    """The first measured position of the last station."""
-    for position in measured.positions:
-        ball = position.balls[0]
-        place = Position(ball.station, ball.azimuth_deg, ball.elevation_deg)
-        if ball.station == measured.standing_at and place in of:
-            return place
-    return None
+def _first(measured: Measured, closing: ClosingRules) -> tuple[Position, ...]:
+    """The first of the set that were measured, all at one station."""
+    first = [position.balls[0] for position in measured.positions]
+    places = [Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first]
+    wanted = [place for place in places if place in closing.of]
+    return tuple(place for place in wanted if place.station == wanted[0].station)[: closing.count]

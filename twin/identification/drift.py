@@ -2,9 +2,10 @@
 
 What a warming machine does is smooth in space: scales grow, guides and columns bend, squareness opens, the tip wanders.
 It is smooth in time too: along with a thermometer, or like a low power of the time. Both together are a small block of
-unknowns, `field = Σ course · form`, with a prior that is stated per kelvin; a row's `course` is zero at the instant for
-which the estimate is to hold, so the parameters are those of that instant, and what the drift leaves open of them is in
-their covariance.
+unknowns, `field = Σ course · form`, with a prior that is stated per kelvin. A row's `course` is zero where the family
+(or an earlier estimate) is the prior of the machine: at the beginning. What the estimate is to hold for is a later
+state, most often the last one: its parameters are those of the beginning and what has drifted until then, and what the
+drift leaves open of them is in their covariance.
 
 A rigid motion of the artefact or of the whole machine between two positions is in the poses already; the tip's drift is
 seen within a position alone.
@@ -27,14 +28,15 @@ _OTHER_ORDER = 1  # of a scale and of a rotation
 
 @dataclass(frozen=True)
 class DriftPrior:
-    """Standard deviations per kelvin: `strain` of scales (1/K), of bows over half the travel, of angles (rad/K); and of
-    the tip, mm/K."""
+    """Standard deviations per kelvin: strain of scales (1/K); `bending` of angles (rad/K), and of bows over half the
+    travel; of the tip, mm/K. What grows evenly does so by its whole expansion, what bends by a difference of two."""
 
     strain_per_k: float = 12e-6
-    tip_mm_per_k: float = 0.015
+    bending_per_k: float = 3e-6
+    tip_mm_per_k: float = 0.03
 
     def __post_init__(self) -> None:
-        for name in ("strain_per_k", "tip_mm_per_k"):
+        for name in ("strain_per_k", "bending_per_k", "tip_mm_per_k"):
             if not getattr(self, name) > 0.0:
                 raise DataError(f"{name} must be positive, not {getattr(self, name)}")
 
@@ -50,9 +52,10 @@ class MachineDrift:
     ways: int
 
     @classmethod
-    def of(cls, model: ErrorModel, prior: DriftPrior, ways: int) -> MachineDrift:
-        drifting = [(place, one) for place, one in enumerate(model.parameters) if _drifts(one)]
-        deviations = [prior.strain_per_k * _lever_mm(model, one) for _, one in drifting]
+    def of(cls, model: ErrorModel, prior: DriftPrior, ways: int, free: Array) -> MachineDrift:
+        """`free` (p,) bool: parameters that are not held at zero."""
+        drifting = [(place, one) for place, one in enumerate(model.parameters) if _drifts(one) and free[place]]
+        deviations = [_per_k(prior, one) * _lever_mm(model, one) for _, one in drifting]
         names, places = tuple(one.name for _, one in drifting), tuple(place for place, _ in drifting)
         return cls(names, places, np.array(deviations), prior.tip_mm_per_k, ways)
 
@@ -74,12 +77,11 @@ class MachineDrift:
 
     def change(self, z: Array, course: Array) -> Array:
         """(f + 3,) by how much parameters and tip are off, for unknowns z (size,), where the course is (ways,) K."""
-        return np.asarray(course @ z.reshape(self.ways, self.forms) * self._units)
+        return np.asarray(self.lever(course) @ z)
 
-    def change_covariance(self, covariance: Array, course: Array) -> Array:
-        """(f + 3, f + 3) of `change` for the covariance (size, size) of z."""
-        lever = np.einsum("w,fg->fwg", course, np.diag(self._units)).reshape(self.forms, self.size)
-        return np.asarray(lever @ covariance @ lever.T)
+    def lever(self, course: Array) -> Array:
+        """(f + 3, size) `change` by z."""
+        return np.asarray(np.einsum("w,fg->fwg", course, np.diag(self._units)).reshape(self.forms, self.size))
 
     @property
     def _units(self) -> Array:
@@ -98,7 +100,8 @@ class DriftFound:
         """By name (``EXX[1]``, ``tip X``): mm or rad by which the field is off where the course is (ways,) K, and its
         standard uncertainty."""
         values = self.drift.change(self.z, course)
-        doubts = np.sqrt(np.maximum(np.diagonal(self.drift.change_covariance(self.covariance, course)), 0.0))
+        lever = self.drift.lever(course)
+        doubts = np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", lever, self.covariance, lever), 0.0))
         names = (*self.drift.names, *(f"tip {axis}" for axis in AXES))
         return dict(zip(names, zip(values.tolist(), doubts.tolist(), strict=True), strict=True))
 
@@ -108,6 +111,10 @@ def _drifts(parameter: Parameter) -> bool:
         return True
     wanted = {"positioning": _OTHER_ORDER, "rotation": _OTHER_ORDER, "straightness": _STRAIGHTNESS_ORDER}
     return wanted.get(parameter.kind) == parameter.order
+
+
+def _per_k(prior: DriftPrior, parameter: Parameter) -> float:
+    return prior.strain_per_k if parameter.kind == "positioning" else prior.bending_per_k
 
 
 def _lever_mm(model: ErrorModel, parameter: Parameter) -> float:

@@ -129,31 +129,51 @@ def _refuse_chaos(kept: Mask) -> None:
 def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
     solution = over_scales(settled.solution or solve(settled.problem, options, options.formulation))
     block, unknowns = whole.blocks.parameters, whole.unknowns
-    lasting = slice(0, whole.blocks.drift.start)
+    state = _state(whole, options)
+    z, covariance = _in_state(state, solution.z, solution.covariance)
     seen = whole.observations
     dropped = np.flatnonzero(~settled.kept)
     named = [(int(seen.position[row]), int(seen.ball[row]), int(seen.tool[row])) for row in dropped]
     return Estimate(
         model=unknowns.model,
         formulation=options.formulation,
-        parameters=unknowns.parameters(solution.z),
-        covariance=unknowns.physical_covariance(solution.covariance[block, block]),
+        parameters=unknowns.parameters(z),
+        covariance=unknowns.physical_covariance(covariance[block, block]),
         residuals_mm=_residuals(whole, settled, solution),
         chi2_normalised=solution.chi2,
         degrees_of_freedom=solution.freedom,
         rejected=tuple(named),
         scales=solution.scales,
         tool_offsets=seen.used_tool_offsets,
-        misfit=_misfit(whole, solution),
+        misfit=_misfit(whole, solution, z, covariance),
         information=solution.equations.matrix[block, block],
         unknowns=replace(unknowns, drift=None),
-        z=solution.z[lasting],
-        z_covariance=solution.covariance[lasting, lasting],
+        z=z,
+        z_covariance=covariance,
         alternatives=tuple(
-            Alternative(one.scales, one.z[lasting], one.covariance[lasting, lasting]) for one in solution.alternatives
+            Alternative(one.scales, *_in_state(state, one.z, one.covariance)) for one in solution.alternatives
         ),
         drift=_drift(whole, solution),
     )
+
+
+def _state(whole: Problem, options: Options) -> Array | None:
+    """(Q, P) from all unknowns at the beginning to the lasting ones in the state for which the estimate is to hold;
+    None where nothing drifted."""
+    drift, blocks, scale = whole.unknowns.drift, whole.blocks, whole.unknowns.scale
+    if drift is None:
+        return None
+    state = np.eye(blocks.drift.start, blocks.size)
+    if options.holds_at is not None:
+        places = list(drift.places)
+        state[places, blocks.drift] = drift.lever(options.holds_at)[: len(places)] / scale[places][:, None]
+    return state
+
+
+def _in_state(state: Array | None, z: Array, covariance: Array) -> tuple[Array, Array]:
+    if state is None:
+        return z, covariance
+    return state @ z, state @ covariance @ state.T
 
 
 def _drift(whole: Problem, solution: Solution) -> DriftFound | None:
@@ -161,16 +181,15 @@ def _drift(whole: Problem, solution: Solution) -> DriftFound | None:
     return None if drift is None else DriftFound(drift, solution.z[block], solution.covariance[block, block])
 
 
-def _misfit(whole: Problem, solution: Solution) -> Misfit | None:
+def _misfit(whole: Problem, solution: Solution, z: Array, covariance: Array) -> Misfit | None:
     unknowns = whole.unknowns
     if unknowns.modes is None:
         return None
     own, misfit = whole.blocks.parameters, whole.blocks.misfit
-    covariance = solution.covariance
     return Misfit(
         modes=unknowns.modes,
         amplitude_mm=unknowns.misfit_mm,
-        coefficients=solution.z[misfit],
+        coefficients=z[misfit],
         covariance=covariance[misfit, misfit],
         cross_covariance=unknowns.scale[:, None] * covariance[own, misfit],
         unresolved_mm2=_unresolved(unknowns.misfit_mm, unknowns.modes, solution),

@@ -30,7 +30,8 @@ class Options:
     `misfit_mm`: prior rms, over the workspace, of what the model cannot represent; 0 switches it off. What is carried
     over keeps its own.
     `temperature_standard_uncertainty_k`: of the artefact's thermometer, common to all rows.
-    `drift`: what a machine may do that changes along the observations' course; None: it does not change.
+    `drift`: what a machine may do that changes along the observations' course; None: it does not change. `holds_at`
+    (w,) K: the course of the state for which the estimate is to hold; None: where it is zero.
     """
 
     formulation: Formulation = "centres"
@@ -44,6 +45,7 @@ class Options:
     misfit_mm: float = 0.001
     temperature_standard_uncertainty_k: float = 0.0
     drift: DriftPrior | None = None
+    holds_at: Array | None = None
 
     def __post_init__(self) -> None:
         _check_word("formulation", self.formulation, ("centres", "distances"))

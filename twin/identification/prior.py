@@ -23,10 +23,11 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
     Raises DataError for a prior of zero, of the wrong shape, or that of another model.
     """
     errors, carried = _artefact_errors(artefact, options), options.carried_over
-    drift = _drift(family, seen, options)
+    scale = _scale(family, options) if carried is None else carried.unknowns.scale
+    drift = _drift(family, seen, options, scale)
     if carried is None:
         modes = _modes(family, seen) if options.misfit_mm > 0.0 else None
-        return Unknowns(family.model, _scale(family, options), errors, modes, options.misfit_mm, drift)
+        return Unknowns(family.model, scale, errors, modes, options.misfit_mm, drift)
     old = carried.unknowns
     if old.model != family.model:
         raise DataError("the estimate carried over belongs to another model", hint="identify the model that it is of")
@@ -39,11 +40,11 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
     return Unknowns(old.model, old.scale, errors, old.modes, old.misfit_mm, drift)
 
 
-def _drift(family: Family, seen: Observations, options: Options) -> MachineDrift | None:
+def _drift(family: Family, seen: Observations, options: Options, scale: Array) -> MachineDrift | None:
     ways = seen.course.shape[1]
     if options.drift is None or ways == 0:
         return None
-    return MachineDrift.of(family.model, options.drift, ways)
+    return MachineDrift.of(family.model, options.drift, ways, scale > 0.0)
 
 
 def _scale(family: Family, options: Options) -> Array:
