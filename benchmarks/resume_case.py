@@ -6,13 +6,14 @@ run's own ways out try comes to nothing, as if there were no process.
 
 from __future__ import annotations
 
-import dataclasses
 import json
+import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import agent.kinds.kind
 from agent.case import SHIPPED
 from agent.execution.encoding import table_digest
 from agent.execution.journal import RunJournal
@@ -119,6 +120,18 @@ def fused_journal(fuse: Fuse) -> Callable[[], None]:
     return unfuse
 
 
+def rehearsed_once() -> None:
+    """The preflight of one case is the same every time; a copy of this process has it already."""
+    rehearse, done = agent.kinds.kind.rehearse, {}
+
+    def once(job: Job, start_mm: Any = None, procedure: Any = None) -> Any:
+        if start_mm not in done:
+            done[start_mm] = rehearse(job, start_mm, procedure)
+        return done[start_mm]
+
+    agent.kinds.kind.rehearse = once  # type: ignore[attr-defined]
+
+
 @dataclass
 class Machine:
     """One machine, and the runs of one state directory on it."""
@@ -126,7 +139,7 @@ class Machine:
     world: World
 
     def run(self, settings: Settings, fuse: Fuse | None = None) -> Ended:
-        job = shortened(prepare_job(settings, Path.cwd()))
+        job = prepare_job(settings, Path.cwd())
         rig = self._rig(fuse)
         request = Request(job, Path.cwd(), _nobody, _nobody, clock=VirtualClock(), rig=rig, files=False, run_id="run")
         return carry_out(request)
@@ -152,10 +165,6 @@ class Machine:
             return Rig({"twin": device}, device, device, mounts, device, device, device, clock)
 
         return assembled
-
-
-def shortened(job: Job) -> Job:
-    return dataclasses.replace(job)
 
 
 def prepare(directory: Path) -> tuple[Settings, Machine]:
@@ -200,8 +209,6 @@ def prepare(directory: Path) -> tuple[Settings, Machine]:
 
 
 def journaled(query: str) -> list[tuple[Any, ...]]:
-    import sqlite3
-
     connection = sqlite3.connect(f"file:{STATE / 'journal.sqlite'}?mode=ro", uri=True)
     try:
         return connection.execute(query).fetchall()

@@ -50,8 +50,9 @@ class Engine:
         return Engine(self._actions, None, self._observer)
 
     def aside(self) -> Engine:
-        """The same actions for ways out and ways back: written down, and never met by a replay."""
-        return Engine(self._actions, None if self._journal is None else self._journal.aside(), self._observer)
+        """The same actions for ways out and ways back: written down, never met by a replay, and not observed, so that
+        nobody counts them in."""
+        return Engine(self._actions, None if self._journal is None else self._journal.aside())
 
     def run(self, plan: Plan[T]) -> T:
         """Run `plan` to its end and return its conclusion.

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from agent.execution.steps import (
     AskOperator,
-    CheckPermissions,
     CheckProbe,
     MoveTo,
     OrientTo,
@@ -22,7 +21,6 @@ from agent.execution.steps import (
     Record,
     Retrace,
     Step,
-    TouchTowards,
 )
 from agent.plans.ball import BallLost, measure_ball, point
 from agent.plans.position import PositionRules
@@ -33,8 +31,6 @@ from drivers.errors import MeasurementFault
 Array = NDArray[np.float64]
 
 UM_PER_MM = 1e3
-NEAR_MM = 0.5
-"""So near its path a machine has not been moved since its touch."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +48,7 @@ class WayBack:
         if not trace.moved:
             return
         probing = rules.probing
-        yield CheckPermissions(f"{self.prefix}/permissions")
-        yield from self._off_the_ball(following)
-        yield from withdraw(rules.course, np.asarray(probing.stylus_axis), probing.retract_mm)
+        yield from withdraw(rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, trace.came)
         yield CheckProbe(f"{self.prefix}/probe")
         if trace.pose is not None and not isinstance(following, (OrientTo, AskOperator)):
             yield from self._turned_back(trace.pose)
@@ -62,18 +56,6 @@ class WayBack:
                 yield from self._datum(np.array(trace.datum_mm))
         if trace.at_mm is not None:
             yield from self._arrive(np.array(trace.at_mm))
-
-    def _off_the_ball(self, following: Step) -> Plan[None]:
-        """A tip that may rest on a ball leaves it by the way of its touch: along the stylus it could be pressed on."""
-        touch = self.trace.touching
-        if isinstance(following, TouchTowards) and self.trace.at_mm is not None:
-            touch = self.trace.at_mm, following.target_mm
-        if touch is None:
-            return
-        start, target = (np.array(end) for end in touch)
-        here = np.array((yield ReadPosition(f"{self.prefix}/from")))
-        if _beside(here, start, target) < NEAR_MM:
-            yield MoveTo(f"{self.prefix}/off", touch[0], WITHDRAW_FEED_MM_PER_S)
 
     def _turned_back(self, pose: OrientTo) -> Plan[None]:
         """A mount without power may have sunk, and the drives may have been in the middle of a turn."""
@@ -136,11 +118,3 @@ class WayBack:
             here[axis] = goal if move is moves[-1] else move.end_mm
             yield Retrace(f"{self.prefix}/{'xyz'[axis]}-{number}", point(here), move.key, WITHDRAW_FEED_MM_PER_S)
         here[axis] = goal
-
-
-def _beside(here: Array, start: Array, target: Array) -> float:
-    """Distance from the straight line between the two, mm."""
-    way = target - start
-    square = float(way @ way)
-    share = float(np.clip((here - start) @ way / square, 0.0, 1.0)) if square > 0.0 else 0.0
-    return float(np.linalg.norm(here - start - share * way))

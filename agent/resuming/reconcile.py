@@ -156,6 +156,6 @@ def _read(connection: sqlite3.Connection, of_run: int | None) -> Left | None:
         "SELECT bank, crc32 FROM tables WHERE run = ? AND role = 'staged' ORDER BY rowid DESC LIMIT 1", (run,)
     ).fetchone()
     accepted = connection.execute(
-        "SELECT 1 FROM decisions WHERE run = ? AND kind = 'accepted' LIMIT 1", (run,)
+        "SELECT 1 FROM decisions WHERE run = ? AND kind IN ('accepted', 'table-restored') LIMIT 1", (run,)
     ).fetchone()
     return Left(run, run_id, Bank(bank, crc32), None if staged is None else Bank(*staged), accepted is not None)

@@ -45,6 +45,7 @@ class Resumption:
         self._clock: ResumedClock | None = None
         self._parts: _Parts | None = None
         self._engine: ReplayingEngine | None = None
+        self._rig: Rig | None = None
 
     def clock(self, outer: Clock) -> Clock:
         self._clock = ResumedClock(outer, self._origin.begun_s)
@@ -65,16 +66,19 @@ class Resumption:
         def stored(bank: int, crc32: int) -> TableImage:
             return journal.stored_table(crc32) or require_crc(rig.store.read_table(bank), bank, crc32)
 
+        self._rig = rig
         actions = rig.actions(journal.run)
         self._engine = ReplayingEngine(actions, journal, observe, self._known.replay, stored)
         return self._engine
 
     def begun(self, run: GuardedRun, journal: RunJournal, conduct: Conduct) -> None:
         assert self._engine is not None  # noqa: S101  built just before
+        assert self._rig is not None  # noqa: S101  the same
         known = self._known
         aside = self._engine.aside()
         returning = Returning(
             known.prefix,
+            self._rig,
             known.replay.trace,
             aside,
             lambda: run.rules,

@@ -7,12 +7,23 @@ from collections.abc import Callable
 from agent.conduct import Conduct
 from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
-from agent.execution.steps import ActivateBank, AwaitActive, Plan, ReadActiveBank, ReadTable, StageTable, Step
+from agent.execution.steps import (
+    ActivateBank,
+    AwaitActive,
+    MoveTo,
+    Plan,
+    ReadActiveBank,
+    ReadTable,
+    StageTable,
+    Step,
+    TouchTowards,
+)
 from agent.plans import publish
 from agent.plans.position import PositionRules
 from agent.resuming.clock import ResumedClock
 from agent.resuming.coming_back import WayBack
 from agent.resuming.trace import Trace
+from agent.rig import Rig
 from drivers.errors import PlanDiverged
 from drivers.roles import Activation
 
@@ -24,6 +35,7 @@ class Returning:
     def __init__(
         self,
         prefix: str,
+        rig: Rig,
         trace: Trace,
         aside: Engine,
         rules: Callable[[], PositionRules],
@@ -33,6 +45,7 @@ class Returning:
         activation: Activation,
     ) -> None:
         self._prefix = prefix
+        self._rig = rig
         self._trace = trace
         self._aside = aside
         self._rules = rules
@@ -46,10 +59,22 @@ class Returning:
         return self._aside.run(acting_again(f"{self._prefix}/compensation", self._trace, following, self._activation))
 
     def machine(self, following: Step) -> None:
+        self._at_rest()
+        if isinstance(following, (MoveTo, TouchTowards)):
+            self._trace.came.begins(following.target_mm, touch=isinstance(following, TouchTowards))
+        self._rig.last_motion = self._trace.came
         rules = self._rules()
         way = WayBack(self._prefix, self._trace, rules, rules.drift.fault_mm)
         self._aside.run(way.plan(following))
         self._conduct.announce_again()
+
+    def _at_rest(self) -> None:
+        """What the process that died had begun may still go on: a controller that hears nothing takes a second to
+        notice, and drives that turn do not know that anybody is missing."""
+        complaints = self._rig.stop()
+        if complaints:
+            self._conduct.note(f"stopping what may still move: {'; '.join(complaints)}")
+        self._rig.await_standstill()
 
 
 def acting_again(prefix: str, trace: Trace, following: Step, activation: Activation) -> Plan[bool]:

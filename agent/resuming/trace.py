@@ -21,6 +21,7 @@ from agent.execution.steps import (
     Step,
     TouchTowards,
 )
+from agent.last_motion import LastMotion
 from drivers.roles import Miss, TableImage, Touch
 
 LONG_MM = 1.0
@@ -49,14 +50,14 @@ class AxisMove:
 
 @dataclass
 class Trace:
-    """Follows a run step by step. `at_mm` None: nobody has asked yet; `touching` start and target of the touch that was
-    the last motion; `pose` the last finished turn of the mount;
+    """Follows a run step by step. `at_mm` None: nobody has asked yet; `came` how the tip came
+    there; `pose` the last finished turn of the mount;
     `datum_mm` the last ball centre found in this pose with the table that acts; `contents` bank → CRC-32."""
 
     at_mm: Point | None = None
     axes: tuple[list[AxisMove], list[AxisMove], list[AxisMove]] = field(default_factory=lambda: ([], [], []))
     moved: bool = False
-    touching: tuple[Point, Point] | None = None
+    came: LastMotion = field(default_factory=LastMotion)
     pose: OrientTo | None = None
     datum_mm: Point | None = None
     datum_key: str = ""
@@ -68,11 +69,14 @@ class Trace:
         """Take a finished step in."""
         match step:
             case MoveTo():
+                self.came.begins(step.target_mm, touch=False)
+                self.came.ends(step.target_mm)
                 self._went(step.key, step.target_mm)
             case TouchTowards():
                 self._touched(step, result)
             case ReadPosition() if self.at_mm is None and isinstance(result, tuple):
                 self.at_mm = result
+                self.came.stands(result)
             case OrientTo():
                 self.pose, self.datum_mm = step, None
             case AskOperator():
@@ -90,7 +94,7 @@ class Trace:
 
     def _went(self, key: str, end: Point) -> None:
         start = self.at_mm
-        self.at_mm, self.moved, self.touching = end, True, None
+        self.at_mm, self.moved = end, True
         if start is None:
             return
         for moves, before, after in zip(self.axes, start, end, strict=True):
@@ -104,7 +108,8 @@ class Trace:
         """The place short of the surface: to stand there is as good as to stand where the touch has ended."""
         if self.at_mm is None or not isinstance(result, (Touch, Miss)):
             return
-        path = self.at_mm, step.target_mm
+        self.came.begins(step.target_mm, touch=True)
+        self.came.ends(result.position_mm)
         start = np.array(self.at_mm)
         way = np.array(result.position_mm) - start
         length = float(np.linalg.norm(way))
@@ -113,7 +118,6 @@ class Trace:
         still = np.array(step.target_mm) == start
         x, y, z = np.where(still, start, start + share * way).tolist()
         self._went(step.key, (x, y, z))
-        self.touching = path
 
     def _found(self, step: Record) -> None:
         centre = step.payload.get("centre_mm")

@@ -21,9 +21,10 @@ fault something about machine, artefact or procedure is not as assumed."""
 
 @dataclass(frozen=True)
 class UnfinishedRun:
-    """The last run of the journal that did anything, broken off. `refusal`: why it cannot be gone on with; empty where it can.
+    """The last run of the journal that did anything, broken off.
 
-    `state`: the last one it entered; `started` UTC; `balls` centres that are kept; `last_step` the last that began.
+    `refusal`: why it cannot be gone on with, empty where it can; `state`: the last one it entered; `started` UTC;
+    `balls` centres that are kept; `last_step` the last that began.
     """
 
     run: int
@@ -58,9 +59,10 @@ def unfinished_run(state_directory: Path) -> UnfinishedRun | None:
 
 
 def _last(connection: sqlite3.Connection) -> UnfinishedRun | None:
+    begun = "OR run IN (SELECT run FROM origins WHERE begun_s IS NOT NULL)" if _has_origins(connection) else ""
     row = connection.execute(
         "SELECT run, run_id, kind, started, ended, state, coalesce(reason, '') FROM runs "
-        "WHERE EXISTS (SELECT 1 FROM steps WHERE steps.run = runs.run) ORDER BY run DESC LIMIT 1"
+        f"WHERE EXISTS (SELECT 1 FROM steps WHERE steps.run = runs.run) {begun} ORDER BY run DESC LIMIT 1"
     ).fetchone()
     if row is None:
         return None

@@ -21,7 +21,8 @@ class NoiseSource:
     def normal(self, counter: int) -> list[float]:
         """Three independent standard normal numbers of `counter`."""
         if counter >= BY_STEP:
-            return np.random.default_rng([*self._key, counter]).standard_normal(3).tolist()
+            x, y, z = np.random.default_rng([*self._key, counter]).standard_normal(3).tolist()
+            return [x, y, z]
         block, place = divmod(counter, _BLOCK)
         if block not in self._blocks:
             rng = np.random.default_rng([*self._key, block])

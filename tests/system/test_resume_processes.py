@@ -1,0 +1,126 @@
+"""`volcal calibrate` killed with SIGKILL over real links, and `volcal resume` in another process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from nights import rows
+from test_kill import CONFIG, SCENARIO, balls_in, configured, wait_until
+
+BALLS_BEFORE_THE_KILL = 5
+POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
+
+
+@contextmanager
+def simulator(scenario: Path) -> Iterator[dict[str, Any]]:
+    command = ["simulate", "--config", str(scenario), "--can", "socketcand:127.0.0.1:0", "--end-with-stdin"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "agent.cli.main", *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        try:
+            assert process.stdout is not None
+            yield json.loads(process.stdout.readline())
+        finally:
+            process.kill()
+
+
+def short_case(directory: Path) -> tuple[Path, str]:
+    """A scenario whose noise belongs to the steps, and what makes the shipped settings a short run on it."""
+    text = SCENARIO.read_text().replace('"../', f'"{CONFIG}/').replace("seed = 1 ", "noise_by_step = true\nseed = 1 ")
+    assert tomllib.loads(text)["noise_by_step"] is True
+    path = directory / "scenario.toml"
+    path.write_text(text.replace("[truth]", "[truth]\nscale = 6.0"))
+    (directory / "positions.csv").write_text(POSITIONS)
+    return path, str(directory / "positions.csv")
+
+
+def shortened(config: Path, positions: str) -> Path:
+    """The settings with two positions, one held out, and gates so wide that the table is written and proved."""
+    text = config.read_text()
+    for former, now in (
+        ('position_set = "S3"', f'position_set = "{positions}"\nstations = [1]'),
+        (
+            "[verification]\nstations = [1, 4]",
+            "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nlargest_share = 1.0\nlargest_chi2 = 1e3",
+        ),
+        ("[gates]", "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1e3"),
+    ):
+        assert former in text, former
+        text = text.replace(former, now)
+    config.write_text(f"{text}\n[table]\nstep_mm = [500.0, 325.0, 500.0]\n")
+    return config
+
+
+def volcal(directory: Path, *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "agent.cli.main", *arguments, "--json"],
+        cwd=directory,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finished(agent: subprocess.Popen[str]) -> dict[str, Any]:
+    try:
+        stdout, stderr = agent.communicate(timeout=50.0)
+    finally:
+        agent.kill()
+    assert agent.returncode == 0, stderr
+    document: dict[str, Any] = json.loads(stdout)
+    return document
+
+
+def calibrated(directory: Path, *, killed: bool) -> tuple[dict[str, Any], Path]:
+    """A calibration of a machine of its own; where it is `killed`, gone on with by another process."""
+    scenario, positions = short_case(directory)
+    with simulator(scenario) as ready:
+        config = shortened(configured(ready, directory), positions)
+        state = directory / "state"
+        agent = volcal(directory, "calibrate", "--config", str(config))
+        if not killed:
+            return finished(agent), state
+        with agent:
+            try:
+                wait_until(lambda: balls_in(state) >= BALLS_BEFORE_THE_KILL, agent)
+                os.kill(agent.pid, signal.SIGKILL)
+                agent.communicate(timeout=10.0)
+            finally:
+                agent.kill()
+        [(run_state, ended)] = rows(state, "SELECT state, ended FROM runs")
+        assert (run_state, ended) == ("measuring", None)
+        return finished(volcal(directory, "resume", "--config", str(config))), state
+
+
+@pytest.mark.timeout(180)
+def test_a_killed_calibration_goes_on_to_the_same_digits(tmp_path: Path) -> None:
+    (tmp_path / "through").mkdir()
+    (tmp_path / "killed").mkdir()
+    through, through_state = calibrated(tmp_path / "through", killed=False)
+    outcome, state = calibrated(tmp_path / "killed", killed=True)
+    assert outcome["state"] == through["state"] == "complete"
+    assert outcome["balls"] == through["balls"]
+    assert outcome["touches"] == through["touches"]
+    assert estimate(state) == estimate(through_state)
+    assert rows(state, "SELECT key FROM touches GROUP BY key HAVING count(*) > 1") == []
+    assert rows(state, "SELECT key FROM balls GROUP BY key HAVING count(*) > 1") == []
+    assert rows(state, "SELECT count(*) FROM steps WHERE key LIKE 'resume-1/datum/%'") != [(0,)]
+    [(run_state, ended)] = rows(state, "SELECT state, ended IS NOT NULL FROM runs")
+    assert (run_state, ended) == ("complete", 1)
+
+
+def estimate(state: Path) -> dict[str, Any]:
+    [(text,)] = rows(state, "SELECT record FROM estimates")
+    document: dict[str, Any] = json.loads(text)
+    del document["provenance"]
+    return document
