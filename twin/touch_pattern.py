@@ -29,6 +29,9 @@ QUALIFYING_RINGS: tuple[Ring, ...] = ((60.0, 8, 0.0), (30.0, 8, 22.5), (0.0, 8, 
 """The stylus is qualified on one ball that stands free: rings of eight tell a lobed pretravel from a shift of the
 centre, which rings of four cannot (the third harmonic looks like the first on four points)."""
 
+LOCATING_RINGS: tuple[Ring, ...] = ((45.0, 4, 45.0),)
+"""To see where a ball is that may stand some mm off: well before its equator, where the holder begins."""
+
 _AS_GOOD_AS_NOTHING = 1e-6
 
 

@@ -49,11 +49,14 @@ def measure_ball(
 ) -> Plan[BallFound | BallLost]:
     """Touch the ball where it is expected; clean up and repeat where a limit is broken; decide by policy.
 
+    A ball that has to be looked for is located first, by touches of which none comes near its holder.
     A miss widens the search once; a miss of the wide search ends it. A centre that is found far from where it was
     expected is measured again from there, so that every ball is approached along the same normals.
     """
     ball = _Ball(key, predicted_mm, probing, search, way)
-    for attempt in range(1 + probing.repeats):
+    if search.beside_mm_per_s is not None:
+        yield from ball.located()
+    for attempt in range(0 if ball.given_up else 1 + probing.repeats):
         found = yield from ball.attempt(attempt, last=attempt == probing.repeats)
         if found is not None:
             return found
@@ -80,6 +83,20 @@ class _Ball:
         self.touches = 0
         self.reason = ""
         self.given_up = False
+
+    def located(self) -> Plan[None]:
+        """Roughly where the ball is; given up where it is not found."""
+        key, probing = f"{self._key}/locate", self._probing
+        latched: list[Point] = []
+        for index, direction in enumerate(probing.locating):
+            touched = yield from self._touched(f"{key}/touch-{index}", direction)
+            if touched is None:
+                yield from self._missed(key, index, last=True)
+                return
+            latched.append(touched)
+        fit = fit_sphere(np.array(latched), probing.touch_sigma_mm)
+        yield Record(f"{key}/found", "event", {"ball": self._key, "off_mm": fit.centre - self._centre})
+        self._centre, self._search = fit.centre, probing.narrow
 
     def attempt(self, number: int, *, last: bool) -> Plan[BallFound | None]:
         """All touches once; None where the ball has to be attempted again, or is given up."""
@@ -140,7 +157,9 @@ class _Ball:
         return float(np.linalg.norm(fit.centre - self._centre))
 
     def _touch(self, key: str, index: int) -> Plan[Point | None]:
-        direction = self._probing.directions[index]
+        return (yield from self._touched(key, self._probing.directions[index]))
+
+    def _touched(self, key: str, direction: Vector) -> Plan[Point | None]:
         touched = yield from touch_ball(key, self._centre, direction, self._probing, self._search, self._way)
         self.touches += touched.trips
         return touched.latched_mm

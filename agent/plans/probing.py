@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.pretravel import PretravelMap
-from twin.touch_pattern import centre_per_radius, redundancies
+from twin.touch_pattern import LOCATING_RINGS, centre_per_radius, directions_of, redundancies
 
 Vectors = NDArray[np.float64]
 
@@ -21,7 +21,8 @@ PLACE_ROOM_MM = 3.0
 class Search:
     """Where the slow feed begins before the expected surface, and how far beyond it a miss is declared.
 
-    `beside_mm_per_s`: feed of the moves beside the ball before it is found; None: rapid, where its place is known.
+    `beside_mm_per_s`: feed of the moves beside the ball where it has to be looked for first; None: rapid, where its
+    place is known.
     """
 
     approach_mm: float
@@ -95,6 +96,11 @@ class Probing:
     def unknown(self) -> Search:
         """For the first ball of an artefact that nobody has found yet: slow enough to stop within the overtravel."""
         return replace(self.wide, beside_mm_per_s=self.careful_mm_per_s)
+
+    @cached_property
+    def locating(self) -> Vectors:
+        """(5, 3): the pole and a ring before the ball, where no holder is in the way of a tip that is some mm off."""
+        return directions_of(LOCATING_RINGS, self.stylus_axis)
 
     @property
     def contact_mm(self) -> float:
