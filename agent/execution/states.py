@@ -49,7 +49,7 @@ FORWARD: dict[RunState, frozenset[RunState]] = {
     S.IDLE: frozenset({S.PREFLIGHT, S.RESUMING}),
     S.PREFLIGHT: frozenset({S.MEASURING, S.REFUSED}),
     S.RESUMING: frozenset({S.MEASURING, S.REFUSED}),
-    S.MEASURING: frozenset({S.IDENTIFYING, S.HELD, S.REFUSED}),
+    S.MEASURING: frozenset({S.IDENTIFYING, S.RESTORING, S.HELD, S.REFUSED}),
     S.HELD: frozenset({S.MEASURING, S.VERIFYING}),
     S.IDENTIFYING: frozenset({S.STAGING, S.REFUSED, S.COMPLETE}),
     S.STAGING: frozenset({S.ACTIVATING}),

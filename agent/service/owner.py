@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
@@ -15,7 +15,9 @@ import structlog
 from agent.execution.run_lock import Ownership
 from agent.execution.states import RunState
 from agent.execution.steps import Step
-from agent.kinds.kind import Ready
+from agent.job import Job, naming, prepare_job
+from agent.kinds.kind import Kind, Ready
+from agent.kinds.restoration import ROLES, Restoration, kept_table
 from agent.resuming.resume import ResumeRequest, origin_of, require_resumable, resume
 from agent.service import requests
 from agent.service.alarms import alarm_of
@@ -86,20 +88,31 @@ class Owner:
         return self._house.bulletin.subscribe()
 
     def start(self, request: StartRequest) -> str:
+        job = job_of(request, self.settings, self._house.config)
         running = self._reserve()
         try:
-            ordered = self._ordered(request, running)
+            slot = self._slot_minutes(request)
+            kind = kind_of(request, self.settings, slot)
+            asked = {**asdict(request), "source": request.source.value}
+            ordered = self._ordered(running, job, kind, slot, asked, attended=request.consent)
         except BaseException as error:
-            self._release()
-            if isinstance(error, VolcalError):
-                text = f"{request.kind} asked for by {request.source.value} was not started: {error.message}"
-                self._house.bulletin.publish("note", text, {"hint": error.hint, "source": request.source.value})
-                log.warning(text, hint=error.hint)
+            self._not_started(request, error)
             raise
-        position_set = ordered.job.settings.procedure.position_set
-        self._board.begins(running.run_id, request.kind, request.source, position_set)
-        self._launch(running, lambda: self._house.carry_out(ordered))
-        return running.run_id
+        return self._begin(running, ordered, request.source)
+
+    def restore_table(self, run_id: str, role: str, source: Source) -> str:
+        with naming(self._house.config):
+            job = prepare_job(self.settings, self._house.config.parent)
+        kept_table(self.settings.state_directory, run_id, role)
+        running = self._reserve()
+        try:
+            kind = Restoration(run_id, next(known for known in ROLES if known == role))
+            asked = {"source": source.value, "of_run": run_id, "role": role}
+            ordered = self._ordered(running, job, kind, None, asked, attended=True)
+        except BaseException:
+            self._release()
+            raise
+        return self._begin(running, ordered, source)
 
     def resume_run(self, source: Source) -> str:
         running = self._reserve()
@@ -201,15 +214,35 @@ class Owner:
             hint="see to the cause, then reset (`volcal reset`), then start again",
         )
 
-    def _ordered(self, request: StartRequest, running: Running) -> Request:
-        """Everything that can be refused before anything begins."""
-        settings = self.settings
-        job = job_of(request, settings, self._house.config)
-        slot = request.slot_minutes
+    def _not_started(self, request: StartRequest, error: BaseException) -> None:
+        self._release()
+        if isinstance(error, VolcalError):
+            text = f"{request.kind} asked for by {request.source.value} was not started: {error.message}"
+            self._house.bulletin.publish("note", text, {"hint": error.hint, "source": request.source.value})
+            log.warning(text, hint=error.hint)
+
+    def _begin(self, running: Running, ordered: Request, source: Source) -> str:
+        position_set = ordered.job.settings.procedure.position_set
+        self._board.begins(running.run_id, ordered.kind.name, source, position_set)
+        self._launch(running, lambda: self._house.carry_out(ordered))
+        return running.run_id
+
+    def _slot_minutes(self, request: StartRequest) -> float | None:
+        """Machine time there is; None: any. Without consent, whether anything may begin now is decided here."""
         self.reconcile()
-        if not request.consent:
-            left = self._permitted_minutes(settings)
-            slot = left if slot is None else slot if left is None else min(slot, left)
+        slots = [request.slot_minutes, None if request.consent else self._permitted_minutes(self.settings)]
+        return min((slot for slot in slots if slot is not None), default=None)
+
+    def _ordered(
+        self,
+        running: Running,
+        job: Job,
+        kind: Kind,
+        slot: float | None,
+        asked: Mapping[str, object],
+        *,
+        attended: bool,
+    ) -> Request:
         house = self._house
 
         def passed(ready: Ready) -> None:
@@ -221,11 +254,11 @@ class Owner:
             base=house.config.parent,
             listener=self._board.hear,
             interrupts=running.attach,
-            kind=kind_of(request, settings, slot),
-            clock=house.devices.make_clock(settings.clock),
-            rig=house.devices.asking(self._questions, attended=request.consent),
+            kind=kind,
+            clock=house.devices.make_clock(self.settings.clock),
+            rig=house.devices.asking(self._questions, attended=attended),
             run_id=running.run_id,
-            asked={**asdict(request), "source": request.source.value},
+            asked=asked,
             lock=house.ownership.for_run,
             observer=self._observe,
             passed=passed,

@@ -40,7 +40,7 @@ _LAST = (
 )
 _ACTIVE = (
     "SELECT bank FROM tables WHERE role IN ('backup', 'restored') OR (role = 'staged' AND EXISTS "
-    "(SELECT 1 FROM decisions WHERE decisions.run = tables.run AND decisions.kind = 'accepted')) "
+    "(SELECT 1 FROM decisions WHERE decisions.run = tables.run AND decisions.kind IN ('accepted', 'table-restored'))) "
     "ORDER BY rowid DESC LIMIT 1"
 )
 

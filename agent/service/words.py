@@ -18,7 +18,7 @@ _STATES: dict[RunState, str] = {
     S.STAGING: "writing the new table into the inactive bank",
     S.ACTIVATING: "activating the new table",
     S.VERIFYING: "measuring again with the new table active",
-    S.RESTORING: "activating the former table again",
+    S.RESTORING: "having the former table act again",
     S.WRITTEN: "written, not active: waiting for the controller to be restarted or referenced",
     S.COMPLETE: "complete",
     S.REFUSED: "ended without a change: the run itself said no",

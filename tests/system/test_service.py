@@ -331,3 +331,22 @@ def test_the_token_is_the_owners_alone(served: Service) -> None:
         token.chmod(0o600)
     assert open_to_all.returncode == 2
     assert "chmod 600" in open_to_all.stderr
+
+
+def test_a_kept_table_acts_again(served: Service) -> None:
+    """The table of the whole run above gives way to what acted before it, and is had back."""
+    kept = served.get("/api/tables")["kept"]
+    written = next(table for table in kept if table["role"] == "staged")
+    for role, expected in (("backup", 0), ("staged", None)):
+        answer = served.post("/api/tables/restore", {"run_id": written["run_id"], "role": role})
+        assert answer.status_code == 202, answer.text
+        status = served.reached("complete", "faulted", "refused")
+        assert status["state"] == "complete"
+        assert status["touches"] == 0
+        if expected is not None:
+            assert status["active_bank"] == expected
+    now = served.get("/api/tables")
+    last = now["kept"][0]
+    assert (last["crc32"], last["bank"]) == (written["crc32"], now["active_bank"])
+    unknown = served.post("/api/tables/restore", {"run_id": "nobody"})
+    assert unknown.status_code == 422

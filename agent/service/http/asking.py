@@ -10,6 +10,7 @@ from agent.service.http.bodies import (
     AbortBody,
     AnswerBody,
     Done,
+    RestoreBody,
     ResumeRunBody,
     RunBegun,
     SettingsBody,
@@ -67,6 +68,12 @@ def reset(site: SiteHere) -> Done:
 def answer(site: SiteHere, body: AnswerBody) -> Done:
     site.control.answer(body.number, body.yes)
     return Done()
+
+
+@with_token.post("/tables/restore", status_code=202)
+def restore_table(site: SiteHere, body: RestoreBody) -> RunBegun:
+    """Have a kept table act again. Nothing moves."""
+    return RunBegun(run_id=site.control.restore_table(body.run_id, body.role, Source(body.source)))
 
 
 @with_token.post("/settings/check")

@@ -53,6 +53,14 @@ class AnswerBody(Body):
     yes: bool
 
 
+class RestoreBody(Body):
+    """A table as `/api/tables` lists it."""
+
+    run_id: str = Field(max_length=40)
+    role: Literal["backup", "staged", "restored"] = "backup"
+    source: Literal["page", "command line"] = "page"
+
+
 class SettingsBody(Body):
     """The text of a settings file, to be checked and not kept."""
 
