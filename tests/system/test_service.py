@@ -170,7 +170,8 @@ def test_a_service_that_was_killed_says_so_and_goes_on_after_a_reset(tmp_path: P
             answer = again.post("/api/resume-run")
             assert answer.status_code == 202, answer.text
             assert answer.json()["run_id"] == run_id
-            assert again.reached("complete", "faulted")["state"] == "complete"
+            ended = again.reached("complete", "faulted")
+            assert ended["state"] == "complete", ended["alarms"]
         with closing(sqlite3.connect(tmp_path / "state" / "journal.sqlite")) as journal:
             keys = [key for (key,) in journal.execute("SELECT key FROM balls")]
         assert len(keys) == len(set(keys))
@@ -225,7 +226,7 @@ def test_the_watchdog_is_fed_through_an_abstract_socket_and_settings_are_reloade
 
 def test_the_commands_and_their_exit_codes(served: Service) -> None:
     """After the whole run above, which wrote the table that is verified here."""
-    waited = served.command("start", "--kind", "verify", "--wait")
+    waited = served.command("start", "--kind", "verify", "--stations", "1", "--wait")
     assert waited.returncode == 0, waited.stderr
     run_id = waited.stdout.split()[0]
     shown = json.loads(served.command("status", "--json").stdout)

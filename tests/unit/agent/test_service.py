@@ -1,0 +1,308 @@
+"""The parts of the service by themselves: who may begin at night, watchdog, events, token, questions, diagnostics."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import socket
+import zipfile
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from service_house import PATIENCE_S, READY_MACHINE, house, settings_document
+
+from agent.execution.states import RunState
+from agent.execution.supervisor import Supervisor
+from agent.service.bulletin import Bulletin
+from agent.service.client import error_of
+from agent.service.control import Source, StartRequest
+from agent.service.diagnosis import REMOVED, diagnosis, without_secrets
+from agent.service.health import Health
+from agent.service.http.problems import problem_of
+from agent.service.notify import Notifier
+from agent.service.questions import Questions, ServiceOperator
+from agent.service.running import Running
+from agent.service.settings import ServiceSettings
+from agent.service.token import make_token, read_token, token_path
+from agent.service.unattended import Circumstances, minutes_until_end, require_warm
+from agent.service.words import doing
+from agent.settings import Settings
+from drivers.clock import VirtualClock
+from drivers.errors import (
+    Aborted,
+    Busy,
+    ConfigurationError,
+    GateRefused,
+    LinkLost,
+    PermissionMissing,
+    UserError,
+    VolcalError,
+)
+from drivers.roles import MachineStatus, MotionState, OperatorRequest, OperatorTask, Permission
+
+NIGHTLY = StartRequest("calibrate", Source.TIMER)
+
+
+def at(text: str, up_minutes: float = 600.0) -> Circumstances:
+    return Circumstances(datetime.fromisoformat(f"2026-11-21T{text}:00"), up_minutes)
+
+
+@pytest.mark.parametrize(
+    ("now", "hours", "left"),
+    [
+        ("02:00", [], None),
+        ("02:00", ["22:00-05:30"], 210.0),
+        ("23:00", ["22:00-05:30"], 390.0),
+        ("22:00", ["22:00-05:30"], 450.0),
+        ("12:30", ["12:00-13:00", "12:15-14:00"], 90.0),
+        ("09:00", ["00:00-00:00"], 900.0),
+    ],
+)
+def test_the_hours_say_how_long_a_night_may_be(now, hours, left) -> None:
+    assert minutes_until_end(at(now), hours) == left
+
+
+@pytest.mark.parametrize("now", ["05:30", "12:00", "21:59"])
+def test_outside_the_hours_nothing_begins_by_itself(now) -> None:
+    with pytest.raises(GateRefused, match="22:00-05:30"):
+        minutes_until_end(at(now), ["22:00-05:30"])
+
+
+@given(st.integers(0, 1439), st.integers(0, 1439), st.integers(0, 1439))
+def test_what_is_left_is_counted_minute_by_minute(begin, end, now) -> None:
+    """Against a walk through the day, one minute at a time."""
+    span = f"{begin // 60:02d}:{begin % 60:02d}-{end // 60:02d}:{end % 60:02d}"
+    open_minutes = {(begin + n) % 1440 for n in range((end - begin) % 1440 or 1440)}
+    circumstances = at(f"{now // 60:02d}:{now % 60:02d}")
+    if now not in open_minutes:
+        with pytest.raises(GateRefused):
+            minutes_until_end(circumstances, [span])
+        return
+    walked = 0
+    while ((now + walked) % 1440 in open_minutes and (now + walked) % 1440 != end) or walked == 0:
+        walked += 1
+    assert minutes_until_end(circumstances, [span]) == walked
+
+
+def test_a_machine_that_was_just_switched_on_is_left_alone() -> None:
+    require_warm(at("02:00", 31.0), 30.0)
+    with pytest.raises(GateRefused, match="has been on for 12 min"):
+        require_warm(at("02:00", 12.0), 30.0)
+
+
+def test_a_timer_is_refused_without_permission_and_the_next_night_is_not_lost(tmp_path: Path) -> None:
+    doors_open = MachineStatus(MotionState.IDLE, {**READY_MACHINE.permissions, Permission.DOORS_CLOSED: False})
+    with house(tmp_path, status=doors_open) as built, built.owner.subscribe() as events:
+        with pytest.raises(PermissionMissing, match="doors closed"):
+            built.owner.start(NIGHTLY)
+        assert built.owner.status().state is RunState.IDLE
+        assert built.puppet.requests == []
+        assert "was not started" in [events.get_nowait() for _ in range(events.qsize())][-1].text
+        built.owner.start(StartRequest("calibrate", Source.PAGE, consent=True))
+        built.puppet.begun()
+
+
+def test_a_run_must_end_within_the_hours(tmp_path: Path) -> None:
+    with house(tmp_path, circumstances=at("05:00"), service={"hours": ["22:00-05:30"]}) as built:
+        built.owner.start(StartRequest("nightly", Source.TIMER, slot_minutes=45.0))
+        built.puppet.begun()
+        assert built.puppet.requests[0].kind.slot_minutes == 30.0
+
+
+def test_an_abort_before_the_run_has_its_mailbox_is_not_lost() -> None:
+    running, supervisor = Running("a", lambda: None), Supervisor(VirtualClock())
+    running.abort("at once")
+    running.abort("later")
+    running.attach(supervisor)
+    with pytest.raises(Aborted, match="at once"):
+        supervisor.check()
+
+
+def test_the_end_of_the_service_holds_aborts_and_takes_no_more(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        assert not built.owner.close(0.01)
+        assert "being stopped" in str(built.puppet.abort_wanted)
+        built.puppet.end(RunState.ABORTED)
+        assert built.owner.close(PATIENCE_S)
+        with pytest.raises(Busy, match="being stopped"):
+            built.owner.start(NIGHTLY)
+
+
+def test_settings_are_taken_between_runs_only(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        other = Settings.model_validate(settings_document(tmp_path, nightly={"slot_minutes": 20.0}))
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        with pytest.raises(Busy, match="under way"):
+            built.owner.reload(other)
+        built.puppet.end(RunState.COMPLETE)
+        assert built.owner.wait(PATIENCE_S)
+        built.owner.reload(other)
+        assert built.owner.settings.nightly.slot_minutes == 20.0
+        with pytest.raises(UserError, match="state_directory"):
+            built.owner.reload(Settings.model_validate(settings_document(tmp_path / "elsewhere")))
+
+
+# ---------------------------------------------------------------------- watchdog
+
+
+def test_a_hang_is_seconds_where_something_moves_and_minutes_where_it_computes() -> None:
+    clock = VirtualClock()
+    health = Health(clock.now, hung_after_s=30.0, computing_s=900.0)
+    clock.sleep(31.0)
+    assert not health.alive(RunState.MEASURING)
+    assert not health.alive(RunState.HELD)
+    assert health.alive(RunState.PREFLIGHT)
+    assert health.alive(RunState.IDLE)
+    health.beat()
+    assert health.alive(RunState.MEASURING)
+    clock.sleep(901.0)
+    assert not health.alive(RunState.IDENTIFYING)
+    assert health.alive(RunState.FAULTED)
+
+
+@pytest.mark.parametrize("abstract", [False, True])
+def test_notifications_are_lines_of_one_datagram(tmp_path: Path, abstract: bool) -> None:
+    name = f"@volcal-{os.getpid()}" if abstract else str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(f"\0{name[1:]}" if abstract else name)
+        systemd.settimeout(PATIENCE_S)
+        notifier = Notifier({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "3000000"})
+        notifier.send(READY=1, STATUS="waiting for a start")
+        assert systemd.recv(4096) == b"READY=1\nSTATUS=waiting for a start"
+    assert notifier.watchdog_s == 3.0
+    notifier.send(WATCHDOG=1)  # nobody listens any more: no reason to stop
+    assert Notifier({"WATCHDOG_USEC": "3000000", "WATCHDOG_PID": "1"}).watchdog_s is None
+    Notifier({}).send(READY=1)
+
+
+# ---------------------------------------------------------------------- events
+
+
+def test_a_lagging_reader_loses_the_oldest_progress_first() -> None:
+    bulletin = Bulletin(kept=3, queued=4)
+    with bulletin.subscribe() as queue:
+        for number in range(3):
+            bulletin.publish("progress", str(number))
+        for name in ("state", "alarm", "note"):
+            bulletin.publish(name, name)
+        assert [queue.get_nowait().text for _ in range(queue.qsize())] == ["2", "state", "alarm", "note"]
+        for name in "abcde":
+            bulletin.publish("note", name)
+        assert [queue.get_nowait().text for _ in range(queue.qsize())] == ["b", "c", "d", "e"]
+    assert bulletin.since(9) == (False, bulletin.since(9)[1])
+    assert [event.number for event in bulletin.since(9)[1]] == [10, 11]
+    lost, events = bulletin.since(2)
+    assert lost
+    assert [event.number for event in events] == [9, 10, 11]
+    assert bulletin.since(500)[0]  # of another life of the service
+
+
+# ---------------------------------------------------------------------- questions
+
+
+def test_a_question_without_an_answer_ends_and_closes() -> None:
+    clock = VirtualClock()
+    heard: list[object] = []
+    questions = Questions(lambda question, text: heard.append((question is not None, text)))
+    request = OperatorRequest(OperatorTask.MOVE_ARTEFACT, "carry it to station 2", 2)
+    with pytest.raises(PermissionMissing, match="nobody answered within 2 min"):
+        ServiceOperator(questions, clock, 2.0, attended=True).ask(request)
+    assert 120.0 <= clock.now() < 121.0
+    assert heard == [(True, "carry it to station 2"), (False, "not answered")]
+    assert questions.open is None
+
+
+def test_a_run_without_consent_asks_nobody() -> None:
+    questions = Questions(lambda *_: pytest.fail("nobody is there"))
+    with pytest.raises(PermissionMissing, match="nobody can be asked"):
+        ServiceOperator(questions, VirtualClock(), 2.0, attended=False).ask(OperatorRequest(OperatorTask.CONSENT, "?"))
+
+
+@pytest.mark.parametrize("yes", [True, False])
+def test_the_first_answer_counts(yes: bool) -> None:
+    clock = VirtualClock()
+    questions = Questions(lambda *_: None)
+
+    def answered(now: float) -> None:
+        if now > 5.0 and questions.answered() is None:
+            questions.answer(1, yes)
+            with pytest.raises(UserError, match="answered already"):
+                questions.answer(1, not yes)
+
+    clock.subscribe(answered)
+    operator = ServiceOperator(questions, clock, 2.0, attended=True)
+    assert operator.ask(OperatorRequest(OperatorTask.CONSENT, "?")) is yes
+
+
+# ---------------------------------------------------------------------- secrets
+
+
+def test_the_token_lies_in_a_file_of_its_owner(tmp_path: Path) -> None:
+    settings = Settings.model_validate(settings_document(tmp_path))
+    make_token(settings)
+    path = token_path(settings, {})
+    first = read_token(path)
+    assert len(first) >= 32
+    make_token(settings)
+    assert read_token(path) == first
+    path.chmod(0o640)
+    with pytest.raises(ConfigurationError, match="open to others"):
+        read_token(path)
+    handed = tmp_path / "credentials"
+    handed.mkdir()
+    (handed / "token").write_text("of systemd, long enough")
+    assert token_path(settings, {"CREDENTIALS_DIRECTORY": str(handed)}) == handed / "token"
+    (tmp_path / "short").write_text("short")
+    (tmp_path / "short").chmod(0o600)
+    with pytest.raises(ConfigurationError, match="16 are the least"):
+        read_token(tmp_path / "short")
+
+
+def test_diagnostics_have_no_secrets(tmp_path: Path) -> None:
+    document = settings_document(tmp_path)
+    document["devices"]["twin"]["options"] = {"password": "hunter2", "host": "cnc", "deep": [{"api_key": "hunter2"}]}
+    settings = Settings.model_validate(document)
+    content = diagnosis(settings, {"state": "idle"}, [])
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        texts = {name: archive.read(name) for name in archive.namelist()}
+    assert not any(b"hunter2" in text for text in texts.values())
+    assert b'"cnc"' in texts["settings.json"]
+    assert json.loads(texts["status.json"]) == {"state": "idle"}
+    assert without_secrets({"token_file": None, "user": "a"}) == {"token_file": None, "user": REMOVED}
+
+
+def test_another_address_than_loopback_needs_a_certificate() -> None:
+    assert ServiceSettings(host="::1").loopback
+    with pytest.raises(ValueError, match="must not travel in the clear"):
+        ServiceSettings(host="0.0.0.0")  # noqa: S104  it is refused
+    with pytest.raises(ValueError, match="is none"):
+        ServiceSettings(host="panel.plant")
+    served = ServiceSettings(host="10.0.0.5", certificate_file=Path("c.pem"), key_file=Path("k.pem"))
+    assert served.scheme == "https"
+    assert served.resolved(Path("/etc/volcal")).key_file == Path("/etc/volcal/k.pem")
+
+
+# ---------------------------------------------------------------------- words and errors
+
+
+def test_errors_come_through_the_door_as_they_were() -> None:
+    for error in (Busy("run a is under way", hint="wait"), LinkLost("gone", link="10.0.0.1"), VolcalError("x")):
+        back = error_of(problem_of(error).model_dump())
+        assert type(back) is type(error)
+        assert str(back) == str(error)
+    assert error_of({"title": "str", "detail": "odd"}).exit_code == 3
+
+
+def test_what_it_is_doing_in_words() -> None:
+    key = "measure/station-1/az0-el-45/ball-06/touch-2"
+    assert doing(RunState.MEASURING, key, "verify") == "measuring: station 1, azimuth 0°, elevation -45°, ball 6"
+    assert doing(RunState.MEASURING, "before/active-bank", "verify") == "measuring: preparing"
+    assert doing(RunState.STAGING, key, "calibrate") == "writing the new table into the inactive bank"
+    assert all(doing(state, "", None) for state in RunState)
