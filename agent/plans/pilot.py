@@ -15,6 +15,7 @@ from agent.execution.steps import MoveTo, OrientTo, Plan
 from agent.plans.course import Course
 from agent.plans.probing import Probing
 from agent.plans.touching import PlainWay, TouchWay, point
+from twin.position_set import Position
 
 Array = NDArray[np.float64]
 
@@ -61,8 +62,12 @@ class Pilot(Protocol):
 
     def from_ball(self, key: str, centre: Array) -> Plan[None]: ...
 
+    def beside(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
+        """Take over before a `ball` found at `centre` (3,), the tip in the plane before it."""
+        ...
+
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """To the retreat plane; `centre` (3,) of the ball measured last."""
+        """To the retreat plane, or beside the station; `centre` (3,) of the ball measured last."""
         ...
 
 
@@ -98,6 +103,9 @@ class PlainPilot:
 
     def from_ball(self, key: str, centre: Array) -> Plan[None]:
         yield MoveTo(f"{key}/withdraw", point(self._course.above(centre, self._probing)))
+
+    def beside(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
+        yield from ()
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
         yield MoveTo(f"{key}/leave", point(self._course.retreated(self._course.above(centre, self._probing))))

@@ -16,6 +16,7 @@ from agent.plans.position import PositionRules
 from agent.plans.probe_check import ProbeCheck, Repeatability, check_repeatability
 from agent.plans.qualification import Qualification, QualificationRules, qualify_stylus
 from agent.plans.reversal import AxisReversal, Reversal, ReversalCheck, measure_reversal
+from agent.plans.shortest import pilot_of
 from drivers.errors import MeasurementFault
 from twin.layout import Layout
 from twin.position_set import Position
@@ -79,7 +80,9 @@ def prepare_probe(
     yield from _go_to(key, position, predicted, rules)
     found = yield from _found(f"{key}/ball-{ball:02d}", predicted, rules)
     prepared = yield from _looked_at(f"{key}/ball-{ball:02d}", found.centre_mm, rules, preparation)
-    yield MoveTo(f"{key}/leave", point(rules.course.retreated(rules.course.above(found.centre_mm, rules.probing))))
+    pilot = pilot_of(rules.course, rules.probing, layout)
+    yield from pilot.beside(key, position, ball, found.centre_mm)
+    yield from pilot.leave(key, found.centre_mm)
     return replace(prepared, standing_at=position.station)
 
 

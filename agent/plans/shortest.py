@@ -16,6 +16,7 @@ from agent.plans.tour import measuring_sequence
 from agent.plans.traffic import Spot, Stand, Traffic, TurningWay
 from twin.geometry import Point as Corner
 from twin.layout import Layout
+from twin.position_set import Position
 
 Array = NDArray[np.float64]
 
@@ -68,12 +69,13 @@ class ShortestPilot:
         return first, measuring_sequence(self._traffic, stand, self._probing, task.balls, first, last), last
 
     def turn(self, task: Orientation, here: Array) -> Plan[None]:
-        before, stand = self._pose, self._stand(task)
+        stand = self._stand(task)
         nominal = self._traffic.nominal(stand, task.station)
         first = self._ends(task, stand)[0]
         way = self._turning(task, stand, first)
-        if way is None or before is None or self._there is None:
-            free = yield from self._off(f"{task.key}/before", here)
+        far = float(np.abs(task.predicted_mm - nominal).max()) > self._traffic.roads.unknown_mm
+        if way is None or far or self._there is None:
+            free = here if self._there is None else (yield from self._out(f"{task.key}/from-before"))
             yield from self._plain.turn(task, free)
             self._way_in = None
         else:
@@ -109,10 +111,24 @@ class ShortestPilot:
         return _BallWay(self, ball)
 
     def leave(self, key: str, centre: Array) -> Plan[None]:
-        """Off the surface first, then straight back: nothing but the tip has been anywhere new."""
-        self._here = yield from self._off(key, self._here)
-        yield MoveTo(f"{key}/leave", point(self._course.retreated(self._here)))
+        """To the parking place beside the station, where no bar reaches however it stands; where no way there is proved
+        to be free, off the surface and straight back: nothing but the tip has been anywhere new."""
+        if self._there is not None:
+            yield from self._out(key)
         self._there = self._pose = self._way_in = None
+
+    def _out(self, key: str) -> Plan[Array]:
+        """As `leave` says; where the axes stand then."""
+        way = self._way_out()
+        if way is None:
+            free = yield from self._off(key, self._here)
+            corners, end = list[Array](), self._course.retreated(free)
+        else:
+            corners, end = way
+        for number, corner in enumerate(corners):
+            yield MoveTo(f"{key}/out-{number}", point(corner))
+        yield MoveTo(f"{key}/leave", point(end))
+        return end
 
     def _off(self, key: str, here: Array) -> Plan[Array]:
         """Where the tip is clear of the surface that it may still rest on; drawn back from there it presses nothing."""
@@ -123,6 +139,30 @@ class ShortestPilot:
         free = here - np.array(there.spot.direction) * (out - there.spot.out_mm)
         yield MoveTo(f"{key}/off", point(free))
         return np.asarray(free)
+
+    def beside(self, key: str, position: Position, ball: int, centre: Array) -> Plan[None]:
+        """Take over before a `ball` found at `centre` (3,), the tip in the plane before it."""
+        station = position.station
+        stand = self._traffic.standing(station, position.azimuth_deg, position.elevation_deg)
+        nominal = self._traffic.nominal(stand, station)
+        off = centre - nominal[ball]
+        self._pose = _Pose(stand, station, nominal, nominal + off, self._traffic.roads.unknown_mm)
+        out_mm = self._probing.contact_mm + self._probing.narrow.approach_mm
+        spot = Spot(ball, point(self._probing.directions[0]), out_mm)
+        self._at(_There(spot, off), centre - self._probing.directions[0] * out_mm)
+        yield MoveTo(f"{key}/off-ball", point(self._here))
+
+    def _way_out(self) -> tuple[list[Array], Array] | None:
+        """Corners of the way to the parking place, and that; None where none is proved to be free."""
+        traffic, there, pose = self._traffic, self._there, self._known_pose
+        if there is None or float(np.linalg.norm(there.off)) > traffic.roads.unknown_mm:
+            return None
+        parked = self._course.parked(traffic.axes_at(pose.station, traffic.at(pose.stand, there.spot)), pose.station)
+        local = point(parked - traffic.axes_at(pose.station, (0.0, 0.0, 0.0)))
+        way = traffic.to_place(pose.stand, there.spot, local)
+        if way is None:
+            return None
+        return [traffic.axes_at(pose.station, corner) + there.off for corner in way.corners], parked
 
     # ------------------------------------------------------------------ at a ball
 
@@ -163,7 +203,7 @@ class ShortestPilot:
         mistaken = max(_apart(off, known[spot.ball]), _apart(there.off, known[there.spot.ball]))
         place_x = float(self._traffic.layout.place(pose.station)[0])
         way = self._traffic.between(pose.stand, there.spot, spot, pose.uncertain_mm + mistaken, place_x)
-        if way is None:
+        if way is None or float(np.linalg.norm(off)) > self._traffic.roads.unknown_mm:
             return self._plain_corners(there, begin)
         first, last = (
             self._traffic.axes_at(pose.station, self._traffic.at(pose.stand, one)) for one in (there.spot, spot)

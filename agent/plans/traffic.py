@@ -266,8 +266,8 @@ class Traffic:
             if best is not None and least[index] >= NEAR_ENOUGH * best.seconds:
                 break
             waiting = point(places[index])
-            out = self._to_waiting(before, start, waiting)
-            into = None if out is None else self._to_waiting(after, end, waiting)
+            out = self.to_place(before, start, waiting)
+            into = None if out is None else self.to_place(after, end, waiting)
             if out is not None and into is not None:
                 seconds = out.seconds + into.seconds
                 if best is None or seconds < best.seconds:
@@ -291,8 +291,9 @@ class Traffic:
         places = np.column_stack([x, y, z])
         return np.asarray(places[y >= low[1]])
 
-    def _to_waiting(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
-        """Out from `spot`; the way in is the same backwards, since nothing but the tip is at a ball."""
+    def to_place(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
+        """Out from `spot` to a place relative to that of the mount, before the artefact; None where no way is proved
+        to be free. The way in is the same backwards."""
         key = (stand, spot, waiting)
         if key not in self._ways:
             first = self.at(stand, spot)
@@ -335,10 +336,10 @@ class Traffic:
         return travel_times(start, end, dynamics.rapid_mm_per_s, dynamics.acceleration_mm_per_s2) + dynamics.command_s
 
     def _travel(self, stand: Stand) -> tuple[Array, Array]:
-        """Of the tip, relative to the place; along X relative to the table."""
+        """Of the tip, relative to the place, along X to the table; less what the artefact may stand off."""
         place = np.array([0.0, stand.depth_mm, stand.height_mm])
-        shift = self.layout.tool_offset_mm - place
-        return self.roads.lower_mm + shift, self.roads.upper_mm + shift
+        shift, room = self.layout.tool_offset_mm - place, self.roads.unknown_mm
+        return self.roads.lower_mm + shift + room, self.roads.upper_mm + shift - room
 
     # ------------------------------------------------------------------ bodies
 
