@@ -76,6 +76,10 @@ class Conduct:
         finally:
             self._listener(Announcement("note", text, data))
 
+    def told(self, text: str) -> None:
+        """What a plan's own record says already; not journaled again."""
+        self._listener(Announcement("note", text, {}))
+
     def progress(self, text: str, **data: object) -> None:
         """For who watches only; not journaled."""
         self._listener(Announcement("progress", text, data))

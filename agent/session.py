@@ -18,6 +18,7 @@ from agent.execution.states import RunState
 from agent.execution.steps import Record, Step
 from agent.execution.supervisor import Supervisor
 from agent.guarded_run import Means, Progress, attempt
+from agent.history.sync import feed
 from agent.job import Job
 from agent.kinds.kind import FullCalibration, Kind, Ready
 from agent.kinds.outset import Outset
@@ -133,9 +134,16 @@ class _Session:
         outcome = self._outcome(progress, minutes, wall_seconds() - began)
         attempt("record the outcome", lambda: record_outcome(self._journal, outcome))
         if self._request.files:
+            self._feed_history()
             outcome = write_results(self._job, outcome, progress)
             write_copy(self._job.settings.state_directory, self._run_id)
         return Ended(outcome, progress.error)
+
+    def _feed_history(self) -> None:
+        """The machine is as it should be and the journal has it all: a database that is away is worth a note."""
+        complaint = feed(self._job.settings, self._run_id)
+        if complaint:
+            attempt("note the complaint", lambda: self._conduct.note(complaint))
 
     def _on(self, rig: Rig) -> Progress:
         rig.open()
@@ -184,6 +192,8 @@ class _Session:
             self._request.observer(step, result)
         if type(step).__name__ == "TouchTowards":
             self._touches += 1
+        if isinstance(step, Record) and "note" in step.payload:
+            self._conduct.told(step.payload["note"])
         if not isinstance(step, Record) or step.kind != "ball" or self._rehearsal is None:
             return
         self._balls += 1

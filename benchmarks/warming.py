@@ -51,7 +51,7 @@ LARGEST_RISE = 1.2
 WARMER_K = 3.0
 STILL = TemperatureSettings(sensor_noise_k=0.01, sensor_offset_k={"artefact": 0.01})
 WARMING = TemperatureSettings(
-    ambient_rise_k=3.2,
+    ambient_rise_k=3.65,
     artefact_time_constant_h=0.35,
     machine_time_constant_h=0.45,
     growth_um_per_k=(2.0, 8.0, 5.0),

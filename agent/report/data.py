@@ -236,7 +236,7 @@ class Provenance:
 @dataclass(frozen=True)
 class RunFacts:
     """What only a run on a machine knows. `times`: rows about begin and end; `banks`: about tables before, written
-    and at the end; `trend`: an SVG with all runs up to this one."""
+    and at the end; `trend`: an SVG with all runs up to this one; `drifts_um`: of the first ball of each position."""
 
     touches: int | None = None
     machine_minutes: float | None = None
@@ -250,6 +250,7 @@ class RunFacts:
     provenance: Provenance | None = None
     trend: str = ""
     temperatures: tuple[TemperatureTrace, ...] = ()
+    drifts_um: tuple[float, ...] = ()
     events: tuple[EventLine, ...] = ()
     probe: ProbeFacts | None = None
 

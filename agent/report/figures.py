@@ -22,7 +22,7 @@ def report_figures(data: ReportData) -> dict[str, str]:
     traces, probe, found = data.run.temperatures, data.run.probe, data.found
     figures = {
         "qualification": draw_qualification(probe) if probe and probe.rings else "",
-        "temperatures": draw_temperatures(traces) if traces else "",
+        "temperatures": draw_temperatures(traces, data.run.drifts_um) if traces else "",
         "trend": data.run.trend,
     }
     if found is None:

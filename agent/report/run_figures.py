@@ -14,10 +14,18 @@ MOST_UPRIGHT = 8
 SENSOR_LOOK = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
 
-def draw_temperatures(traces: Sequence[TemperatureTrace]) -> str:
+def draw_temperatures(traces: Sequence[TemperatureTrace], drifts_um: Sequence[float] = ()) -> str:
+    """SVG over the run; beside it by how much the first ball of each position had moved at its end, where known."""
     drawing = Drawing("temperatures", 10.4, 2.2)
     with drawing as figure:
-        panel = figure.subplots()
+        if len(drifts_um):
+            panel, beside = figure.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2]})
+            beside.bar(np.arange(1, len(drifts_um) + 1), drifts_um, color=BLUE, width=0.7)
+            beside.set_xlabel("position, in the order measured")
+            beside.set_ylabel("first ball again / µm")
+            beside.xaxis.set_major_locator(MaxNLocator(integer=True))
+        else:
+            panel = figure.subplots()
         for count, trace in enumerate(traces):
             colour, line = SENSOR_LOOK[count % len(SENSOR_LOOK)]
             panel.plot(trace.minutes, trace.temperature_c, line, color=colour, label=trace.name)

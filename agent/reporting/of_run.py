@@ -36,7 +36,7 @@ from agent.report import (
 from agent.report.texts import ENGLISH, Texts
 from agent.reporting.kept_estimate import kept_estimate
 from agent.reporting.night_facts import night_facts
-from agent.reporting.shown_events import shown_events
+from agent.reporting.shown_events import drifts_um, shown_events
 from drivers.errors import InputError
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 from twin.observations import Observations
@@ -138,6 +138,7 @@ def _facts(record: RunRecord, inputs: Mapping[str, Any], trend: str) -> RunFacts
         verification=_verification(record),
         night=night_facts(record),
         temperatures=_temperatures(record),
+        drifts_um=drifts_um(record),
         asked=tuple(
             Asked(one.minute, one.text, True if one.answered else False if one.error else None, one.error)
             for one in record.questions

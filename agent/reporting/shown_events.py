@@ -26,11 +26,17 @@ def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
     return tuple(sorted(lines, key=lambda line: line.timestamp))
 
 
+def drifts_um(record: RunRecord) -> tuple[float, ...]:
+    """By how much the first ball of each position had moved at its end, in the order measured."""
+    found = (_drift_um(note) for note in record.events)
+    return tuple(one for one in found if one is not None)
+
+
 def _routine(note: Note) -> bool:
     record = note.record
     drift_um = _drift_um(note)
     if drift_um is not None:
-        return bool(drift_um <= record["limit_um"])
+        return "note" not in record and bool(drift_um <= record["limit_um"])
     return note.kind == "asked" or str(record.get("step", "")).endswith("/found")
 
 
