@@ -1,0 +1,184 @@
+"""Reports of whole runs from their journal: complete, refused and broken off; the same again; on paper."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from nights import Night, memory_directory, short_document
+
+from agent.cli.main import main
+from agent.execution.states import RunState
+from agent.execution.supervisor import Supervisor
+from agent.history.run_record import read_record
+from agent.kinds.verify import Verification
+from agent.report.pdf import render_pdf
+from agent.reporting.of_run import report_of
+from agent.reporting.rebuilt import rebuilt
+from agent.session import Ended
+from drivers.errors import InputError
+from twin.formats.estimate_file import parse_estimate
+from twin.volumetric import QuadraticForm, evaluation_grid
+
+pytestmark = pytest.mark.timeout(180)
+
+
+@dataclass
+class Season:
+    """A calibration, a verification, and a calibration that somebody aborts at its second ball."""
+
+    state: Path
+    document: dict[str, object]
+    calibrated: Ended
+    verified: Ended
+    aborted: Ended
+
+
+@pytest.fixture(scope="module")
+def season() -> Iterator[Season]:
+    with memory_directory() as directory, pytest.MonkeyPatch.context() as patch:
+        state = Path(directory) / "state"
+        night, document = Night(patch), short_document(state)
+        document["nightly"] = {"looked_at": 1, "largest_chi2": 4.0, "largest_growth": 20.0, "step_evidence": 30.0}
+        calibrated = night.run(document)
+        verified = night.run(document, kind=Verification(station=1, nights=1.0))
+        asked: list[Supervisor] = []
+        night.heard.clear()
+
+        def abort_when_measuring(supervisor: Supervisor) -> None:
+            asked.append(supervisor)
+
+        heard = night.heard
+
+        class Listening(list):  # type: ignore[type-arg]
+            def append(self, announcement: object) -> None:
+                heard.append(announcement)  # type: ignore[arg-type]
+                if getattr(announcement, "kind", "") == "progress" and asked:
+                    asked[0].request_abort("somebody pressed abort")
+
+        night.heard = Listening()
+        aborted = night.run(document, abort_when_measuring)
+        yield Season(state, document, calibrated, verified, aborted)
+
+
+def page(season: Season, ended: Ended) -> str:
+    """As it was written at the run's end; that the same can be made again is a test of its own."""
+    assert ended.outcome.report is not None
+    return ended.outcome.report.read_text(encoding="utf-8")
+
+
+class TestRebuilt:
+    def test_the_page_is_that_of_the_runs_end(self, season: Season) -> None:
+        for ended in (season.calibrated, season.verified, season.aborted):
+            again = rebuilt(season.state, ended.outcome.run_id, pdf=False)
+            assert again == {"report.html": page(season, ended)}
+
+    def test_the_estimate_is_that_of_the_run(self, season: Season) -> None:
+        """Residuals and volumetric error against what stands in the estimate file: VE by its own quadratic form."""
+        outcome = season.calibrated.outcome
+        found = report_of(read_record(season.state, outcome.run_id)).found
+        assert found is not None
+        assert outcome.report is not None
+        stored = parse_estimate(outcome.report.with_name("estimate.json").read_text(encoding="utf-8"), "estimate.json")
+        assert np.array_equal(found.estimate.parameters, stored.parameters)
+        grid = evaluation_grid(stored.model.ranges_mm)
+        form = QuadraticForm.build(stored.model, grid, stored.tool_offsets[0])
+        assert found.volumetric.before_aligned.value_um == pytest.approx(form.value(stored.parameters).aligned_um)
+        assert len(found.residuals_mm) == outcome.balls == found.observations.size
+
+    def test_it_does_not_need_the_files_any_more(self, season: Season, tmp_path: Path) -> None:
+        """The journal alone, its settings naming files that are gone."""
+        copy = tmp_path / "journal.sqlite"
+        with (
+            closing(sqlite3.connect(season.state / "journal.sqlite")) as source,
+            closing(sqlite3.connect(copy)) as target,
+        ):
+            source.backup(target)
+            for run, text in target.execute("SELECT run, settings FROM runs").fetchall():
+                gone = json.loads(text) | {"machine": "/nowhere/machine.toml", "artefact": "/nowhere/bar.toml"}
+                target.execute("UPDATE runs SET settings = ? WHERE run = ?", (json.dumps(gone), run))
+            target.commit()
+        text = str(rebuilt(tmp_path, season.calibrated.outcome.run_id, pdf=False)["report.html"])
+        assert "example calibration, 11 balls" in text
+        assert "case-study-deflection.csv" in text
+
+    def test_what_an_auditor_asks_for(self, season: Season) -> None:
+        text = page(season, season.calibrated)
+        record = read_record(season.state, season.calibrated.outcome.run_id)
+        staged = record.table("staged")
+        assert staged is not None
+        assert staged.crc32 is not None
+        wanted = (
+            "k = 2",
+            "Started by",
+            "command line",
+            "SHA-256",
+            f"{staged.crc32:08x}",
+            "no compensation",
+            "What the measurement does not see",
+            "Verification by fresh measurements",
+            "az 20°, el 25°",
+            "performed by",
+        )
+        for one in wanted:
+            assert one in text, one
+
+    def test_a_verification_has_a_report_of_its_own(self, season: Season) -> None:
+        assert season.verified.error is None
+        text = page(season, season.verified)
+        assert "What the night found" in text
+        assert season.calibrated.outcome.run_id in text
+        assert "The 21 geometric errors" not in text
+
+    def test_a_run_that_was_aborted_has_one_too(self, season: Season) -> None:
+        assert season.aborted.outcome.state is RunState.ABORTED
+        text = page(season, season.aborted)
+        assert "somebody pressed abort" in text
+        assert "did not come to an estimate" in text
+
+    def test_an_unknown_run_is_refused(self, season: Season) -> None:
+        with pytest.raises(InputError, match="the last ones are"):
+            rebuilt(season.state, "20200101T000000Z-0000", pdf=False)
+
+
+class TestPaper:
+    def test_the_same_page_gives_the_same_bytes(self, season: Season) -> None:
+        text = page(season, season.aborted)
+        first = render_pdf(text)
+        assert first.startswith(b"%PDF-")
+        assert first == render_pdf(text)
+
+    def test_every_figure_is_drawn(self, season: Season) -> None:
+        """A part that cannot be drawn would raise."""
+        assert len(render_pdf(page(season, season.calibrated))) > 100_000
+
+    def test_a_hole_is_no_report(self) -> None:
+        """A picture from elsewhere is not fetched, and what is not drawn is told."""
+        image = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" viewBox="0 0 9 9">'
+        image += '<image xlink:href="file:///etc/hostname" width="9" height="9"/></svg>'
+        with pytest.raises(InputError, match="cannot be printed"):
+            render_pdf(f"<html><head><style></style></head><body>{image}</body></html>")
+
+
+def test_the_command(season: Season, tmp_path: Path) -> None:
+    config = tmp_path / "volcal.toml"
+    listed = Path(str(season.document["machine"]))
+    roles = "\n".join(f'{role} = "twin"' for role in ("machine", "probe", "store", "thermometer", "operator", "mount"))
+    config.write_text(
+        f'machine = "{listed}"\nartefact = "{season.document["artefact"]}"\nstate_directory = "{season.state}"\n'
+        f'[devices.twin]\ndriver = "simulated"\n[devices.twin.options]\n'
+        f'scenario = "{listed.parents[1] / "simulators" / "case-study.toml"}"\n'
+        f"[roles]\n{roles}\n[stations]\nplaces_mm = [[700.0, 1000.0, 750.0]]\n"
+    )
+    out = tmp_path / "out"
+    result = CliRunner().invoke(main, ["report", "last", "--config", str(config), "--out", str(out), "--pdf", "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["run_id"] == season.aborted.outcome.run_id
+    assert sorted(path.name for path in out.iterdir()) == ["report.html", "report.pdf"]

@@ -1,0 +1,302 @@
+"""History in a real SQLite file: fed from journals, written again without harm, refused where it is another version."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import sqlite3
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from journaled import SETTINGS, journaled, run_id
+from prometheus_client.parser import text_string_to_metric_families
+
+from agent.cli.main import main
+from agent.execution.states import RunState
+from agent.history.export import as_csv, as_json
+from agent.history.figure import trends_png, trends_svg
+from agent.history.metrics import metrics_text
+from agent.history.overview import alarms_of, chosen, foremost, trends_of
+from agent.history.place import Place, place_of
+from agent.history.run_record import read_record, run_ids
+from agent.history.series import ACTING, BARE, nights_of
+from agent.history.settings import HistorySettings
+from agent.history.store import HistoryStore
+from agent.history.sync import sync
+from agent.history.trends import AlarmKind
+from agent.settings import Settings
+from drivers.errors import ConfigurationError, InputError, LinkLost
+
+ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")
+
+
+def settings(state: Path, **history: object) -> Settings:
+    roles = dict.fromkeys(ROLES, "twin")
+    return Settings.model_validate(
+        {
+            "machine": SETTINGS["machine"],
+            "artefact": SETTINGS["artefact"],
+            "state_directory": str(state),
+            "devices": {"twin": {"driver": "simulated"}},
+            "roles": roles,
+            "stations": {"places_mm": [[700.0, 1000.0, 750.0]]},
+            "history": history,
+        }
+    )
+
+
+@pytest.fixture
+def state() -> Iterator[Path]:
+    """Where a commit costs no disk; durability is tested elsewhere."""
+    shared = Path("/dev/shm")  # noqa: S108  a directory of its own inside, removed with the fixture
+    with tempfile.TemporaryDirectory(prefix="volcal-", dir=shared if os.access(shared, os.W_OK) else None) as directory:
+        yield Path(directory) / "state"
+
+
+@pytest.fixture
+def store(state: Path) -> Iterator[HistoryStore]:
+    state.mkdir()
+    with closing(HistoryStore(place_of(settings(state)))) as opened:
+        yield opened
+
+
+class TestFeeding:
+    def test_a_run_is_stored_with_everything(self, state: Path, store: HistoryStore) -> None:
+        journaled(state, 0, 3.0)
+        assert sync(state, store) == (run_id(0),)
+        (run,) = store.runs("case-study")
+        assert (run.kind, run.state, run.reason, run.software) == ("calibrate", "complete", "as it should", "1.2.3")
+        assert (run.ve_before_um, run.ve_before_sigma_um, run.acting_um) == (10.0, 0.5, 10.0)
+        assert (run.held_out_before_um, run.held_out_after_um, run.held_out_predicted_um) == (3.5, 2.5, 2.4)
+        assert (run.machine_minutes, run.accepted, run.rank, run.started_by) == (83.5, True, 2, "command line")
+        assert [(p.name, p.value, p.unit) for p in run.parameters] == [
+            ("EXX[1]", pytest.approx(3.0), "µm"),
+            ("EXX[2]", 0.0, "µm"),
+            ("A0Z", pytest.approx(2.0), "µrad"),
+        ]
+        assert [decision.kind for decision in run.decisions] == ["gate", "proof"]
+
+    def test_feeding_again_changes_nothing(self, state: Path, store: HistoryStore) -> None:
+        journaled(state, 0)
+        sync(state, store)
+        assert sync(state, store) == ()
+        assert len(store.runs()) == 1
+
+    def test_what_has_changed_since_is_written_again(self, state: Path, store: HistoryStore) -> None:
+        """A run that was under way, or resumed: the row follows, its parameters are not doubled."""
+        journaled(state, 0)
+        sync(state, store)
+        with closing(sqlite3.connect(state / "journal.sqlite")) as journal, journal:
+            journal.execute("UPDATE runs SET state = 'faulted', reason = 'mended'")
+        assert sync(state, store) == (run_id(0),)
+        (run,) = store.runs()
+        assert (run.state, run.reason, len(run.parameters)) == ("faulted", "mended", 3)
+
+    def test_a_run_without_an_estimate_is_history_too(self, state: Path, store: HistoryStore) -> None:
+        journaled(state, 0, ends=RunState.REFUSED)
+        with closing(sqlite3.connect(state / "journal.sqlite")) as journal, journal:
+            journal.execute("DELETE FROM estimates")
+            journal.execute("DELETE FROM decisions")
+        sync(state, store)
+        (run,) = store.runs()
+        assert (run.state, run.ve_before_um, run.parameters, run.accepted) == ("refused", None, [], None)
+
+    def test_machines_are_kept_apart(self, state: Path, store: HistoryStore, tmp_path: Path) -> None:
+        journaled(state, 0, machine="mill-4")
+        other = tmp_path / "other"
+        journaled(other, 0, machine="mill-5")
+        sync(state, store)
+        sync(other, store)
+        assert store.machines() == ("mill-4", "mill-5")
+        assert [run.machine for run in store.runs("mill-5")] == ["mill-5"]
+
+    def test_a_journal_that_is_not_there_is_told(self, store: HistoryStore, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match="no journal"):
+            sync(tmp_path / "nowhere", store)
+
+    def test_an_unknown_run_names_the_last_ones(self, state: Path) -> None:
+        journaled(state, 0)
+        with pytest.raises(InputError, match=run_id(0)):
+            read_record(state, "20200101T000000Z-0000")
+        assert run_ids(state) == (run_id(0),)
+
+
+class TestPlace:
+    def test_a_newer_schema_is_refused(self, state: Path, store: HistoryStore) -> None:
+        with closing(sqlite3.connect(state / "history.sqlite")) as database, database:
+            database.execute("UPDATE volcal_schema SET version = 2")
+        with pytest.raises(ConfigurationError, match="version 2"):
+            HistoryStore(store.place)
+
+    def test_a_password_in_the_url_is_refused(self, state: Path) -> None:
+        with pytest.raises(ConfigurationError, match="holds a password") as told:
+            place_of(settings(state, url="postgresql://me:secret@plant/volcal"))
+        assert "secret" not in str(told.value)
+
+    def test_the_password_of_the_file_is_never_shown(self, state: Path, tmp_path: Path) -> None:
+        file = tmp_path / "password"
+        file.write_text("hush-hush\n")
+        file.chmod(0o600)
+        place = place_of(settings(state, url="postgresql://me@plant/volcal", credentials_file=str(file)))
+        assert place.url.password == file.read_text().strip()
+        assert "hush-hush" not in place.text + repr(place)
+
+    def test_a_file_that_others_can_read_is_refused(self, state: Path, tmp_path: Path) -> None:
+        file = tmp_path / "password"
+        file.write_text("hush-hush\n")
+        file.chmod(0o644)
+        with pytest.raises(ConfigurationError, match="others can read"):
+            place_of(settings(state, url="postgresql://me@plant/volcal", credentials_file=str(file)))
+
+    @pytest.mark.parametrize("url", ["mysql://me@plant/volcal", "not a url"])
+    def test_other_databases_are_refused(self, state: Path, url: str) -> None:
+        with pytest.raises(ConfigurationError):
+            place_of(settings(state, url=url))
+
+    def test_a_database_that_is_away_is_a_lost_link(self, state: Path, tmp_path: Path) -> None:
+        file = tmp_path / "password"
+        file.write_text("hush-hush")
+        file.chmod(0o600)
+        chosen = settings(
+            state, url="postgresql://me@127.0.0.1:1/volcal", credentials_file=str(file), timeout_s=1.0, machine="m"
+        )
+        with pytest.raises(LinkLost, match="history sync") as told:
+            HistoryStore(place_of(chosen))
+        assert "hush-hush" not in str(told.value)
+
+
+def fed(state: Path, store: HistoryStore, values: list[float]) -> None:
+    for night, value in enumerate(values):
+        journaled(state, night, value)
+    sync(state, store)
+
+
+class TestTrends:
+    def test_an_alarm_before_the_tolerance_is_reached(self, state: Path, store: HistoryStore) -> None:
+        """4.8 µm growing by 0.4 a night for ten nights is 8.4; 3.6 of 12 are left: nine nights."""
+        fed(state, store, [4.8 + 0.4 * night for night in range(10)])
+        trends = trends_of(store.runs(), HistorySettings(parameter_tolerances={"EXX[1]": 12.0}))
+        (trend,) = chosen(trends, ["EXX[1]"])
+        assert trend.drift is not None
+        assert trend.drift.slope == pytest.approx(0.4)
+        (alarm,) = [one for one in alarms_of(trends) if one.series == "EXX[1]" and one.kind is AlarmKind.TREND]
+        assert alarm.text.startswith("EXX slope grows by 0.40 ± ")
+        assert alarm.text.endswith("µm a night: limit 12 µm in 9 nights") or "in 8 nights" in alarm.text
+
+    def test_no_alarm_without_a_trend(self, state: Path, store: HistoryStore) -> None:
+        fed(state, store, [5.0 + 0.1 * (-1) ** night for night in range(10)])
+        trends = trends_of(store.runs(), HistorySettings(parameter_tolerances={"EXX": 12.0}))
+        assert alarms_of(trends) == ()
+
+    def test_a_tolerance_that_is_reached(self, state: Path, store: HistoryStore) -> None:
+        fed(state, store, [5.0, 13.0])
+        trends = trends_of(store.runs(), HistorySettings(parameter_tolerances={"EXX": 12.0}))
+        assert [alarm.kind for alarm in alarms_of(trends)] == [AlarmKind.LIMIT]
+
+    def test_an_error_is_judged_by_its_largest_value(self, state: Path, store: HistoryStore) -> None:
+        """EXX = c1 P1: largest at the ends, where it is |c1|."""
+        fed(state, store, [-7.0, -8.0, -9.0])
+        whole, *_ = chosen(trends_of(store.runs(), HistorySettings()), ["EXX"])
+        assert whole.series.name == "EXX"
+        assert whole.series.values == pytest.approx([7.0, 8.0, 9.0])
+
+    def test_nights_are_those_of_the_calendar(self, state: Path, store: HistoryStore) -> None:
+        for night in (0, 1, 4):
+            journaled(state, night)
+        sync(state, store)
+        assert nights_of(store.runs()) == pytest.approx([0.0, 1.0, 4.0])
+
+    def test_unknown_names_are_told_what_there_is(self, state: Path, store: HistoryStore) -> None:
+        fed(state, store, [1.0])
+        with pytest.raises(InputError, match="ve_bare"):
+            chosen(trends_of(store.runs(), HistorySettings()), ["EWX"])
+
+    def test_figures(self, state: Path, store: HistoryStore) -> None:
+        fed(state, store, [4.8 + 0.4 * night for night in range(10)])
+        shown = foremost(trends_of(store.runs(), HistorySettings()))
+        assert trends_png(shown).startswith(b"\x89PNG")
+        assert trends_svg(shown) == trends_svg(shown)
+        assert [trend.series.name for trend in shown[:2]] == [BARE, ACTING]
+
+
+class TestExports:
+    def test_csv_has_a_line_a_run(self, state: Path, store: HistoryStore) -> None:
+        fed(state, store, [3.0, 4.0])
+        rows = list(csv.DictReader(io.StringIO(as_csv(store.runs()))))
+        assert [row["run_id"] for row in rows] == [run_id(0), run_id(1)]
+        assert float(rows[1]["EXX[1]_µm"]) == pytest.approx(4.0)
+        assert rows[0]["started"] == "2026-11-01T02:00:00.000Z"
+
+    def test_json_has_it_all(self, state: Path, store: HistoryStore) -> None:
+        fed(state, store, [3.0])
+        (run,) = json.loads(as_json(store.runs()))["runs"]
+        assert run["decisions"][1]["record"]["after_um"] == 2.5
+
+    def test_metrics_are_what_prometheus_reads(self, state: Path, store: HistoryStore) -> None:
+        fed(state, store, [4.8 + 0.4 * night for night in range(10)])
+        trends = trends_of(store.runs(), HistorySettings(parameter_tolerances={"EXX[1]": 12.0}))
+        text = metrics_text("case-study", store.runs(), trends, {"link_errors": 2.0})
+        found = {
+            (
+                sample.name,
+                sample.labels.get("series", sample.labels.get("state", sample.labels.get("kind", ""))),
+            ): sample
+            for family in text_string_to_metric_families(text)
+            for sample in family.samples
+        }
+        assert found["volcal_link_errors", ""].value == 2.0
+        assert found["volcal_trend_drift_per_night", "EXX[1]"].value == pytest.approx(0.4)
+        assert found["volcal_last_run_state", "complete"].value == 1.0
+        assert found["volcal_trend_alarms", "trend"].value == 1.0
+        assert found["volcal_last_success_timestamp_seconds", ""].value == pytest.approx(1794195000.0, abs=86400 * 40)
+
+
+class TestCommands:
+    @pytest.fixture
+    def config(self, state: Path, tmp_path: Path) -> Path:
+        for night in range(10):
+            journaled(state, night, 4.8 + 0.4 * night)
+        path = tmp_path / "volcal.toml"
+        roles = "\n".join(f'{role} = "twin"' for role in ROLES)
+        path.write_text(
+            f'machine = "{SETTINGS["machine"]}"\nartefact = "{SETTINGS["artefact"]}"\nstate_directory = "{state}"\n'
+            f'[devices.twin]\ndriver = "simulated"\n[devices.twin.options]\n'
+            f'scenario = "{Path(str(SETTINGS["machine"])).parents[1] / "simulators" / "case-study.toml"}"\n'
+            f"[roles]\n{roles}\n[stations]\nplaces_mm = [[700.0, 1000.0, 750.0]]\n"
+            f'[history.parameter_tolerances]\n"EXX[1]" = 12.0\n'
+        )
+        return path
+
+    def test_list(self, config: Path) -> None:
+        result = CliRunner().invoke(main, ["history", "list", "--config", str(config), "--last", "3", "--json"])
+        assert result.exit_code == 0, result.output
+        assert [run["run_id"] for run in json.loads(result.stdout)["runs"]] == [run_id(7), run_id(8), run_id(9)]
+
+    def test_trend_ends_with_4_where_it_warns(self, config: Path, tmp_path: Path) -> None:
+        figure = tmp_path / "trend.png"
+        call = ["history", "trend", "--config", str(config), "--of", "EXX", "--figure", str(figure), "--json"]
+        result = CliRunner().invoke(main, call)
+        assert result.exit_code == 4, result.output
+        assert {"EXX", "EXX[1]", "EXX[2]"} == {trend["name"] for trend in json.loads(result.stdout)["trends"]}
+        assert "limit 12 µm in" in result.stderr
+        assert figure.read_bytes().startswith(b"\x89PNG")
+
+    def test_export_and_sync(self, config: Path, tmp_path: Path) -> None:
+        out = tmp_path / "runs.csv"
+        assert CliRunner().invoke(main, ["history", "sync", "--config", str(config)]).exit_code == 0
+        result = CliRunner().invoke(main, ["history", "export", "--config", str(config), "--out", str(out)])
+        assert result.exit_code == 0, result.output
+        assert len(out.read_text().splitlines()) == 11
+
+
+def test_a_place_in_a_file(state: Path) -> None:
+    place = place_of(settings(state))
+    assert isinstance(place, Place)
+    assert place.is_file
+    assert place.machine == "case-study"
