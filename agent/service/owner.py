@@ -3,63 +3,31 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field
-from datetime import datetime
-from pathlib import Path
+from dataclasses import asdict
 from queue import Queue
 
 import structlog
 
-from agent.execution.run_lock import Ownership
 from agent.execution.states import RunState
-from agent.execution.steps import Step
-from agent.job import Job, naming, prepare_job
-from agent.kinds.kind import Kind, Ready
+from agent.job import naming, prepare_job
 from agent.kinds.restoration import ROLES, Restoration, kept_table
-from agent.resuming.resume import ResumeRequest, origin_of, require_resumable, resume
+from agent.resuming.resume import origin_of, require_resumable
 from agent.service import requests
 from agent.service.alarms import alarm_of
-from agent.service.board import Board, Standing
-from agent.service.bulletin import Bulletin
+from agent.service.board import Standing
 from agent.service.control import Event, Source, StartRequest, Status
-from agent.service.health import Health
-from agent.service.ordering import Devices, job_of, kind_of, require_within
-from agent.service.past import Past
+from agent.service.household import Household
+from agent.service.ordering import job_of, kind_of
+from agent.service.orders import Orders
 from agent.service.questions import Questions
 from agent.service.running import Running
-from agent.service.scenes import Scenes
-from agent.service.unattended import Circumstances, minutes_until_end, require_permission, require_warm
-from agent.session import Ended, Request, carry_out, new_run_id
+from agent.session import Ended, Request, new_run_id
 from agent.settings import Settings
-from drivers.clock import RealClock
 from drivers.errors import Busy, PermissionMissing, PlanRefused, UserError, VolcalError
 
 log = structlog.get_logger()
-S_PER_MIN = 60.0
-
-
-def here_and_now() -> Circumstances:
-    """The monotonic clock of Linux begins when the computer is switched on."""
-    return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
-
-
-@dataclass(frozen=True)
-class Household:
-    """What the owner works with. `config`: the settings file, for messages and for relative paths."""
-
-    config: Path
-    bulletin: Bulletin
-    board: Board
-    health: Health
-    ownership: Ownership
-    past: Past
-    scenes: Scenes = field(default_factory=Scenes)
-    devices: Devices = field(default_factory=Devices)
-    carry_out: Callable[[Request], Ended] = carry_out
-    go_on: Callable[[ResumeRequest], Ended] = resume
-    circumstances: Callable[[], Circumstances] = here_and_now
 
 
 class Owner:
@@ -70,6 +38,7 @@ class Owner:
         self._house = household
         self._board = household.board
         self._questions = Questions(self._board.ask)
+        self._orders = Orders(household, self._questions)
         self._changed = threading.Condition(threading.RLock())
         self._running: Running | None = None
         self._closing = False
@@ -94,7 +63,7 @@ class Owner:
             slot = self._slot_minutes(request)
             kind = kind_of(request, self.settings, slot)
             asked = {**asdict(request), "source": request.source.value}
-            ordered = self._ordered(running, job, kind, slot, asked, attended=request.consent)
+            ordered = self._orders.anew(running, job, kind, asked, attended=request.consent, slot_minutes=slot)
         except BaseException as error:
             self._not_started(request, error)
             raise
@@ -108,7 +77,7 @@ class Owner:
         try:
             kind = Restoration(run_id, next(known for known in ROLES if known == role))
             asked = {"source": source.value, "of_run": run_id, "role": role}
-            ordered = self._ordered(running, job, kind, None, asked, attended=True)
+            ordered = self._orders.anew(running, job, kind, asked, attended=True)
         except BaseException:
             self._release()
             raise
@@ -125,7 +94,7 @@ class Owner:
             self._release()
             raise
         running.run_id = run.run_id
-        ordered = self._resumption(source, running)
+        ordered = self._orders.going_on(running, source, self.settings)
         self._board.begins(run.run_id, run.kind, source, origin.settings.procedure.position_set)
         self._launch(running, lambda: self._house.go_on(ordered))
         return run.run_id
@@ -230,71 +199,13 @@ class Owner:
     def _slot_minutes(self, request: StartRequest) -> float | None:
         """Machine time there is; None: any. Without consent, whether anything may begin now is decided here."""
         self.reconcile()
-        slots = [request.slot_minutes, None if request.consent else self._permitted_minutes(self.settings)]
+        slots = [request.slot_minutes, None if request.consent else self._orders.permitted_minutes(self.settings)]
         return min((slot for slot in slots if slot is not None), default=None)
-
-    def _ordered(
-        self,
-        running: Running,
-        job: Job,
-        kind: Kind,
-        slot: float | None,
-        asked: Mapping[str, object],
-        *,
-        attended: bool,
-    ) -> Request:
-        house = self._house
-
-        def passed(ready: Ready) -> None:
-            house.scenes.rehearsed(running.run_id, ready)
-            require_within(ready, slot)
-
-        return Request(
-            job=job,
-            base=house.config.parent,
-            listener=self._board.hear,
-            interrupts=running.attach,
-            kind=kind,
-            clock=house.devices.make_clock(self.settings.clock),
-            rig=house.devices.asking(self._questions, attended=attended),
-            run_id=running.run_id,
-            asked=asked,
-            lock=house.ownership.for_run,
-            observer=self._observe,
-            passed=passed,
-        )
-
-    def _permitted_minutes(self, settings: Settings) -> float | None:
-        """Minutes until the permitted hours end, None for any number. Raises where nothing may begin by itself now."""
-        service, circumstances = settings.service, self._house.circumstances()
-        left = minutes_until_end(circumstances, service.hours)
-        require_warm(circumstances, service.warm_up_minutes)
-        require_permission(self._house.devices.machine_status(settings, self._house.config.parent))
-        return left
-
-    def _resumption(self, source: Source, running: Running) -> ResumeRequest:
-        house = self._house
-        return ResumeRequest(
-            state_directory=self.settings.state_directory,
-            listener=self._board.hear,
-            interrupts=running.attach,
-            clock=house.devices.make_clock(self.settings.clock),
-            rig=house.devices.asking(self._questions, attended=True),
-            asked={"source": source.value, "resumed": True},
-            lock=house.ownership.for_run,
-            observer=self._observe,
-            passed=lambda ready: house.scenes.rehearsed(running.run_id, ready),
-        )
 
     # ------------------------------------------------------------------ the run's thread
 
     def _launch(self, running: Running, carry_out: Callable[[], Ended]) -> None:
         threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True).start()
-
-    def _observe(self, step: Step, result: object) -> None:
-        self._house.health.beat()
-        structlog.contextvars.bind_contextvars(step=step.key)
-        self._board.see(step, result)
 
     def _work(self, run_id: str, carry_out: Callable[[], Ended]) -> None:
         self._house.health.beat()
@@ -324,7 +235,11 @@ class Owner:
     # ------------------------------------------------------------------
 
     def _standing(self) -> Standing:
-        return self._house.past.standing(self.settings, self._house.config.parent)
+        try:
+            return self._house.past.standing(self.settings, self._house.config.parent)
+        except Exception:  # figures to look at: the machine must be free again without them
+            log.exception("what the machine was left as is not known")
+            return Standing()
 
     def _require(self, what: str, why: str) -> None:
         status = self._board.status()

@@ -17,12 +17,13 @@ from agent.service.control import Control
 from agent.service.doors import opened
 from agent.service.extensions import further_doors, http_extensions
 from agent.service.health import Health
+from agent.service.household import Household
 from agent.service.http.app import create_app
 from agent.service.http.door import HttpDoor
 from agent.service.http.site import Site
 from agent.service.life import Life, heard_signals
 from agent.service.notify import Notifier
-from agent.service.owner import Household, Owner
+from agent.service.owner import Owner
 from agent.service.past import Past
 from agent.service.scenes import Scenes
 from agent.service.token import make_token, read_token, token_path

@@ -21,8 +21,9 @@ from agent.resuming.reconciliation import Done, Found, Reconciliation
 from agent.service.board import Board
 from agent.service.bulletin import Bulletin
 from agent.service.health import Health
+from agent.service.household import Household
 from agent.service.ordering import Devices
-from agent.service.owner import Household, Owner
+from agent.service.owner import Owner
 from agent.service.past import Past
 from agent.service.unattended import Circumstances
 from agent.session import Ended, Request

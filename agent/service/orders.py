@@ -1,0 +1,87 @@
+"""What `agent.session` is handed for a run of the service."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import structlog
+
+from agent.execution.steps import Step
+from agent.job import Job
+from agent.kinds.kind import Kind, Ready
+from agent.resuming.resume import ResumeRequest
+from agent.service.control import Source
+from agent.service.household import Household
+from agent.service.ordering import require_within
+from agent.service.questions import Questions
+from agent.service.running import Running
+from agent.service.unattended import minutes_until_end, require_permission, require_warm
+from agent.session import Request
+from agent.settings import Settings
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Every run is heard by the board, seen by the watchdog, held to its slot, and asks through the doors."""
+
+    house: Household
+    questions: Questions
+
+    def anew(
+        self,
+        running: Running,
+        job: Job,
+        kind: Kind,
+        asked: Mapping[str, object],
+        *,
+        attended: bool,
+        slot_minutes: float | None = None,
+    ) -> Request:
+        house = self.house
+
+        def passed(ready: Ready) -> None:
+            house.scenes.rehearsed(running.run_id, ready)
+            require_within(ready, slot_minutes)
+
+        return Request(
+            job=job,
+            base=house.config.parent,
+            listener=house.board.hear,
+            interrupts=running.attach,
+            kind=kind,
+            clock=house.devices.make_clock(job.settings.clock),
+            rig=house.devices.asking(self.questions, attended=attended),
+            run_id=running.run_id,
+            asked=asked,
+            lock=house.ownership.for_run,
+            observer=self._observe,
+            passed=passed,
+        )
+
+    def going_on(self, running: Running, source: Source, settings: Settings) -> ResumeRequest:
+        house = self.house
+        return ResumeRequest(
+            state_directory=settings.state_directory,
+            listener=house.board.hear,
+            interrupts=running.attach,
+            clock=house.devices.make_clock(settings.clock),
+            rig=house.devices.asking(self.questions, attended=True),
+            asked={"source": source.value, "resumed": True},
+            lock=house.ownership.for_run,
+            observer=self._observe,
+            passed=lambda ready: house.scenes.rehearsed(running.run_id, ready),
+        )
+
+    def permitted_minutes(self, settings: Settings) -> float | None:
+        """Minutes until the permitted hours end, None for any number. Raises where nothing may begin by itself now."""
+        service, circumstances = settings.service, self.house.circumstances()
+        left = minutes_until_end(circumstances, service.hours)
+        require_warm(circumstances, service.warm_up_minutes)
+        require_permission(self.house.devices.machine_status(settings, self.house.config.parent))
+        return left
+
+    def _observe(self, step: Step, result: object) -> None:
+        self.house.health.beat()
+        structlog.contextvars.bind_contextvars(step=step.key)
+        self.house.board.see(step, result)
