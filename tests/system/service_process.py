@@ -115,7 +115,7 @@ class Service:
         found: dict[str, Any] = wait_for(there, f"{states}", within_s)
         return found
 
-    def until(self, condition: Callable[[dict[str, Any]], Any], what: str) -> Any:
+    def until(self, condition: Callable[[dict[str, Any]], Any], what: str, within_s: float = PATIENCE_S) -> Any:
         """What `condition` finds in the status; a run that ends on the way is a failure."""
 
         def there() -> Any:
@@ -124,7 +124,7 @@ class Service:
             assert found or now["state"] not in ("faulted", "refused", "complete"), now
             return found
 
-        return wait_for(there, what)
+        return wait_for(there, what, within_s)
 
     def log(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in (self.directory / "log").read_text().splitlines() if line]
