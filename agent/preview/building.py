@@ -8,11 +8,12 @@ from itertools import groupby
 
 from agent.job import Job
 from agent.plans.measure import position_key
-from agent.preview.placing import TABLE, placing_of, standing_bodies
+from agent.preview.placing import placing_of, standing_bodies
 from agent.preview.refusal import refusal_of
 from agent.preview.scene import PathPoint, Placing, Preview, Refusal, Visit
 from agent.preview.walk import Waypoint, walk
 from drivers.errors import PlanRefused
+from twin.bodies import TABLE
 from twin.geometry import Box, point
 from twin.position_set import Position
 from twin.procedure import FEWEST_BALLS

@@ -44,7 +44,7 @@ def test_a_whole_run_over_both_stations_without_an_operator(out: Path) -> None:
 
 def kinds_of_steps(state: Path) -> dict[str, object]:
     """How often the operator was asked, and at which stations mounts were turned."""
-    with sqlite3.connect(next(state.glob("*.sqlite"))) as journal:
+    with sqlite3.connect(state / "journal.sqlite") as journal:
         asked = journal.execute("SELECT count(*) FROM steps WHERE kind = 'AskOperator'").fetchone()[0]
         keys = [key for (key,) in journal.execute("SELECT key FROM steps WHERE kind = 'OrientTo'")]
     stations = {int(part.removeprefix("station-")) for key in keys for part in key.split("/") if "station-" in part}
