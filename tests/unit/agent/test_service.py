@@ -5,10 +5,12 @@ from __future__ import annotations
 import io
 import json
 import os
+import signal
 import socket
 import zipfile
 from datetime import datetime
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 from hypothesis import given
@@ -23,6 +25,7 @@ from agent.service.control import Source, StartRequest
 from agent.service.diagnosis import REMOVED, diagnosis, without_secrets
 from agent.service.health import Health
 from agent.service.http.problems import problem_of
+from agent.service.life import Life
 from agent.service.notify import Notifier
 from agent.service.questions import Questions, ServiceOperator
 from agent.service.running import Running
@@ -180,6 +183,39 @@ def test_notifications_are_lines_of_one_datagram(tmp_path: Path, abstract: bool)
     notifier.send(WATCHDOG=1)  # nobody listens any more: no reason to stop
     assert Notifier({"WATCHDOG_USEC": "3000000", "WATCHDOG_PID": "1"}).watchdog_s is None
     Notifier({}).send(READY=1)
+
+
+class Told(Notifier):
+    """What systemd would have been told."""
+
+    def __init__(self) -> None:
+        super().__init__({"WATCHDOG_USEC": "3000000"})
+        self.messages: list[dict[str, str | int]] = []
+
+    def send(self, **assignments: str | int) -> None:
+        self.messages.append(assignments)
+
+
+@pytest.mark.parametrize("silent_s", [1.0, 31.0])
+def test_a_service_whose_engine_hangs_is_no_longer_fed(tmp_path: Path, silent_s: float) -> None:
+    clock, told, signals = VirtualClock(), Told(), SimpleQueue()
+    health = Health(clock.now, hung_after_s=30.0, computing_s=900.0)
+    clock.sleep(silent_s)
+    signals.put(signal.SIGHUP)
+    signals.put(signal.SIGTERM)
+    with house(tmp_path) as built:
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        built.puppet.enter(RunState.MEASURING)
+        built.owner.close = lambda _: True  # its own test is above
+        Life(built.owner, health, told, signals, tmp_path / "gone.toml").live()
+    fed = [message for message in told.messages if "WATCHDOG" in message]
+    assert bool(fed) is (silent_s < 30.0)
+    assert told.messages[0]["READY"] == 1
+    assert any("RELOADING" in message for message in told.messages)
+    assert any("not reloaded" in str(message.get("STATUS")) for message in told.messages)
+    assert any(str(message.get("STATUS")).startswith("the engine hangs") for message in told.messages) is not bool(fed)
+    assert told.messages[-1]["STOPPING"] == 1
 
 
 # ---------------------------------------------------------------------- events
