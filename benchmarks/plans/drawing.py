@@ -108,7 +108,7 @@ def draw(seed: int, directory: Path) -> Drawn:
 
 
 def _sizes(dice: Dice) -> Sizes:
-    length, balls = dice.between(300, 1800), dice.one_of(3, 3, 3, 4, 4, 6)
+    length, balls = dice.between(300, 1800), dice.one_of(3, 3, 3, 3, 4, 5)
     diameter = dice.between(8, 30)
     holder = dice.between(max(35.0, 1.5 * diameter), 120)
     tip = dice.between(1, 4)
@@ -195,18 +195,21 @@ def _artefact(sizes: Sizes) -> Document:
 def _procedure(dice: Dice, sizes: Sizes) -> Document:
     """Limits wide enough for the noise that is drawn; this is about motion."""
     approach = dice.between(1.5, 6)
-    touches = dice.one_of(*[5] * 20, 9, 9, 13, 25)
+    touches = dice.one_of(*[5] * 26, 9, 9, 13, 25)
     return {
         "procedure": {
             "touches_per_ball": touches,
-            "touch_feed_mm_per_min": dice.between(60, 600),
+            "touch_feed_mm_per_min": dice.between(150, 900),
             "approach_mm": approach,
             "search_mm": dice.between(1.5, 6),
             "wide_approach_mm": round(approach + dice.between(2, 6), 1),
             "wide_search_mm": dice.between(4, 10),
             "recentre_mm": dice.between(0.2, 0.6, 2),
             "retract_mm": round(sizes.ball_diameter + dice.between(10, 120), 1),
-            "touch_stages": dice.one_of(1, 2),
+            "touch_stages": dice.one_of(1, 1, 2),
+            "paths": dice.one_of("shortest", "shortest", "plain"),
+            "careful_feed_mm_per_min": dice.between(500, 6000),
+            "clearance_mm": dice.between(1, 5),
             "find_feed_mm_per_min": dice.between(600, 2000),
             "back_off_mm": dice.between(0.5, 2),
             "form_limit_um": 30.0,
@@ -215,8 +218,9 @@ def _procedure(dice: Dice, sizes: Sizes) -> Document:
             "radius_limit_um": 40.0,
             "drift_limit_um": 20.0,
         },
-        "probe_check": {"enabled": dice.chance(0.25), "touches": 3, "limit_um": 6.0},
-        "qualification": {"enabled": dice.chance(0.15)},
+        "probe_check": {"enabled": dice.chance(0.15), "touches": 3, "limit_um": 6.0},
+        "qualification": {"enabled": dice.chance(0.1)},
+        "reversal": {"enabled": dice.chance(0.1)},
     }
 
 
