@@ -113,7 +113,8 @@ def _unknown(connection: sqlite3.Connection, directory: Path, run_id: str) -> In
 
 
 def _record(connection: sqlite3.Connection, row: tuple[Any, ...]) -> RunRecord:
-    run = row[0]
+    """`row`: the first nine fields of the record, as the query above has them."""
+    run, run_id, kind, started, ended, state, reason, software, settings = row
 
     def all_of(query: str) -> list[Any]:
         return connection.execute(query, {"run": run}).fetchall()
@@ -121,7 +122,15 @@ def _record(connection: sqlite3.Connection, row: tuple[Any, ...]) -> RunRecord:
     first, last = all_of("SELECT min(begun), max(coalesce(finished, begun)) FROM steps WHERE run = :run")[0]
     estimates = all_of("SELECT record FROM estimates WHERE run = :run ORDER BY rowid DESC LIMIT 1")
     return RunRecord(
-        *row,
+        ordinal=run,
+        run_id=run_id,
+        kind=kind,
+        started=started,
+        ended=ended,
+        state=state,
+        reason=reason,
+        software=software,
+        settings_text=settings,
         decisions=_notes(all_of("SELECT at, kind, record FROM decisions WHERE run = :run ORDER BY rowid")),
         events=_notes(all_of("SELECT at, kind, record FROM events WHERE run = :run ORDER BY rowid")),
         questions=tuple(

@@ -28,7 +28,7 @@ class HistorySettings(Strict):
     warn_nights: PositiveInt = Field(default=14, le=365)
     ve_tolerance_um: PositiveFloat | None = None
     held_out_tolerance_um: PositiveFloat | None = None
-    parameter_tolerances: dict[Error, PositiveFloat] = Field(default_factory=dict)
+    parameter_tolerances: dict[Error, PositiveFloat] = Field(default={})
 
     def resolved(self, base: Path) -> Self:
         """The same with its path made absolute, starting from `base`."""

@@ -58,9 +58,9 @@ class HistoryStore:
             for table in _CHILDREN:
                 connection.execute(delete(table).where(table.machine == key["machine"], table.run_id == key["run_id"]))
             decisions = [{**row, "at": _moment(row["at"])} for row in fed.decisions]
-            for table, rows in zip(_CHILDREN, (fed.parameters, fed.temperatures, decisions), strict=True):
+            for child, rows in zip(_CHILDREN, (fed.parameters, fed.temperatures, decisions), strict=True):
                 if rows:
-                    connection.execute(insert(table), [{**key, **row} for row in rows])
+                    connection.execute(insert(child), [{**key, **row} for row in rows])
 
     def machines(self) -> tuple[str, ...]:
         with self._speaking(), Session(self._engine) as session:

@@ -88,8 +88,9 @@ def _panel(panel: Axes, curve: ErrorCurve | None, title: str) -> None:
     low_mm, high_mm = float(curve.position_mm[0]), float(curve.position_mm[-1])
     panel.set_xlim(low_mm, high_mm)
     panel.set_xticks([low_mm, 0.5 * (low_mm + high_mm), high_mm])
-    for label, side in zip(panel.get_xticklabels(), ("left", "center", "right"), strict=True):
-        label.set_horizontalalignment(side)  # so that numbers of neighbouring panels do not meet
+    first, _, last = panel.get_xticklabels()  # inwards, so that numbers of neighbouring panels do not meet
+    first.set_horizontalalignment("left")
+    last.set_horizontalalignment("right")
 
 
 def _reach(curves: Sequence[ErrorCurve], unit: str) -> float:

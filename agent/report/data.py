@@ -7,7 +7,7 @@ noticed. Sections whose value is None or empty are left out of the page.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 import numpy as np
@@ -64,8 +64,15 @@ class ArtefactFacts:
 
     @classmethod
     def of(cls, artefact: Artefact) -> Self:
-        names = [field.name for field in fields(cls)]
-        return cls(**{name: artefact.count if name == "balls" else getattr(artefact, name) for name in names})
+        return cls(
+            name=artefact.name,
+            certificate=artefact.certificate,
+            balls=artefact.count,
+            ball_diameter_mm=artefact.ball_diameter_mm,
+            reference_temperature_c=artefact.reference_temperature_c,
+            cte_per_k=artefact.cte_per_k,
+            cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
+        )
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,9 @@ _SVG = re.compile(r"<svg .*?</svg>", re.DOTALL)
 def render_pdf(page: str) -> bytes:
     """`page`: HTML of `render_report`. The same page gives the same bytes: no date is written, and the file's identity
     is that of its text. Nothing is fetched from anywhere. InputError where a part of it could not be drawn."""
-    from weasyprint import HTML  # noqa: PLC0415  half a second that only a PDF should cost
-    from weasyprint.urls import URLFetcher  # noqa: PLC0415
+    # half a second that only a PDF should cost
+    from weasyprint import HTML  # type: ignore[import-untyped]  # noqa: PLC0415
+    from weasyprint.urls import URLFetcher  # type: ignore[import-untyped]  # noqa: PLC0415
 
     style = resources.files("agent.report").joinpath("print.css").read_text(encoding="utf-8")
     fetcher = URLFetcher(allowed_protocols=("data",))
