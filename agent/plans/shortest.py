@@ -20,6 +20,10 @@ from twin.position_set import Position
 
 Array = NDArray[np.float64]
 
+PARKED_ASIDE_MM = ((0.0, 0.0, 0.0), *((0.0, 0.0, height) for height in (150.0, -150.0, 300.0, -300.0)))
+"""Other parking places, over and under an end of the bar that reaches into the way."""
+_PLACE = (0.0, 0.0, 0.0)
+
 
 @dataclass(eq=False)
 class _Pose:
@@ -157,12 +161,13 @@ class ShortestPilot:
         traffic, there, pose = self._traffic, self._there, self._known_pose
         if there is None or float(np.linalg.norm(there.off)) > traffic.roads.unknown_mm:
             return None
-        parked = self._course.parked(traffic.axes_at(pose.station, traffic.at(pose.stand, there.spot)), pose.station)
-        local = point(parked - traffic.axes_at(pose.station, (0.0, 0.0, 0.0)))
-        way = traffic.to_place(pose.stand, there.spot, local)
-        if way is None:
-            return None
-        return [traffic.axes_at(pose.station, corner) + there.off for corner in way.corners], parked
+        spot = traffic.axes_at(pose.station, traffic.at(pose.stand, there.spot))
+        for aside in PARKED_ASIDE_MM:
+            parked = self._course.parked(spot + np.array(aside), pose.station)
+            way = traffic.to_place(pose.stand, there.spot, point(parked - traffic.axes_at(pose.station, _PLACE)))
+            if way is not None:
+                return [traffic.axes_at(pose.station, corner) + there.off for corner in way.corners], parked
+        return None
 
     # ------------------------------------------------------------------ at a ball
 

@@ -298,6 +298,7 @@ class Traffic:
         if key not in self._ways:
             first = self.at(stand, spot)
             corners = self._corners(stand, spot, waiting, LEAVES_BY_MM)
+            corners.append(_square(first, waiting, spot))
             apart_mm = self.roads.clearance_mm + self.roads.unknown_mm
             near_mm = min(apart_mm, max(spot.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
             near = {(body, ball_name(spot.ball)): near_mm for body in (TIP, "stem")}
@@ -390,6 +391,14 @@ def rounded_up(uncertain_mm: float) -> float:
 
 def _angles(stand: Stand) -> tuple[float, float]:
     return stand.azimuth_deg, stand.elevation_deg
+
+
+def _square(first: Point, last: Point, start: Spot) -> Array:
+    """(1, k, 3): off the surface, straight back, up, then across: past an end that reaches out between both."""
+    beside = point(np.array(first) - LEAVES_BY_MM * np.array(start.direction)) if start.touching else first
+    low = min(beside[1], last[1])
+    out = [(beside[0], low, beside[2]), (beside[0], low, last[2])]
+    return np.array([[beside, *out] if start.touching else out])
 
 
 def _leaving(first: Point, last: Point, corners: Array, start: Spot) -> Array:

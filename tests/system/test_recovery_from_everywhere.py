@@ -37,8 +37,8 @@ def state() -> Iterator[Path]:
 
 
 class Interrupted:
-    """Carries a plan out; of the steps that move, each `EVERY`-th is also stopped on the way and at its end, on a machine that is a
-    copy, and left from there."""
+    """Carries a plan out. Of the steps that move, each `EVERY`-th is also stopped, on the way and at its end, on a copy
+    of the machine, and left from there."""
 
     def __init__(self, job: Job, rig: Rig) -> None:
         self._job, self._rig = job, rig

@@ -16,7 +16,7 @@ from agent.designing.vetting import Vetting
 from agent.job import Job
 from agent.plans.measure import position_key
 from agent.rehearsal import rehearse
-from agent.timing import machine_minutes
+from agent.timing import as_listed, machine_minutes
 from drivers.errors import ConfigurationError, InputError, PlanRefused
 from twin.design.candidates import Candidates, candidates_of
 from twin.design.goals import Positions, Slot
@@ -103,19 +103,30 @@ def test_the_valuation_is_one_less_the_share_of_the_error_that_stays():
     assert valuation_of(job, positions_of("S3", 4)).percent == pytest.approx(69.0, abs=2.0)
 
 
-def test_vetting_gives_the_verdict_of_the_preflight():
+REFUSED = [(-90.0, -30.0), (60.0, 15.0), (-60.0, -15.0), (90.0, -30.0)]
+PASSED = [(0.0, 0.0), (45.0, 0.0), (90.0, 45.0), (-60.0, 0.0), (0.0, -75.0)]
+
+
+def test_vetting_gives_the_verdict_of_the_preflight_on_plain_ways():
     """Orientations at which the preflight was seen to stop, and some at which it passes."""
-    vetting = Vetting(case())
-    refused = [(-90.0, -30.0), (60.0, 15.0), (-60.0, -15.0), (90.0, -30.0)]
-    passed = [(0.0, 0.0), (45.0, 0.0), (90.0, 45.0), (-60.0, 0.0), (0.0, -75.0)]
-    for azimuth, elevation in (*refused, *passed):
+    job = as_listed(case())
+    vetting = Vetting(job)
+    for azimuth, elevation in (*REFUSED, *PASSED):
         position = Position(1, azimuth, elevation)
-        assert bool(vetting.hit(position)) is (not _rehearsed(position)) is ((azimuth, elevation) in refused)
+        assert bool(vetting.hit(position)) is (not _rehearsed(job, position)) is ((azimuth, elevation) in REFUSED)
 
 
-def _rehearsed(position: Position) -> bool:
+def test_ways_that_are_proved_pass_where_plain_ones_would_hit():
+    vetting = Vetting(case())
+    for azimuth, elevation in (*REFUSED, *PASSED):
+        position = Position(1, azimuth, elevation)
+        assert vetting.hit(position) == ""
+        assert _rehearsed(case(), position)
+
+
+def _rehearsed(job: Job, position: Position) -> bool:
     try:
-        rehearse(replace(case(), positions=(position,), held_out=(Position(1, 30.0, 30.0),)))
+        rehearse(replace(job, positions=(position,), held_out=(Position(1, 30.0, 30.0),)))
     except PlanRefused:
         return False
     return True

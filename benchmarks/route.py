@@ -1,0 +1,53 @@
+"""Ways and orders: minutes of a plan before and after, and what finding them costs; one JSON line with `--json`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from time import process_time
+
+from agent.case import CASE_STUDY, load_case
+from agent.job import Job, load_settings, prepare_job, with_overrides
+from agent.rehearsal import whole_procedure
+from agent.time_model import S_PER_MIN
+from agent.timing import as_listed, walked
+
+SETS = ("S3", "S1+S2+S3")
+
+
+def minutes(job: Job) -> float:
+    return sum(timed.seconds for timed in walked(job, whole_procedure(job))[1]) / S_PER_MIN
+
+
+def run() -> dict[str, float]:
+    """`cpu_s`: of a first plan, ways sought; `again_s`: of a second one, which finds them known."""
+    load_case(CASE_STUDY)
+    found: dict[str, float] = {}
+    for name in SETS:
+        job = prepare_job(with_overrides(load_settings(CASE_STUDY), position_set=name), CASE_STUDY.parent)
+        began = process_time()
+        after = minutes(job)
+        sought_s, began = process_time() - began, process_time()
+        minutes(job)
+        again_s = process_time() - began
+        before = minutes(as_listed(job))
+        found |= {
+            f"{name} minutes_as_listed": before,
+            f"{name} minutes": after,
+            f"{name} share": after / before,
+            f"{name} seeking_in_walks": sought_s / again_s,
+            f"{name} seeking_s": sought_s - again_s,
+        }
+    return found
+
+
+def main() -> None:
+    for name, value in run().items():
+        print(f"{name:32s} {value:10.3f}")
+
+
+if __name__ == "__main__":
+    if "--json" in sys.argv:
+        print(json.dumps({name: round(value, 4) for name, value in run().items()}))
+    else:
+        main()
