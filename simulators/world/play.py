@@ -29,8 +29,8 @@ class Play:
         self._scatter: Point = ZERO
 
     def after(self, start: Point, end: Point, step: int | None = None) -> Point:
-        """(3,) mm by which the tip is off during and after a motion between two axis positions. `step`: a counter of the
-        noise in place of that of the motions."""
+        """(3,) mm by which the tip is off during and after a motion between two axis positions. `step`: a counter of
+        the noise in place of that of the motions."""
         self._motions += 1
         if self._idle:
             return ZERO
