@@ -14,6 +14,7 @@ seen within a position alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,9 @@ class MachineDrift:
     ways: int
 
     @classmethod
-    def of(cls, model: ErrorModel, prior: DriftPrior, ways: int, free: Array) -> MachineDrift:
+    def of(
+        cls, model: ErrorModel, prior: DriftPrior, ways: int, free: np.ndarray[Any, np.dtype[np.bool_]]
+    ) -> MachineDrift:
         """`free` (p,) bool: parameters that are not held at zero."""
         drifting = [(place, one) for place, one in enumerate(model.parameters) if _drifts(one) and free[place]]
         deviations = [_per_k(prior, one) * _lever_mm(model, one) for _, one in drifting]
