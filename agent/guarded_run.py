@@ -12,6 +12,7 @@ from agent.conduct import Conduct
 from agent.execution.engine import Engine
 from agent.execution.journal import RunJournal
 from agent.execution.states import RunState
+from agent.execution.steps import Step
 from agent.execution.supervisor import Supervisor
 from agent.findings import Finding
 from agent.gates import Gate
@@ -114,6 +115,9 @@ class GuardedRun(ABC):
         prepared = self.progress.prepared = self._engine.run(self._job.preparing())
         record_probe(self._journal, prepared)
         return prepared
+
+    def require_time(self, following: Step) -> None:
+        """Asked when a run that broke off is about to move again; PlanRefused where it is too late for `following`."""
 
     @property
     def activation(self) -> Activation:

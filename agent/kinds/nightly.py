@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from agent.consent import Consent
 from agent.drifting import balls_for_estimate, going_on, observed
 from agent.execution.states import RunState
+from agent.execution.steps import Step
 from agent.files import translated
 from agent.findings import Finding, find
 from agent.gates import Gate, change_gate, estimate_gates, shape_gates
@@ -39,7 +40,7 @@ from agent.plans.measure import Measured
 from agent.plans.position import MeasuredBall
 from agent.rehearsal import Rehearsal, rehearse
 from agent.run import CalibrationRun
-from drivers.errors import MeasurementFault
+from drivers.errors import MeasurementFault, PlanRefused
 from twin.position_set import Position
 
 DIAGNOSIS = "diagnosis"
@@ -134,6 +135,19 @@ class NightlyRun(CalibrationRun):
         while further and needed > self._left_minutes:
             needed -= self._chooser.minutes([further.pop()])
         return tuple(further)
+
+    def require_time(self, following: Step) -> None:
+        """A slot goes on while nothing runs. What was measured for the verification is of use only if the rest of it
+        can be measured too."""
+        at_s = self._rehearsal.timeline.get(following.key)
+        needed = 0.0 if at_s is None else (self._rehearsal.machine_seconds - at_s) / S_PER_MIN
+        needed -= self._rehearsed_after(LOOK)
+        if max(needed, 0.0) > self._left_minutes or self._left_minutes <= 0.0:
+            raise PlanRefused(
+                f"the night cannot be gone on with: {self._left_minutes:.1f} min are left of its slot of "
+                f"{self._slot.minutes:g} min, the verification alone needs {max(needed, 0.0):.1f} min more",
+                hint="wait for the next night; what was measured stays in the journal",
+            )
 
     def _rehearsed_after(self, prefix: str) -> float:
         """Minutes from the end of a part of the night to the end of all, by the rehearsal."""

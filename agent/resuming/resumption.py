@@ -82,6 +82,7 @@ class Resumption:
             known.replay.trace,
             aside,
             lambda: run.rules,
+            run.require_time,
             conduct,
             known.clock,
             self._time_s(),

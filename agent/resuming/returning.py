@@ -39,6 +39,7 @@ class Returning:
         trace: Trace,
         aside: Engine,
         rules: Callable[[], PositionRules],
+        require_time: Callable[[Step], None],
         conduct: Conduct,
         clock: ResumedClock,
         time_s: float,
@@ -49,6 +50,7 @@ class Returning:
         self._trace = trace
         self._aside = aside
         self._rules = rules
+        self._require_time = require_time
         self._conduct = conduct
         self._clock = clock
         self._time_s = time_s
@@ -60,6 +62,7 @@ class Returning:
 
     def machine(self, following: Step) -> None:
         self._at_rest()
+        self._require_time(following)
         if isinstance(following, (MoveTo, TouchTowards)):
             self._trace.came.begins(following.target_mm, touch=isinstance(following, TouchTowards))
         self._rig.last_motion = self._trace.came

@@ -18,6 +18,16 @@ RESUMABLE_FAULTS = frozenset(
 """Errors that came from outside the measurement: what was measured before them is as good as it was. After any other
 fault something about machine, artefact or procedure is not as assumed."""
 
+_LAST = (
+    "SELECT run, run_id, kind, started, ended, state, coalesce(reason, '') FROM runs WHERE run IN "
+    "(SELECT run FROM steps UNION SELECT run FROM origins WHERE begun_s IS NOT NULL) ORDER BY run DESC"
+)
+_LAST_OF_OLD = (
+    "SELECT run, run_id, kind, started, ended, state, coalesce(reason, '') FROM runs WHERE run IN "
+    "(SELECT run FROM steps) ORDER BY run DESC"
+)
+"""The last run that did anything: one that was refused before it began hides none that broke off."""
+
 
 @dataclass(frozen=True)
 class UnfinishedRun:
@@ -59,11 +69,7 @@ def unfinished_run(state_directory: Path) -> UnfinishedRun | None:
 
 
 def _last(connection: sqlite3.Connection) -> UnfinishedRun | None:
-    begun = "OR run IN (SELECT run FROM origins WHERE begun_s IS NOT NULL)" if _has_origins(connection) else ""
-    row = connection.execute(
-        "SELECT run, run_id, kind, started, ended, state, coalesce(reason, '') FROM runs "
-        f"WHERE EXISTS (SELECT 1 FROM steps WHERE steps.run = runs.run) {begun} ORDER BY run DESC LIMIT 1"
-    ).fetchone()
+    row = connection.execute(_LAST if _has_origins(connection) else _LAST_OF_OLD).fetchone()
     if row is None:
         return None
     run, run_id, kind, started, ended, state_name, reason = row

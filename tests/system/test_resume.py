@@ -1,0 +1,328 @@
+"""A run that lost its link, gone on with or given up: what is measured stays, and either table acts, complete."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nights import Night, memory_directory, rows, short_document
+from test_whole_run_broken_off import FORMER, Cut, with_device
+
+from agent.assembly import assemble
+from agent.execution.states import RunState
+from agent.kinds import nightly
+from agent.outcome import Decision
+from agent.resuming.giving_up import give_up
+from agent.resuming.reconcile import reconcile
+from agent.resuming.reconciliation import Done, Found
+from agent.resuming.resume import ResumeRequest, resume
+from agent.resuming.unfinished import unfinished_run
+from agent.rig import Rig
+from agent.session import Ended
+from agent.settings import Settings
+from drivers.clock import VirtualClock
+from drivers.errors import InputError, LinkLost, MeasurementFault, NotActiveYet, PlanDiverged, PlanRefused
+from drivers.roles import Activation, Permission, StoreLimits
+
+IN_A_BALL = ("touch_towards", 150)
+IN_THE_PROOF = ("touch_towards", 290)
+
+
+STATE = Path("state")
+"""Relative: a copy of its directory is gone on with by changing into it."""
+
+
+@dataclass
+class Broken:
+    """A run that lost its link, and the machine as it was left."""
+
+    night: Night
+
+    def copied(self, monkeypatch: pytest.MonkeyPatch, directory: Path) -> Broken:
+        """The same for one test alone, which is then the working directory."""
+        shutil.copytree(Path.cwd(), directory / "copy")
+        monkeypatch.chdir(directory / "copy")
+        night = Night(monkeypatch)
+        night.world = copy.deepcopy(self.night.world)
+        return Broken(night)
+
+    def resume(self) -> Ended:
+        with self.night.in_place():
+            return resume(ResumeRequest(STATE, self.night.heard.append, lambda _: None, files=False))
+
+    @property
+    def rig(self) -> Rig:
+        """The machine, open, on a clock of its own."""
+        made = assemble(Settings.model_validate(document()), VirtualClock(), Path.cwd())
+        rig = self.night._with_first_world(made)
+        rig.open()
+        return rig
+
+
+def document() -> dict[str, Any]:
+    settings = short_document(STATE)
+    settings["devices"]["twin"]["options"]["noise_by_step"] = True
+    return settings
+
+
+def broken_at(place: tuple[str, int]) -> Broken:
+    def lose() -> None:
+        raise LinkLost("connection reset", link="127.0.0.1:502")
+
+    def tamper(rig: Rig) -> Rig:
+        rig.store.stage(1, FORMER)
+        rig.store.activate(1)
+        return with_device(rig, Cut(rig.devices["twin"], *place, lose))
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        night = Night(monkeypatch, tamper=tamper)
+        ended = night.run(document(), files=False)
+    assert isinstance(ended.error, LinkLost), ended
+    return Broken(night)
+
+
+@contextmanager
+def working_in(directory: Path) -> Iterator[None]:
+    former = Path.cwd()
+    os.chdir(directory)
+    try:
+        yield
+    finally:
+        os.chdir(former)
+
+
+@pytest.fixture(scope="module")
+def lost_measuring() -> Iterator[tuple[Path, Broken]]:
+    with memory_directory() as directory, working_in(Path(directory)):
+        yield Path(directory), broken_at(IN_A_BALL)
+
+
+@pytest.fixture(scope="module")
+def lost_proving() -> Iterator[tuple[Path, Broken]]:
+    with memory_directory() as directory, working_in(Path(directory)):
+        yield Path(directory), broken_at(IN_THE_PROOF)
+
+
+@pytest.fixture
+def measuring(lost_measuring, monkeypatch, tmp_path: Path) -> Broken:
+    monkeypatch.chdir(lost_measuring[0])
+    return lost_measuring[1].copied(monkeypatch, tmp_path)
+
+
+@pytest.fixture
+def proving(lost_proving, monkeypatch, tmp_path: Path) -> Broken:
+    monkeypatch.chdir(lost_proving[0])
+    return lost_proving[1].copied(monkeypatch, tmp_path)
+
+
+def test_what_is_measured_is_not_measured_again(measuring: Broken) -> None:
+    unfinished = unfinished_run(STATE)
+    assert unfinished is not None
+    assert unfinished.resumable
+    assert unfinished.state is RunState.FAULTED
+    before = rows(STATE, "SELECT key, record FROM balls ORDER BY ordinal")
+    assert len(before) == unfinished.balls > 0
+    ended = measuring.resume()
+    assert ended.error is None
+    assert ended.outcome.state is RunState.COMPLETE
+    assert ended.outcome.run_id == unfinished.run_id
+    assert rows(STATE, "SELECT key, record FROM balls ORDER BY ordinal")[: len(before)] == before
+    assert rows(STATE, "SELECT key FROM balls GROUP BY key HAVING count(*) > 1") == []
+    assert rows(STATE, "SELECT key FROM touches GROUP BY key HAVING count(*) > 1") == []
+    [(moved,)] = rows(STATE, "SELECT record FROM events WHERE record LIKE '%resume-1/datum/found%'")
+    assert np.linalg.norm(json.loads(moved)["moved_um"]) < 5.0
+    assert measuring.night.active == 2
+    assert unfinished_run(STATE) is None
+
+
+def test_a_file_that_has_changed_is_refused_by_name(lost_measuring, measuring: Broken) -> None:
+    positions = lost_measuring[0] / "two-positions.csv"
+    former = positions.read_text()
+    positions.write_text(f"{former}1,90,0\n")
+    try:
+        with pytest.raises(PlanDiverged) as refused:
+            measuring.resume()
+    finally:
+        positions.write_text(former)
+    assert refused.value.where["file"].endswith("two-positions.csv")
+    assert unfinished_run(STATE) is not None
+
+
+def test_a_plan_that_diverges_names_both_keys_and_moves_nothing(measuring: Broken) -> None:
+    """As another version might: one recorded step has another key."""
+    with sqlite3.connect(STATE / "journal.sqlite") as connection:
+        connection.execute("UPDATE steps SET key = 'measure/elsewhere' WHERE key LIKE 'measure/%/orient'")
+    connection.close()
+    ended = measuring.resume()
+    assert isinstance(ended.error, PlanDiverged)
+    assert ended.error.where["recorded"] == "measure/elsewhere"
+    assert ended.error.where["asked"].endswith("/orient")
+    assert ended.outcome.state is RunState.FAULTED
+    assert rows(STATE, "SELECT key FROM steps WHERE key LIKE 'resume-%' OR key = 'recover/withdraw'") == []
+    assert measuring.night.active == 1
+
+
+def test_an_artefact_that_was_moved_is_noticed_before_anything_is_mixed(measuring: Broken) -> None:
+    world = measuring.night.world
+    assert world is not None
+    world.place_artefact(1)
+    ended = measuring.resume()
+    assert isinstance(ended.error, MeasurementFault)
+    assert "since the run broke off" in str(ended.error)
+    assert measuring.night.active == 1
+    assert unfinished_run(STATE) is None
+
+
+def test_a_run_that_was_aborted_is_not_gone_on_with(measuring: Broken) -> None:
+    result = give_up(measuring.rig, STATE, "test")
+    assert result.done is Done.NOTHING
+    assert rows(STATE, "SELECT state, ended IS NOT NULL FROM runs") == [("aborted", 1)]
+    with pytest.raises(InputError, match="no run to go on with"):
+        measuring.resume()
+
+
+def test_an_unproved_table_is_taken_back_and_the_run_can_still_prove_it(proving: Broken) -> None:
+    assert proving.night.active == 2
+    with_rig = proving.rig
+    found = reconcile(with_rig, STATE, restore=False)
+    assert (found.found, found.done, proving.night.active) == (Found.UNPROVED, Done.LEFT, 2)
+    restored = reconcile(with_rig, STATE)
+    assert (restored.found, restored.done, proving.night.active) == (Found.UNPROVED, Done.RESTORED, 1)
+    assert reconcile(with_rig, STATE).found is Found.NOT_ACTIVATED
+    ended = proving.resume()
+    assert ended.error is None
+    assert ended.outcome.proof is not None and ended.outcome.proof.accepted
+    assert proving.night.active == 2
+    assert reconcile(proving.rig, STATE).found is Found.AS_EXPECTED
+    assert rows(STATE, "SELECT count(*) FROM steps WHERE key = 'publish/stage'") == [(1,)]
+
+
+def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken) -> None:
+    ended = proving.night.run(document(), files=False)
+    assert isinstance(ended.error, PlanRefused)
+    assert "volcal resume" in str(ended.error)
+    unfinished = unfinished_run(STATE)
+    assert unfinished is not None and unfinished.run == 1
+    result = give_up(proving.rig, STATE, "test")
+    assert (result.done, proving.night.active) == (Done.RESTORED, 1)
+    assert unfinished_run(STATE) is None
+
+
+def test_a_door_that_is_open_keeps_the_compensation_as_it_is(proving: Broken) -> None:
+    world = proving.night.world
+    assert world is not None
+    world.controller.given[Permission.DOORS_CLOSED] = False
+    result = reconcile(proving.rig, STATE)
+    assert (result.done, proving.night.active) == (Done.LEFT, 2)
+    assert "doors closed" in result.person
+
+
+def test_a_table_that_somebody_else_made_act_is_told_and_left(proving: Broken) -> None:
+    world = proving.night.world
+    assert world is not None
+    world.controller.activate(0)
+    result = reconcile(proving.rig, STATE)
+    assert (result.found, result.done, proving.night.active) == (Found.CHANGED, Done.LEFT, 0)
+
+
+class Late:
+    """A store whose controller makes a bank act only when it is switched off and on."""
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+        self.waiting: int | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+    def store_limits(self) -> StoreLimits:
+        return replace(self._device.store_limits(), activation=Activation.POWER_CYCLE)
+
+    def activate(self, bank: int) -> None:
+        self.waiting = bank
+
+    def pending_bank(self) -> int | None:
+        return self.waiting
+
+    def switched_off_and_on(self) -> None:
+        if self.waiting is not None:
+            self._device.activate(self.waiting)
+            self.waiting = None
+
+
+def test_a_table_that_waits_for_a_restart_is_completed_by_the_next_start(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    stores: list[Late] = []
+
+    def tamper(rig: Rig) -> Rig:
+        if not stores:
+            stores.append(Late(rig.devices["twin"]))
+        return replace(rig, store=stores[0])
+
+    broken = Broken(Night(monkeypatch, tamper=tamper))
+    ended = broken.night.run(document(), files=False)
+    assert isinstance(ended.error, NotActiveYet)
+    assert ended.outcome.state is RunState.WRITTEN
+    assert "switched off and on" in str(ended.error)
+    assert rows(STATE, "SELECT state, ended FROM runs") == [("written, not active", None)]
+    rig = tamper(broken.rig)
+    waiting = reconcile(rig, STATE)
+    assert (waiting.found, waiting.done, waiting.waiting_bank) == (Found.WAITING, Done.LEFT, stores[0].waiting)
+    assert "switch the controller off and on" in waiting.person
+    early = broken.resume()
+    assert isinstance(early.error, NotActiveYet)
+    assert early.outcome.state is RunState.WRITTEN
+    stores[0].switched_off_and_on()
+    ended = broken.resume()
+    assert ended.error is None
+    assert ended.outcome.state is RunState.COMPLETE
+    assert ended.outcome.proof is not None
+    assert ended.outcome.proof.accepted
+    assert rows(STATE, "SELECT count(*) FROM steps WHERE kind = 'ActivateBank'") == [(1,)]
+    assert reconcile(rig, STATE).found is Found.AS_EXPECTED
+
+
+@pytest.mark.timeout(180)
+def test_a_night_goes_on_while_its_slot_lasts(monkeypatch, tmp_path: Path) -> None:
+    (tmp_path / "night").mkdir()
+    monkeypatch.chdir(tmp_path / "night")
+    wide = {"slot_minutes": 30.0, "looked_at": 1, "largest_chi2": 4.0, "largest_growth": 20.0, "step_evidence": 30.0}
+    settings = short_document(STATE, nightly=wide, identification={"order": 4}, clock={"kind": "real"})
+    broken = Broken(Night(monkeypatch))
+    assert broken.night.run(settings, files=False).outcome.state is RunState.COMPLETE
+
+    def lose() -> None:
+        raise LinkLost("connection reset", link="127.0.0.1:502")
+
+    broken.night.tamper = lambda rig: with_device(rig, Cut(rig.devices["twin"], "touch_towards", 150, lose))
+    ended = broken.night.run(settings, files=False, kind=nightly.Night(nights=1.0))
+    assert isinstance(ended.error, LinkLost)
+    in_the_morning = broken.copied(monkeypatch, tmp_path)
+    earlier = (datetime.now(UTC) - timedelta(hours=10)).isoformat(timespec="milliseconds")
+    with closing(sqlite3.connect(STATE / "journal.sqlite")) as connection, connection:
+        connection.execute("UPDATE origins SET begun_at = ? WHERE run = 2", (earlier,))
+    late = in_the_morning.resume()
+    assert isinstance(late.error, PlanRefused)
+    assert "are left of its slot" in str(late.error)
+    assert rows(STATE, "SELECT count(*) < 150 FROM touches WHERE run = 2") == [(1,)]
+
+    monkeypatch.chdir(tmp_path / "night")
+    broken.night.tamper = lambda rig: rig
+    went_on = broken.resume()
+    assert went_on.error is None
+    assert went_on.outcome.night is not None
+    assert went_on.outcome.night.nights == 1.0
+    assert went_on.outcome.night.decision in (Decision.WRITTEN, Decision.FUSED)
+    assert rows(STATE, "SELECT count(*) > 150 FROM touches WHERE run = 2") == [(1,)]
+    assert rows(STATE, "SELECT run, key FROM touches GROUP BY run, key HAVING count(*) > 1") == []

@@ -1,0 +1,22 @@
+"""Breaking off at an instant of a step, going on, comparing every digit: a few of the breaks of `benchmarks.resume`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.timeout(180)
+def test_breaks_leave_no_trace_in_any_figure() -> None:
+    command = [sys.executable, "-m", "benchmarks.resume", "--every", "131"]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=170, check=False)
+    found = json.loads(result.stdout.splitlines()[-1])
+    assert (found["differing"], found["first"]) == (0, [])
+    assert result.returncode == 0, result.stderr
+    assert found["breaks"] > 15
