@@ -140,7 +140,7 @@ def travel_times(
     reached = np.sqrt(accelerating)
     # With a = L / accelerating and v = L / cruising: a ramp lasts v / a, and beyond two of them the axis cruises.
     ramp = np.divide(accelerating, cruising, out=np.zeros_like(accelerating), where=cruising > 0.0)
-    return np.where(reached <= ramp, 2.0 * reached, cruising + ramp)
+    return np.asarray(np.where(reached <= ramp, 2.0 * reached, cruising + ramp))
 
 
 def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[float, float, float]:
