@@ -66,7 +66,8 @@ class Memory:
         real, address = sqlite3.connect, "file:volcal-aborts?mode=memory&cache=shared"
 
         def connect(_: object, **options: Any) -> sqlite3.Connection:
-            return real(address, **{**options, "uri": True})
+            opened: sqlite3.Connection = real(address, **{**options, "uri": True})
+            return opened
 
         sqlite3.connect = connect  # type: ignore[assignment]
         return cls(real(address, uri=True, isolation_level=None), real)

@@ -140,7 +140,7 @@ def _through() -> list[Bad]:
 
 def _order() -> list[Bad]:
     def twice(step: s.Step) -> Iterable[s.Step]:
-        return step, replace(step, key="mutated/again")  # type: ignore[arg-type]
+        return step, replace(step, key="mutated/again")
 
     def as_move(step: s.Step) -> Iterable[s.Step]:
         assert isinstance(step, s.TouchTowards)
