@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import structlog
 
-from agent.execution.journal import FILE_NAME
+from agent.execution.journal import FILE_NAME, Journal
 from agent.execution.states import FINAL, RunState
 from agent.job import prepare_job
 from agent.kinds.judging import Judge
@@ -76,16 +76,18 @@ class Past:
         return LeftBehind(RunState.FAULTED, run_id, kind, Alarm(BROKEN_OFF_CODE, text, hint))
 
     def acknowledge(self, run_id: str | None) -> None:
-        """Durable when it returns. JournalFailed where it cannot be written."""
+        """Durable when it returns, and aside from the procedure, so that the run can be gone on with. JournalFailed
+        where it cannot be written."""
         path = self.directory / FILE_NAME
         if run_id is None or not path.is_file():
             return
+        Journal(self.directory).close()  # one of an older version is brought up to date
         try:
             with closing(sqlite3.connect(path, timeout=2.0)) as connection, connection:
                 connection.execute("PRAGMA synchronous=FULL")
                 connection.execute(
-                    "INSERT INTO events (run, at, kind, record) "
-                    "SELECT run, ?, 'acknowledged', '{}' FROM runs WHERE run_id = ?",
+                    "INSERT INTO events (run, at, kind, record, aside) "
+                    "SELECT run, ?, 'acknowledged', '{}', 1 FROM runs WHERE run_id = ?",
                     (utc_timestamp(), run_id),
                 )
         except sqlite3.Error as error:
