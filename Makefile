@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts bench nights schema clean
+.PHONY: setup run test check lint types contracts bench nights plans bad-plans aborts schema clean
 
 setup: $(STAMP)
 
@@ -38,6 +38,19 @@ bench: setup
 NIGHTS ?= 30
 nights: setup
 	$(BIN)/python -m benchmarks.nights --nights $(NIGHTS)
+
+# Random valid plans rehearsed, run with errors and broken off; bad plans, each refused for the right reason; one run
+# broken off at each step. Each ends with one line of JSON.
+COUNT ?= 10000
+SEED ?= 1
+plans: setup
+	$(BIN)/python -m benchmarks.plans --count $(COUNT) --seed $(SEED) --workers 2
+
+bad-plans: setup
+	$(BIN)/python -m benchmarks.bad_plans
+
+aborts: setup
+	$(BIN)/python -m benchmarks.aborts --workers 2
 
 schema: setup
 	mkdir -p config/schema
