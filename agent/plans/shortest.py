@@ -130,7 +130,7 @@ class ShortestPilot:
         else:
             corners, end = way
         for number, corner in enumerate(corners):
-            yield MoveTo(f"{key}/out-{number}", point(corner))
+            yield MoveTo(f"{key}/away-{number}", point(corner))
         yield MoveTo(f"{key}/leave", point(end))
         return end
 
