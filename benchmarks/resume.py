@@ -119,6 +119,8 @@ def compared(every: int, moments: Sequence[str], only: str = "") -> dict[str, An
             breaks.conclude()
             os._exit(0)
         assert ended is not None
+        if ended.error is not None:
+            raise ended.error
         through = json.loads(json.dumps(signature(machine)))
         differing = [found for found in _differences(breaks, through) if found]
         return {
