@@ -58,6 +58,10 @@ class Board:
 
     # ------------------------------------------------------------------ between runs
 
+    def belongs_to(self, machine: str) -> None:
+        """Another machine file, of the runs to come."""
+        self._change(machine=machine)
+
     def stands(self, standing: Standing) -> None:
         self._change(**vars(standing))
 
@@ -155,6 +159,8 @@ class Board:
     # ------------------------------------------------------------------
 
     def _see_record(self, step: Record) -> None:
+        if step.key.endswith("/lost"):
+            self.bulletin.publish("lost", step.key, step.payload)
         if step.kind != "ball":
             return
         self._change(step=step.key, balls=self._status.balls + 1)

@@ -104,7 +104,8 @@ class Status:
 @dataclass(frozen=True)
 class Event:
     """One thing that happened. `number` counts up without gaps while the service lives; `kind`: ``state``,
-    ``progress``, ``note``, ``gate``, ``ball``, ``temperature``, ``question``, ``alarm``, ``outcome``."""
+    ``progress``, ``note``, ``gate``, ``ball``, ``lost`` (a ball that was not found), ``temperature``, ``question``,
+    ``alarm``, ``outcome``."""
 
     number: int
     kind: str

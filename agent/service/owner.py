@@ -11,6 +11,7 @@ from queue import Queue
 import structlog
 
 from agent.execution.states import RunState
+from agent.files import load_machine
 from agent.job import naming, prepare_job
 from agent.kinds.restoration import ROLES, Restoration, kept_table
 from agent.resuming.resume import origin_of, require_resumable
@@ -129,6 +130,7 @@ class Owner:
             self._require_nothing_runs()
             if settings.state_directory != self.settings.state_directory:
                 raise UserError("`state_directory` changes only with a restart of the service", key="state_directory")
+            self._board.belongs_to(load_machine(settings.machine).name)
             self.settings = settings
 
     def close(self, within_s: float) -> bool:

@@ -9,6 +9,7 @@ import structlog
 from fastapi import FastAPI
 
 from agent.execution.run_lock import Ownership, ownership
+from agent.files import load_machine
 from agent.job import load_settings
 from agent.service.archive import Archive
 from agent.service.board import Board
@@ -64,7 +65,7 @@ def _household(settings: Settings, config: Path, owned: Ownership) -> Household:
     return Household(
         config=config,
         bulletin=bulletin,
-        board=Board(settings.machine.name, bulletin),
+        board=Board(load_machine(settings.machine).name, bulletin),
         health=Health(RealClock().now, hung_after_s=service.hung_after_s, computing_s=computing_s),
         ownership=owned,
         past=Past(settings.state_directory),

@@ -11,6 +11,7 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
 from agent.service.http.site import Site
+from agent.service.page.endpoints import page_router
 
 CONTENT_SECURITY_POLICY = "; ".join(
     (
@@ -29,7 +30,7 @@ CONTENT_SECURITY_POLICY = "; ".join(
 
 
 def mount_page(app: FastAPI, _: Site) -> None:
-    """`/`, `/assets/…` and `/drawing/…`. Versions are not in the names, so browsers ask every time."""
+    """`/`, `/assets/…`, `/drawing/…` and `/api/page/…`. Versions are not in the names, so browsers ask every time."""
     own, drawing = _directory("agent.service.page") / "assets", _directory("agent.preview")
     scripts = {path.name: path for path in drawing.glob("*.js")}
 
@@ -42,6 +43,7 @@ def mount_page(app: FastAPI, _: Site) -> None:
         path = scripts.get(name)
         return Response(status_code=404) if path is None else FileResponse(path, media_type="text/javascript")
 
+    app.include_router(page_router())
     app.mount("/assets", StaticFiles(directory=own))
     app.middleware("http")(_with_policy)
 

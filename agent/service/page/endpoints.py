@@ -1,0 +1,71 @@
+"""What the engineer's view asks for beyond the documented interface: curves, maps, trends, worth of the set, tables,
+reports. The page's own, so it may change with it; reading only, behind the same guard."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query
+from fastapi.responses import Response
+
+from agent.job import prepare_job
+from agent.kinds.restoration import Role, kept_table
+from agent.reporting.rebuilt import rebuilt
+from agent.service.http.problems import DOCUMENTED
+from agent.service.http.site import SiteHere
+from agent.service.page.findings import Findings
+from agent.service.page.tables import difference, table_csv
+from agent.service.page.trends import Trends
+from agent.service.page.worth import Worths
+
+Document = dict[str, Any]
+REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
+
+
+def page_router() -> APIRouter:
+    """With memories of its own: what a run has found never changes, so it is computed once."""
+    router = APIRouter(prefix="/api/page", include_in_schema=False, responses=DOCUMENTED)
+    findings, trends, worths = Findings(), Trends(), Worths()
+
+    @router.get("/runs/{run_id}/curves")
+    def curves(site: SiteHere, run_id: str) -> Document:
+        """The error functions with their standard uncertainties, the cross-effect, and the squarenesses."""
+        return findings.curves(site.archive.directory, run_id)
+
+    @router.get("/runs/{run_id}/map")
+    def error_map(site: SiteHere, run_id: str) -> Document:
+        """Deviation and its uncertainty in µm on planes of the workspace."""
+        return findings.maps(site.archive.directory, run_id)
+
+    @router.get("/runs/{run_id}/report.{form}")
+    def report(site: SiteHere, run_id: str, form: Literal["html", "pdf"]) -> Response:
+        """As `volcal report` writes it, from the journal alone."""
+        content = rebuilt(site.archive.directory, run_id, pdf=form == "pdf")[f"report.{form}"]
+        headers = {"Content-Disposition": f'attachment; filename="volcal-{run_id}.{form}"'}
+        return Response(content, media_type=REPORT_TYPES[form], headers=headers)
+
+    @router.get("/trends")
+    def all_trends(site: SiteHere, of: Annotated[str | None, Query(max_length=20)] = None) -> Document:
+        """Volumetric errors and the 21 errors over the nights; `of`: the parameters of one error."""
+        return trends.document(site.settings(), of)
+
+    @router.get("/worth")
+    def worth(site: SiteHere) -> Document:
+        """The positions of the settings, what the set is worth, and what it would lose without each of them."""
+        return worths.document(prepare_job(site.settings(), site.config.parent))
+
+    @router.get("/tables/{run_id}/{role}.csv")
+    def table(site: SiteHere, run_id: str, role: Role) -> Response:
+        """A kept table as a neutral file."""
+        job = prepare_job(site.settings(), site.config.parent)
+        text = table_csv(kept_table(site.archive.directory, run_id, role), job.tool_offset_mm, run_id, role)
+        headers = {"Content-Disposition": f'attachment; filename="volcal-{run_id}-{role}.csv"'}
+        return Response(text, media_type="text/csv", headers=headers)
+
+    @router.get("/tables/difference")
+    def tables_difference(site: SiteHere, one: str, one_role: Role, other: str, other_role: Role) -> Document:
+        """`other` less `one`, each the table that a run has kept in a role."""
+        directory = site.archive.directory
+        return difference(kept_table(directory, one, one_role), kept_table(directory, other, other_role))
+
+    return router

@@ -1,0 +1,79 @@
+"""Trends over the nights for the page: volumetric errors and the 21 errors, the parameters of one error when asked."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from threading import Lock
+from typing import Any
+
+from agent.history.overview import VOLUMETRIC, alarms_of
+from agent.history.place import place_of
+from agent.history.run_record import run_ids
+from agent.history.series import Series, all_series
+from agent.history.store import HistoryStore
+from agent.history.sync import sync
+from agent.history.tables import StoredRun
+from agent.history.trends import Trend, trend_of
+from agent.settings import Settings
+
+Document = dict[str, Any]
+
+
+class Trends:
+    """Any thread may ask; the same runs give the same trends, so they are computed once."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._kept: dict[str | None, tuple[object, Document]] = {}
+
+    def document(self, settings: Settings, of: str | None) -> Document:
+        """LinkLost or ConfigurationError where history cannot be read."""
+        with closing(HistoryStore(place_of(settings))) as store:
+            digests = dict(store.digests(store.place.machine))
+            if not set(run_ids(settings.state_directory)) <= set(digests):
+                sync(settings.state_directory, store)
+                digests = dict(store.digests(store.place.machine))
+            key = (settings.history.model_dump_json(), tuple(sorted(digests.items())))
+            with self._lock:
+                if of not in self._kept or self._kept[of][0] != key:
+                    self._kept[of] = (key, _document(store.runs(store.place.machine), settings, of))
+                return self._kept[of][1]
+
+
+def _document(runs: list[StoredRun], settings: Settings, of: str | None) -> Document:
+    chosen = [series for series in all_series(runs, settings.history) if _wanted(series, of)]
+    trends = [trend_of(series, settings.history.warn_nights) for series in chosen]
+    return {
+        "trends": [_trend(trend) for trend in trends],
+        "alarms": [{"series": a.series, "kind": a.kind.value, "text": a.text} for a in alarms_of(trends)],
+        "runs": {run.run_id: {"started": _utc(run), "kind": run.kind, "state": run.state} for run in runs},
+    }
+
+
+def _wanted(series: Series, of: str | None) -> bool:
+    """Whole errors have no bracket in their name; each parameter of one has."""
+    if of is None:
+        return series.name in VOLUMETRIC or "[" not in series.name
+    return series.name.startswith(f"{of}[")
+
+
+def _trend(trend: Trend) -> Document:
+    """With the line that was fitted and its band, for who draws it."""
+    drift = trend.drift
+    half = (
+        []
+        if drift is None
+        else [drift.factor * drift.ahead(night - trend.series.nights[-1])[1] for night in trend.series.nights]
+    )
+    return {
+        **trend.as_json(),
+        "volumetric": trend.series.name in VOLUMETRIC,
+        "two_sided": trend.series.two_sided,
+        "fitted": None if drift is None else drift.fitted.tolist(),
+        "fitted_half_width": None if drift is None else half,
+    }
+
+
+def _utc(run: StoredRun) -> str:
+    """SQLite forgets the zone, which is always UTC."""
+    return run.started.replace(tzinfo=None).isoformat() + "Z"
