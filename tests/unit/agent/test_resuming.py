@@ -1,0 +1,239 @@
+"""The parts of going on: what is taken from the journal, what is compared, how the machine comes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.conduct import Announcement, Conduct
+from agent.execution.encoding import decode_result, encode_result, table_digest
+from agent.execution.journal import Journal, RunJournal
+from agent.execution.recorded import Recorded
+from agent.execution.states import RunState
+from agent.execution.steps import (
+    MoveTo,
+    OrientTo,
+    ReadPosition,
+    ReadTable,
+    ReadTemperatures,
+    Record,
+    TouchTowards,
+)
+from agent.resuming.clock import ResumedClock
+from agent.resuming.replaying import Replay, ReplayingEngine
+from agent.resuming.trace import Trace
+from agent.resuming.unfinished import unfinished_run
+from agent.rig import step_tag
+from drivers.clock import VirtualClock
+from drivers.errors import LinkLost, MotionFault, PlanDiverged
+from drivers.roles import Miss, Orientation, TableImage, Touch
+
+TABLE = TableImage((0.0, 0.1, 0.2), (1.0, 2.0, 3.0), 1e-4, np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3))
+THIRD = 1.0 / 3.0
+
+
+@pytest.fixture
+def journal(tmp_path: Path):
+    opened = Journal(tmp_path)
+    yield opened
+    opened.close()
+
+
+def begun(journal: Journal) -> RunJournal:
+    run = journal.start_run("run-1", "calibrate", {}, "0", VirtualClock())
+    run.origin({"kind": "calibrate"})
+    run.begun()
+    return run
+
+
+@pytest.mark.parametrize(
+    ("kind", "result"),
+    [
+        (TouchTowards, Touch((THIRD, -0.1, 1e-17))),
+        (TouchTowards, Miss((1.0, 2.0, 3.0))),
+        (OrientTo, Orientation(THIRD, -45.0)),
+        (ReadPosition, (THIRD, 2.0, 3.0)),
+        (ReadTemperatures, {"artefact": 20.1 + THIRD}),
+        (MoveTo, None),
+    ],
+)
+def test_every_result_comes_back_with_all_its_bits(kind: type, result: object) -> None:
+    assert decode_result(kind.__name__, encode_result(result)) == result
+
+
+def test_a_table_is_known_by_its_digest_and_kept_whole(journal: Journal) -> None:
+    run = begun(journal)
+    run.table("backup", 1, TABLE)
+    assert decode_result(ReadTable.__name__, encode_result(TABLE)) == {"shape": [2, 2, 2], "crc32": table_digest(TABLE)}
+    kept = run.stored_table(table_digest(TABLE))
+    assert kept is not None
+    assert kept.same_as(TABLE)
+    assert run.stored_table(1) is None
+
+
+def test_what_is_written_is_not_written_twice_and_not_otherwise(journal: Journal) -> None:
+    run = begun(journal)
+    run.decision("gate", {"value": THIRD})
+    run.aside().decision("restore/activated", {"bank": 1})
+    again, _ = journal.continue_run(run.run, run.run_id, VirtualClock())
+    again.decision("gate", {"value": THIRD})
+    again.decision("proof", {"accepted": True})
+    kinds = journal._connection.execute("SELECT kind, aside FROM decisions").fetchall()
+    assert kinds == [("gate", 0), ("restore/activated", 1), ("proof", 0)]
+    other, _ = journal.continue_run(run.run, run.run_id, VirtualClock())
+    with pytest.raises(PlanDiverged, match="same with other figures"):
+        other.decision("gate", {"value": 0.3333333333333333 + 1e-16})
+
+
+def replaying(journal: Journal, done: list[str], *, run: int = 1) -> ReplayingEngine:
+    clock = ResumedClock(VirtualClock(), 0.0)
+    run_journal, recorded = journal.continue_run(run, "run-1", clock)
+    actions = {
+        MoveTo: lambda step: done.append(step.key),
+        TouchTowards: lambda step: done.append(step.key) or Touch((2.0, 0.0, 0.0)),
+        Record: lambda _: None,
+    }
+    return ReplayingEngine(actions, run_journal, None, Replay(recorded, clock, Trace()), lambda *_: TABLE)
+
+
+def plan(second: str = "b"):
+    yield MoveTo("a", (1.0, 0.0, 0.0))
+    touch = yield TouchTowards(second, (3.0, 0.0, 0.0), 5.0)
+    yield Record("found", "ball", {"centre_mm": list(touch.position_mm)})
+    yield MoveTo("c", (1.0, 0.0, 0.0))
+    return touch
+
+
+def broken_at_c(journal: Journal) -> None:
+    run = begun(journal)
+    steps = plan()
+    first = next(steps)
+    run.begin(first)
+    run.finish(first, None, begun=True)
+    touch = steps.send(None)
+    run.begin(touch)
+    run.finish(touch, Touch((THIRD, 0.0, 0.0)), begun=True)
+    run.finish(steps.send(Touch((THIRD, 0.0, 0.0))), None, begun=False)
+    run.begin(steps.send(None))
+
+
+def test_only_the_step_that_did_not_end_is_done(journal: Journal) -> None:
+    broken_at_c(journal)
+    done: list[str] = []
+    assert replaying(journal, done).run(plan()) == Touch((THIRD, 0.0, 0.0))
+    assert done == ["c"]
+    assert journal.read_balls("run-1") == [{"centre_mm": [THIRD, 0.0, 0.0]}]
+
+
+def test_another_key_names_both_and_does_nothing(journal: Journal) -> None:
+    broken_at_c(journal)
+    done: list[str] = []
+    with pytest.raises(PlanDiverged) as error:
+        replaying(journal, done).run(plan(second="elsewhere"))
+    assert (error.value.where["recorded"], error.value.where["asked"]) == ("b", "elsewhere")
+    assert done == []
+
+
+def test_other_figures_under_the_same_key_diverge_too(journal: Journal) -> None:
+    broken_at_c(journal)
+
+    def nearly():
+        yield MoveTo("a", (1.0 + 1e-15, 0.0, 0.0))
+
+    with pytest.raises(PlanDiverged, match="other figures"):
+        replaying(journal, []).run(nearly())
+
+
+def test_clock_shows_what_was_and_then_goes_on() -> None:
+    inner = VirtualClock()
+    inner.sleep(5.0)
+    clock = ResumedClock(inner, 100.0)
+    assert clock.now() == 100.0
+    clock.replayed_to(160.0)
+    inner.sleep(3.0)
+    assert clock.now() == 160.0
+    clock.run_on(150.0)
+    clock.sleep(2.0)
+    assert clock.now() == 162.0
+    clock.run_on(1e6)
+    assert clock.now() == 162.0
+
+
+def test_trace_knows_how_each_axis_came_and_where_the_touch_was_short_of_the_surface() -> None:
+    trace = Trace()
+    trace.see(ReadPosition("here"), (0.0, 0.0, 0.0))
+    trace.see(MoveTo("far", (10.0, 0.0, 10.0)), None)
+    trace.see(MoveTo("little", (10.3, 0.0, 10.0)), None)
+    trace.see(MoveTo("back", (10.3, 0.0, 2.0)), None)
+    x, y, z = trace.axes
+    assert [(move.key, move.sign) for move in x] == [("far", 1.0), ("little", 1.0)]
+    assert y == []
+    assert [(move.key, move.sign, move.beside_mm) for move in z] == [("back", -1.0, 4.0)]
+    trace.see(TouchTowards("touch", (30.3, 0.0, 2.0), 5.0), Touch((20.3, 0.0, 2.0)))
+    assert trace.at_mm == (11.3, 0.0, 2.0)
+    assert [move.key for move in trace.axes[0]] == ["touch"]
+
+
+def test_states_that_have_been_are_no_news(journal: Journal) -> None:
+    run = begun(journal)
+    first = Conduct(run, lambda _: None)
+    for state in (RunState.PREFLIGHT, RunState.MEASURING, RunState.HELD, RunState.MEASURING, RunState.IDENTIFYING):
+        first.enter(state)
+    heard: list[Announcement] = []
+    again, recorded = journal.continue_run(run.run, run.run_id, VirtualClock())
+    assert list(recorded.states) == [RunState.MEASURING, RunState.IDENTIFYING]
+    conduct = Conduct(again, heard.append, recorded.states)
+    conduct.enter(RunState.RESUMING)
+    conduct.enter(RunState.MEASURING)
+    conduct.enter(RunState.IDENTIFYING)
+    conduct.announce_again()
+    conduct.enter(RunState.STAGING)
+    assert [one.data["state"] for one in heard] == ["resuming", "identifying", "staging"]
+
+
+@pytest.mark.parametrize(("error", "resumable"), [(LinkLost("gone"), True), (MotionFault("hit"), False)])
+def test_only_faults_from_outside_are_gone_on_with(journal: Journal, tmp_path: Path, error, resumable) -> None:
+    run = begun(journal)
+    step = MoveTo("a", (1.0, 0.0, 0.0))
+    run.begin(step)
+    run.fail(step, error)
+    run.state(RunState.FAULTED, str(error), final=True)
+    assert (unfinished_run(tmp_path) is not None) is resumable
+
+
+def test_a_run_refused_before_it_began_hides_none_that_broke_off(journal: Journal, tmp_path: Path) -> None:
+    assert unfinished_run(tmp_path) is None
+    run = begun(journal)
+    run.begin(MoveTo("a", (1.0, 0.0, 0.0)))
+    run.state(RunState.MEASURING)
+    refused = journal.start_run("run-2", "calibrate", {}, "0", VirtualClock())
+    refused.state(RunState.REFUSED, "no", final=True)
+    found = unfinished_run(tmp_path)
+    assert found is not None
+    assert (found.run_id, found.last_step, found.resumable) == ("run-1", "a", True)
+    run.state(RunState.ABORTING, "somebody")
+    found = unfinished_run(tmp_path)
+    assert found is not None
+    assert not found.resumable
+
+
+def test_a_tag_tells_runs_and_steps_apart() -> None:
+    """The CRC-32 of the register map, bit by bit."""
+
+    def crc32(data: bytes) -> int:
+        value = 0xFFFFFFFF
+        for byte in data:
+            value ^= byte
+            for _ in range(8):
+                value = value >> 1 ^ (0xEDB88320 if value & 1 else 0)
+        return value ^ 0xFFFFFFFF
+
+    assert crc32(b"123456789") == 0xCBF43926
+    assert step_tag(12, "measure/a") == crc32(b"12/measure/a")
+    assert step_tag(1, "2/a") != step_tag(12, "a")
+
+
+def test_nothing_recorded_takes_nothing() -> None:
+    assert not Recorded().takes("decisions", "gate", "{}")
