@@ -101,6 +101,7 @@ def _document(
         "formulation": job.settings.identification.formulation,
         "positions": [position_key(p) for p in job.positions],
         "held_out": [position_key(p) for p in job.held_out],
+        "order": [position_key(p) for p in job.measuring.positions],
         "left_out": list(rehearsal.measured.left_out),
         "unreachable_balls": rehearsal.measured.unreachable_balls,
         "balls": balls,
