@@ -19,6 +19,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.journal import RunJournal
 from agent.execution.steps import Step
 from agent.job import Job, prepare_job
+from agent.rehearsal import rehearse
 from agent.resuming.resume import ResumeRequest, resume
 from agent.rig import Rig
 from agent.session import Ended, Request, carry_out
@@ -122,7 +123,7 @@ def fused_journal(fuse: Fuse) -> Callable[[], None]:
 
 def rehearsed_once() -> None:
     """The preflight of one case is the same every time; a copy of this process has it already."""
-    rehearse, done = agent.kinds.kind.rehearse, {}
+    done: dict[Any, Any] = {}
 
     def once(job: Job, start_mm: Any = None, procedure: Any = None) -> Any:
         if start_mm not in done:

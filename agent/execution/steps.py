@@ -71,7 +71,7 @@ class ReadTemperatures:
 
 @dataclass(frozen=True, slots=True)
 class ReadClock:
-    """Result: seconds of machine time on the clock of the run; a run that is taken up again goes on from its last one."""
+    """Result: seconds of machine time on the clock of the run; one that is gone on with goes on from its last one."""
 
     key: str
 

@@ -32,8 +32,8 @@ class Kind(Protocol):
     def name(self) -> str: ...
 
     def ready(self, job: Job, outset: Outset) -> Ready:
-        """Decide what will be measured and rehearse it from where the machine stands; the same `outset` gives the same. PlanRefused or UserError where
-        it cannot be done."""
+        """Decide what will be measured and rehearse it from where the machine stands; the same `outset` gives the same.
+        PlanRefused or UserError where it cannot be done."""
         ...
 
 

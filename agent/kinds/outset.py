@@ -10,7 +10,8 @@ from agent.execution.steps import Point
 
 @dataclass(frozen=True)
 class Outset:
-    """`run`: its number in the journal, earlier ones are what it knows; `at` UTC, ISO 8601; `start_mm` axis positions."""
+    """`run`: its number in the journal, earlier ones are what it knows; `at` UTC, ISO 8601; `start_mm` axis
+    positions."""
 
     run: int
     at: str
