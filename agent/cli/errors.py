@@ -1,7 +1,8 @@
 """How a command ends badly: one line on stderr, the exit code of the error tree, never a traceback.
 
 `volcal` ends with 0 when all went well, 2 for wrong input (click's own usage errors included), 3 for a
-device, 4 when the run itself decided, 5 when somebody aborted it, 1 for what should not have happened.
+device, 4 when the run itself decided, 5 when somebody aborted it, 6 when the service
+let no run begin at this time, 1 for what should not have happened.
 """
 
 from __future__ import annotations

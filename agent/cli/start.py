@@ -20,8 +20,10 @@ from agent.service.client import Client
 from agent.service.control import KINDS
 from agent.service.requests import AT_REST
 from drivers.clock import Clock, Deadline, RealClock
-from drivers.errors import GateRefused, LinkError, RunError, VolcalError
+from drivers.errors import Busy, GateRefused, LinkError, PermissionMissing, RunError, VolcalError
 
+DECLINED = 6
+"""Exit code: the service looked, and it is not the time. No run exists, nothing has moved; a timer asks again."""
 STARTED_BY_SYSTEMD = "INVOCATION_ID"
 LOOK_EVERY_S = 1.0
 GONE_FOR_S = 90.0
@@ -57,10 +59,20 @@ def start_command(
         "consent": consent,
     }
     with Client(load_settings(config)) as client:
-        run_id = client.post("/api/start", body)["run_id"]
+        run_id = begun(client, body)
         click.echo(run_id)
         if wait:
             conclude(client, waited_for(client, run_id, RealClock()))
+
+
+def begun(client: Client, body: Mapping[str, object]) -> str:
+    """The identity of the run that now exists. Exit with DECLINED where hour, warm-up, a permission or another run is
+    against it."""
+    try:
+        return str(client.post("/api/start", body)["run_id"])
+    except (Busy, GateRefused, PermissionMissing) as error:
+        fail(error)
+        raise SystemExit(DECLINED) from None
 
 
 def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import os
 import secrets
-import stat
 from collections.abc import Mapping
 from pathlib import Path
 
+from agent.credentials import handed_over, open_mode
 from agent.settings import Settings
 from drivers.errors import ConfigurationError
 
@@ -21,10 +21,7 @@ SHORTEST = 16
 
 def token_path(settings: Settings, environment: Mapping[str, str] = os.environ) -> Path:
     """Where the token is, or would be."""
-    credentials = environment.get("CREDENTIALS_DIRECTORY")
-    if credentials and (Path(credentials) / FILE_NAME).is_file():
-        return Path(credentials) / FILE_NAME
-    return settings.service.token_file or settings.state_directory / FILE_NAME
+    return handed_over(FILE_NAME, environment) or settings.service.token_file or settings.state_directory / FILE_NAME
 
 
 def make_token(settings: Settings) -> None:
@@ -45,7 +42,7 @@ def make_token(settings: Settings) -> None:
 def read_token(path: Path) -> str:
     """ConfigurationError where it is missing, too short, or open to others than its owner."""
     try:
-        mode = path.stat().st_mode
+        mode = open_mode(path)
         text = path.read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is no plain text"
@@ -55,9 +52,9 @@ def read_token(path: Path) -> str:
             hint="start the service once, or run this as the user that the service runs as",
             file=str(path),
         ) from error
-    if stat.S_IMODE(mode) & 0o077:
+    if mode is not None:
         raise ConfigurationError(
-            f"the token's file is open to others (mode {stat.S_IMODE(mode):04o})",
+            f"the token's file is open to others (mode {mode:04o})",
             key="service.token_file",
             hint=f"chmod 600 {path}",
             file=str(path),

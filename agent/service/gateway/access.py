@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import hmac
 import os
-import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from agent.credentials import handed_over, open_mode
 from agent.files import read_text
 from agent.service.gateway.settings import GatewaySettings
 from drivers.errors import ConfigurationError
@@ -24,17 +24,13 @@ LOCKED_TICKS: Final = 5
 
 def access_code_path(settings: GatewaySettings, environment: Mapping[str, str] = os.environ) -> Path | None:
     """The file that systemd hands over (LoadCredential=panel-code:…), the one that the settings name, or none."""
-    credentials = environment.get("CREDENTIALS_DIRECTORY")
-    if credentials and (Path(credentials) / CREDENTIAL).is_file():
-        return Path(credentials) / CREDENTIAL
-    return settings.access_code_file
+    return handed_over(CREDENTIAL, environment) or settings.access_code_file
 
 
 def read_access_code(path: Path) -> int:
     """ConfigurationError for anything but one number from 1 to 4294967295 in a file that is its owner's only."""
     text = read_text(path, error=ConfigurationError).strip()
-    mode = stat.S_IMODE(path.stat().st_mode)
-    if mode & 0o077:
+    if (mode := open_mode(path)) is not None:
         raise ConfigurationError(
             f"the file of the access code is open to others (mode {mode:04o})", hint=f"chmod 600 {path}", file=str(path)
         )

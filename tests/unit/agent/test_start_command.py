@@ -1,0 +1,34 @@
+"""How `volcal start` ends where no run exists: a timer must tell "not now" from "somebody has to come"."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.cli.start import begun
+from agent.service.client import Document
+from drivers.errors import Busy, CommandRejected, GateRefused, LinkLost, PermissionMissing, VolcalError
+
+
+class Answering:
+    """A client whose service answers a start with an error."""
+
+    def __init__(self, error: VolcalError) -> None:
+        self._error = error
+
+    def post(self, path: str, body: object = None) -> Document:
+        assert path == "/api/start"
+        raise self._error
+
+
+@pytest.mark.parametrize("kind", [Busy, GateRefused, PermissionMissing])
+def test_not_now_is_an_exit_code_of_its_own(kind: type[VolcalError], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        begun(Answering(kind("not now", hint="later")), {})  # type: ignore[arg-type]
+    assert ended.value.code == 6
+    assert "not now" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", [LinkLost, CommandRejected])
+def test_everything_else_stays_the_error_that_it_is(kind: type[VolcalError]) -> None:
+    with pytest.raises(kind):
+        begun(Answering(kind("gone")), {})  # type: ignore[arg-type]
