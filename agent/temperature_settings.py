@@ -40,7 +40,7 @@ class TemperatureSettings(Strict):
     smallest_change_k: float = Field(default=0.2, gt=0.0, le=10.0)
     declared_change_k: float = Field(default=0.0, ge=0.0, le=20.0)
     scale_um_per_m_k: float = Field(default=12.0, gt=0.0, le=100.0)
-    bending_um_per_m_k: float = Field(default=3.0, gt=0.0, le=100.0)
+    bending_um_per_m_k: float = Field(default=0.7, gt=0.0, le=100.0)
     tip_um_per_k: float = Field(default=30.0, gt=0.0, le=500.0)
     close_run_k: float = Field(default=0.5, ge=0.0, le=20.0)
     close_positions: int = Field(default=3, ge=1, le=20)

@@ -47,8 +47,8 @@ def _draw(figure: Figure, rows: Sequence[Row], trace: Trace) -> None:
 def _draw_errors(axes: Axes, rows: Sequence[Row]) -> None:
     place = np.arange(len(rows))
     bars = (
-        ("constant temperature", GREEN, [row.constant for row in rows]),
-        ("warming by 3 K", BLUE, [row.warm for row in rows]),
+        ("constant temperature, 23 °C", GREEN, [row.settled for row in rows]),
+        ("warming by 3 K on the way there", BLUE, [row.warm for row in rows]),
         ("… without the machine's drift", ORANGE, [row.undrifted for row in rows]),
         ("… without any temperature", QUIET, [row.untold for row in rows]),
     )
@@ -61,5 +61,5 @@ def _draw_errors(axes: Axes, rows: Sequence[Row]) -> None:
     axes.set_xticks(place, [str(row.seed) for row in rows])
     axes.set_xlabel("machine, bar and noise of seed")
     axes.set_ylabel("true VCE, rigidly aligned / µm")
-    axes.set_title("What the table left at the end of the run")
+    axes.set_title("What the table left")
     axes.legend(loc="upper left", ncols=2)

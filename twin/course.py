@@ -5,26 +5,24 @@ from __future__ import annotations
 import numpy as np
 
 from twin.arrays import Array
-from twin.legendre import legendre_values
 
-POWERS = (0.15, 0.07)
-"""Share of the whole change of temperature that each Legendre order of the time may have besides the thermometer's own
-course: what warms with a lag of its own follows no thermometer, yet is smooth."""
+BESIDE = 0.4
+"""Share of the whole change of temperature that what lags may have gone along the next power of the time."""
 SMOOTHED_OVER_S = 150.0
 
 
 def machine_course(instants_s: Array, machine_c: Array | None, change_k: float) -> Array:
     """(n, w) K: how far a machine had drifted at instants (n,) since the first of them.
 
-    Along with its thermometer (n,), where there is one, and along the first powers of the time as far as a whole
-    change of `change_k` permits.
+    First along with its thermometer (n,), or where there is none as the time, by `change_k`; then along the next power
+    of the time, for what has a lag of its own.
     """
     first = int(np.argmin(instants_s))
-    span_s = max(float(np.ptp(instants_s)), 1.0)
-    ways = legendre_values(2.0 * (instants_s - instants_s[first]) / span_s - 1.0, len(POWERS))[1:]
-    columns = [change_k * share * way for share, way in zip(POWERS, ways, strict=True)]
-    if machine_c is not None:
-        columns.insert(0, smoothed(instants_s, machine_c))
+    time = (instants_s - instants_s[first]) / max(float(np.ptp(instants_s)), 1.0)
+    if machine_c is None:
+        columns = [change_k * time, BESIDE * change_k * time**2]
+    else:
+        columns = [smoothed(instants_s, machine_c), BESIDE * change_k * time]
     course = np.stack(columns, axis=1)
     return np.asarray(course - course[first])
 

@@ -1,8 +1,9 @@
 """A machine whose field changes while it is measured: the low errors and the tip, each in a few ways of time.
 
 What a warming machine does is smooth in space: scales grow, guides and columns bend, squareness opens, the tip wanders.
-It is smooth in time too: along with a thermometer, or like a low power of the time. Both together are a small block of
-unknowns, `field = Σ course · form`, with a prior that is stated per kelvin. A row's `course` is zero where the family
+It is smooth in time too. What grows does so along with a thermometer; what bends, by a difference of two temperatures,
+may besides have a lag of its own, for which there are further ways. Together they are a small block of unknowns,
+`field = Σ course · form`, with a prior that is stated per kelvin. A row's `course` is zero where the family
 (or an earlier estimate) is the prior of the machine: at the beginning. What the estimate is to hold for is a later
 state, most often the last one: its parameters are those of the beginning and what has drifted until then, and what the
 drift leaves open of them is in their covariance.
@@ -20,7 +21,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.chain import AXES
-from twin.error_model import ErrorModel, Parameter
+from twin.error_model import ErrorModel, Parameter, kind_of
 from twin.errors import DataError
 
 _STRAIGHTNESS_ORDER = 2  # the lowest there is: a bow
@@ -33,7 +34,7 @@ class DriftPrior:
     travel; of the tip, mm/K. What grows evenly does so by its whole expansion, what bends by a difference of two."""
 
     strain_per_k: float = 12e-6
-    bending_per_k: float = 3e-6
+    bending_per_k: float = 0.7e-6
     tip_mm_per_k: float = 0.03
 
     def __post_init__(self) -> None:
@@ -44,7 +45,8 @@ class DriftPrior:
 
 @dataclass(frozen=True, eq=False)
 class MachineDrift:
-    """`places` (f,) of the parameters that drift, their `deviations` (f,) mm/K or rad/K; `ways` in which they do."""
+    """`places` (f,) of the parameters that drift, their `deviations` (f,) mm/K or rad/K; `ways` in which they
+    do: scales and tip in the first alone."""
 
     names: tuple[str, ...]
     places: tuple[int, ...]
@@ -68,27 +70,32 @@ class MachineDrift:
         return len(self.places) + 3
 
     @property
+    def bending(self) -> list[int]:
+        """Of the forms, those that drift in all ways."""
+        return [number for number, name in enumerate(self.names) if not _is_scale(name)]
+
+    @property
     def size(self) -> int:
-        return self.ways * self.forms
+        return self.forms + (self.ways - 1) * len(self.bending)
 
     def columns(self, basis: Array, course: Array) -> Array:
         """(n, 3, size) mm per unit: `basis` (n, 3, p) of the model at the rows, `course` (n, ways) K."""
         forms = np.empty((len(basis), 3, self.forms))
         forms[:, :, :-3] = basis[:, :, self.places] * self.deviations
         forms[:, :, -3:] = self.tip_mm_per_k * np.eye(3)
-        return np.asarray((course[:, None, :, None] * forms[:, :, None, :]).reshape(len(basis), 3, self.size))
+        bending = forms[:, :, self.bending]
+        further = [course[:, way, None, None] * bending for way in range(1, self.ways)]
+        return np.concatenate((course[:, 0, None, None] * forms, *further), axis=2)
+
+    def lever(self, course: Array) -> Array:
+        """(f + 3, size) `change` by z."""
+        units = np.diag(np.append(self.deviations, np.full(3, self.tip_mm_per_k)))
+        further = [share * units[:, self.bending] for share in course[1:].tolist()]
+        return np.concatenate((course[0] * units, *further), axis=1)
 
     def change(self, z: Array, course: Array) -> Array:
         """(f + 3,) by how much parameters and tip are off, for unknowns z (size,), where the course is (ways,) K."""
         return np.asarray(self.lever(course) @ z)
-
-    def lever(self, course: Array) -> Array:
-        """(f + 3, size) `change` by z."""
-        return np.asarray(np.einsum("w,fg->fwg", course, np.diag(self._units)).reshape(self.forms, self.size))
-
-    @property
-    def _units(self) -> Array:
-        return np.append(self.deviations, np.full(3, self.tip_mm_per_k))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +121,10 @@ def _drifts(parameter: Parameter) -> bool:
         return True
     wanted = {"positioning": _OTHER_ORDER, "rotation": _OTHER_ORDER, "straightness": _STRAIGHTNESS_ORDER}
     return wanted.get(parameter.kind) == parameter.order
+
+
+def _is_scale(name: str) -> bool:
+    return name.startswith("E") and kind_of(name[:3]) == "positioning"
 
 
 def _per_k(prior: DriftPrior, parameter: Parameter) -> float:
