@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import structlog
@@ -18,7 +19,7 @@ from agent.service.control import Control
 from agent.service.doors import opened
 from agent.service.extensions import further_doors, http_extensions
 from agent.service.health import Health
-from agent.service.household import Household
+from agent.service.household import Household, here_and_now
 from agent.service.http.app import create_app
 from agent.service.http.door import HttpDoor
 from agent.service.http.site import Site
@@ -28,6 +29,7 @@ from agent.service.owner import Owner
 from agent.service.past import Past
 from agent.service.scenes import Scenes
 from agent.service.token import make_token, read_token, token_path
+from agent.service.unattended import Circumstances
 from agent.settings import Settings
 from drivers.clock import RealClock
 
@@ -35,14 +37,15 @@ log = structlog.get_logger()
 S_PER_MIN = 60.0
 
 
-def serve(config: Path) -> None:
-    """Until SIGTERM or SIGINT. Busy where somebody else owns the machine; ConfigurationError for bad settings."""
+def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_now) -> None:
+    """Until SIGTERM or SIGINT. Busy where somebody else owns the machine; ConfigurationError for bad settings.
+    `circumstances`: hour and warm-up by which starts without consent are permitted."""
     config = config.resolve()
     settings = load_settings(config)
     directory = settings.state_directory
     with heard_signals() as signals, ownership(directory, f"the service (process {os.getpid()})") as owned:
         make_token(settings)
-        household = _household(settings, config, owned)
+        household = _household(settings, config, owned, circumstances)
         owner = Owner(settings, household)
         token = read_token(token_path(settings))
         site = Site(
@@ -59,7 +62,9 @@ def serve(config: Path) -> None:
             household.bulletin.close()
 
 
-def _household(settings: Settings, config: Path, owned: Ownership) -> Household:
+def _household(
+    settings: Settings, config: Path, owned: Ownership, circumstances: Callable[[], Circumstances]
+) -> Household:
     service, bulletin = settings.service, Bulletin()
     computing_s = S_PER_MIN * service.computing_minutes
     return Household(
@@ -70,4 +75,5 @@ def _household(settings: Settings, config: Path, owned: Ownership) -> Household:
         ownership=owned,
         past=Past(settings.state_directory),
         scenes=Scenes(),
+        circumstances=circumstances,
     )
