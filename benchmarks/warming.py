@@ -10,8 +10,8 @@ what would have been without the drift of the machine, and without any regard to
 
     python -m benchmarks.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
 
-ends with one JSON line, and with exit code 0 only where the tables are worse, in the rms over the machines, by less than
-a fifth than those of the machines that had settled.
+ends with one JSON line, and with exit code 0 only where the tables are worse, in the rms over the machines, by less
+than a fifth than those of the machines that had settled.
 """
 
 from __future__ import annotations
