@@ -11,10 +11,8 @@ import numpy as np
 
 from agent.history.run_record import read_record
 from agent.report import Identified, ReportData
-from agent.report.curve_figure import ErrorCurve
-from agent.report.error_curves import cross_effect_curves, geometric_error_curves
-from agent.report.map_figure import PlaneMap
-from agent.report.workspace_maps import workspace_maps
+from agent.report.error_curves import ErrorCurve, cross_effect_curves, geometric_error_curves
+from agent.report.workspace_maps import PlaneMap, workspace_maps
 from agent.reporting.of_run import report_of
 from drivers.errors import InputError
 from twin.arrays import Array

@@ -8,7 +8,7 @@ import { on, refresh } from "./store.js";
 
 const KEYS = [
   ["A", "request.abort"], ["S", "request.start"], ["H", "request.hold"], ["R", "request.resume"], ["Q", "request.reset"],
-  ["1", "view.operator"], ["2", "view.engineer"], ["?", "keys.show"],
+  ["1", "view.operator"], ["2", "view.engineer"], ["?", "keys.show"], ["Tab", "keys.tab"], ["← → ↑ ↓ + −", "keys.scene"],
 ];
 const PRESSED = { a: "abort", s: "start", h: "hold", r: "resume", q: "reset", 1: "tab-operator", 2: "tab-engineer", "?": "keys" };
 

@@ -6,8 +6,15 @@ import { LOOKS, stateWord } from "./wording.js";
 
 const VIEWS = ["operator", "engineer"];
 
+/* `opened` is called with the view that is shown from now on. */
 export function openFrame(opened) {
   for (const view of VIEWS) byId(`tab-${view}`).addEventListener("click", () => choose(view, opened));
+  document.querySelector(".views").addEventListener("keydown", ({ key }) => {
+    if (!["ArrowLeft", "ArrowRight"].includes(key)) return;
+    const next = VIEWS.find((view) => byId(`view-${view}`).hidden);
+    choose(next, opened);
+    byId(`tab-${next}`).focus();
+  });
   byId("language").addEventListener("click", () => speak(other()));
   const words = () => {
     translate();

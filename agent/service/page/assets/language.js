@@ -33,13 +33,15 @@ export const known = (key) => key in catalogue;
 
 export function number(value, digits = 1) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
-  return new Intl.NumberFormat(language, { minimumFractionDigits: digits, maximumFractionDigits: digits }).format(value);
+  return new Intl.NumberFormat(language, { minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "negative" }).format(value);
 }
 
 export function instant(utc) {
   if (!utc) return "–";
   return new Intl.DateTimeFormat(language, { dateStyle: "short", timeStyle: "medium" }).format(new Date(utc));
 }
+
+export const timeOfDay = (utc) => new Intl.DateTimeFormat(language, { timeStyle: "medium" }).format(new Date(utc));
 
 /* Elements of the document that name their message in `data-text` (content) or `data-label` (accessible name). */
 export function translate(root = document) {

@@ -1,4 +1,5 @@
 import { openControls } from "./controls.js";
+import { enterEngineer, leaveEngineer, openEngineer } from "./engineer.js";
 import { openFrame } from "./frame.js";
 import { loadWords } from "./language.js";
 import { openOperator } from "./operator.js";
@@ -7,7 +8,8 @@ import { openTheme } from "./theme.js";
 
 await loadWords();
 openTheme();
-openFrame(() => {});
+openFrame((view) => (view === "engineer" ? enterEngineer() : leaveEngineer()));
 openControls();
 openOperator();
+openEngineer();
 await follow();

@@ -1,11 +1,13 @@
 /* What somebody at the machine wants to see: what it does, how long, what is wrong, what is asked. */
 import { request } from "./controls.js";
 import { byId, make } from "./dom.js";
-import { known, number, onLanguage, say } from "./language.js";
+import { known, number, onLanguage, say, timeOfDay } from "./language.js";
 import { openResiduals } from "./residuals.js";
 import { openScene } from "./scene.js";
 import { on, seen } from "./store.js";
-import { doing } from "./wording.js";
+import { doing, eventText } from "./wording.js";
+
+const RECENT = 4;
 
 const FACTS = [
   ["fact.ve_before", ({ ve_before_um }) => withUnit(ve_before_um, "µm")],
@@ -23,18 +25,23 @@ export function openOperator() {
   const cards = make("div", { id: "cards" });
   const facts = make("dl", { className: "facts" });
   const stage = make("div", { className: "stage" }), residuals = make("section", { className: "residuals" });
+  const recent = make("ul", { className: "recent", id: "recent" });
   const progress = make("div", { className: "progress" }, track, make("div", { className: "figures" }, percent, left));
-  view.replaceChildren(stage, make("div", { className: "side" }, words, progress, cards, facts, residuals));
+  view.replaceChildren(stage, make("div", { className: "side" }, cards, words, progress, facts, residuals, recent));
   const show = () => seen.status && render(seen.status, { words, bar, track, percent, left, cards, facts });
+  const showRecent = () => recent.replaceChildren(...seen.events.slice(0, RECENT).map(eventLine));
   on("status", show);
+  on("event", showRecent);
   onLanguage(show);
+  onLanguage(showRecent);
   openScene(stage);
   openResiduals(residuals);
 }
 
 function render(status, parts) {
-  parts.words.textContent = doing(status);
-  const share = Math.round(100 * status.fraction);
+  const now = doing(status);
+  if (parts.words.textContent !== now) parts.words.textContent = now;
+  const share = status.state === "complete" ? 100 : Math.round(100 * status.fraction);
   parts.bar.style.width = `${share}%`;
   parts.track.setAttribute("aria-valuenow", share);
   parts.track.setAttribute("aria-label", say("progress.name"));
@@ -42,11 +49,13 @@ function render(status, parts) {
   parts.left.textContent = status.minutes_left === null ? "" : say("progress.left", { minutes: number(status.minutes_left, 0) });
   parts.facts.replaceChildren(...FACTS.map(([name, text]) => make("div", {}, make("dt", {}, say(name)), make("dd", {}, text(status)))));
   const cards = [...(status.question ? [questionCard(status.question)] : []), ...status.alarms.map(alarmCard)];
-  const now = JSON.stringify([status.question, status.alarms, document.documentElement.lang]);
-  if (parts.cards.dataset.now === now) return;
-  parts.cards.dataset.now = now;
+  const shown = JSON.stringify([status.question, status.alarms, document.documentElement.lang]);
+  if (parts.cards.dataset.shown === shown) return;
+  parts.cards.dataset.shown = shown;
   parts.cards.replaceChildren(...cards);
 }
+
+const eventLine = (event) => make("li", {}, make("time", { dateTime: event.at }, timeOfDay(event.at)), " ", eventText(event));
 
 function questionCard({ number: asked, text, station }) {
   const answer = (yes) => request("/api/answer", { number: asked, yes }, yes ? "done.yes" : "done.no");
@@ -59,12 +68,14 @@ function questionCard({ number: asked, text, station }) {
 }
 
 function alarmCard({ code, text, hint, where }) {
-  const title = `alarm.${code}`;
+  const title = `alarm.${code}`, own = `alarm.${code}.do`;
+  const todo = known(own) ? say(own) : hint;
   const at = Object.entries(where).map(([name, value]) => `${known(`where.${name}`) ? say(`where.${name}`) : name}: ${value}`);
   return make("section", { className: "card alarm" },
     make("h3", {}, `${say("alarm.word")} ${code}${known(title) ? `: ${say(title)}` : ""}`),
     make("p", {}, text),
-    hint ? make("p", { className: "hint" }, `${say("alarm.do")} ${hint}`) : null,
+    make("p", { className: "hint" }, `${say("alarm.do")} ${todo}`),
+    hint && hint !== todo ? make("p", {}, hint) : null,
     at.length ? make("p", { className: "where" }, at.join(" · ")) : null);
 }
 

@@ -22,6 +22,11 @@ export async function ask(path, body, { withToken = true } = {}) {
   return (await answered(fetch(path, { method: "POST", headers, body: JSON.stringify(body ?? {}) }))).json();
 }
 
+/* A file that needs the token. */
+export async function fetchFile(path) {
+  return (await answered(fetch(path, { headers: { authorization: `Bearer ${token()}` } }))).blob();
+}
+
 async function answered(request) {
   const response = await request;
   if (response.ok) return response;

@@ -1,69 +1,91 @@
 /* The live view: workspace, artefact where it stands, balls measured, next and lost. Drawn by the preview's scripts. */
+import { machineOf, paintMachine } from "./bare-machine.js";
 import { make } from "./dom.js";
+import { listenTo } from "./gestures.js";
 import { onLanguage, say } from "./language.js";
 import { read } from "./requests.js";
 import { on, seen } from "./store.js";
 import { onTheme } from "./theme.js";
 import { placeOf } from "./wording.js";
 
-/* globals Camera, readPlan, paint, boxCorners, ring, disc */
+/* globals Camera, readPlan, paint, boxCorners, ring, disc, line */
 const COLOURS = ["paper", "ink", "quiet", "red", "steel", "ram", "probe", "table", "path", "path-now", "go"];
-const TURN_PER_PX = 0.008;
+const VIEWS = ["isometric", "xy", "xz", "yz"];
+const PREPARING = ["preflight", "resuming"];
 
 export function openScene(stage) {
-  const canvas = make("canvas", { role: "img" });
+  const canvas = make("canvas", { role: "img", tabIndex: 0 });
   const legend = make("div", { className: "legend" });
   const turns = make("div", { className: "turns" });
-  stage.replaceChildren(canvas, legend, turns);
-  const view = new View(canvas);
+  const note = make("p", { className: "stage-note", role: "status" });
+  stage.replaceChildren(canvas, legend, turns, note);
+  const view = new View(canvas, note);
   const name = () => {
     canvas.setAttribute("aria-label", say("scene.name"));
     legend.replaceChildren(...["measured", "next", "lost"].map((kind) => make("span", { className: kind }, say(`scene.${kind}`))));
-    turns.replaceChildren(...["isometric", "xy", "xz", "yz"].map((from) =>
-      make("button", { onclick: () => view.look(from) }, say(`scene.from_${from}`))));
+    turns.replaceChildren(...VIEWS.map((from) => make("button", { onclick: () => view.look(from) }, say(`scene.from_${from}`))));
+    view.tell();
   };
   name();
   onLanguage(name);
   onTheme(() => view.show());
-  on("run", () => view.load());
-  on("status", () => view.show());
+  on("status", (status) => view.follow(status));
+  on("run", () => view.show());
   on("ball", () => view.show());
   new ResizeObserver(() => view.resize()).observe(stage);
-  view.load();
 }
 
 class View {
-  constructor(canvas) {
+  constructor(canvas, note) {
     this.canvas = canvas;
+    this.note = note;
     this.context = canvas.getContext("2d");
     this.camera = new Camera();
-    this.plan = null;
+    this.plan = this.machine = null;
+    this.message = "";
     this.asked = 0;
-    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
-    canvas.addEventListener("pointermove", (event) => {
-      if (!event.buttons) return;
-      this.camera.turn(-event.movementX * TURN_PER_PX, event.movementY * TURN_PER_PX);
-      this.show();
-    });
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.camera.zoom(Math.exp(-event.deltaY / 500), event.offsetX, event.offsetY);
-      this.show();
-    }, { passive: false });
+    listenTo(canvas, this.camera, () => this.show());
+  }
+
+  /* The path of a run is known when its preflight has passed; between runs it is that of the next one. */
+  follow({ run_id: run, state, may }) {
+    const wanted = `${may.includes("start") || PREPARING.includes(state) ? "next" : run} ${PREPARING.includes(state)}`;
+    if (wanted !== this.wanted) {
+      this.wanted = wanted;
+      this.load();
+    }
+    this.show();
   }
 
   /* The latest question wins: an answer that comes late must not show a former plan. */
   async load() {
     const mine = ++this.asked;
     try {
+      if (!this.plan) await this.drawMachine();
+      this.tell("scene.computing");
       const plan = readPlan(JSON.stringify(await read("/api/plan")));
       if (mine !== this.asked) return;
+      const first = this.plan === null;
       this.plan = plan;
-      this.fit();
+      this.tell("");
+      if (first) this.fit();
     } catch {
-      if (mine === this.asked) this.plan = null;
+      if (mine !== this.asked) return;
+      this.plan = null;
+      this.tell("scene.no_path");
     }
     this.show();
+  }
+
+  async drawMachine() {
+    this.machine = machineOf(await read("/api/machine"));
+    this.fit();
+    this.show();
+  }
+
+  tell(message = this.message) {
+    this.message = message;
+    this.note.textContent = message ? say(message) : "";
   }
 
   look(name) {
@@ -73,7 +95,8 @@ class View {
   }
 
   fit() {
-    if (this.plan) this.camera.fit(boxCorners(this.plan.travel));
+    const drawn = this.plan ?? this.machine;
+    if (drawn) this.camera.fit([...boxCorners(drawn.travel), ...boxCorners(drawn.table).filter(([, , z]) => z === drawn.table.high[2])]);
   }
 
   resize() {
@@ -96,14 +119,17 @@ class View {
   }
 
   paint() {
-    const { context, camera, plan } = this;
+    const { context, camera, plan, machine } = this;
     context.clearRect(0, 0, camera.width, camera.height);
-    if (!plan?.visits.length || camera.width < 2) return;
+    if (camera.width < 2) return;
     const colours = coloursNow();
+    if (!plan?.visits.length) {
+      if (machine) paintMachine(context, camera, machine, colours);
+      return;
+    }
     const visit = visitOf(plan, seen.status?.step);
     const state = { visit, progress: plan.visits[visit].first, path: false, probe: false, others: true };
-    const onScreen = paint(context, camera, plan, state, colours);
-    mark(context, onScreen, colours);
+    mark(context, paint(context, camera, plan, state, colours), colours);
   }
 }
 
@@ -116,16 +142,29 @@ function visitOf(plan, step) {
   return Math.max(own, 0);
 }
 
+const keyOf = (station, azimuth, elevation, ball) => `${station}/${Number(azimuth)}/${Number(elevation)}/${ball}`;
+
+function keyOfStep(step) {
+  const at = placeOf(step);
+  return at && at.ball !== null ? keyOf(at.station, at.azimuth, at.elevation, at.ball) : null;
+}
+
+/* A ball that was found later is not lost: what was measured stands above. */
 function mark(context, onScreen, colours) {
-  const keyOf = (station, azimuth, elevation, ball) => `${station}/${azimuth}/${elevation}/${ball}`;
   const measured = new Set(seen.balls.map((ball) => keyOf(ball.station, ball.azimuth_deg, ball.elevation_deg, ball.ball)));
-  const at = placeOf(seen.status?.step);
-  const next = at && at.ball !== null ? keyOf(at.station, Number(at.azimuth), Number(at.elevation), at.ball) : null;
+  const lost = new Set(seen.lost.map(keyOfStep));
+  const next = keyOfStep(seen.status?.step);
   for (const { x, y, size, ball, placing } of onScreen) {
     const key = keyOf(placing.station, placing.az, placing.el, ball.number);
     if (measured.has(key)) disc(context, x, y, Math.max(3.5, size), colours.go);
+    else if (lost.has(key)) cross(context, x, y, Math.max(6, size), colours.red);
     if (key === next) ring(context, x, y, Math.max(9, size + 5), colours.pathNow, 3.5);
   }
+}
+
+function cross(context, x, y, size, colour) {
+  line(context, [x - size, y - size], [x + size, y + size], 3, colour);
+  line(context, [x - size, y + size], [x + size, y - size], 3, colour);
 }
 
 function coloursNow() {

@@ -2,14 +2,15 @@
 import { read } from "./requests.js";
 
 const EVENTS_KEPT = 500;
-const KINDS = ["state", "progress", "note", "gate", "ball", "temperature", "question", "alarm", "outcome"];
+const KINDS = ["state", "progress", "note", "gate", "ball", "lost", "temperature", "question", "alarm", "outcome"];
+const QUIET = new Set(["progress", "temperature", "ball"]);
 const POLL_MS = 1000;
 const SILENT_MS = 4000;
 
 export const seen = { status: null, balls: [], lost: [], temperatures: [], events: [], heard: Date.now(), stale: false };
 const listeners = new Map();
 
-/* `kind`: "status", "ball", "event", "stale" or "run". */
+/* `kind`: "status", "ball" (measured or lost), "event", "stale" or "run". */
 export function on(kind, listener) {
   listeners.set(kind, [...(listeners.get(kind) ?? []), listener]);
 }
@@ -46,13 +47,25 @@ async function take(status) {
 async function beginRun(run) {
   Object.assign(seen, { balls: [], lost: [], temperatures: [] });
   if (run) {
-    try {
-      seen.balls = await read(`/api/runs/${encodeURIComponent(run)}/balls`);
-    } catch {
-      seen.balls = [];
-    }
+    const path = `/api/runs/${encodeURIComponent(run)}`;
+    const [balls, events] = await Promise.all([known(`${path}/balls`), known(`${path}/events?limit=1000`)]);
+    seen.balls = balls;
+    seen.events = events.filter(({ kind }) => kind === "state" || kind === "note").map(asEvent).reverse().slice(0, EVENTS_KEPT);
+    seen.lost = events.map(({ record }) => record.step ?? "").filter((key) => key.endsWith("/lost"));
   }
   tell("run", run);
+  tell("event", null);
+}
+
+const asEvent = ({ number, at, kind, record }) => ({ number, at, kind, text: record.text ?? "", data: record });
+
+/* A run that has only just begun is not in the journal yet. */
+async function known(path) {
+  try {
+    return await read(path);
+  } catch {
+    return [];
+  }
 }
 
 let waiting = false;
@@ -65,8 +78,12 @@ function happened(kind, message) {
     seen.balls.push(data);
     tell("ball", data);
   }
+  if (kind === "lost") {
+    seen.lost.push(text);
+    tell("ball", data);
+  }
   if (kind === "temperature") seen.temperatures.push({ key: text, ...data });
-  if (kind !== "progress" && kind !== "temperature") {
+  if (!QUIET.has(kind)) {
     seen.events.unshift(event);
     seen.events.length = Math.min(seen.events.length, EVENTS_KEPT);
     tell("event", event);

@@ -15,7 +15,7 @@ export const stateWord = (state) => say(`state.${named(state)}`);
 
 export function doing({ state, step }) {
   const words = say(`doing.${named(state)}`);
-  const where = MOVING.has(state) ? place(step) : "";
+  const where = MOVING.has(state) ? stepWords(step) : "";
   return where ? `${words}: ${where}` : words;
 }
 
@@ -26,7 +26,17 @@ export function placeOf(step) {
   return { phase, station: Number(station), azimuth, elevation, ball: ball === undefined ? null : Number(ball) };
 }
 
-function place(step) {
+/* What happened in the page's own words where it has some, else as the service says it. */
+export function eventText({ kind, text, data }) {
+  if (kind === "state") return stateWord(data.state);
+  if (kind === "lost") return say("event.lost", { place: stepWords(text) });
+  if (kind === "alarm") return say("event.alarm", { code: data.code });
+  if (kind === "outcome") return stateWord(data.state);
+  return text;
+}
+
+/* The place of a step in words; empty where it has none. */
+export function stepWords(step) {
   const at = placeOf(step);
   if (!at) return "";
   const parts = [say("place.station", { station: at.station })];

@@ -1,0 +1,100 @@
+/* The engineer's view: one section at a time, of one run where it is about a run. */
+import { byId, make } from "./dom.js";
+import { onLanguage, say } from "./language.js";
+import { runName } from "./parts.js";
+import { read, Refused } from "./requests.js";
+import * as curves from "./section-curves.js";
+import * as design from "./section-design.js";
+import * as events from "./section-events.js";
+import * as maps from "./section-map.js";
+import * as parameters from "./section-parameters.js";
+import * as reports from "./section-reports.js";
+import * as tables from "./section-tables.js";
+import * as temperatures from "./section-temperatures.js";
+import * as trend from "./section-trend.js";
+import { on, seen } from "./store.js";
+
+const SECTIONS = { map: maps, curves, trend, parameters, design, tables, events, temperatures, reports };
+const RUNS = 50;
+
+const now = { section: "map", run: null, runs: [], asked: 0, shown: false };
+
+export function openEngineer() {
+  const view = byId("view-engineer");
+  const list = make("nav", { className: "sections", id: "sections" });
+  const chooser = make("select", { id: "run", onchange: () => choose(now.section, chooser.value) });
+  const label = make("label", { className: "of-run" }, make("span", {}), chooser);
+  const content = make("div", { className: "content", id: "content", tabIndex: -1 });
+  view.replaceChildren(list, make("div", { className: "sheet" }, label, content));
+  onLanguage(() => now.shown && show());
+  on("status", ({ run_id, state }) => {
+    const key = `${run_id} ${state}`;
+    if (now.key !== key && now.shown) refresh();
+    now.key = key;
+  });
+  on("event", () => now.shown && now.section === "events" && isCurrent() && show({ quiet: true }));
+}
+
+export function enterEngineer() {
+  now.shown = true;
+  now.key = `${seen.status?.run_id} ${seen.status?.state}`;
+  return refresh();
+}
+
+export const leaveEngineer = () => (now.shown = false);
+
+const isCurrent = () => now.run === null || now.run === seen.status?.run_id;
+
+async function refresh() {
+  try {
+    now.runs = (await read(`/api/runs?limit=${RUNS}`)).runs;
+  } catch (error) {
+    if (!(error instanceof Refused)) throw error;
+    now.runs = [];
+  }
+  if (!now.runs.some(({ run_id }) => run_id === now.run)) now.run = null;
+  await show();
+}
+
+function choose(section, run) {
+  now.section = section;
+  now.run = run;
+  return show();
+}
+
+/* The run that the section is shown for: the one chosen, else the latest that has what it needs. */
+function runOf({ needsReport }) {
+  return now.run ?? (now.runs.find(({ report }) => report || !needsReport) ?? now.runs[0])?.run_id ?? null;
+}
+
+async function show({ quiet = false } = {}) {
+  const mine = ++now.asked, section = SECTIONS[now.section], content = byId("content");
+  byId("sections").replaceChildren(...Object.keys(SECTIONS).map((name) => make("button", {
+    id: `section-${name}`, ariaCurrent: name === now.section ? "page" : "false", onclick: () => choose(name, now.run).then(() => byId(`section-${name}`).focus()),
+  }, say(`section.${name}`))));
+  showRuns(section);
+  if (!quiet) content.replaceChildren(make("p", { className: "remark busy" }, say("section.loading")));
+  content.setAttribute("aria-busy", "true");
+  try {
+    const parts = section.ofRun && runOf(section) === null ? [make("p", { className: "remark" }, say("section.no_run"))]
+      : await section.parts({ run: runOf(section), runs: now.runs, again: show });
+    if (mine === now.asked) content.replaceChildren(...parts);
+  } catch (error) {
+    if (!(error instanceof Refused)) throw error;
+    if (mine === now.asked) content.replaceChildren(complaint(error.problem));
+  } finally {
+    if (mine === now.asked) content.removeAttribute("aria-busy");
+  }
+}
+
+function showRuns(section) {
+  const chooser = byId("run");
+  chooser.closest("label").hidden = !section.ofRun || now.runs.length === 0;
+  chooser.previousSibling.textContent = say("run.choose");
+  chooser.replaceChildren(...now.runs.map((run) => make("option", { value: run.run_id, selected: run.run_id === runOf(section) }, runName(run))));
+}
+
+function complaint({ detail, hint }) {
+  return make("section", { className: "card" }, make("h3", {}, say("section.nothing")), make("p", {}, detail),
+    hint ? make("p", { className: "remark" }, hint) : null);
+}

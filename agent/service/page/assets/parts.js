@@ -1,0 +1,29 @@
+/* Pieces that the engineer's sections share. */
+import { make } from "./dom.js";
+import { instant, known, say } from "./language.js";
+
+export function table(heads, rows, kind = "") {
+  return make("div", { className: "scroll" }, make("table", { className: `data ${kind}` },
+    make("thead", {}, make("tr", {}, ...heads.map((head) => make("th", { scope: "col" }, head)))),
+    make("tbody", {}, ...rows.map((cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell)))))));
+}
+
+export const heading = (key) => make("h2", {}, say(key));
+export const remark = (key, values) => make("p", { className: "remark" }, say(key, values));
+
+export function facts(pairs) {
+  return make("dl", { className: "facts wide" }, ...pairs.map(([key, text]) => make("div", {}, make("dt", {}, say(key)), make("dd", {}, text))));
+}
+
+/* One of several; `chosen` is called with the value. */
+export function choice(name, options, value, chosen) {
+  return make("div", { className: "choice", role: "group", ariaLabel: say(name) }, ...options.map(([option, key]) =>
+    make("button", { ariaPressed: String(option === value), onclick: () => chosen(option) }, say(key))));
+}
+
+export const wordOr = (prefix, value) => (known(`${prefix}.${value}`) ? say(`${prefix}.${value}`) : String(value));
+
+/* Words of a colour of their own: staged, active and accepted never look alike. */
+export const mark = (kind) => make("span", { className: `mark ${kind}` }, say(`table.${kind}`));
+
+export const runName = ({ kind, started, state }) => `${instant(started)} · ${wordOr("kind", kind)} · ${wordOr("state", state.replaceAll(/[ ,]+/g, "_"))}`;

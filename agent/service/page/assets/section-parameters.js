@@ -1,0 +1,40 @@
+/* Drift of the geometric errors: each by its largest value along the axis, and the parameters of the one chosen. */
+import { make } from "./dom.js";
+import { known, number, say } from "./language.js";
+import { heading, remark, table } from "./parts.js";
+import { read } from "./requests.js";
+import { keyOfLines, rateOf, trendFigure } from "./trend-figure.js";
+
+export const ofRun = false;
+let chosen = null;
+
+export async function parts({ again }) {
+  const { trends } = await read("/api/page/trends");
+  const errors = trends.filter(({ volumetric }) => !volumetric);
+  if (!errors.length) return [heading("parameters.title"), remark("trend.none")];
+  if (!errors.some(({ name }) => name === chosen)) chosen = errors[0].name;
+  const choose = (name) => {
+    chosen = name;
+    again({ quiet: true });
+  };
+  const single = (await read(`/api/page/trends?of=${encodeURIComponent(chosen)}`)).trends;
+  const own = errors.find(({ name }) => name === chosen);
+  return [heading("parameters.title"), remark("parameters.choose"),
+    make("div", { className: "split" }, table(["parameters.error", "parameters.now", "parameters.drift", "parameters.steps"].map((key) => say(key)), errors.map((trend) => row(trend, choose)), "compact"),
+      make("div", {}, make("h3", {}, say("parameters.of", { name: chosen })), keyOfLines(), trendFigure(own, chosen), ...single.map((trend) => trendFigure(trend, titleOf(trend.name)))))];
+}
+
+function row(trend, choose) {
+  const { name, values, unit, significant, steps } = trend;
+  return [
+    make("button", { ariaPressed: String(name === chosen), onclick: () => choose(name) }, name),
+    say("unit.value", { value: number(values.at(-1), 2), unit }),
+    make("span", { className: significant ? "strong" : "" }, rateOf(trend)),
+    steps.map(({ night, size }) => say("parameters.step", { night: number(night, 0), size: number(size, 1) })).join(", "),
+  ];
+}
+
+function titleOf(name) {
+  const [, error, order] = /^(\w+)\[(\w+)\]$/.exec(name) ?? [null, name, ""];
+  return known(`parameters.order_${order}`) ? `${error} ${say(`parameters.order_${order}`)}` : say("parameters.order", { error, order });
+}

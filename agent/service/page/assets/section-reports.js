@@ -1,0 +1,35 @@
+/* Reports of all runs as files, and everything that whoever is asked for help will want to know. */
+import { askToken } from "./dialogs.js";
+import { make } from "./dom.js";
+import { instant, number, say } from "./language.js";
+import { heading, remark, table, wordOr } from "./parts.js";
+import { fetchFile, Refused, token } from "./requests.js";
+import { tellProblem } from "./saying.js";
+import { stateWord } from "./wording.js";
+
+export const ofRun = false;
+
+export async function parts({ runs }) {
+  const list = runs.length ? table(["reports.run", "reports.kind", "reports.state", "reports.balls", "reports.report"].map((key) => say(key)), runs.map(row)) : remark("section.no_run");
+  return [heading("reports.title"), make("div", { className: "acts" }, make("button", { id: "diagnostics", onclick: diagnostics }, say("reports.diagnostics"))), remark("reports.diagnostics_is"), list];
+}
+
+function row({ run_id, kind, started, state, reason, balls, ended }) {
+  const link = (form) => make("a", { className: "button", href: `/api/page/runs/${encodeURIComponent(run_id)}/report.${form}`, download: "" }, say(`reports.${form}`));
+  return [instant(started), wordOr("kind", kind), make("span", { title: reason ?? "" }, stateWord(state)), number(balls, 0),
+    make("span", { className: "acts" }, ...(ended ? [link("html"), link("pdf")] : [say("reports.going_on")]))];
+}
+
+/* It holds all that is known of the machine, so it needs the token and comes through a request, not a link. */
+async function diagnostics() {
+  if (!token() && !(await askToken())) return;
+  try {
+    const address = URL.createObjectURL(await fetchFile("/api/diagnostics"));
+    const link = make("a", { href: address, download: "volcal-diagnostics.zip" });
+    link.click();
+    URL.revokeObjectURL(address);
+  } catch (error) {
+    tellProblem(error);
+    if (error instanceof Refused && error.problem.status === 403 && (await askToken(say("token.wrong")))) await diagnostics();
+  }
+}

@@ -1,0 +1,50 @@
+/* One series over the nights: values with their doubt, the line with its band, steps, control limits, tolerance. */
+import { band, chart, fall, level, line, points, reach } from "./chart.js";
+import { make } from "./dom.js";
+import { number, say } from "./language.js";
+
+const COVERAGE = 2, SHORTEST_NIGHTS = 1;
+
+/* A rate for a night out of less than a night says nothing. */
+const longEnough = ({ nights }) => nights.at(-1) - nights[0] >= SHORTEST_NIGHTS;
+
+export function trendFigure(trend, title) {
+  const { nights, values, unit, fitted, fitted_half_width: half, control_limits: limits, tolerance, steps } = trend;
+  const doubts = trend.standard_uncertainties?.map((sigma) => COVERAGE * sigma) ?? null;
+  const all = [...values.flatMap((value, i) => [value - (doubts?.[i] ?? 0), value + (doubts?.[i] ?? 0)]), ...(tolerance === null ? [] : [tolerance, ...(trend.two_sided ? [-tolerance] : [])]), ...(limits ? [limits[0], limits[2]] : [])];
+  const x = reach(nights, { margin: 0.06 }), y = reach(all, { zero: !trend.two_sided });
+  if (!trend.two_sided) y[0] = Math.max(y[0], 0);
+  const draws = [
+    ...(fitted && half && longEnough(trend) ? [band(nights, fitted.map((v, i) => v - half[i]), fitted.map((v, i) => v + half[i]), "fit"), line(nights, fitted, "fit")] : []),
+    ...(limits ? [level(limits[0], x, "control"), level(limits[2], x, "control")] : []),
+    ...(tolerance === null ? [] : [level(tolerance, x, "tolerance"), ...(trend.two_sided ? [level(-tolerance, x, "tolerance")] : [])]),
+    ...steps.map(({ night }) => fall(night, y, "step")),
+    points(nights, values, doubts, "value"),
+  ];
+  return make("figure", { className: "trend" }, chart({ title, xLabel: say("trend.nights"), yLabel: unit, x, y, draws, height: 190 }),
+    make("figcaption", {}, drifting(trend)));
+}
+
+export function drifting(trend) {
+  const { values, unit, drift_a_night: drift, drift_standard_uncertainty: sigma, significant, nights_left } = trend;
+  const now = say("trend.now", { value: number(values.at(-1), 2), unit });
+  if (drift === null || !longEnough(trend)) return `${now} · ${say("trend.too_few")}`;
+  const rate = say("trend.drift", { drift: number(drift, 3), doubt: number(COVERAGE * sigma, 3), unit });
+  const left = nights_left === null ? "" : ` · ${say("trend.left", { nights: number(nights_left, 0) })}`;
+  return `${now} · ${rate}${significant ? ` · ${say("trend.significant")}` : ""}${left}`;
+}
+
+/* The drift a night by itself. */
+export function rateOf(trend) {
+  const { drift_a_night: drift, drift_standard_uncertainty: sigma } = trend;
+  return drift === null || !longEnough(trend) ? "–" : say("parameters.rate", { drift: number(drift, 3), doubt: number(COVERAGE * sigma, 3) });
+}
+
+export function keyOfLines() {
+  const kinds = ["value", "fit", "control", "tolerance", "step"];
+  return make("p", { className: "remark lines" }, ...kinds.map((kind) => make("span", { className: kind }, say(`trend.line_${kind}`))));
+}
+
+export function alarmList(alarms) {
+  return alarms.length ? [make("ul", { className: "trend-alarms" }, ...alarms.map(({ kind, text }) => make("li", {}, make("b", {}, say(`trend.alarm_${kind}`)), " ", text)))] : [];
+}
