@@ -7,6 +7,7 @@ import math
 from simulators.temperatures import TemperatureSettings
 
 S_PER_H = 3600.0
+_AT_ONCE_H = 1e-9
 _ALIKE = 1e-6  # of two time constants: nearer than this, the limit is exact to more digits than the quotient
 
 
@@ -59,7 +60,7 @@ def answered(hours: float, source_h: float, follower_h: float) -> float:
     if hours <= 0.0:
         return 0.0
     slow, fast = max(source_h, follower_h), min(source_h, follower_h)
-    if slow == 0.0:
+    if slow < _AT_ONCE_H:
         return 1.0
     if fast <= _ALIKE * slow:
         return -math.expm1(-hours / slow)
