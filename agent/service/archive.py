@@ -37,6 +37,8 @@ class Archive:
 
     def runs(self, limit: int, before: str | None = None) -> list[Document]:
         """The latest first; `before`: only those begun before that run."""
+        if not self._begun:
+            return []
         where = "WHERE run < (SELECT run FROM runs WHERE run_id = ?) " if before else ""
         values = (before, limit) if before else (limit,)
         with self._reading() as connection:
@@ -105,6 +107,8 @@ class Archive:
 
     def tables(self, limit: int) -> list[Document]:
         """Every table that was kept, the latest first: backups, staged and restored ones."""
+        if not self._begun:
+            return []
         query = (
             "SELECT run_id, at, role, bank, crc32, origin_mm, step_mm, resolution_mm, shape "
             "FROM tables JOIN runs USING (run) ORDER BY tables.rowid DESC LIMIT ?"
@@ -128,6 +132,11 @@ class Archive:
         if row is None:
             raise UnknownRun(f"the journal has no run {run_id}", hint="`/api/runs` lists them")
         return int(row[0])
+
+    @property
+    def _begun(self) -> bool:
+        """There is no journal before the first run."""
+        return (self.directory / FILE_NAME).is_file()
 
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:

@@ -3,20 +3,23 @@ reports. The page's own, so it may change with it; reading only, behind the same
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 
 from agent.job import prepare_job
 from agent.kinds.restoration import Role, kept_table
-from agent.reporting.rebuilt import rebuilt
+from agent.reporting.apart import rebuilt_apart
 from agent.service.http.problems import DOCUMENTED
 from agent.service.http.site import SiteHere
 from agent.service.page.findings import Findings
 from agent.service.page.tables import difference, table_csv
-from agent.service.page.trends import Trends
 from agent.service.page.worth import Worths
+
+if TYPE_CHECKING:
+    from agent.service.page.trends import Trends
 
 Document = dict[str, Any]
 REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
@@ -25,7 +28,8 @@ REPORT_TYPES = {"html": "text/html", "pdf": "application/pdf"}
 def page_router() -> APIRouter:
     """With memories of its own: what a run has found never changes, so it is computed once."""
     router = APIRouter(prefix="/api/page", include_in_schema=False, responses=DOCUMENTED)
-    findings, trends, worths = Findings(), Trends(), Worths()
+    findings, worths = Findings(), Worths()
+    trends = cache(_trends)
 
     @router.get("/runs/{run_id}/curves")
     def curves(site: SiteHere, run_id: str) -> Document:
@@ -40,14 +44,14 @@ def page_router() -> APIRouter:
     @router.get("/runs/{run_id}/report.{form}")
     def report(site: SiteHere, run_id: str, form: Literal["html", "pdf"]) -> Response:
         """As `volcal report` writes it, from the journal alone."""
-        content = rebuilt(site.archive.directory, run_id, pdf=form == "pdf")[f"report.{form}"]
+        content = rebuilt_apart(site.archive.directory, run_id, pdf=form == "pdf")[f"report.{form}"]
         headers = {"Content-Disposition": f'attachment; filename="volcal-{run_id}.{form}"'}
         return Response(content, media_type=REPORT_TYPES[form], headers=headers)
 
     @router.get("/trends")
     def all_trends(site: SiteHere, of: Annotated[str | None, Query(max_length=20)] = None) -> Document:
         """Volumetric errors and the 21 errors over the nights; `of`: the parameters of one error."""
-        return trends.document(site.settings(), of)
+        return trends().document(site.settings(), of)
 
     @router.get("/worth")
     def worth(site: SiteHere) -> Document:
@@ -69,3 +73,10 @@ def page_router() -> APIRouter:
         return difference(kept_table(directory, one, one_role), kept_table(directory, other, other_role))
 
     return router
+
+
+def _trends() -> Trends:
+    """A database's client is loaded when the first reader asks for trends."""
+    from agent.service.page.trends import Trends  # noqa: PLC0415
+
+    return Trends()

@@ -6,6 +6,7 @@ from contextlib import closing
 from threading import Lock
 from typing import Any
 
+from agent.execution.journal import FILE_NAME
 from agent.history.overview import VOLUMETRIC, alarms_of
 from agent.history.place import place_of
 from agent.history.run_record import run_ids
@@ -30,7 +31,8 @@ class Trends:
         """LinkLost or ConfigurationError where history cannot be read."""
         with closing(HistoryStore(place_of(settings))) as store:
             digests = dict(store.digests(store.place.machine))
-            if not set(run_ids(settings.state_directory)) <= set(digests):
+            journal = settings.state_directory / FILE_NAME
+            if journal.is_file() and not set(run_ids(settings.state_directory)) <= set(digests):
                 sync(settings.state_directory, store)
                 digests = dict(store.digests(store.place.machine))
             key = (settings.history.model_dump_json(), tuple(sorted(digests.items())))

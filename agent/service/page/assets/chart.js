@@ -12,6 +12,7 @@ export function chart({ name, title, xLabel, yLabel = "", x, y, width = 520, hei
     x: (value) => room.left + (inner.width * (value - x[0])) / (x[1] - x[0] || 1),
     y: (value) => room.top + inner.height * (1 - (value - y[0]) / (y[1] - y[0] || 1)),
   };
+  scales.inside = (value) => Math.min(Math.max(value, y[0]), y[1]);
   const svg = draw("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": name ?? title, class: "chart" });
   for (const value of rounded(y, TICKS_Y)) {
     svg.append(draw("line", { x1: room.left, x2: width - room.right, y1: scales.y(value), y2: scales.y(value), class: "grid" }));
@@ -65,8 +66,8 @@ export const band = (xs, low, high, kind) => ({ x, y }) => {
   return [draw("path", { d: `${pathOf([...there, ...back])}Z`, class: `band ${kind}` })];
 };
 
-export const points = (xs, ys, doubts, kind) => ({ x, y }) => xs.flatMap((value, i) => [
-  ...(doubts ? [draw("line", { x1: x(value), x2: x(value), y1: y(ys[i] - doubts[i]), y2: y(ys[i] + doubts[i]), class: `doubt ${kind}` })] : []),
+export const points = (xs, ys, doubts, kind) => ({ x, y, inside }) => xs.flatMap((value, i) => [
+  ...(doubts ? [draw("line", { x1: x(value), x2: x(value), y1: y(inside(ys[i] - doubts[i])), y2: y(inside(ys[i] + doubts[i])), class: `doubt ${kind}` })] : []),
   draw("circle", { cx: x(value), cy: y(ys[i]), r: 3.5, class: `point ${kind}` }),
 ]);
 

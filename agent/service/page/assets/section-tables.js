@@ -22,7 +22,7 @@ export async function parts({ again }) {
     facts([["tables.active_bank", active === null ? "–" : number(active, 0)], ["tables.checksum", acting?.crc32 ?? "–"],
       ...(waiting === null ? [] : [["tables.waiting", number(waiting, 0)]])]),
     remark("tables.words"),
-    table(["tables.when", "tables.what", "tables.bank", "tables.checksum", "tables.grid", "tables.do"].map((key) => say(key)), rows.map((row) => cells(row, again))),
+    table(["tables.when", "tables.what", "tables.bank", "tables.checksum", "tables.do"].map((key) => say(key)), rows.map((row) => cells(row, again))),
     make("h3", {}, say("tables.compare")),
     await comparison(rows, again),
   ];
@@ -40,7 +40,7 @@ function cells(row, again) {
   const save = crc32 ? make("a", { className: "button", href: `/api/page/tables/${encodeURIComponent(run_id)}/${role}.csv`, download: "" }, say("tables.save")) : null;
   const can = (seen.status?.may ?? []).includes("start");
   const back = make("button", { className: "restore", disabled: !can, onclick: () => restore(row).then(() => again({ quiet: true })) }, say("tables.restore"));
-  return [instant(at), make("span", { className: "marks" }, ...words), number(bank, 0), crc32 ?? say("tables.empty"), shape ? shape.join(" × ") : "–",
+  return [instant(at), make("span", { className: "marks" }, ...words), number(bank, 0), make("span", { title: shape ? shape.join(" × ") : "" }, crc32 ?? say("tables.empty")),
     make("span", { className: "acts" }, save, back)];
 }
 

@@ -5,6 +5,7 @@ const EVENTS_KEPT = 500;
 const KINDS = ["state", "progress", "note", "gate", "ball", "lost", "temperature", "question", "alarm", "outcome"];
 const QUIET = new Set(["progress", "temperature", "ball"]);
 const POLL_MS = 1000;
+const SOON_MS = 150;
 const SILENT_MS = 4000;
 
 export const seen = { status: null, balls: [], lost: [], temperatures: [], events: [], heard: Date.now(), stale: false };
@@ -90,10 +91,10 @@ function happened(kind, message) {
   }
   if (waiting) return;
   waiting = true;
-  requestAnimationFrame(() => {
+  setTimeout(async () => {
+    await refresh();
     waiting = false;
-    refresh();
-  });
+  }, SOON_MS);
 }
 
 const watch = () => refresh();

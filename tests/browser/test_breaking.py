@@ -1,0 +1,38 @@
+"""What breaks is seen at once: the machine's link, then the service itself."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from conftest import opened, settings, with_token
+from playwright.sync_api import Browser, expect
+from service_process import service, simulator
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def test_a_lost_link_is_an_alarm_with_what_to_do_and_a_dead_service_is_unmistakable(
+    chromium: Browser, tmp_path: Path
+) -> None:
+    with simulator(tmp_path) as (machine, ready), service(settings(ready, tmp_path)) as running:
+        for page in opened(chromium, running, locale="de"):
+            with_token(page, running)
+            running.start()
+            running.until(lambda now: now["balls"] > 2, "balls")
+            machine.kill()
+            expect(page.locator("#state")).to_have_attribute("data-state", "faulted")
+            expect(page.locator("#state .word")).to_have_text("Störung")
+            alarm = page.locator(".card.alarm")
+            expect(alarm).to_contain_text(re.compile(r"Alarm 31\d: "))
+            expect(alarm.locator(".hint")).to_contain_text("Zu tun: ")
+            expect(alarm.locator(".where")).to_contain_text(re.compile(r"Schritt: (measure|probe)/"))
+            expect(page.locator("#stale")).to_be_hidden()
+            running.process.kill()
+            banner = page.locator("#stale")
+            expect(banner).to_be_visible(timeout=10_000)
+            expect(banner).to_contain_text("keine Verbindung")
+            assert banner.bounding_box()["width"] == page.viewport_size["width"]
+            expect(page.locator("body")).to_have_class(re.compile("stale-data"))
+            expect(page.locator("#abort")).to_be_enabled()

@@ -1,0 +1,140 @@
+"""What a person does at the machine: an evening and a night by the page alone."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from conftest import with_token
+from playwright.sync_api import Page, expect
+from service_process import Service
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def begin(page: Page, kind: str) -> None:
+    page.click("#start")
+    page.check(f"input[value={kind}]")
+    page.click("dialog button[type=submit]")  # not without the consent: the form stays
+    expect(page.locator("dialog")).to_be_visible()
+    page.check("input[name=consent]")
+    page.click("dialog button[type=submit]")
+
+
+def state_is(page: Page, *states: str) -> None:
+    expect(page.locator("#state")).to_have_attribute("data-state", re.compile(f"^({'|'.join(states)})$"))
+
+
+def bank_shown(page: Page) -> str:
+    return page.locator("#content .facts dd").nth(1).inner_text()
+
+
+def test_a_calibration_by_hand_a_night_and_a_table_taken_back(page: Page, house: Service) -> None:
+    begin(page, "calibrate")
+    page.fill("input[name=token]", "a wrong one")
+    page.click("dialog button[type=submit]")
+    expect(page.locator("dialog p")).to_contain_text("does not take this token")
+    page.fill("input[name=token]", house.token)
+    page.click("dialog button[type=submit]")
+    state_is(page, "preflight", "measuring")
+    state_is(page, "measuring")
+    expect(page.locator("#doing")).to_contain_text(re.compile(r"Measuring: station 1, azimuth -?\d+°.*ball \d+"))
+    expect(page.locator("#minutes-left")).to_have_text(re.compile(r"\d+ min left"))
+    expect(page.locator(".residuals rect").nth(5)).to_be_attached()
+    expect(page.locator("#start")).to_be_disabled()
+    state_is(page, "complete")
+    expect(page.locator(".facts")).to_contain_text(re.compile(r"bank [12] active"))
+    expect(page.locator("#cards")).to_be_empty()
+    first = house.status()
+    assert first["run_id"]
+
+    begin(page, "nightly")
+    state_is(page, "measuring")
+    state_is(page, "complete", "refused")
+    night = house.status()
+    assert (night["kind"], night["run_id"] != first["run_id"]) == ("nightly", True)
+
+    page.click("#tab-engineer")
+    page.click("#section-tables")
+    expect(page.locator("#content .mark.active")).to_have_count(1)
+    expect(page.locator("#content .mark.accepted").first).to_be_visible()
+    before = bank_shown(page)
+    rows = page.locator("#content table").first.locator("tbody tr")
+    row = rows.filter(has_text="Staged").filter(has_not_text=before).first
+    wanted = row.locator("td").nth(3).inner_text() if row.count() else None
+    row = row if wanted else rows.filter(has_text="no compensation").first
+    row.locator("button.restore").click()
+    expect(page.locator("dialog")).to_contain_text("Nothing moves")
+    page.click("dialog button[type=button]")  # thought better of it
+    assert house.status()["run_id"] == night["run_id"]
+    row.locator("button.restore").click()
+    page.click("dialog button[type=submit]")
+    state_is(page, "restoring", "preflight", "complete")
+    expect(page.locator("#content .mark.restored, #content .mark.staged").first).to_be_visible()
+    expect(page.locator("#content .facts dd").nth(1)).not_to_have_text(before)
+    assert house.reached("complete")["run_id"] != night["run_id"]
+
+    with page.expect_download() as saved:
+        page.locator("#content a.button").first.click()
+    assert saved.value.path().read_text().startswith("x_mm,y_mm,z_mm,")
+    page.click("#section-reports")
+    with page.expect_download() as report:
+        page.locator("#content a.button", has_text="PDF").last.click()
+    assert report.value.path().read_bytes().startswith(b"%PDF")
+    with page.expect_download() as diagnostics:
+        page.click("#diagnostics")
+    assert diagnostics.value.path().read_bytes().startswith(b"PK")
+
+
+def test_hold_resume_and_abort_that_asks_nothing(page: Page, house: Service) -> None:
+    with_token(page, house)
+    begin(page, "calibrate")
+    house.until(lambda now: now["touches"] > 3, "touches")
+    page.click("#hold")
+    state_is(page, "held")
+    expect(page.locator("#hold")).to_be_hidden()
+    page.click("#resume")
+    state_is(page, "measuring")
+    page.evaluate("sessionStorage.clear()")  # whoever aborts knows no token
+    page.click("#abort")
+    expect(page.locator("dialog")).to_be_hidden()
+    state_is(page, "aborted")
+    alarm = page.locator(".card.alarm")
+    expect(alarm).to_contain_text("Alarm 470: Somebody aborted the run")
+    expect(alarm).to_contain_text("What to do: Reset when the machine is clear.")
+    expect(page.locator("#start")).to_be_disabled()
+    with_token(page, house)
+    page.click("#reset")
+    state_is(page, "idle")
+    expect(page.locator("#cards")).to_be_empty()
+
+
+def test_everything_by_keys_alone(page: Page, house: Service) -> None:
+    with_token(page, house)
+    reached = set()
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        seen = page.evaluate(
+            "() => { const e = document.activeElement, s = getComputedStyle(e);"
+            " return [e.id || e.tagName, s.outlineStyle !== 'none' ? parseFloat(s.outlineWidth) : 0]; }"
+        )
+        if seen[0] != "BODY":
+            assert seen[1] >= 2, seen
+        reached.add(seen[0])
+    assert {"tab-operator", "language", "theme", "token", "keys", "CANVAS", "start", "abort"} <= reached
+    page.keyboard.press("?")
+    expect(page.locator("dialog table.keys")).to_contain_text("ABORT")
+    page.keyboard.press("Escape")
+    page.keyboard.press("2")
+    expect(page.locator("#view-engineer")).to_be_visible()
+    page.keyboard.press("1")
+    expect(page.locator("#view-operator")).to_be_visible()
+    page.keyboard.press("s")
+    page.focus("input[name=consent]")
+    page.keyboard.press("Space")
+    page.keyboard.press("Enter")
+    house.until(lambda now: now["state"] == "measuring", "measuring")
+    page.keyboard.press("a")
+    state_is(page, "aborted")
+    page.keyboard.press("q")
+    state_is(page, "idle")
