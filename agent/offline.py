@@ -19,9 +19,9 @@ from agent.report import (
     ReportData,
     TableFacts,
     name_of_positions,
-    render_report,
     triple,
 )
+from agent.report.render import render_report
 from agent.settings import GateSettings, Order, TableSettings
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits

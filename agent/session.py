@@ -18,7 +18,6 @@ from agent.execution.states import RunState
 from agent.execution.steps import Record, Step
 from agent.execution.supervisor import Supervisor
 from agent.guarded_run import Means, Progress, attempt
-from agent.history.sync import feed
 from agent.job import Job
 from agent.kinds.kind import FullCalibration, Kind, Ready
 from agent.kinds.outset import Outset
@@ -26,6 +25,7 @@ from agent.last_accepted import write_copy
 from agent.outcome import Outcome
 from agent.recording import record_outcome
 from agent.rehearsal import Rehearsal
+from agent.reporting.making import Reports, rebuilt_here
 from agent.rig import Rig
 from agent.settings import Settings
 from agent.writing import write_results
@@ -47,7 +47,7 @@ class Request:
     whether results are written as files too; the journal has them anyway. `asked`: who wanted it and how, kept with
     the run. `lock`: what keeps everybody else from the machine meanwhile. `observer` sees every step and its result.
     `passed` is handed what has passed its preflight, and may still refuse it.
-    `beginning`: anew, or where a run that broke off goes on.
+    `beginning`: anew, or where a run that broke off goes on. `reports` makes the files of its report.
     """
 
     job: Job
@@ -64,6 +64,7 @@ class Request:
     observer: Observer | None = None
     passed: Callable[[Ready], None] = lambda _: None
     beginning: Beginning = field(default_factory=Fresh)
+    reports: Reports = rebuilt_here
 
 
 @dataclass(frozen=True)
@@ -135,15 +136,26 @@ class _Session:
         attempt("record the outcome", lambda: record_outcome(self._journal, outcome))
         if self._request.files:
             self._feed_history()
-            outcome = write_results(self._job, outcome, progress)
+            outcome = write_results(self._job, outcome, progress, self._report())
             write_copy(self._job.settings.state_directory, self._run_id)
         return Ended(outcome, progress.error)
 
     def _feed_history(self) -> None:
         """The machine is as it should be and the journal has it all: a database that is away is worth a note."""
+        from agent.history.sync import feed  # noqa: PLC0415  a database's client, wanted once a run
+
         complaint = feed(self._job.settings, self._run_id)
         if complaint:
             attempt("note the complaint", lambda: self._conduct.note(complaint))
+
+    def _report(self) -> Mapping[str, str | bytes]:
+        """Empty where it could not be made; `volcal report` makes it any time."""
+        try:
+            return self._request.reports(self._job.settings.state_directory, self._run_id)
+        except VolcalError as error:
+            complaint = f"no report: {error}"
+            attempt("note the complaint", lambda: self._conduct.note(complaint))
+            return {}
 
     def _on(self, rig: Rig) -> Progress:
         rig.open()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from agent.files import write_all_atomically
@@ -12,26 +12,27 @@ from agent.history.run_record import read_record
 from agent.job import Job
 from agent.outcome import Outcome
 from agent.reporting.of_run import measured_positions
-from agent.reporting.rebuilt import rebuilt
 from twin.formats.ball_file import format_balls
 from twin.formats.estimate_file import format_estimate
 from twin.formats.table_file import format_side_file, format_table
 from twin.position_set import Position
 
+REPORT = "report.html"
 
-def write_results(job: Job, outcome: Outcome, progress: Progress) -> Outcome:
+
+def write_results(job: Job, outcome: Outcome, progress: Progress, report: Mapping[str, str | bytes]) -> Outcome:
     """Write what there is under ``STATE/RUN_ID`` and return the outcome with the report's path.
 
-    A run that did not come to an estimate leaves its report alone; its measurements are in the journal.
+    A run that did not come to an estimate leaves its `report` alone; its measurements are in the journal.
     """
     state = job.settings.state_directory
-    texts = rebuilt(state, outcome.run_id, pdf=False)
+    texts = dict(report)
     if progress.finding is not None:
         positions = measured_positions(read_record(state, outcome.run_id))
         texts |= _results(job, outcome.run_id, progress.finding, positions)
     directory = state / outcome.run_id
     write_all_atomically(directory, texts)
-    return replace(outcome, report=directory / "report.html")
+    return replace(outcome, report=directory / REPORT) if REPORT in report else outcome
 
 
 def _results(job: Job, run_id: str, finding: Finding, positions: Sequence[Position]) -> dict[str, str]:

@@ -22,7 +22,6 @@ from agent.report.data import (
     triple,
 )
 from agent.report.position_naming import name_of_positions
-from agent.report.render import render_report
 from agent.report.volumetric_summary import volumetric_summary
 
 __all__ = [
@@ -45,7 +44,6 @@ __all__ = [
     "VerifiedPosition",
     "VolumetricSummary",
     "name_of_positions",
-    "render_report",
     "triple",
     "volumetric_summary",
 ]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from agent.report.error_curves import ErrorCurve
 from agent.report.style import BAND_OPACITY, BLUE, INK, ORANGE, Drawing
 
 Array = NDArray[np.float64]
@@ -18,23 +18,6 @@ AXES = "XYZ"
 COLUMNS = ("EX", "EY", "EZ", "EA", "EB", "EC")
 DISPLACEMENTS = 3
 """The first three columns are displacements, the others rotations."""
-
-
-@dataclass(frozen=True)
-class ErrorCurve:
-    """One error function with its standard uncertainty, (n,) each; `unit` is µm or µrad."""
-
-    name: str
-    argument: str
-    unit: str
-    position_mm: Array
-    value: Array
-    sigma: Array
-
-    @property
-    def reach(self) -> float:
-        """Largest absolute value the ±2σ band comes to."""
-        return float(np.max(np.abs(self.value) + 2.0 * self.sigma))
 
 
 def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:

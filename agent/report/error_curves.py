@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.report.curve_figure import ErrorCurve
 from twin.error_model import DIRECTIONS, ErrorModel, series_orders
 from twin.legendre import legendre_values, normalised
 
@@ -13,6 +14,23 @@ Array = NDArray[np.float64]
 
 SAMPLES = 81
 MICRO = {"mm": ("µm", 1e3), "rad": ("µrad", 1e6)}
+
+
+@dataclass(frozen=True)
+class ErrorCurve:
+    """One error function with its standard uncertainty, (n,) each; `unit` is µm or µrad."""
+
+    name: str
+    argument: str
+    unit: str
+    position_mm: Array
+    value: Array
+    sigma: Array
+
+    @property
+    def reach(self) -> float:
+        """Largest absolute value the ±2σ band comes to."""
+        return float(np.max(np.abs(self.value) + 2.0 * self.sigma))
 
 
 def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:

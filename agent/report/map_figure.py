@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,6 +10,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from agent.report.style import INK, MAP_COLOURS, Drawing, Margins
+from agent.report.workspace_maps import PlaneMap
 
 Array = NDArray[np.float64]
 
@@ -19,17 +19,6 @@ GAP_IN = 0.25
 BAR_IN = 0.12
 ROOM = Margins(right=0.5, bottom=0.38)
 HIGHEST_IN = 4.0
-
-
-@dataclass(frozen=True)
-class PlaneMap:
-    """Lengths in µm, (nx, ny), over x and y in mm at height `z_mm`; `measured` (m, 2) are x, y of balls near it."""
-
-    z_mm: float
-    x_mm: Array
-    y_mm: Array
-    length_um: Array
-    measured: Array
 
 
 def draw_planes(name: str, planes: Sequence[PlaneMap], label: str, *, dots: bool) -> str:

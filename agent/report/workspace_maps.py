@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.report.data import ReportedEstimate
-from agent.report.map_figure import PlaneMap
 from twin.identification import field_uncertainty
 from twin.machine_model import exact_deviation
 from twin.volumetric import evaluation_grid, rigid_part
@@ -16,6 +15,17 @@ from twin.volumetric import evaluation_grid, rigid_part
 Array = NDArray[np.float64]
 
 PLANE_SHAPE = (49, 25)
+
+
+@dataclass(frozen=True)
+class PlaneMap:
+    """Lengths in µm, (nx, ny), over x and y in mm at height `z_mm`; `measured` (m, 2) are x, y of balls near it."""
+
+    z_mm: float
+    x_mm: Array
+    y_mm: Array
+    length_um: Array
+    measured: Array
 
 
 @dataclass(frozen=True)

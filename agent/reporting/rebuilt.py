@@ -13,8 +13,8 @@ from agent.history.settings import HistorySettings
 from agent.history.store import stored
 from agent.history.tables import StoredRun
 from agent.history.trends import Trend
-from agent.report import render_report
 from agent.report.pdf import render_pdf
+from agent.report.render import render_report
 from agent.reporting.of_run import report_of
 
 FEWEST_RUNS = 3

@@ -15,6 +15,7 @@ from agent.execution.run_lock import run_lock
 from agent.execution.supervisor import Supervisor
 from agent.job import prepare_job
 from agent.kinds.kind import Ready
+from agent.reporting.making import Reports, rebuilt_here
 from agent.resuming.origin import Origin, read_origin
 from agent.resuming.resumption import Resumption
 from agent.resuming.unfinished import UnfinishedRun, unfinished_run
@@ -42,6 +43,7 @@ class ResumeRequest:
     lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
     observer: Observer | None = None
     passed: Callable[[Ready], None] = lambda _: None
+    reports: Reports = rebuilt_here
 
 
 def resume(request: ResumeRequest) -> Ended:
@@ -66,6 +68,7 @@ def resume(request: ResumeRequest) -> Ended:
             observer=request.observer,
             passed=request.passed,
             beginning=Resumption(origin),
+            reports=request.reports,
         )
     )
 

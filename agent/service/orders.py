@@ -10,6 +10,7 @@ import structlog
 from agent.execution.steps import Step
 from agent.job import Job
 from agent.kinds.kind import Kind, Ready
+from agent.reporting.apart import made_apart
 from agent.resuming.resume import ResumeRequest
 from agent.service.control import Source
 from agent.service.household import Household
@@ -57,6 +58,7 @@ class Orders:
             lock=house.ownership.for_run,
             observer=self._observe,
             passed=passed,
+            reports=made_apart,
         )
 
     def going_on(self, running: Running, source: Source, settings: Settings) -> ResumeRequest:
@@ -71,6 +73,7 @@ class Orders:
             lock=house.ownership.for_run,
             observer=self._observe,
             passed=lambda ready: house.scenes.rehearsed(running.run_id, ready),
+            reports=made_apart,
         )
 
     def permitted_minutes(self, settings: Settings) -> float | None:

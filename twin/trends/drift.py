@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from twin.arrays import Array
 from twin.errors import DataError
@@ -72,7 +72,7 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
     scatter, correlation = _scatter(residuals, freedom)
     covariance = covariance * scatter**2 * (1.0 + correlation) / (1.0 - correlation)
     sigma = np.sqrt(np.diagonal(covariance))
-    factor = float(student.ppf(0.5 + 0.5 * COVERAGE, freedom if freedom >= FREEDOM_FOR_SCATTER else 1e6))
+    factor = float(stdtrit(freedom if freedom >= FREEDOM_FOR_SCATTER else 1e6, 0.5 + 0.5 * COVERAGE))
     return Drift(
         level=float(found[0]),
         level_sigma=float(sigma[0]),

@@ -22,11 +22,11 @@ from agent.report import (
     TemperatureTrace,
     Verification,
     VerifiedPosition,
-    render_report,
     triple,
 )
 from agent.report.error_curves import cross_effect_curves, geometric_error_curves
 from agent.report.position_naming import name_of_positions
+from agent.report.render import render_report
 from agent.report.residual_figures import BallResiduals
 from agent.report.volumetric_summary import volumetric_summary
 from agent.report.wording import fixed, micrometres, number
