@@ -79,7 +79,7 @@ def played(season: Season, report: bool = True) -> list[Row]:
     """All nights in turn; what full calibrations reach is worked out beside them by a process of its own."""
     with (
         ProcessPoolExecutor(1) as pool,
-        tempfile.TemporaryDirectory(prefix="volcal-nights-", dir=_memory()) as directory,
+        tempfile.TemporaryDirectory(prefix="volcal-nights-", dir=memory()) as directory,
     ):
         reached = [pool.submit(reach_um, season, night) for night in range(season.nights + 1)]
         rows, machine = [], Machine(season, Path(directory) / "state")
@@ -233,7 +233,7 @@ def _line(row: Row) -> str:
     )
 
 
-def _memory() -> str | None:
+def memory() -> str | None:
     """Where a commit costs no disk; durability is tested elsewhere."""
     shared = "/dev/shm"  # noqa: S108  a directory of its own inside, removed at the end
     return shared if os.access(shared, os.W_OK) else None

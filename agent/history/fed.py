@@ -60,7 +60,7 @@ def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any
         "state": record.state,
         "reason": record.reason,
         "software": record.software,
-        "started_by": str((record.event("asked") or {}).get("source", "command line")),
+        "started_by": _started_by(record),
         "artefact": (record.decision(INPUTS) or {}).get("artefact", {}).get("name", Path(settings["artefact"]).stem),
         "position_set": Path(settings["procedure"]["position_set"]).name,
         "balls": record.balls,
@@ -74,6 +74,12 @@ def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any
         "settings_sha256": hashlib.sha256(record.settings_text.encode()).hexdigest(),
         **_errors(record, outcome),
     }
+
+
+def _started_by(record: RunRecord) -> str:
+    """Who asked first: a run that is gone on with was asked for again."""
+    asked = [note.record for note in record.events if note.kind == "asked"]
+    return str((asked[0] if asked else {}).get("source", "command line"))
 
 
 def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:

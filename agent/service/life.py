@@ -59,7 +59,7 @@ class Life:
 
     def live(self) -> None:
         """Ready; then feed, tell and reload, until SIGTERM or SIGINT; then hold, withdraw and close."""
-        self._reconcile()
+        self.owner.reconcile_if_reached()
         self.notifier.send(READY=1, STATUS=self._text())
         period_s = LOOK_EVERY_S
         if self.notifier.watchdog_s is not None:
@@ -75,13 +75,6 @@ class Life:
             return self.signals.get(timeout=within_s)
         except Empty:
             return None
-
-    def _reconcile(self) -> None:
-        """A machine that is still off is asked before the next run."""
-        try:
-            self.owner.reconcile()
-        except VolcalError as error:
-            log.warning("what the last run has left cannot be asked now", reason=str(error))
 
     def _feed(self) -> None:
         """Nothing where the engine hangs: then systemd ends this process, and the machine's own watchdog has stopped

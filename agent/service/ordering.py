@@ -68,8 +68,13 @@ class Devices:
 
 
 def job_of(request: StartRequest, settings: Settings, config: Path) -> Job:
-    """UserError naming the settings file where the request does not fit the machine."""
-    chosen = with_overrides(settings, position_set=request.position_set, stations=request.stations)
+    """UserError naming the settings file where the request does not fit the machine.
+
+    Stations of a calibration are measured at; the one of a night is where the artefact stands, and the full calibration
+    that the night may become is of all stations.
+    """
+    stations = request.stations if request.kind == "calibrate" else None
+    chosen = with_overrides(settings, position_set=request.position_set, stations=stations)
     with naming(config):
         return prepare_job(chosen, config.parent)
 

@@ -118,6 +118,7 @@ class Owner:
                 self._house.past.acknowledge(self._board.status().run_id)
             if self._board.state is not RunState.IDLE:
                 self._board.idle()
+            self.reconcile_if_reached()
 
     def answer(self, number: int, yes: bool) -> None:
         self._questions.answer(number, yes)
@@ -148,12 +149,20 @@ class Owner:
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def reconcile(self) -> None:
-        """Once: ask the controller what the last run has left in it, and take an unproved table back. Raises
-        DeviceError where the machine cannot be asked; then it will be asked before the next run."""
+        """At the start, and once more after a run that was broken off: ask the controller what the last run has left in
+        it, and take an unproved table back. Raises DeviceError where the machine cannot be asked; then it will be asked
+        before the next run."""
         if not self._reconciled:
             found = self._house.devices.reconciled(self.settings, self._house.config.parent)
             self._reconciled = True
             self._board.reconciled(found)
+
+    def reconcile_if_reached(self) -> None:
+        """The same; a machine that is still off is asked before the next run."""
+        try:
+            self.reconcile()
+        except VolcalError as error:
+            log.warning("what the last run has left cannot be asked now", reason=str(error))
 
     # ------------------------------------------------------------------ starting
 
@@ -230,6 +239,8 @@ class Owner:
             self._house.scenes.forget()
             if error is not None:
                 self._board.alarm(alarm_of(error))
+            if state in requests.STICKY:
+                self._reconciled = False
             self._running = None
             self._board.enter(state, str(error) if error is not None else state.value)
             self._changed.notify_all()

@@ -54,14 +54,20 @@ def settings_document(state: Path, **sections: Any) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True)
 class AbsentDevices(Devices):
-    """`status`: what the machine says where it is asked."""
+    """`status`: what the machine says where it is asked; `away`: what it answers next when asked for its compensation;
+    `asked`: whether it was reached."""
 
     status: MachineStatus = READY_MACHINE
+    away: list[VolcalError] = dataclasses.field(default_factory=list)
+    asked: list[str] = dataclasses.field(default_factory=list)
 
     def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
         return self.status
 
     def reconciled(self, settings: Settings, base: Path) -> Reconciliation:
+        self.asked.append("away" if self.away else "reached")
+        if self.away:
+            raise self.away.pop()
         return Reconciliation(Found.UNKNOWN, Done.NOTHING, 0)
 
 

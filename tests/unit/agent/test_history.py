@@ -98,6 +98,15 @@ class TestFeeding:
         (run,) = store.runs()
         assert (run.state, run.reason, len(run.parameters)) == ("faulted", "mended", 3)
 
+    def test_a_run_that_was_gone_on_with_was_started_by_who_asked_first(self, state: Path, store: HistoryStore) -> None:
+        journaled(state, 0)
+        with closing(sqlite3.connect(state / "journal.sqlite")) as journal, journal:
+            for asked in ('{"source": "timer"}', '{"source": "page", "resumed": true}'):
+                journal.execute("INSERT INTO events (run, at, kind, record) VALUES (1, '', 'asked', ?)", (asked,))
+        sync(state, store)
+        (run,) = store.runs()
+        assert run.started_by == "timer"
+
     def test_a_run_without_an_estimate_is_history_too(self, state: Path, store: HistoryStore) -> None:
         journaled(state, 0, ends=RunState.REFUSED)
         with closing(sqlite3.connect(state / "journal.sqlite")) as journal, journal:

@@ -27,6 +27,7 @@ from agent.service.health import Health
 from agent.service.http.problems import problem_of
 from agent.service.life import Life
 from agent.service.notify import Notifier
+from agent.service.ordering import job_of, kind_of
 from agent.service.questions import Questions, ServiceOperator
 from agent.service.running import Running
 from agent.service.settings import ServiceSettings
@@ -107,6 +108,50 @@ def test_a_timer_is_refused_without_permission_and_the_next_night_is_not_lost(tm
         assert "was not started" in [events.get_nowait() for _ in range(events.qsize())][-1].text
         built.owner.start(StartRequest("calibrate", Source.PAGE, consent=True))
         built.puppet.begun()
+
+
+def test_the_controller_is_asked_again_after_a_run_that_broke_off(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        asked = built.household.devices.asked
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        assert asked == ["reached"]
+        built.puppet.end(RunState.COMPLETE)
+        assert built.owner.wait(PATIENCE_S)
+        built.owner.reset()
+        assert asked == ["reached"]
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        built.puppet.end(RunState.FAULTED, LinkLost("gone"))
+        assert built.owner.wait(PATIENCE_S)
+        built.owner.reset()
+        assert asked == ["reached", "reached"]
+
+
+def test_a_machine_that_is_away_at_a_reset_is_asked_before_the_next_run(tmp_path: Path) -> None:
+    with house(tmp_path) as built:
+        devices = built.household.devices
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        built.puppet.end(RunState.FAULTED, LinkLost("gone"))
+        assert built.owner.wait(PATIENCE_S)
+        devices.away.append(LinkLost("still gone"))
+        built.owner.reset()
+        assert built.owner.status().state is RunState.IDLE
+        built.owner.start(NIGHTLY)
+        built.puppet.begun()
+        assert devices.asked == ["reached", "away", "reached"]
+
+
+def test_the_station_of_a_night_is_where_the_artefact_stands_and_no_choice_of_what_is_measured(tmp_path: Path) -> None:
+    settings = Settings.model_validate(settings_document(tmp_path))
+    config = tmp_path / "volcal.toml"
+    everywhere = job_of(StartRequest("nightly", Source.TIMER), settings, config)
+    at_the_second = StartRequest("nightly", Source.TIMER, stations=(2,))
+    assert job_of(at_the_second, settings, config).stations == everywhere.stations == (1, 2)
+    assert kind_of(at_the_second, settings, None).station == 2
+    calibration = StartRequest("calibrate", Source.PAGE, stations=(2,), consent=True)
+    assert job_of(calibration, settings, config).stations == (2,)
 
 
 def test_a_run_must_end_within_the_hours(tmp_path: Path) -> None:

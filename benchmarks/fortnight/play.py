@@ -1,0 +1,166 @@
+"""The fortnight from its first evening to its last morning."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import structlog
+
+from benchmarks.fortnight.evening import Evening
+from benchmarks.fortnight.house import House
+from benchmarks.fortnight.incidents import Incidents
+from benchmarks.fortnight.ledger import acting_is_accepted, differing, history_of, left_over, trends_of
+from benchmarks.fortnight.plant import Plant
+from benchmarks.nights import memory
+from benchmarks.nights_season import Season, reach_um
+
+LARGEST_RATIO = 1.5
+QUIET = ("timer", "verify", "timer at noon", "doors open")
+
+
+@dataclass(frozen=True)
+class Programme:
+    """`evenings` by name, in turn; `changes` of the shipped settings; `reach`: whether it is worked out."""
+
+    evenings: tuple[str, ...]
+    changes: dict[str, str] = field(default_factory=dict)
+    reach: bool = True
+
+    @property
+    def season(self) -> Season:
+        """The collision is before the slot of the evening that is named for it."""
+        damaged = self.evenings.index("damage") if "damage" in self.evenings else len(self.evenings)
+        return Season(len(self.evenings) - 1, damaged, seed=1)
+
+
+FORTNIGHT = Programme(
+    (
+        *("calibrated by hand", "timer at noon", "verify", "doors open", "link loss", "timer", "power failure"),
+        *("timer", "abort", "timer", "timer", "damage", "full calibration", "timer"),
+    )
+)
+
+
+@dataclass
+class Played:
+    """`trends`: as history tells them before the damage, and at the end."""
+
+    evenings: list[Evening]
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    trends: dict[str, dict[str, Any]] = field(default_factory=dict)
+    claims: dict[str, bool] = field(default_factory=dict)
+    failed: list[str] = field(default_factory=list)
+    collisions: int = 0
+    wall_s: float = 0.0
+
+
+def play(programme: Programme, report: Callable[[str], None], figure: Path | None = None) -> Played:
+    """All of it; nothing is left over but what is handed back."""
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
+    began = perf_counter()
+    with (
+        ProcessPoolExecutor(1) as pool,
+        tempfile.TemporaryDirectory(prefix="volcal-fortnight-", dir=memory()) as directory,
+    ):
+        reached = _reached(programme, pool)
+        played = _Player(programme, Path(directory), report).played(figure)
+        played.claims["no process is left"] = not left_over(Path(directory))
+        for evening, reach in zip(played.evenings, reached, strict=True):
+            evening.reach = reach.result()
+    _judge(programme, played)
+    played.wall_s = perf_counter() - began
+    return played
+
+
+def _reached(programme: Programme, pool: ProcessPoolExecutor) -> list[Future[float]]:
+    """Worked out beside the nights, by a process that begins before there are threads."""
+    season = programme.season
+    return [pool.submit(reach_um if programme.reach else _unknown, season, n) for n in range(season.nights + 1)]
+
+
+def _unknown(_: Season, __: int) -> float:
+    return float("nan")
+
+
+class _Player:
+    def __init__(self, programme: Programme, directory: Path, report: Callable[[str], None]) -> None:
+        self._programme = programme
+        self._season = programme.season
+        self._report = report
+        self._plant = Plant(self._season.scenario, self._season.station)
+        self._house = House(directory, self._plant.ready, programme.changes)
+        self._incidents = Incidents(self._house, self._plant, programme.changes)
+
+    def played(self, figure: Path | None) -> Played:
+        played = Played([])
+        with self._house as house:
+            for night, name in enumerate(self._programme.evenings):
+                played.evenings.append(self._evening(night, name))
+                if name == "damage":
+                    played.trends["damaged"] = trends_of(house)
+                if self._programme.evenings[night + 1 : night + 2] == ("damage",):
+                    played.trends["before"] = trends_of(house, figure and figure.with_stem(f"{figure.stem}-before"))
+            played.claims["the service ends well"] = house.stop() == 0
+            played.rows = history_of(house)
+            played.trends["end"] = trends_of(house, figure)
+            played.failed = differing(house, played.evenings, played.rows)
+            played.claims["history as it should be"] = not played.failed
+        self._plant.switch_off()
+        played.collisions = self._plant.collisions
+        return played
+
+    def _evening(self, night: int, name: str) -> Evening:
+        began = perf_counter()
+        evening = Evening(night, name, self._season.station(night))
+        if night:
+            self._plant.becomes(night)
+        evening.true_before = self._plant.true_um
+        if not night:
+            self._incidents.prepare(evening)
+        self._incidents.by_name[name](evening)
+        evening.true_after, evening.active_bank = self._plant.true_um, self._plant.active_bank
+        evening.claims["the last accepted table acts"] = acting_is_accepted(self._house, self._plant)
+        evening.wall_s = perf_counter() - began
+        self._report(line(evening))
+        return evening
+
+
+def _judge(programme: Programme, played: Played) -> None:
+    """What only the simulator knows, and everything that has failed."""
+    played.claims["no collision"] = played.collisions == 0
+    if programme.reach:
+        bound = [e.ratio <= LARGEST_RATIO for e in played.evenings if e.incident != "damage"]
+        played.claims["true error within its bound"] = all(bound)
+    played.claims |= trend_claims(programme, played)
+    played.failed += [name for evening in played.evenings for name in evening.failed]
+    played.failed += [name for name, held in played.claims.items() if not held]
+
+
+def trend_claims(programme: Programme, played: Played) -> dict[str, bool]:
+    if "damage" not in programme.evenings or "before" not in played.trends:
+        return {}
+    before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
+    acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})
+    return {
+        "control limits before the damage": acting.get("control_limits") is not None,
+        "no alarm before the damage": not before["alarms"],
+        "alarm of the damage": any(
+            alarm["series"] == "ve_acting" and alarm["kind"] == "limit" for alarm in damaged["alarms"]
+        ),
+        "no limit is reached at the end": all(alarm["kind"] != "limit" for alarm in end["alarms"]),
+    }
+
+
+def line(evening: Evening) -> str:
+    return (
+        f"{evening.night + 1:2d} {evening.incident:20s} station {evening.station}: exit codes {evening.asked}, true "
+        f"{evening.true_before:5.2f} -> {evening.true_after:5.2f} µm, bank {evening.active_bank}, "
+        f"{evening.wall_s:.1f} s {evening.told or ''} {' '.join(evening.failed)}"
+    )
