@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, expect, sync_play
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "system"))
 
-from service_process import AT_ONCE, PATIENCE_S, Service, service, short_settings, simulator
+from service_process import AT_ONCE, Service, service, short_settings, simulator
 
 FLAGS = ["--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
 PANEL = {"width": 1280, "height": 800}
@@ -20,7 +20,7 @@ EXPECTED = "Failed to load resource"
 """What Chromium says of every answer that is a refusal; whether a refusal was right is for the tests."""
 COARSE = "step_mm = [500.0, 325.0, 500.0]"
 
-expect.set_options(timeout=1000 * PATIENCE_S)
+expect.set_options(timeout=120_000)
 
 
 @pytest.fixture(scope="session")
@@ -82,7 +82,7 @@ def opened(chromium: Browser, house: Service, locale: str = "en", **options: obj
 
 def at_rest(house: Service) -> None:
     house.post("/api/abort")
-    house.reached("idle", "complete", "refused", "aborted", "faulted")
+    house.reached("idle", "complete", "refused", "aborted", "faulted", within_s=120.0)
     house.post("/api/reset")
 
 

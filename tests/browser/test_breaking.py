@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from conftest import opened, settings, with_token
 from playwright.sync_api import Browser, expect
 from service_process import service, simulator
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 
 
 def test_a_lost_link_is_an_alarm_with_what_to_do_and_a_dead_service_is_unmistakable(
@@ -29,9 +30,13 @@ def test_a_lost_link_is_an_alarm_with_what_to_do_and_a_dead_service_is_unmistaka
             expect(alarm.locator(".hint")).to_contain_text("Zu tun: ")
             expect(alarm.locator(".where")).to_contain_text(re.compile(r"Schritt: (measure|probe)/"))
             expect(page.locator("#stale")).to_be_hidden()
+            running.process.send_signal(signal.SIGSTOP)  # hung, not gone
+            expect(page.locator("#stale")).to_be_visible(timeout=20_000)
+            running.process.send_signal(signal.SIGCONT)
+            expect(page.locator("#stale")).to_be_hidden()
             running.process.kill()
             banner = page.locator("#stale")
-            expect(banner).to_be_visible(timeout=10_000)
+            expect(banner).to_be_visible(timeout=20_000)
             expect(banner).to_contain_text("keine Verbindung")
             assert banner.bounding_box()["width"] == page.viewport_size["width"]
             expect(page.locator("body")).to_have_class(re.compile("stale-data"))

@@ -9,7 +9,7 @@ from conftest import with_token
 from playwright.sync_api import Page, expect
 from service_process import Service
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 
 
 def begin(page: Page, kind: str) -> None:

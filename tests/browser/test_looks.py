@@ -12,7 +12,7 @@ import pytest
 from conftest import PANEL
 from playwright.sync_api import Page, Response, Route, expect
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 
 SECTIONS = ("map", "curves", "trend", "parameters", "design", "tables", "events", "temperatures", "reports")
 MEASURES = (Path(__file__).parent / "measures.js").read_text()

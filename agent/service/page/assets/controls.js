@@ -2,7 +2,7 @@
 import { askStart, askToken, showKeys } from "./dialogs.js";
 import { byId } from "./dom.js";
 import { say } from "./language.js";
-import { ask, read, Refused, token } from "./requests.js";
+import { ask, dropReading, read, Refused, token } from "./requests.js";
 import { tellDone, tellProblem } from "./saying.js";
 import { on, refresh } from "./store.js";
 
@@ -37,6 +37,7 @@ function offer({ may }) {
 
 /* One press, no question, no token; the answer is awaited by nobody. */
 async function abort() {
+  dropReading();
   try {
     await ask("/api/abort", { reason: say("abort.reason") }, { withToken: false });
     tellDone("done.abort");

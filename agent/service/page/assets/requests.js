@@ -1,4 +1,6 @@
 /* What the page asks of the service. What moves or writes carries the token; abort carries none and waits for none. */
+import { say } from "./language.js";
+
 const KEPT_AS = "volcal.token";
 
 export const token = () => sessionStorage.getItem(KEPT_AS);
@@ -12,8 +14,21 @@ export class Refused extends Error {
   }
 }
 
+const reading = new Set();
+
 export async function read(path) {
-  return (await answered(fetch(path, { headers: { accept: "application/json" } }))).json();
+  const controller = new AbortController();
+  reading.add(controller);
+  try {
+    return await (await answered(fetch(path, { headers: { accept: "application/json" }, signal: controller.signal }))).json();
+  } finally {
+    reading.delete(controller);
+  }
+}
+
+/* Browsers open six connections to a host and no more: an abort must not stand in line behind what is being computed. */
+export function dropReading() {
+  for (const controller of reading) controller.abort();
 }
 
 export async function ask(path, body, { withToken = true } = {}) {
@@ -28,7 +43,9 @@ export async function fetchFile(path) {
 }
 
 async function answered(request) {
-  const response = await request;
+  const response = await request.catch(() => {
+    throw new Refused({ status: 0, detail: say("problem.no_answer") });
+  });
   if (response.ok) return response;
   let problem = { status: response.status, detail: response.statusText };
   if ((response.headers.get("content-type") ?? "").includes("json")) problem = { ...problem, ...(await response.json()) };

@@ -12,7 +12,7 @@ export function tellDone(key) {
 }
 
 export function tellProblem(error) {
-  if (!(error instanceof Refused)) return show("problem", say("problem.no_answer"), "");
+  if (!(error instanceof Refused)) throw error;
   const { status, detail, hint } = error.problem;
   const own = `problem.${status}`;
   return show("problem", known(own) ? say(own) : detail, known(own) && status !== 409 ? hint ?? "" : [detail, hint].filter(Boolean).join(" – "));

@@ -48,13 +48,14 @@ class View {
   }
 
   /* The path of a run is known when its preflight has passed; between runs it is that of the next one. */
-  follow({ run_id: run, state, may }) {
+  follow({ run_id: run, state, may, step }) {
     const wanted = `${may.includes("start") || PREPARING.includes(state) ? "next" : run} ${PREPARING.includes(state)}`;
     if (wanted !== this.wanted) {
       this.wanted = wanted;
       this.load();
     }
-    this.show();
+    if (step !== this.step) this.show();
+    this.step = step;
   }
 
   /* The latest question wins: an answer that comes late must not show a former plan. */

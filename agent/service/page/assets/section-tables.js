@@ -4,7 +4,7 @@ import { askConfirmation } from "./dialogs.js";
 import { make } from "./dom.js";
 import { instant, number, say } from "./language.js";
 import { facts, heading, mark, remark, table } from "./parts.js";
-import { read } from "./requests.js";
+import { read, Refused } from "./requests.js";
 import { seen } from "./store.js";
 
 export const ofRun = false;
@@ -65,7 +65,8 @@ async function comparison(rows, again) {
   try {
     return make("div", {}, choosers, differing(await read(`/api/page/tables/difference?${query}`)));
   } catch (error) {
-    return make("div", {}, choosers, make("p", { className: "remark" }, error.problem?.detail ?? say("problem.no_answer")));
+    if (!(error instanceof Refused)) throw error;
+    return make("div", {}, choosers, make("p", { className: "remark" }, error.problem.detail));
   }
 }
 

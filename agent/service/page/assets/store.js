@@ -10,6 +10,7 @@ const SILENT_MS = 4000;
 
 export const seen = { status: null, balls: [], lost: [], temperatures: [], events: [], heard: Date.now(), stale: false };
 const listeners = new Map();
+let waiting = false, asking = false;
 
 /* `kind`: "status", "ball" (measured or lost), "event", "stale" or "run". */
 export function on(kind, listener) {
@@ -28,10 +29,14 @@ export async function follow() {
 
 /* Events say that something has changed; the status says what it is now. */
 export async function refresh() {
+  if (asking) return;
+  asking = true;
   try {
     await take(await read("/api/status"));
   } catch {
-    grow(Date.now() - seen.heard > SILENT_MS);
+    look();
+  } finally {
+    asking = false;
   }
 }
 
@@ -69,8 +74,6 @@ async function known(path) {
   }
 }
 
-let waiting = false;
-
 function happened(kind, message) {
   const { text, data } = JSON.parse(message.data);
   const event = { number: Number(message.lastEventId), kind, text, data, at: new Date().toISOString() };
@@ -97,7 +100,13 @@ function happened(kind, message) {
   }, SOON_MS);
 }
 
-const watch = () => refresh();
+/* A service that hangs answers nothing at all: silence counts, not errors. */
+function watch() {
+  look();
+  refresh();
+}
+
+const look = () => grow(Date.now() - seen.heard > SILENT_MS);
 
 function grow(stale) {
   const changed = seen.stale !== stale;
