@@ -18,7 +18,7 @@ from agent.kinds.kind import Kind
 from agent.kinds.outset import Outset
 from agent.recording import INPUTS, inputs_of
 from agent.resuming.origin import origin_record
-from agent.resuming.reconcile import reconcile
+from agent.resuming.reconcile import anything_left, reconcile
 from agent.resuming.reconciliation import Found
 from agent.rig import Rig
 from drivers.clock import Clock, utc_timestamp
@@ -100,7 +100,10 @@ class Fresh:
     def _require_nothing_unproved(self, rig: Rig, wanted: Wanted) -> None:
         """PlanRefused where a former run has left a table that must be proved or taken back first: another run would
         take it for what the machine is meant to have."""
-        left = reconcile(rig, wanted.job.settings.state_directory, restore=False)
+        directory = wanted.job.settings.state_directory
+        if not anything_left(directory):
+            return
+        left = reconcile(rig, directory, restore=False)
         if left.found in (Found.UNPROVED, Found.WAITING):
             raise PlanRefused(
                 f"the last run has left the compensation unfinished: {left.text}",

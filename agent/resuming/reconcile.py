@@ -66,6 +66,11 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
     return Reconciliation(found, done, active, None, unfinished, _person(found, left))
 
 
+def anything_left(state_directory: Path) -> bool:
+    """Whether any run of the journal has ever read the compensation; without one there is nothing to compare with."""
+    return _left(state_directory / FILE_NAME, None) is not None
+
+
 def _person(found: Found, left: Left) -> str:
     match found:
         case Found.UNPROVED:
