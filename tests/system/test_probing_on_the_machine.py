@@ -30,6 +30,8 @@ from simulators.backend import SimulatedMachineDevice
 from twin.position_set import Position
 
 pytestmark = pytest.mark.timeout(120)
+LOCATING = 5
+"""Touches by which the first ball is located before its pattern."""
 POSITIONS = (Position(1, 45.0, 0.0), Position(1, 90.0, 45.0))
 NO_MOUNT_ERROR = {"index_error_deg": 0.0, "wobble_um": 0.0, "place_error_mm": 0.0, "place_error_deg": 0.0}
 
@@ -118,7 +120,11 @@ def assert_same_vectors(machine: Bench) -> None:
     ways: dict[str, list[np.ndarray]] = {}
     start = np.zeros(3)
     for step, _ in machine.seen:
-        if isinstance(step, s.TouchTowards) and step.key.startswith("measure") and "repeat" not in step.key:
+        if (
+            isinstance(step, s.TouchTowards)
+            and step.key.startswith("measure")
+            and not {"repeat", "locate"} & set(step.key.split("/"))
+        ):
             way = np.array(step.target_mm) - start
             ways.setdefault(step.key.rsplit("/touch-")[1], []).append(way / np.linalg.norm(way))
         if isinstance(step, s.MoveTo):
@@ -219,7 +225,7 @@ def test_a_crumb_is_noticed_named_and_cleaned_up(state: Path) -> None:
     trigger = {"pretravel_um": 8.0, "lobing_um": 0.5, "touch_sigma_um": 1.0}
     machine = bench(state, trigger, procedure={"touches_per_ball": 9}, probe_check={"enabled": False},
                     qualification={"enabled": False}, reversal={"enabled": False})  # fmt: skip
-    machine.rig = dataclasses.replace(machine.rig, probe=DirtyOnce(machine.device, {9 + 4}))
+    machine.rig = dataclasses.replace(machine.rig, probe=DirtyOnce(machine.device, {LOCATING + 9 + 4}))
     measured = machine.measured(machine.prepared(), POSITIONS[:1])
     assert [len(p.balls) for p in measured.positions] == [11]
     gates = [event for event in machine.events if "gate" in event]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import closing
 from threading import Lock
 from typing import Any
@@ -42,7 +43,7 @@ class Trends:
                 return self._kept[of][1]
 
 
-def _document(runs: list[StoredRun], settings: Settings, of: str | None) -> Document:
+def _document(runs: Sequence[StoredRun], settings: Settings, of: str | None) -> Document:
     chosen = [series for series in all_series(runs, settings.history) if _wanted(series, of)]
     trends = [trend_of(series, settings.history.warn_nights) for series in chosen]
     return {
