@@ -109,6 +109,34 @@ def test_hold_resume_and_abort_that_asks_nothing(page: Page, house: Service) -> 
     expect(page.locator("#cards")).to_be_empty()
 
 
+def test_no_dialog_stands_before_the_abort(page: Page) -> None:
+    for opener in ("#start", "#token", "#keys"):
+        page.click(opener)
+        expect(page.locator("dialog")).to_be_visible()
+        page.click("#abort")
+        expect(page.locator("#said")).to_contain_text("Abort was asked for.")
+        page.keyboard.press("Escape")
+        expect(page.locator("dialog")).to_be_hidden()
+
+
+def test_a_question_is_answered_with_one_of_two_large_buttons(page: Page, house: Service) -> None:
+    """The simulated operator answers by itself, so the question is put into the status on its way to the page."""
+    with_token(page, house)
+    question = {"number": 3, "text": "carry the artefact to station 2", "station": 2}
+    asking = {**house.status(), "question": question, "may": ["answer", "abort"], "event": 10**6}
+    page.route("**/api/status", lambda route: route.fulfill(json=asking))
+    card = page.locator(".card.question")
+    expect(card).to_contain_text("Bring the artefact to station 2")
+    for button, yes in (("#answer-yes", True), ("#answer-no", False)):
+        box = page.locator(button).bounding_box()
+        assert box is not None
+        assert min(box["width"], box["height"]) >= 60, button
+        with page.expect_request("**/api/answer") as sent:
+            page.click(button)
+        assert sent.value.post_data_json == {"number": 3, "yes": yes}
+        assert sent.value.headers["authorization"] == f"Bearer {house.token}"
+
+
 def test_everything_by_keys_alone(page: Page, house: Service) -> None:
     with_token(page, house)
     reached = set()

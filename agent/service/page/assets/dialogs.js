@@ -3,6 +3,24 @@ import { byId, make } from "./dom.js";
 import { say } from "./language.js";
 import { keepToken, token } from "./requests.js";
 
+/* Everything but the dialog and the abort rests: no dialog ever stands before that button. */
+const rests = () => document.querySelectorAll(".top, main, .requests");
+
+function open(dialog) {
+  const former = document.activeElement;
+  for (const part of rests()) part.inert = true;
+  dialog.addEventListener("close", () => {
+    for (const part of rests()) part.inert = false;
+    former?.focus();
+  }, { once: true });
+  dialog.show();
+  dialog.querySelector("input, button").focus();
+}
+
+addEventListener("keydown", (event) => {
+  if (event.key === "Escape") byId("dialog").close();
+});
+
 /* Resolves with the form's data when it is confirmed, with null when it is not. */
 function asked(title, confirm, ...fields) {
   const dialog = byId("dialog");
@@ -15,7 +33,7 @@ function asked(title, confirm, ...fields) {
     dialog.addEventListener("close", () => resolve(given), { once: true });
     dialog.setAttribute("aria-labelledby", "dialog-title");
     dialog.replaceChildren(form);
-    dialog.showModal();
+    open(dialog);
   });
 }
 

@@ -29,6 +29,8 @@ export function say(key, values = {}) {
   return text.replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
 }
 
+/* The English message: what the service says is English, too. */
+export const inEnglish = (key) => catalogue[key]?.en ?? "";
 export const known = (key) => key in catalogue;
 
 export function number(value, digits = 1) {

@@ -1,7 +1,7 @@
 /* What somebody at the machine wants to see: what it does, how long, what is wrong, what is asked. */
 import { request } from "./controls.js";
 import { byId, make } from "./dom.js";
-import { known, number, onLanguage, say, timeOfDay } from "./language.js";
+import { inEnglish, known, number, onLanguage, say, timeOfDay } from "./language.js";
 import { openResiduals } from "./residuals.js";
 import { openScene } from "./scene.js";
 import { on, seen } from "./store.js";
@@ -75,9 +75,13 @@ function alarmCard({ code, text, hint, where }) {
     make("h3", {}, `${say("alarm.word")} ${code}${known(title) ? `: ${say(title)}` : ""}`),
     make("p", {}, text),
     make("p", { className: "hint" }, `${say("alarm.do")} ${todo}`),
-    hint && hint !== todo ? make("p", {}, hint) : null,
+    hint && !sameWords(hint, inEnglish(own)) ? make("p", {}, hint) : null,
     at.length ? make("p", { className: "where" }, at.join(" · ")) : null);
 }
+
+/* The service's general hint says what the catalogue says; only what it knows better stands beside it. */
+const lettersOf = (text) => text.toLowerCase().replaceAll(/\W+/g, "");
+const sameWords = (one, other) => lettersOf(one) === lettersOf(other);
 
 const withUnit = (value, unit) => (value === null ? "–" : `${number(value, 1)} ${unit}`);
 
