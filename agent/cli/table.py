@@ -1,4 +1,4 @@
-"""`volcal table show|export`: the compensation tables that the controller holds."""
+"""`volcal table show|export|restore`: the compensation tables that the controller holds, and those that were kept."""
 
 from __future__ import annotations
 
@@ -15,11 +15,15 @@ from rich.table import Table
 from agent.assembly import assemble, closed_after, make_clock
 from agent.cli.errors import reported
 from agent.cli.options import config_option
+from agent.cli.start import conclude, waited_for
 from agent.execution.encoding import table_digest
 from agent.files import write_all_atomically
 from agent.job import Job, load_settings, naming, prepare_job
+from agent.kinds.restoration import ROLES
 from agent.rig import Rig
+from agent.service.client import Client
 from agent.table_image import table_of
+from drivers.clock import RealClock
 from drivers.errors import InputError
 from drivers.roles import TableImage
 from twin.formats.table_file import format_side_file, format_table
@@ -70,6 +74,24 @@ def export(config: Path, bank: int | None, out: Path) -> None:
     texts = {out.name: format_table(table), f"{out.stem}.json": format_side_file(table)}
     write_all_atomically(out.parent, texts)
     click.echo(f"bank {chosen} → {out}")
+
+
+@table_group.command("restore")
+@click.argument("run", metavar="RUN")
+@click.option("--role", type=click.Choice(ROLES), default="backup", show_default=True, help="As what the run kept it.")
+@config_option
+@click.confirmation_option(prompt="Have this table act again? The next part is made with it")
+@reported
+def restore(run: str, role: str, config: Path) -> None:
+    """Have the table act again that RUN has kept: staged, read back, activated, read back. Nothing moves.
+
+    The service does it, as a run of its own; the exit code is that run's.
+    """
+    with Client(load_settings(config)) as client:
+        asked = {"run_id": run, "role": role, "source": "command line"}
+        run_id = str(client.post("/api/tables/restore", asked)["run_id"])
+        click.echo(run_id)
+        conclude(client, waited_for(client, run_id, RealClock()))
 
 
 def _facts(image: TableImage | None) -> dict[str, object] | None:

@@ -15,7 +15,7 @@ import * as trend from "./section-trend.js";
 import { on, seen } from "./store.js";
 
 const SECTIONS = { map: maps, curves, trend, parameters, design, tables, events, temperatures, reports };
-const RUNS = 50;
+const RUNS = 50, TRIED = 5;
 
 const now = { section: "map", run: null, runs: [], asked: 0, shown: false };
 
@@ -62,9 +62,25 @@ function choose(section, run) {
   return show();
 }
 
-/* The run that the section is shown for: the one chosen, else the latest that has what it needs. */
-function runOf({ needsReport }) {
-  return now.run ?? (now.runs.find(({ report }) => report || !needsReport) ?? now.runs[0])?.run_id ?? null;
+/* The runs that the section may be shown for: the one chosen, else the latest ones that may have what it needs. */
+function candidates({ needsEstimate }) {
+  if (now.run !== null) return [now.run];
+  const latest = needsEstimate ? now.runs.filter(({ state }) => state === "complete").slice(0, TRIED) : [];
+  return (latest.length ? latest : now.runs.slice(0, 1)).map(({ run_id }) => run_id);
+}
+
+/* What the section shows, and of which run: of the first that has what it needs. */
+async function partsOf(section) {
+  if (!section.ofRun) return { run: null, parts: await section.parts({ runs: now.runs, again: show }) };
+  const runs = candidates(section);
+  if (!runs.length) return { run: null, parts: [make("p", { className: "remark" }, say("section.no_run"))] };
+  for (const run of runs) {
+    try {
+      return { run, parts: await section.parts({ run, runs: now.runs, again: show }) };
+    } catch (error) {
+      if (!(error instanceof Refused) || run === runs.at(-1)) throw error;
+    }
+  }
 }
 
 async function show({ quiet = false } = {}) {
@@ -72,13 +88,14 @@ async function show({ quiet = false } = {}) {
   byId("sections").replaceChildren(...Object.keys(SECTIONS).map((name) => make("button", {
     id: `section-${name}`, ariaCurrent: name === now.section ? "page" : "false", onclick: () => choose(name, now.run).then(() => byId(`section-${name}`).focus()),
   }, say(`section.${name}`))));
-  showRuns(section);
+  showRuns(section, candidates(section)[0] ?? null);
   if (!quiet) content.replaceChildren(make("p", { className: "remark busy" }, say("section.loading")));
   content.setAttribute("aria-busy", "true");
   try {
-    const parts = section.ofRun && runOf(section) === null ? [make("p", { className: "remark" }, say("section.no_run"))]
-      : await section.parts({ run: runOf(section), runs: now.runs, again: show });
-    if (mine === now.asked) content.replaceChildren(...parts);
+    const { run, parts } = await partsOf(section);
+    if (mine !== now.asked) return;
+    content.replaceChildren(...parts);
+    showRuns(section, run);
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
     if (mine === now.asked) content.replaceChildren(complaint(error.problem));
@@ -87,11 +104,11 @@ async function show({ quiet = false } = {}) {
   }
 }
 
-function showRuns(section) {
+function showRuns(section, shown) {
   const chooser = byId("run");
   chooser.closest("label").hidden = !section.ofRun || now.runs.length === 0;
   chooser.previousSibling.textContent = say("run.choose");
-  chooser.replaceChildren(...now.runs.map((run) => make("option", { value: run.run_id, selected: run.run_id === runOf(section) }, runName(run))));
+  chooser.replaceChildren(...now.runs.map((run) => make("option", { value: run.run_id, selected: run.run_id === shown }, runName(run))));
 }
 
 function complaint({ detail, hint }) {

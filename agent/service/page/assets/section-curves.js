@@ -5,7 +5,7 @@ import { number, say } from "./language.js";
 import { facts, heading, remark } from "./parts.js";
 import { read } from "./requests.js";
 
-export const ofRun = true, needsReport = true;
+export const ofRun = true, needsEstimate = true;
 const SIGMAS = 2;
 const ROOM = { left: 34, right: 6, top: 22, bottom: 22 };
 const KINDS = ["EX", "EY", "EZ", "EA", "EB", "EC"];

@@ -5,7 +5,7 @@ import { choice, heading, remark, table, wordOr } from "./parts.js";
 import { read } from "./requests.js";
 import { stateWord, stepWords } from "./wording.js";
 
-export const ofRun = true, needsReport = false;
+export const ofRun = true, needsEstimate = false;
 const MOST = 1000;
 const KINDS = ["all", "state", "note", "measured", "asked"];
 let shown = "all";

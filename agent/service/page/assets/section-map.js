@@ -5,7 +5,7 @@ import { choice, facts, heading, remark } from "./parts.js";
 import { read } from "./requests.js";
 import { colourOf, STOPS } from "./viridis.js";
 
-export const ofRun = true, needsReport = true;
+export const ofRun = true, needsEstimate = true;
 let shown = "deviation";
 
 export async function parts({ run, again }) {

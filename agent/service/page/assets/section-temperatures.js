@@ -5,7 +5,7 @@ import { number, say } from "./language.js";
 import { heading, remark, table } from "./parts.js";
 import { read } from "./requests.js";
 
-export const ofRun = true, needsReport = false;
+export const ofRun = true, needsEstimate = false;
 const MOST = 1000;
 
 export async function parts({ run }) {
