@@ -163,11 +163,18 @@ class ShortestPilot:
             return None
         spot = traffic.axes_at(pose.station, traffic.at(pose.stand, there.spot))
         for aside in PARKED_ASIDE_MM:
-            parked = self._course.parked(spot + np.array(aside), pose.station)
+            parked = self._inside(self._course.parked(spot + np.array(aside), pose.station))
             way = traffic.to_place(pose.stand, there.spot, point(parked - traffic.axes_at(pose.station, _PLACE)))
             if way is not None:
-                return [traffic.axes_at(pose.station, corner) + there.off for corner in way.corners], parked
+                corners = [traffic.axes_at(pose.station, corner) + there.off for corner in way.corners]
+                return [self._inside(corner) for corner in corners], parked
         return None
+
+    def _inside(self, corner: Array) -> Array:
+        """Parking places lie at the very end of the travel, and so do corners on the way there: where the artefact
+        stands off they would lie beyond it. That much was kept clear of everything."""
+        roads = self._traffic.roads
+        return np.asarray(np.clip(corner, roads.lower_mm, roads.upper_mm))
 
     # ------------------------------------------------------------------ at a ball
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,11 @@ from agent.job import Job, load_settings, prepare_job
 from agent.plans.measure import MeasuringOrder, measure_positions
 from agent.plans.publish import choose_bank, stage_table
 from agent.plans.recover import withdraw
+from agent.plans.shortest import ShortestPilot, _There
+from agent.plans.traffic import Spot
 from drivers.errors import MeasurementFault, ReadBackMismatch, StoreError, VolcalError
 from drivers.roles import Miss, Orientation, TableImage, Touch
+from twin.geometry import point
 from twin.position_set import Position
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "case-study.toml"
@@ -166,3 +170,26 @@ def test_withdrawal_goes_back_along_the_stylus_before_anything_else() -> None:
     second = plan.send(None)
     assert isinstance(second, s.MoveTo)
     assert second.target_mm == (100.0, 0.0, 300.0)
+
+
+@pytest.mark.parametrize("off_mm", [(0.0, -0.3, 0.0), (0.3, -0.2, 0.2), (-0.3, 0.3, -0.3)])
+@pytest.mark.parametrize("position", [Position(4, 90.0, -90.0), Position(1, -135.0, 45.0)])
+def test_the_way_out_of_an_artefact_that_stands_off_keeps_inside_the_travel(position, off_mm) -> None:
+    """Parking places lie at the very end of the travel of Y."""
+    traffic, probing = JOB.rules.course.roads.among(JOB.layout), JOB.rules.probing
+    stand = traffic.standing(position.station, position.azimuth_deg, position.elevation_deg)
+    centres = traffic.nominal(stand, position.station) + np.array(off_mm)
+    lower, upper = np.array(JOB.machine.limits).T
+    reached = [ball for ball, centre in enumerate(centres) if (lower + 50.0 < centre).all() and (centre < upper).all()]
+    corners = 0
+    for ball, direction in product(reached, probing.directions):
+        pilot = ShortestPilot(traffic, JOB.rules.course, probing)
+        steps = list(pilot.beside("a", position, ball, centres[ball]))
+        last_touch = Spot(ball, point(direction), probing.contact_mm, touching=True)
+        pilot._at(_There(last_touch, np.array(off_mm)), centres[ball] - probing.contact_mm * direction)
+        steps += pilot.leave("b", centres[ball])
+        corners += sum("away" in step.key for step in steps)
+        for step in steps:
+            assert (lower <= step.target_mm).all(), step
+            assert (step.target_mm <= upper).all(), step
+    assert corners
