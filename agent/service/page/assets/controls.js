@@ -72,13 +72,13 @@ export async function request(path, body, done) {
   }
 }
 
+/* Nobody presses anything but the abort while a dialog is open, and nothing while typing. */
 function press(event) {
-  const typing = event.target.closest("input, select, textarea, dialog");
   const id = PRESSED[event.key.toLowerCase()];
-  if (!id || event.ctrlKey || event.altKey || event.metaKey || event.repeat || (typing && id !== "abort")) return;
-  if (event.target.closest("input, textarea")) return;
+  if (!id || event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
+  if (event.target.closest("select, textarea, input:not([type=checkbox], [type=radio])")) return;
   const button = byId(id);
-  if (button.disabled || button.hidden) return;
+  if (button.disabled || button.hidden || (byId("dialog").open && id !== "abort")) return;
   event.preventDefault();
   button.click();
 }
