@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import structlog
 
+from agent.conduct import Announcement
+from agent.execution.states import RunState
 from agent.execution.steps import Step
 from agent.job import Job
 from agent.kinds.kind import Kind, Ready
@@ -16,6 +18,7 @@ from agent.service.control import Source
 from agent.service.household import Household
 from agent.service.ordering import require_within
 from agent.service.questions import Questions
+from agent.service.requests import AT_REST
 from agent.service.running import Running
 from agent.service.unattended import minutes_until_end, require_permission, require_warm
 from agent.session import Request
@@ -48,7 +51,7 @@ class Orders:
         return Request(
             job=job,
             base=house.config.parent,
-            listener=house.board.hear,
+            listener=self._hear,
             interrupts=running.attach,
             kind=kind,
             clock=house.devices.make_clock(job.settings.clock),
@@ -65,7 +68,7 @@ class Orders:
         house = self.house
         return ResumeRequest(
             state_directory=settings.state_directory,
-            listener=house.board.hear,
+            listener=self._hear,
             interrupts=running.attach,
             clock=house.devices.make_clock(settings.clock),
             rig=house.devices.asking(self.questions, attended=True),
@@ -83,6 +86,11 @@ class Orders:
         require_warm(circumstances, service.warm_up_minutes)
         require_permission(self.house.devices.machine_status(settings, self.house.config.parent))
         return left
+
+    def _hear(self, announcement: Announcement) -> None:
+        if announcement.kind == "state" and RunState(announcement.data["state"]) in AT_REST:
+            self.house.health.concludes()
+        self.house.board.hear(announcement)
 
     def _observe(self, step: Step, result: object) -> None:
         self.house.health.beat()

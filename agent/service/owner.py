@@ -140,7 +140,7 @@ class Owner:
             self._closing = True
             if self._running is not None:
                 self._running.hold()
-                self._running.abort("the service is being stopped")
+                self._running.interrupt("the service is being stopped")
             return self._changed.wait_for(lambda: self._running is None, within_s)
 
     def wait(self, within_s: float) -> bool:
@@ -219,7 +219,7 @@ class Owner:
         threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True).start()
 
     def _work(self, run_id: str, carry_out: Callable[[], Ended]) -> None:
-        self._house.health.beat()
+        self._house.health.begins()
         with structlog.contextvars.bound_contextvars(run_id=run_id):
             try:
                 ended = carry_out()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import os
@@ -17,8 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from service_house import PATIENCE_S, READY_MACHINE, house, settings_document
 
+from agent.conduct import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
+from agent.kinds.kind import FullCalibration
 from agent.service.bulletin import Bulletin
 from agent.service.client import error_of
 from agent.service.control import Source, StartRequest
@@ -28,6 +31,7 @@ from agent.service.http.problems import problem_of
 from agent.service.life import Life
 from agent.service.notify import Notifier
 from agent.service.ordering import job_of, kind_of
+from agent.service.orders import Orders
 from agent.service.questions import Questions, ServiceOperator
 from agent.service.running import Running
 from agent.service.settings import ServiceSettings
@@ -213,6 +217,28 @@ def test_a_hang_is_seconds_where_something_moves_and_minutes_where_it_computes()
     clock.sleep(901.0)
     assert not health.alive(RunState.IDENTIFYING)
     assert health.alive(RunState.FAULTED)
+
+
+def test_a_run_that_has_ended_is_given_minutes_for_its_report(tmp_path: Path) -> None:
+    clock = VirtualClock()
+    with house(tmp_path) as built:
+        household = dataclasses.replace(built.household, health=Health(clock.now, hung_after_s=30.0, computing_s=900.0))
+        orders, health = Orders(household, Questions(household.board.ask)), household.health
+        job = job_of(NIGHTLY, built.owner.settings, household.config)
+        ordered = orders.anew(Running("a", health.beat), job, FullCalibration(), {}, attended=True)
+        health.begins()
+        for state in (RunState.VERIFYING, RunState.COMPLETE):
+            clock.sleep(31.0)
+            assert not health.alive(RunState.VERIFYING)
+            ordered.listener(Announcement("state", state.value, {"state": state.value}))
+            health.beat()
+        clock.sleep(31.0)  # the doors are told VERIFYING until the machine is free again
+        assert health.alive(RunState.VERIFYING)
+        clock.sleep(900.0)
+        assert not health.alive(RunState.VERIFYING)
+        health.begins()
+        clock.sleep(31.0)
+        assert not health.alive(RunState.VERIFYING)
 
 
 @pytest.mark.parametrize("abstract", [False, True])
