@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts bench nights plans bad-plans aborts schema clean
+.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts schema clean
 
 setup: $(STAMP)
 
@@ -38,6 +38,10 @@ bench: setup
 NIGHTS ?= 30
 nights: setup
 	$(BIN)/python -m benchmarks.nights --nights $(NIGHTS)
+
+# A fortnight of the service with everything that goes wrong, in virtual time; ends with one line of JSON.
+fortnight: setup
+	$(BIN)/python -m benchmarks.fortnight
 
 # Random valid plans rehearsed, run with errors and broken off; bad plans, each refused for the right reason; one run
 # broken off at each step. Each ends with one line of JSON.
