@@ -1,0 +1,101 @@
+"""What the page asks for beyond the interface, against arithmetic of the test's own."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from service_house import settings_document
+
+from agent.designing.valued_set import valuation_of
+from agent.job import Job, prepare_job
+from agent.service.page.findings import Findings
+from agent.service.page.tables import difference, table_csv
+from agent.service.page.trends import Trends
+from agent.service.page.worth import worth_of
+from agent.settings import Settings
+from drivers.errors import InputError
+from drivers.roles import TableImage
+from twin.position_set import Position
+
+SHAPE = (4, 3, 2)
+PLACES = (Position(1, 0.0, 45.0), Position(1, 45.0, 0.0), Position(2, -45.0, 0.0))
+
+
+def image(seed: int, resolution_mm: float = 1e-4) -> TableImage:
+    counts = np.random.default_rng(seed).integers(-900, 900, (*SHAPE, 3), dtype=np.int32)
+    return TableImage((0.0, 10.0, 20.0), (100.0, 50.0, 25.0), resolution_mm, counts)
+
+
+def test_the_difference_of_two_tables_is_found_node_by_node() -> None:
+    one, other = image(1), image(2, resolution_mm=2e-4)
+    found = difference(one, other)
+    assert (found["same"], found["nodes"]) == (False, 24)
+    for axis, row in enumerate(found["axes"]):
+        changes = {}
+        for node in np.ndindex(*SHAPE):
+            um = 1e3 * (2e-4 * float(other.counts[node][axis]) - 1e-4 * float(one.counts[node][axis]))
+            changes[(0.0 + 100.0 * node[0], 10.0 + 50.0 * node[1], 20.0 + 25.0 * node[2])] = um
+        assert row["axis"] == "XYZ"[axis]
+        assert row["largest_um"] == pytest.approx(max(changes.values(), key=abs))
+        assert changes[tuple(row["at_mm"])] == pytest.approx(row["largest_um"])
+        assert row["rms_um"] == pytest.approx((sum(um**2 for um in changes.values()) / 24) ** 0.5)
+
+
+def test_no_compensation_is_a_table_of_zeros_and_nothing_differs_from_itself() -> None:
+    table = image(3)
+    found = difference(None, table)
+    assert found["axes"][0]["largest_um"] == pytest.approx(0.1 * max(table.counts[..., 0].ravel().tolist(), key=abs))
+    assert difference(table, None)["axes"][1]["largest_um"] == pytest.approx(-found["axes"][1]["largest_um"])
+    assert difference(table, image(3))["same"]
+    assert difference(None, None)["same"]
+    assert found["crc32"][0] is None
+
+
+def test_tables_on_different_grids_are_not_compared() -> None:
+    with pytest.raises(InputError, match="different grids"):
+        difference(image(1), replace(image(1), step_mm=(100.0, 50.0, 20.0)))
+
+
+def test_a_kept_table_as_a_file() -> None:
+    table = image(4)
+    rows = list(csv.reader(io.StringIO(table_csv(table, np.zeros(3), "run", "backup"))))
+    assert rows[0] == ["x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um"]
+    assert len(rows) == 1 + 24
+    assert [float(value) for value in rows[1][:3]] == [0.0, 10.0, 20.0]
+    assert [float(value) for value in rows[2][3:]] == pytest.approx([0.1 * n for n in table.counts[0, 0, 1].tolist()])
+    with pytest.raises(InputError, match="no compensation"):
+        table_csv(None, np.zeros(3), "run", "backup")
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    state = tmp_path_factory.mktemp("state")
+    prepared = prepare_job(Settings.model_validate(settings_document(state)), state)
+    return replace(prepared, positions=PLACES)
+
+
+def test_what_a_position_is_worth_is_what_the_set_without_it_leaves(job: Job) -> None:
+    found = worth_of(job)
+    whole = valuation_of(job, PLACES)
+    assert found["after_um"] == pytest.approx(whole.after.aligned_um, rel=1e-6)
+    assert found["before_um"] == pytest.approx(whole.before.aligned_um, rel=1e-6)
+    assert found["percent"] == pytest.approx(whole.percent, rel=1e-5)
+    assert len(found["positions"]) == len(PLACES)
+    for row in found["positions"]:
+        place = Position(row["station"], row["azimuth_deg"], row["elevation_deg"])
+        without = valuation_of(job, [other for other in PLACES if other != place])
+        assert row["lost_um"] == pytest.approx(without.after.aligned_um - whole.after.aligned_um, rel=1e-4)
+        assert row["lost_um"] > 0.0
+    assert found["out_of_reach"] == []
+
+
+def test_before_the_first_run_there_are_no_trends_and_no_findings(tmp_path: Path) -> None:
+    settings = Settings.model_validate(settings_document(tmp_path))
+    assert Trends().document(settings, None) == {"trends": [], "alarms": [], "runs": {}}
+    with pytest.raises(InputError, match="no journal"):
+        Findings().curves(tmp_path, "20260101T000000Z-0000")
