@@ -18,7 +18,7 @@ from agent.plans.measure import Measured, measure_positions
 from agent.time_model import TimeModel, time_model
 from agent.timing import TimedStep
 from drivers.clock import VirtualClock, wall_seconds
-from drivers.errors import ConfigurationError, DeviceError, MeasurementFault, PlanRefused
+from drivers.errors import Aborted, ConfigurationError, DeviceError, Interrupted, MeasurementFault, PlanRefused
 
 Procedure = Callable[[Job], Plan[tuple[Measured, Measured]]]
 """Everything of a run that moves: what is measured, and what is measured to prove it."""
@@ -42,20 +42,32 @@ class Rehearsal:
         return self.machine_seconds / 60.0
 
 
-def rehearse(job: Job, start_mm: Point | None = None, procedure: Procedure | None = None) -> Rehearsal:
+def unwatched() -> None:
+    """Nobody wants to break off."""
+
+
+def rehearse(
+    job: Job,
+    start_mm: Point | None = None,
+    procedure: Procedure | None = None,
+    watch: Callable[[], None] = unwatched,
+) -> Rehearsal:
     """Run the whole procedure, by default that of a calibration, on a machine without errors.
 
     `start_mm`: where the real machine stands; None for where the simulated one begins. Raises PlanRefused
-    naming the step, and the two bodies where one would hit the other.
+    naming the step, and the two bodies where one would hit the other; and what `watch` raises, which is called at every
+    step.
     """
     plan = (procedure or whole_procedure)(job)
     began = wall_seconds()
     clock = VirtualClock()
     rig = assemble_rehearsal(job, clock, start_mm)
-    times = _Times(clock, time_model(job.machine, job.settings.timing))
+    times = _Times(clock, time_model(job.machine, job.settings.timing), watch)
     rig.open()
     try:
         measured, verified = Engine(rig.actions(), observer=times.note).run(lawful(plan, job.settings))
+    except (Aborted, Interrupted) as end:  # at no step of the machine's
+        raise type(end)(end.message, hint=end.hint) from end
     except (DeviceError, MeasurementFault) as error:
         raise PlanRefused(
             f"preflight: {error.message}", hint="nothing was moved; the plan must change", **error.where
@@ -70,14 +82,16 @@ def rehearse(job: Job, start_mm: Point | None = None, procedure: Procedure | Non
 class _Times:
     """Notes when each step is done. The simulated machine's motion has moved the clock; the rest is added here."""
 
-    def __init__(self, clock: VirtualClock, model: TimeModel) -> None:
+    def __init__(self, clock: VirtualClock, model: TimeModel, watch: Callable[[], None]) -> None:
         self._clock = clock
         self._model = model
+        self._watch = watch
         self._last_s = clock.now()
         self.timeline: dict[str, float] = {}
         self.steps: list[TimedStep] = []
 
     def note(self, step: Step, _: object) -> None:
+        self._watch()
         motion_s, beyond_s = self._clock.now() - self._last_s, self._model.beyond_motion_s(step)
         self._clock.sleep(beyond_s)
         self._last_s = self.timeline[step.key] = self._clock.now()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from agent.assembly import LOCKSTEP_SLICE_S, assemble, closed_after, make_clock
@@ -30,7 +30,7 @@ from agent.rig import Rig
 from agent.settings import Settings
 from agent.writing import write_results
 from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, WatchedClock, utc_timestamp, wall_seconds
-from drivers.errors import PlanRefused, UserError, VolcalError
+from drivers.errors import Aborted, Interrupted, PlanRefused, UserError, VolcalError
 
 
 def new_run_id() -> str:
@@ -129,8 +129,7 @@ class _Session:
             progress = self._on(rig)
         except VolcalError as error:
             progress.error = error
-            refused = isinstance(error, (PlanRefused, UserError))
-            self._conduct.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
+            self._not_begun(error)
         minutes = (self._clock.now() - started_s) / 60.0
         outcome = self._outcome(progress, minutes, wall_seconds() - began)
         attempt("record the outcome", lambda: record_outcome(self._journal, outcome))
@@ -139,6 +138,15 @@ class _Session:
             outcome = write_results(self._job, outcome, progress, self._report())
             write_copy(self._job.settings.state_directory, self._run_id)
         return Ended(outcome, progress.error)
+
+    def _not_begun(self, error: VolcalError) -> None:
+        """Nothing has moved."""
+        if isinstance(error, (Aborted, Interrupted)):
+            self._conduct.enter(RunState.ABORTING, str(error))
+            self._conduct.enter(RunState.ABORTED, str(error))
+            return
+        refused = isinstance(error, (PlanRefused, UserError))
+        self._conduct.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
 
     def _feed_history(self) -> None:
         """The machine is as it should be and the journal has it all: a database that is away is worth a note."""
@@ -186,7 +194,7 @@ class _Session:
         self._conduct.go_on()
 
     def _preflight(self, outset: Outset) -> Ready:
-        ready = self._request.kind.ready(self._job, outset)
+        ready = self._request.kind.ready(self._job, replace(outset, watch=self._supervisor.look))
         self._request.passed(ready)
         self._job, self._rehearsal = ready.job, ready.rehearsal
         rehearsal = ready.rehearsal

@@ -1,7 +1,9 @@
 """The service at real speed: abort to stop command, overhead of a step, share of a core, memory. One JSON line.
 
-`volcal serve` and `volcal simulate` are processes of their own on the wall clock, four clients poll the status. The
-stop command has been sent before the state says aborting, so the event of that state bounds it from above.
+`volcal serve` and `volcal simulate` are processes of their own on the wall clock, four clients poll the status and one
+hears the events. Requests are timed from before their connection is made, STOP when it comes by between agent and
+controller. What a step costs is the time from a result to the next step that moves; a reading in between is the
+device's time, so gaps with one are left out.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -19,14 +22,19 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "system"))
-from service_process import COMMAND, Service, service, short_settings
+from service_process import COMMAND, Service, service, short_settings, wait_for
 from test_kill import SCENARIO
+
+from agent.execution.steps import ACTING
+from benchmarks.service_wire import Wire, wire
 
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 POLLING_CLIENTS = 4
 POLL_EVERY_S = 0.05
+POLLED_WITHIN_S = 45.0
 FIRST_TOUCH_WITHIN_S = 300.0
 
 
@@ -35,54 +43,78 @@ def main() -> None:
     parser.add_argument("--aborts", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=30.0, help="of idling, and of a run that is measured")
     chosen = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder, real_speed(Path(folder)) as running:
+    with tempfile.TemporaryDirectory() as folder, real_speed(Path(folder)) as (running, between):
         figures = idle(running, chosen.seconds)
         with polled(running):
-            latencies = sorted(abort_latency_ms(running) for _ in range(chosen.aborts))
-        figures["abort_to_stop_ms_median"] = latencies[len(latencies) // 2]
-        figures["abort_to_stop_ms_worst"] = latencies[-1]
-        figures["aborts"] = len(latencies)
+            stops = sorted(abort_to_stop_ms(running, between) for _ in range(chosen.aborts))
+            early = sorted(early_abort_ms(running) for _ in range(max(chosen.aborts // 4, 1)))
+        figures |= {"abort_to_stop_ms_median": stops[len(stops) // 2], "abort_to_stop_ms_worst": stops[-1]}
+        figures |= {"aborts": len(stops), "abort_in_preflight_ms_worst": early[-1]}
         figures |= measured(running, chosen.seconds)
     print(json.dumps({name: round(value, 3) for name, value in figures.items()}))
 
 
 @contextmanager
-def real_speed(directory: Path) -> Iterator[Service]:
+def real_speed(directory: Path) -> Iterator[tuple[Service, Wire]]:
     arguments = ["--can", "socketcand:127.0.0.1:0", "--clock", "real", "--end-with-stdin"]
     command = [*COMMAND, "simulate", "--config", str(SCENARIO), *arguments]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as simulator:  # noqa: S603
         try:
             assert simulator.stdout is not None
             ready = json.loads(simulator.stdout.readline())
-            config = short_settings({**ready, "time": {"port": 1}}, directory)
-            text = config.read_text().replace('kind = "lockstep"\nhost = "127.0.0.1"\nport = 1\n', 'kind = "real"\n')
-            config.write_text(text)
-            with service(config) as running:
-                yield running
+            with (
+                wire(ready["modbus"]["host"], ready["modbus"]["port"]) as between,
+                service(_settings(ready, between, directory)) as running,
+            ):
+                yield running, between
         finally:
             simulator.kill()
+
+
+def _settings(ready: dict[str, Any], between: Wire, directory: Path) -> Path:
+    config = short_settings({**ready, "time": {"port": 1}, "modbus": {"port": between.port}}, directory)
+    text = config.read_text().replace('kind = "lockstep"\nhost = "127.0.0.1"\nport = 1\n', 'kind = "real"\n')
+    config.write_text(text)
+    return config
 
 
 def idle(running: Service, seconds: float) -> dict[str, float]:
     return {"idle_cpu_percent": cpu_percent(running.process.pid, seconds), "idle_rss_mb": rss_mb(running.process.pid)}
 
 
-def abort_latency_ms(running: Service) -> float:
+def abort_to_stop_ms(running: Service, between: Wire) -> float:
+    """From a touch or a move under way."""
     running.start()
     running.until(lambda now: now["state"] == "measuring" and now["step"], "a step; the axes are on their way")
-    with running.client() as client, client.stream("GET", "/api/events") as events:
-        lines = events.iter_lines()
-        while "data" not in next(lines):
-            """The status at the beginning."""
-        began = time.perf_counter()
-        with running.client() as other:
-            other.post("/api/abort")
-        while '"aborting"' not in next(lines):
-            """What still happened before."""
-        latency_ms = 1e3 * (time.perf_counter() - began)
+    known = len(between.stops)
+    began = ask_abort(running)
+    wait_for(lambda: len(between.stops) > known, "STOP on the wire")
+    latency_ms = 1e3 * (between.stops[known] - began)
     running.reached("aborted")
     running.post("/api/reset")
     return latency_ms
+
+
+def early_abort_ms(running: Service) -> float:
+    """While the run is still being rehearsed: until nothing goes on any more."""
+    running.start()
+    running.until(lambda now: now["state"] == "preflight", "the preflight")
+    began = ask_abort(running)
+    running.reached("aborted")
+    latency_ms = 1e3 * (time.perf_counter() - began)
+    running.post("/api/reset")
+    return latency_ms
+
+
+def ask_abort(running: Service) -> float:
+    """The instant before the connection was made. Raw, so that no client's own preparation is counted."""
+    host, _, port = running.url.removeprefix("http://").partition(":")
+    request = f"POST /api/abort HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+    began = time.perf_counter()
+    with socket.create_connection((host, int(port)), timeout=POLLED_WITHIN_S) as link:
+        link.sendall(request.encode())
+        assert link.recv(12) == b"HTTP/1.1 200"
+    return began
 
 
 def measured(running: Service, seconds: float) -> dict[str, float]:
@@ -94,15 +126,16 @@ def measured(running: Service, seconds: float) -> dict[str, float]:
     running.reached("aborted")
     with closing(sqlite3.connect(running.state / "journal.sqlite")) as journal:
         rows = journal.execute(
-            "SELECT begun, finished FROM steps JOIN runs USING (run) "
-            "WHERE run_id = ? AND finished IS NOT NULL ORDER BY ordinal",
+            "SELECT begun, finished, steps.kind FROM steps JOIN runs USING (run) "
+            "WHERE run_id = ? AND finished IS NOT NULL AND NOT steps.aside ORDER BY ordinal",
             (run_id,),
         ).fetchall()
-    gaps = sorted(after[0] - before[1] for before, after in pairwise(rows))
+    moving = {kind.__name__ for kind in ACTING}
+    gaps = sorted(after[0] - before[1] for before, after in pairwise(rows) if after[2] in moving)
     return {
         "running_cpu_percent": share,
         "peak_rss_mb": rss_mb(running.process.pid, "VmHWM"),
-        "steps": len(rows),
+        "steps": len(gaps),
         "step_overhead_ms_median": 1e3 * gaps[len(gaps) // 2],
         "step_overhead_ms_p99": 1e3 * gaps[int(0.99 * len(gaps))],
         "overhead_percent": 100.0 * sum(gaps) / (rows[-1][1] - rows[0][0]),
@@ -135,14 +168,21 @@ def polled(running: Service) -> Iterator[None]:
             while not ended.wait(POLL_EVERY_S):
                 client.get("/api/status")
 
+    def hear() -> None:
+        with running.client() as client, client.stream("GET", "/api/events") as events:
+            for _ in events.iter_lines():
+                if ended.is_set():
+                    return
+
     threads = [threading.Thread(target=poll) for _ in range(POLLING_CLIENTS)]
+    threads.append(threading.Thread(target=hear, daemon=True))
     for thread in threads:
         thread.start()
     try:
         yield
     finally:
         ended.set()
-        for thread in threads:
+        for thread in threads[:POLLING_CLIENTS]:
             thread.join()
 
 

@@ -27,7 +27,8 @@
         ├── PlanDiverged          recorded steps do not fit the rebuilt plan
         ├── JournalFailed         what happens can no longer be made durable (disk full, disk gone)
         ├── Busy                  another run owns the machine
-        └── Aborted               somebody asked for it                               exit code 5
+        ├── Aborted               somebody asked for it                               exit code 5
+        └── Interrupted           the program had to end; the run can be gone on with exit code 5
 
 Every error says what is wrong, where, and what to do; `str()` gives all three on one line.
 """
@@ -157,4 +158,8 @@ class Busy(RunError):
 
 
 class Aborted(RunError):
+    exit_code = 5
+
+
+class Interrupted(RunError):
     exit_code = 5

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from drivers.clock import Clock
-from drivers.errors import Aborted
+from drivers.errors import Aborted, Interrupted, VolcalError
 
 HOLD_POLL_S = 0.05
 
@@ -21,7 +21,7 @@ class Supervisor:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._abort_reason: str | None = None
+        self._wanted: tuple[type[VolcalError], str] | None = None
         self._hold = threading.Event()
         self._lock = threading.Lock()
         self._shielded = False
@@ -31,10 +31,16 @@ class Supervisor:
         self.alive: Callable[[], None] = _nothing
 
     def request_abort(self, reason: str) -> None:
-        """The first reason stays."""
+        """Somebody wants the run to end. The first reason stays."""
+        self._want(Aborted, f"aborted: {reason}")
+
+    def request_interruption(self, reason: str) -> None:
+        """The program must end; left as by an abort, but the run can be gone on with. The first reason stays."""
+        self._want(Interrupted, f"interrupted: {reason}")
+
+    def _want(self, kind: type[VolcalError], text: str) -> None:
         with self._lock:
-            if self._abort_reason is None:
-                self._abort_reason = reason
+            self._wanted = self._wanted or (kind, text)
 
     def request_hold(self) -> None:
         self._hold.set()
@@ -43,13 +49,19 @@ class Supervisor:
         self._hold.clear()
 
     def check(self) -> None:
-        """Raise `Aborted`, or block while held. Inert while shielded and while it is itself holding."""
+        """Raise `Aborted` or `Interrupted`, or block while held. Inert while shielded and while itself holding."""
         self.alive()
         if self._shielded or self._holding:
             return
-        self._raise_if_aborted()
+        self._raise_if_wanted()
         if self._hold.is_set():
             self._wait_for_resume()
+
+    def look(self) -> None:
+        """While the run computes and nothing moves that could be held: raise as `check`."""
+        self.alive()
+        if not self._shielded:
+            self._raise_if_wanted()
 
     def shield(self) -> None:
         """From here on the way out runs (retract, restore, close): it must not be interrupted again."""
@@ -61,15 +73,16 @@ class Supervisor:
             self.on_hold()
             while self._hold.is_set():
                 self.alive()
-                self._raise_if_aborted()
+                self._raise_if_wanted()
                 self._clock.sleep(HOLD_POLL_S)
             self.on_resume()
         finally:
             self._holding = False
 
-    def _raise_if_aborted(self) -> None:
-        if self._abort_reason is not None:
-            raise Aborted(f"aborted: {self._abort_reason}")
+    def _raise_if_wanted(self) -> None:
+        if self._wanted is not None:
+            kind, text = self._wanted
+            raise kind(text)
 
 
 def _nothing() -> None:

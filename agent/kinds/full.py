@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 from agent.consent import Consent
 from agent.execution.states import RunState
-from agent.execution.steps import Point
 from agent.guarded_run import GuardedRun, Means
 from agent.job import Job
 from agent.kinds.judging import Judge
 from agent.kinds.kind import Ready
 from agent.kinds.looking import judged, measure, require_table_of
 from agent.kinds.night_plan import LOOK, NightPlan, looking_plan, only_looking
+from agent.kinds.outset import Outset
 from agent.kinds.positions import Chooser
 from agent.last_accepted import FullNeeded
 from agent.outcome import Decision, NightReport
@@ -33,15 +33,15 @@ class Slot:
         return minutes + self.reserve <= self.minutes
 
 
-def ready_for_full(here: Job, station: int, judge: Judge, slot: Slot, pending: FullNeeded, start_mm: Point) -> Ready:
+def ready_for_full(here: Job, station: int, judge: Judge, slot: Slot, pending: FullNeeded, outset: Outset) -> Ready:
     """The full calibration that an earlier night has asked for; where it cannot be tonight, a verification."""
     if slot.full_allowed:
-        rehearsal = rehearse(here, start_mm)
+        rehearsal = rehearse(here, outset.start_mm, watch=outset.watch)
         if slot.holds(rehearsal.machine_minutes):
             return Ready(here, rehearsal, lambda means: FullRun(here, means, judge, station, pending))
     plan = looking_plan(Chooser(here, station), judge)
     own = plan.job(here)
-    rehearsal = rehearse(own, start_mm, only_looking(plan))
+    rehearsal = rehearse(own, outset.start_mm, only_looking(plan), outset.watch)
     if not slot.holds(rehearsal.machine_minutes):
         raise PlanRefused(
             f"the verification takes {rehearsal.machine_minutes:.1f} min, the slot has {slot.minutes:g}",

@@ -46,7 +46,7 @@ class FullCalibration:
     name: str = "calibrate"
 
     def ready(self, job: Job, outset: Outset) -> Ready:
-        rehearsal = rehearse(job, outset.start_mm)
+        rehearsal = rehearse(job, outset.start_mm, watch=outset.watch)
         rehearsed_estimate(job, rehearsal.measured)
         last = accepted_for(job, outset.run)
         nights = nights_since(last, self.nights, outset.at)

@@ -6,9 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from agent.execution.steps import Plan, Point
+from agent.execution.steps import Plan
 from agent.job import Job
 from agent.kinds.judging import Judge
+from agent.kinds.outset import Outset
 from agent.kinds.positions import Chooser
 from agent.plans.closing import joined
 from agent.plans.measure import Measured, MeasuringOrder, measure_positions
@@ -81,7 +82,7 @@ def looking_plan(chooser: Chooser, judge: Judge) -> NightPlan:
     return NightPlan(chooser.station, held, looked)
 
 
-def night_plan(chooser: Chooser, judge: Judge, slot_minutes: float, start_mm: Point) -> tuple[NightPlan, Rehearsal]:
+def night_plan(chooser: Chooser, judge: Judge, slot_minutes: float, outset: Outset) -> tuple[NightPlan, Rehearsal]:
     """As many positions as the slot holds by the rehearsal, its reserve kept. PlanRefused where it is too short."""
     chosen = chooser.job.settings.nightly
     held = _held_out(chooser, chosen.held_out)
@@ -97,7 +98,8 @@ def night_plan(chooser: Chooser, judge: Judge, slot_minutes: float, start_mm: Po
         if count in tried or count > len(offered):
             break
         plan = NightPlan(chooser.station, held, offered[: chosen.looked_at], offered[chosen.looked_at : count])
-        tried[count] = plan, rehearse(plan.job(chooser.job), start_mm, whole_night(plan))
+        own = plan.job(chooser.job)
+        tried[count] = plan, rehearse(own, outset.start_mm, whole_night(plan), outset.watch)
         left = room - tried[count][1].machine_minutes
         more = offered[count : count + 1]
         count += 1 if more and left > chooser.minutes(more) else -1 if left < 0.0 else 0

@@ -38,7 +38,7 @@ from agent.outcome import Decision, NightReport, Proof
 from agent.plans.closing import joined
 from agent.plans.measure import Measured
 from agent.plans.position import MeasuredBall
-from agent.rehearsal import Rehearsal, rehearse
+from agent.rehearsal import Procedure, Rehearsal, rehearse
 from agent.run import CalibrationRun
 from drivers.errors import MeasurementFault, PlanRefused
 from twin.position_set import Position
@@ -76,9 +76,9 @@ class Night:
         )
         pending = full_needed(job.settings.state_directory, outset.run)
         if pending is not None:
-            return ready_for_full(here, station, judge, slot, pending, outset.start_mm)
+            return ready_for_full(here, station, judge, slot, pending, outset)
         chooser = Chooser(here, station)
-        plan, rehearsal = night_plan(chooser, judge, slot.minutes, outset.start_mm)
+        plan, rehearsal = night_plan(chooser, judge, slot.minutes, outset)
         own = plan.job(job)
         return Ready(own, rehearsal, lambda means: NightlyRun(own, means, judge, plan, chooser, rehearsal, slot))
 
@@ -174,7 +174,7 @@ class NightlyRun(CalibrationRun):
     def _out_of_limits(self, measured: Measured, judgement: Judgement) -> None:
         """Calibrate in full where that is permitted and fits; else find out what has changed, and ask for it."""
         full = standing(self._judge.job, self._plan.station)
-        if self._slot.full_allowed and rehearse(full).machine_minutes <= self._left_minutes:
+        if self._slot.full_allowed and self._minutes_of(full) <= self._left_minutes:
             report = replace(judgement.report, decision=Decision.FULL_DONE)
             calibrate_in_full(self, full, self._means, self._judge, report)
             return
@@ -197,8 +197,7 @@ class NightlyRun(CalibrationRun):
             )
         )
         while chosen:
-            rehearsal = rehearse(self._job, procedure=only_these(self._plan, DIAGNOSIS, chosen))
-            if rehearsal.machine_minutes <= self._left_minutes:
+            if self._minutes_of(self._job, only_these(self._plan, DIAGNOSIS, chosen)) <= self._left_minutes:
                 break
             chosen.pop()
         if not chosen:
@@ -206,6 +205,10 @@ class NightlyRun(CalibrationRun):
         self._job = replace(self._job, positions=(*self._job.positions, *chosen))
         again = self._judged(joined(measured, self._measure(DIAGNOSIS, chosen, measured)))
         return again.report if not again.within else replace(again.report, reason=report.reason)
+
+    def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
+        """By a rehearsal, which an abort breaks off."""
+        return rehearse(job, procedure=procedure, watch=self._supervisor.look).machine_minutes
 
     # ------------------------------------------------------------------ fusion
 

@@ -32,7 +32,7 @@ class Verification:
         judge = Judge(job, last, nights_since(last, self.nights, outset.at))
         plan = looking_plan(Chooser(standing(job, station), station), judge)
         own = plan.job(job)
-        rehearsal = rehearse(own, outset.start_mm, only_looking(plan))
+        rehearsal = rehearse(own, outset.start_mm, only_looking(plan), outset.watch)
         return Ready(own, rehearsal, lambda means: VerifyRun(own, means, judge, plan))
 
 

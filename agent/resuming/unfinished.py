@@ -13,7 +13,7 @@ from agent.execution.states import FINAL, RunState
 from drivers.errors import InputError
 
 RESUMABLE_FAULTS = frozenset(
-    {"LinkError", "LinkLost", "LinkTimeout", "ProtocolError", "PermissionMissing", "JournalFailed"}
+    {"LinkError", "LinkLost", "LinkTimeout", "ProtocolError", "PermissionMissing", "JournalFailed", "Interrupted"}
 )
 """Errors that came from outside the measurement: what was measured before them is as good as it was. After any other
 fault something about machine, artefact or procedure is not as assumed."""

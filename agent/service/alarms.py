@@ -86,6 +86,9 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
     ),
     errors.Busy: AlarmCode(460, "another run owns the machine", "wait for its end or abort it"),
     errors.Aborted: AlarmCode(470, "somebody aborted the run", "reset when the machine is clear"),
+    errors.Interrupted: AlarmCode(
+        480, "the run was broken off from outside", "look at the machine; reset, then resume the run"
+    ),
 }
 CODES: Final = MappingProxyType(_CODES)
 

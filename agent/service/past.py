@@ -27,7 +27,7 @@ from drivers.errors import JournalFailed, VolcalError
 
 log = structlog.get_logger()
 
-BROKEN_OFF_CODE = 470
+BROKEN_OFF_CODE = 480
 FAULT_CODE = 100
 
 # A reset leaves the event "acknowledged" with the run, so that a fault stays one over a restart of the service; a run

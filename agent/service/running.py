@@ -16,22 +16,29 @@ class Running:
         self._alive = alive
         self._lock = threading.Lock()
         self._supervisor: Supervisor | None = None
-        self._abort_reason: str | None = None
+        self._wanted: Callable[[Supervisor], None] | None = None
 
     def attach(self, supervisor: Supervisor) -> None:
         """What `agent.session` calls when the run has its supervisor."""
         with self._lock:
             supervisor.alive = self._alive
             self._supervisor = supervisor
-            if self._abort_reason is not None:
-                supervisor.request_abort(self._abort_reason)
+            if self._wanted is not None:
+                self._wanted(supervisor)
 
     def abort(self, reason: str) -> None:
-        """The first reason stays."""
+        """Somebody wants it to end. The first reason stays."""
+        self._end(lambda supervisor: supervisor.request_abort(reason))
+
+    def interrupt(self, reason: str) -> None:
+        """The service must end; the run can be gone on with. The first reason stays."""
+        self._end(lambda supervisor: supervisor.request_interruption(reason))
+
+    def _end(self, wanted: Callable[[Supervisor], None]) -> None:
         with self._lock:
-            self._abort_reason = self._abort_reason or reason
+            self._wanted = self._wanted or wanted
             if self._supervisor is not None:
-                self._supervisor.request_abort(self._abort_reason)
+                self._wanted(self._supervisor)
 
     def hold(self) -> None:
         with self._lock:

@@ -29,7 +29,7 @@ from agent.service.unattended import Circumstances
 from agent.session import Ended, Request
 from agent.settings import Settings
 from drivers.clock import VirtualClock
-from drivers.errors import Aborted, VolcalError
+from drivers.errors import Aborted, Interrupted, VolcalError
 from drivers.roles import MachineStatus, MotionState, Permission
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
@@ -119,8 +119,8 @@ class Puppet:
     def abort_wanted(self) -> str | None:
         assert self.supervisor is not None
         try:
-            self.supervisor._raise_if_aborted()
-        except Aborted as error:
+            self.supervisor.look()
+        except (Aborted, Interrupted) as error:
             return error.message
         return None
 

@@ -6,7 +6,7 @@ import pytest
 
 from agent.execution.supervisor import Supervisor
 from drivers.clock import INTERRUPT_SLICE_S, Deadline, VirtualClock, WatchedClock
-from drivers.errors import Aborted
+from drivers.errors import Aborted, Interrupted
 
 
 def test_an_abort_is_noticed_within_a_slice() -> None:
@@ -57,6 +57,25 @@ def test_an_abort_ends_a_hold() -> None:
     inner.subscribe(lambda now: supervisor.request_abort("enough") if now > 2.0 else None)
     with pytest.raises(Aborted, match="enough"):
         WatchedClock(inner, supervisor.check).sleep(1.0)
+
+
+def test_the_program_that_must_end_is_no_person_who_wants_the_end() -> None:
+    supervisor = Supervisor(VirtualClock())
+    supervisor.request_interruption("a reboot")
+    supervisor.request_abort("button")
+    with pytest.raises(Interrupted, match="a reboot"):
+        supervisor.check()
+    with pytest.raises(Interrupted):
+        supervisor.look()
+
+
+def test_while_nothing_moves_an_abort_is_noticed_and_a_hold_waits() -> None:
+    supervisor = Supervisor(VirtualClock())
+    supervisor.request_hold()
+    supervisor.look()
+    supervisor.request_abort("button")
+    with pytest.raises(Aborted, match="button"):
+        supervisor.look()
 
 
 def test_the_way_out_is_not_interrupted_again() -> None:

@@ -17,6 +17,7 @@ from agent.plans.measure import MeasuringOrder, measure_positions
 from agent.rehearsal import rehearse, whole_procedure
 from agent.time_model import TimeModel
 from agent.timing import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walked
+from drivers.errors import Aborted
 from drivers.roles import OperatorRequest, OperatorTask
 from twin.motion import straight
 from twin.position_set import Position
@@ -180,3 +181,17 @@ def test_the_plan_shows_a_row_for_each_station() -> None:
     figures = np.array([[float(cell) for cell in row[1:]] for row in rows])
     assert figures[:, -1] == pytest.approx(figures[:, :-1].sum(axis=1), abs=0.031)
     assert figures[2] == pytest.approx(figures[:2].sum(axis=0), abs=0.011)
+
+
+def test_a_rehearsal_is_broken_off_at_its_next_step(at_two_stations: Job) -> None:
+    looked: list[int] = []
+
+    def watch() -> None:
+        looked.append(1)
+        if len(looked) == 20:
+            raise Aborted("aborted: a test")
+
+    with pytest.raises(Aborted, match="a test") as ended:
+        rehearse(at_two_stations, watch=watch)
+    assert len(looked) == 20
+    assert "step" not in ended.value.where

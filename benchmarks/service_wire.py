@@ -1,0 +1,75 @@
+"""Between agent and controller: passes Modbus TCP on and notes when a STOP comes by."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from time import perf_counter
+
+from drivers.modbus_cnc.codes import Code
+from drivers.modbus_cnc.settings import Blocks
+
+HEADER = struct.Struct(">HHHB")
+WRITE_AND_READ = 23
+_BODY = struct.Struct(">BHHHHB")
+_COMMAND = struct.Struct(">HH")
+"""Heartbeat and code, the first registers of the command block (docs/reference/modbus.md)."""
+
+
+class Wire:
+    """`port` passes to `target`; `stops` holds the instants of `perf_counter` at which a STOP was read from the agent's
+    side, before it is passed on."""
+
+    def __init__(self, target: tuple[str, int]) -> None:
+        self._target = target
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listening.getsockname()[1]
+        self.stops: list[float] = []
+
+    def close(self) -> None:
+        self._listening.close()
+
+    def serve(self) -> None:
+        with suppress(OSError):
+            while True:
+                agent, _ = self._listening.accept()
+                controller = socket.create_connection(self._target)
+                for link in (agent, controller):
+                    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                threading.Thread(target=self._requests, args=(agent, controller), daemon=True).start()
+                threading.Thread(target=_answers, args=(controller, agent), daemon=True).start()
+
+    def _requests(self, agent: socket.socket, controller: socket.socket) -> None:
+        with suppress(OSError), agent, controller, agent.makefile("rb") as stream:
+            while len(header := stream.read(HEADER.size)) == HEADER.size:
+                body = stream.read(HEADER.unpack(header)[2] - 1)
+                if _is_stop(body):
+                    self.stops.append(perf_counter())
+                controller.sendall(header + body)
+            controller.shutdown(socket.SHUT_RDWR)  # the other thread still reads; closing alone would leave it open
+
+
+def _answers(controller: socket.socket, agent: socket.socket) -> None:
+    with suppress(OSError):
+        while data := controller.recv(65536):
+            agent.sendall(data)
+
+
+def _is_stop(body: bytes) -> bool:
+    if len(body) < _BODY.size + _COMMAND.size or body[0] != WRITE_AND_READ:
+        return False
+    _, _, _, register, _, _ = _BODY.unpack_from(body)
+    return bool(register == Blocks().command and _COMMAND.unpack_from(body, _BODY.size)[1] == Code.STOP)
+
+
+@contextmanager
+def wire(host: str, port: int) -> Iterator[Wire]:
+    between = Wire((host, port))
+    threading.Thread(target=between.serve, daemon=True).start()
+    try:
+        yield between
+    finally:
+        between.close()
