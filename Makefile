@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts schema clean
+.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts schema deb deb-test clean
 
 setup: $(STAMP)
 
@@ -59,6 +59,15 @@ aborts: setup
 schema: setup
 	mkdir -p config/schema
 	$(BIN)/volcal config schema > config/schema/settings.json
+
+# The Debian package, for the Debian and the Python that this computer has: dist/volcal_*.deb
+deb: setup
+	$(BIN)/python systemd/deb/build.py
+
+# Installs, starts, hangs, upgrades, removes it in a container that boots systemd. Needs root, debootstrap,
+# systemd-container, and some minutes; ends with one line of JSON.
+deb-test: deb
+	$(BIN)/python systemd/deb/check.py $$(ls -t dist/volcal_*.deb | head -1)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -32,9 +32,7 @@ KIB = 1024
 
 
 def run(*command: str | Path, **options: object) -> str:
-    done = subprocess.run(  # noqa: S603  our own commands
-        [str(word) for word in command], check=True, stdout=subprocess.PIPE, text=True, **options
-    )  # type: ignore[call-overload]
+    done = subprocess.run([str(word) for word in command], check=True, stdout=subprocess.PIPE, text=True, **options)  # type: ignore[call-overload]
     return str(done.stdout)
 
 

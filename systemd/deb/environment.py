@@ -60,8 +60,8 @@ def _wheel(root: Path, build: Path) -> Path:
     source, wheels = build / "source", build / "wheels"
     for folder in (source, wheels):
         shutil.rmtree(folder, ignore_errors=True)
-    listed = subprocess.run(  # noqa: S603
-        ["git", "-C", str(root), "ls-files", "-z", *SOURCES],  # noqa: S607
+    listed = subprocess.run(
+        ["git", "-C", str(root), "ls-files", "-z", *SOURCES],
         check=True, stdout=subprocess.PIPE, text=True,
     ).stdout  # fmt: skip
     for name in filter(None, listed.split("\0")):
@@ -73,7 +73,7 @@ def _wheel(root: Path, build: Path) -> Path:
 
 def _pip(*words: str | Path) -> None:
     command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *map(str, words)]
-    subprocess.run(command, check=True)  # noqa: S603
+    subprocess.run(command, check=True)
 
 
 def _only_what_is_there(record: Path, site: Path) -> None:

@@ -1,0 +1,130 @@
+"""The units as systemd reads them, and what they start as the command line reads it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from agent.cli.errors import VolcalGroup
+from agent.cli.main import main
+from agent.cli.start import DECLINED
+
+ROOT = Path(__file__).resolve().parents[3]
+UNITS = ROOT / "systemd"
+SERVICES = ("volcal.service", "volcal-nightly.service")
+EXPOSURE_TENTHS = 18
+OF_ONE_ONLY = {
+    # what only the service needs, or only the one that asks
+    "Type", "NotifyAccess", "ExecStart", "ExecReload", "KillMode", "TimeoutStartSec", "TimeoutStopSec",
+    "TimeoutAbortSec", "WatchdogSec", "Restart", "RestartSec", "RestartPreventExitStatus", "SuccessExitStatus",
+    "StateDirectory", "StateDirectoryMode", "ConfigurationDirectory", "LoadCredential", "RestrictAddressFamilies",
+    "PrivateDevices", "RemoveIPC",
+    # what is said of each, and how it comes up
+    "Description", "Documentation", "Wants", "After", "WantedBy", "StartLimitIntervalSec", "StartLimitBurst",
+}  # fmt: skip
+FAULTHANDLER = "PYTHONFAULTHANDLER=1"
+
+
+def settings(unit: str) -> dict[str, list[str]]:
+    """Every key of a unit with its values, in their order."""
+    found: dict[str, list[str]] = {}
+    for line in (UNITS / unit).read_text(encoding="utf-8").splitlines():
+        if "=" in line and not line.startswith("#"):
+            key, value = line.split("=", 1)
+            found.setdefault(key, []).append(value)
+    return found
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    """The units and the example drop-in side by side, starting this environment's program."""
+    program = Path(sys.executable).with_name("volcal")
+    assert program.is_file(), "install the project: make setup"
+    for unit in (*SERVICES, "volcal-nightly.timer"):
+        (tmp_path / unit).write_text((UNITS / unit).read_text().replace("/usr/bin/volcal", str(program)))
+    (tmp_path / "volcal.service.d").mkdir()
+    shutil.copy(UNITS / "examples" / "machine.conf", tmp_path / "volcal.service.d")
+    return tmp_path
+
+
+def analyze(*words: str, folder: Path) -> str:
+    program = shutil.which("systemd-analyze")
+    assert program is not None, "systemd-analyze is missing, and the units go unchecked: apt-get install systemd"
+    done = subprocess.run([program, *words], check=False, cwd=folder, capture_output=True, text=True, timeout=30)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def test_systemd_reads_every_unit_without_a_word(installed: Path) -> None:
+    names = sorted(f"./{path.name}" for path in installed.glob("volcal*.*") if path.is_file())
+    assert analyze("verify", "--man=no", *names, folder=installed) == ""
+
+
+@pytest.mark.parametrize("unit", SERVICES)
+def test_little_is_exposed_with_serial_lines_can_and_one_address(installed: Path, unit: str) -> None:
+    options = ("--offline=yes", f"--threshold={EXPOSURE_TENTHS}", "--no-pager")
+    shown = analyze("security", *options, f"./{unit}", folder=installed)
+    found = re.search(r"Overall exposure level for \S+: ([0-9.]+)", shown)
+    assert found is not None
+    assert 10.0 * float(found.group(1)) <= EXPOSURE_TENTHS
+    if unit == "volcal.service":
+        assert "char-ttyUSB:rw" in shown, "the drop-in was not read"
+        assert "non-localhost" in shown
+
+
+def test_the_one_that_asks_is_as_confined_as_the_service() -> None:
+    one, other = (
+        {key: values for key, values in settings(unit).items() if key not in OF_ONE_ONLY} for unit in SERVICES
+    )
+    one["Environment"].remove(FAULTHANDLER)
+    assert one == other
+
+
+@pytest.mark.parametrize("unit", SERVICES)
+def test_what_is_started_is_what_the_command_line_takes(unit: str) -> None:
+    (line,) = settings(unit)["ExecStart"]
+    program, name, *words = shlex.split(line)
+    assert program == "/usr/bin/volcal"
+    assert isinstance(main, VolcalGroup)
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    parsed = command.make_context(name, list(words))
+    assert str(parsed.params["config"]) == "/etc/volcal/volcal.toml"
+    if name == "start":
+        assert (parsed.params["kind"], parsed.params["wait"], parsed.params["consent"]) == ("nightly", True, False)
+
+
+def test_no_missed_night_is_made_up_for() -> None:
+    timer = settings("volcal-nightly.timer")
+    assert timer["Persistent"] == ["false"]
+    assert timer["WakeSystem"] == ["false"]
+    assert timer["FixedRandomDelay"] == ["true"]
+    assert not any("Persistent=true" in path.read_text() for path in UNITS.rglob("*") if path.is_file())
+
+
+def test_a_start_that_was_declined_is_no_failure() -> None:
+    assert settings("volcal-nightly.service")["SuccessExitStatus"] == [str(DECLINED)]
+
+
+def test_the_end_of_a_run_has_the_time_that_the_service_gives_it() -> None:
+    """The service extends the time by itself; at its default the unit's own would do."""
+    (seconds,) = settings("volcal.service")["TimeoutStopSec"]
+    assert int(seconds.removesuffix("s")) >= 60
+
+
+def test_both_read_the_same_secret() -> None:
+    assert "token:volcal.token" in settings("volcal-nightly.service")["LoadCredential"]
+    assert settings("volcal.service")["LoadCredential"] == ["token:volcal.token", "panel-code:volcal.panel-code"]
+
+
+@pytest.mark.parametrize("script", ["postinst", "prerm", "postrm"])
+def test_maintainer_scripts_are_shell(script: str) -> None:
+    done = subprocess.run(["sh", "-n", UNITS / "deb" / script], check=False, capture_output=True, timeout=10)
+    assert done.returncode == 0, done.stderr
