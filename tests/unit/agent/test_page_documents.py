@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from journaled import journaled, run_id
 from service_house import settings_document
 
 from agent.designing.valued_set import valuation_of
@@ -99,3 +100,24 @@ def test_before_the_first_run_there_are_no_trends_and_no_findings(tmp_path: Path
     assert Trends().document(settings, None) == {"trends": [], "alarms": [], "runs": {}}
     with pytest.raises(InputError, match="no journal"):
         Findings().curves(tmp_path, "20260101T000000Z-0000")
+
+
+def test_trends_have_the_line_and_the_band_that_are_drawn(tmp_path: Path) -> None:
+    """4.8 µm growing by 0.4 a night; a run that comes later is seen."""
+    for night in range(10):
+        journaled(tmp_path, night, 4.8 + 0.4 * night, machine="mine")
+    chosen = {"machine": "mine", "parameter_tolerances": {"EXX[1]": 12.0}}
+    trends, settings = Trends(), Settings.model_validate(settings_document(tmp_path, history=chosen))
+    [slope, bow] = trends.document(settings, "EXX")["trends"]
+    assert (slope["name"], bow["name"]) == ("EXX[1]", "EXX[2]")
+    assert slope["fitted"] == pytest.approx([4.8 + 0.4 * night for night in range(10)])
+    assert len(slope["fitted_half_width"]) == 10
+    assert all(half > 0.0 for half in slope["fitted_half_width"])
+    assert slope["tolerance"] == 12.0
+    assert slope["two_sided"]
+    whole = trends.document(settings, None)
+    assert {"ve_bare", "EXX"} <= {trend["name"] for trend in whole["trends"]}
+    assert len(whole["runs"]) == 10
+    assert whole["runs"][run_id(3)]["started"].startswith("2026-11-04T02:00:00")
+    journaled(tmp_path, 10, 8.8, machine="mine")
+    assert len(trends.document(settings, "EXX")["trends"][0]["values"]) == 11

@@ -15,14 +15,25 @@ export function trendFigure(trend, title) {
   const x = reach(nights, { margin: 0.06 }), y = reach(all, { zero: !trend.two_sided });
   if (!trend.two_sided) y[0] = Math.max(y[0], 0);
   const draws = [
-    ...(fitted && half && longEnough(trend) ? [band(nights, fitted.map((v, i) => v - half[i]), fitted.map((v, i) => v + half[i]), "fit"), line(nights, fitted, "fit")] : []),
-    ...(limits ? [level(limits[0], x, "control"), level(limits[2], x, "control")] : []),
+    ...(fitted && half && longEnough(trend) ? levelByLevel(trend) : []),
+    ...(limits ? [limits[0], limits[2]].map((limit) => level(limit, [Math.max(lastStep(trend), x[0]), x[1]], "control")) : []),
     ...(tolerance === null ? [] : [level(tolerance, x, "tolerance"), ...(trend.two_sided ? [level(-tolerance, x, "tolerance")] : [])]),
     ...steps.map(({ night }) => fall(night, y, "step")),
     points(nights, values, doubts, "value"),
   ];
   return make("figure", { className: "trend" }, chart({ title, xLabel: say("trend.nights"), yLabel: unit, x, y, draws, height: 190 }),
     make("figcaption", {}, drifting(trend)));
+}
+
+const lastStep = ({ steps }) => Math.max(-Infinity, ...steps.map(({ night }) => night));
+
+/* No slanting stroke stands for a step; the band belongs to the line since the last one. */
+function levelByLevel({ nights, fitted, fitted_half_width: half, steps }) {
+  const edges = [-Infinity, ...steps.map(({ night }) => night), Infinity];
+  const pieces = edges.slice(1).map((end, i) => nights.map((_, at) => at).filter((at) => nights[at] >= edges[i] && nights[at] < end)).filter((piece) => piece.length);
+  const last = pieces.at(-1), of = (values, piece) => piece.map((at) => values[at]);
+  const low = of(fitted, last).map((value, i) => value - half[last[i]]), high = of(fitted, last).map((value, i) => value + half[last[i]]);
+  return [band(of(nights, last), low, high, "fit"), ...pieces.map((piece) => line(of(nights, piece), of(fitted, piece), "fit"))];
 }
 
 export function drifting(trend) {
