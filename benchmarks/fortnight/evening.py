@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 
@@ -20,7 +21,8 @@ class Expected:
 @dataclass
 class Evening:
     """µm, aligned: `true_before` with the table of the day before, `true_after` as it is left, `reach` of a full
-    calibration of that night's machine. `asked`: exit codes of what the timer called, in turn."""
+    calibration of that night's machine, 0 where it was not worked out. `asked`: exit codes of what the timer called,
+    in turn."""
 
     night: int
     incident: str
@@ -37,7 +39,8 @@ class Evening:
 
     @property
     def ratio(self) -> float:
-        return self.true_after / self.reach
+        """Infinite where nobody has worked out the reach."""
+        return self.true_after / self.reach if self.reach else math.inf
 
     @property
     def failed(self) -> list[str]:

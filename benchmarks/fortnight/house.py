@@ -27,7 +27,9 @@ Found = TypeVar("Found")
 Document = dict[str, Any]
 
 PATIENCE_S = 300.0
-LOOK_EVERY_S = 0.01
+LOOK_EVERY_S = 0.005
+ASK_EVERY_S = 0.2
+"""A service that is asked all the time has less time for its run."""
 AT_REST_NAMES = frozenset(state.value for state in AT_REST)
 COMMAND = (sys.executable, "-m", "agent.cli.main")
 SECTIONS = """
@@ -36,18 +38,22 @@ port = {port}
 hours = ["22:00-05:30"]
 warm_up_minutes = 30
 
+[nightly]
+smallest_gain = 0.0
+
 [history]
 ve_tolerance_um = 5.0
+held_out_tolerance_um = 3.5
 """
 
 
-def wait_for(condition: Callable[[], Found | None], what: str, within_s: float = PATIENCE_S) -> Found:
+def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = LOOK_EVERY_S) -> Found:
     """What `condition` finds in the end. TimeoutError naming `what` where it finds nothing."""
-    ends_s = time.monotonic() + within_s
+    ends_s = time.monotonic() + PATIENCE_S
     while not (found := condition()):
         if time.monotonic() > ends_s:
             raise TimeoutError(f"waited in vain for {what}")
-        time.sleep(LOOK_EVERY_S)
+        time.sleep(every_s)
     return found
 
 
@@ -56,6 +62,7 @@ class House:
 
     def __init__(self, directory: Path, ready: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> None:
         self.directory = directory
+        self._changes = changes or {}
         self.config = directory / "volcal.toml"
         self.calendar = directory / "calendar"
         self.state = directory / "state"
@@ -64,7 +71,7 @@ class House:
         self._service: subprocess.Popen[str] | None = None
         self._http: httpx.Client | None = None
         directory.mkdir(parents=True, exist_ok=True)
-        self.config.write_text(settings_text(ready, changes or {}), encoding="utf-8")
+        self.config.write_text(settings_text(ready, self._changes), encoding="utf-8")
 
     def __enter__(self) -> House:
         return self
@@ -80,10 +87,10 @@ class House:
     def is_now(self, instant: datetime) -> None:
         turn_to(self.calendar, instant)
 
-    def copy(self, directory: Path, ready: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> House:
+    def copy(self, directory: Path, ready: Mapping[str, Any]) -> House:
         """Another one with the same past."""
         shutil.copytree(self.state, directory / "state", ignore=shutil.ignore_patterns("service.json", "*.lock"))
-        other = House(directory, ready, changes)
+        other = House(directory, ready, self._changes)
         shutil.copy(self.calendar, other.calendar)
         return other
 
@@ -142,7 +149,7 @@ class House:
             now = self.status()
             return now if now["run_id"] == run_id and now["state"] in AT_REST_NAMES else None
 
-        return wait_for(ended, f"the end of run {run_id}")
+        return wait_for(ended, f"the end of run {run_id}", ASK_EVERY_S)
 
     def command(self, *arguments: str, timer: bool = False) -> subprocess.Popen[str]:
         """`volcal …` with these settings. `timer`: as systemd's timer starts it."""

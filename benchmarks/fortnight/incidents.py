@@ -9,28 +9,32 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from agent.outcome import Decision
+from agent.service.past import BROKEN_OFF_CODE
 from benchmarks.fortnight.evening import Evening, Expected
-from benchmarks.fortnight.house import PATIENCE_S, House, wait_for
+from benchmarks.fortnight.house import ASK_EVERY_S, PATIENCE_S, House, wait_for
 from benchmarks.fortnight.plant import Plant
 from drivers.roles import Permission
 
 FIRST_EVENING = datetime(2026, 3, 2, tzinfo=UTC)
 SLOT = ("--slot", "15min")
 FUSED = (Decision.FUSED.value, Decision.WRITTEN.value)
+LOOKED_ONLY = (None, Decision.WITHIN.value)
+"""Of a night that broke off: its verification stands, nothing of it was accepted."""
 BALLS_BEFORE_THE_POWER_FAILS = 20
-REFUSED_BY_ITSELF, NOT_PERMITTED, ABORTED = 4, 3, 5
+LINK, REFUSED, ABORTED, NOT_NOW = 3, 4, 5, 6
 """Exit codes of `volcal start --wait`."""
 
 GOOD_NIGHT = Expected("nightly", "complete", "timer", FUSED)
 
 
 class Incidents:
-    """One house and one plant; every method is an evening by its name in `by_name`."""
+    """One house and one plant; every method is an evening, or the beginning of one, by its name in `by_name`.
+    `compared`: what broke off is compared with the same night gone through."""
 
-    def __init__(self, house: House, plant: Plant, changes: dict[str, str]) -> None:
+    def __init__(self, house: House, plant: Plant, *, compared: bool) -> None:
         self._house = house
         self._plant = plant
-        self._changes = changes
+        self._compared = compared
         self.by_name: dict[str, Callable[[Evening], None]] = {
             "calibrated by hand": self.by_hand,
             "timer": self.timer,
@@ -76,15 +80,13 @@ class Incidents:
 
     def at_noon(self, evening: Evening) -> None:
         self._is(evening, 12)
-        self._refused(evening, REFUSED_BY_ITSELF, "it is 12:00, and nothing may begin by itself outside 22:00-05:30")
-        self.timer(evening)
+        self._refused(evening, "it is 12:00, and nothing may begin by itself outside 22:00-05:30")
 
     def doors_open(self, evening: Evening) -> None:
         self._is(evening, 22)
         self._plant.permit(Permission.DOORS_CLOSED, False)
-        self._refused(evening, NOT_PERMITTED, "the machine does not permit motion; missing: doors closed")
+        self._refused(evening, "the machine does not permit motion; missing: doors closed")
         self._plant.permit(Permission.DOORS_CLOSED, True)
-        self.timer(evening)
 
     # ------------------------------------------------------------------ what breaks off
 
@@ -92,13 +94,13 @@ class Incidents:
         """In the middle of measuring; the machine stays as it stands. The same night on a machine and a past that are
         the same goes through beside it."""
         self._is(evening, 23)
-        through = self._gone_through(evening)
+        through = self._gone_through(evening) if self._compared else []
         waiting = self._house.timer("nightly", evening.station, *SLOT)
-        status = wait_for(self._measured, "balls")
+        status = wait_for(self._measured, "balls", every_s=0.05)
         self._house.power_fails()
         self._is(evening, 25)
         self._house.serve()
-        self._stands(evening, "faulted", 470)
+        self._stands(evening, "faulted", BROKEN_OFF_CODE)
         code, said = self._ended(evening, waiting)
         evening.claims["the timer's command tells it"] = code == ABORTED and "broken off" in said
         self._sticky_until_reset(evening)
@@ -109,9 +111,10 @@ class Incidents:
         evening.claims["complete"] = self._house.at_rest(run_id)["state"] == "complete"
         again = self._house.rows("SELECT key FROM balls JOIN runs USING (run) WHERE run_id = ?", (run_id,))
         evening.claims["no ball twice"] = len(again) == len(set(again))
-        apart = largest_difference(through, estimate_of(self._house, run_id))
-        evening.told["largest_difference_sigma"] = apart
-        evening.claims["same estimate as uninterrupted"] = apart == 0.0
+        if through:
+            apart = largest_difference(through, estimate_of(self._house, run_id))
+            evening.told["largest_difference_sigma"] = apart
+            evening.claims["same estimate as uninterrupted"] = apart == 0.0
         evening.expected.append(GOOD_NIGHT)
 
     def link_loss(self, evening: Evening) -> None:
@@ -120,13 +123,13 @@ class Incidents:
         waiting = self._until_a_new_table_acts(evening)
         self._plant.cut_the_link()
         code, _ = self._ended(evening, waiting)
-        evening.claims["the timer's command tells it"] = code == NOT_PERMITTED
+        evening.claims["the timer's command tells it"] = code == LINK
         self._stands(evening, "faulted", 311)
         evening.claims["the new table was left acting"] = self._plant.active_bank != before[0]
         self._plant.power_cycle()
         self._sticky_until_reset(evening)
         evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
-        evening.expected.append(Expected("nightly", "faulted", "timer", (None, *FUSED), "Modbus"))
+        evening.expected.append(Expected("nightly", "faulted", "timer", LOOKED_ONLY, "Modbus"))
 
     def abort(self, evening: Evening) -> None:
         """Behind the activation, from the page, without a token."""
@@ -139,18 +142,21 @@ class Incidents:
         self._stands(evening, "aborted", 470)
         evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
         self._sticky_until_reset(evening)
-        evening.expected.append(Expected("nightly", "aborted", "timer", (None, *FUSED), "a person walks in"))
+        evening.expected.append(
+            Expected("nightly", "aborted", "timer", (None, Decision.WITHIN.value), "a person walks in")
+        )
 
     # ------------------------------------------------------------------ what the machine suffers
 
     def damage(self, evening: Evening) -> None:
         self._is(evening, 23)
         code, said = self._asked(evening, *SLOT)
-        evening.claims["the timer's command tells it"] = code == REFUSED_BY_ITSELF and "a full calibration is" in said
+        evening.claims["the timer's command tells it"] = code == REFUSED and "a full calibration is" in said
         evening.told["named"] = said.partition("at once: ")[2].partition(". ")[0]
         evening.claims["named by axis and error"] = str(evening.told["named"]).startswith("B0Z changed by +")
         expected = Expected("nightly", "refused", "timer", (Decision.FULL_NEEDED.value,), "B0Z changed by +")
         evening.expected.append(expected)
+        self._stands(evening, "refused", 420)
 
     def full(self, evening: Evening) -> None:
         """Somebody carries the artefact tonight."""
@@ -174,12 +180,12 @@ class Incidents:
         evening.asked.append(command.returncode)
         return command.returncode, " ".join(said.split())
 
-    def _refused(self, evening: Evening, code: int, reason: str) -> None:
+    def _refused(self, evening: Evening, reason: str) -> None:
         """With the reason; nothing is begun and nothing moves."""
         [runs] = self._house.rows("SELECT count(*), (SELECT count(*) FROM steps) FROM runs")
         stood = self._plant.position
         found, said = self._asked(evening, *SLOT)
-        evening.claims["refused with the reason"] = found == code and reason in said
+        evening.claims["refused with the reason"] = found == NOT_NOW and reason in said
         evening.claims["moved nothing"] = self._plant.position == stood
         [after] = self._house.rows("SELECT count(*), (SELECT count(*) FROM steps) FROM runs")
         evening.claims["began nothing"] = after == runs
@@ -193,11 +199,12 @@ class Incidents:
         self._is(evening, 23)
         before, waiting = self._plant.active_bank, self._house.timer("nightly", evening.station, *SLOT)
         wait_for(lambda: self._plant.active_bank != before or waiting.poll() is not None, "a new table")
-        evening.claims["a new table acted"] = waiting.poll() is None
+        if waiting.poll() is not None:
+            raise RuntimeError(f"night {evening.night + 1} wrote no table: {self._house.status()}")
         return waiting
 
     def _stands(self, evening: Evening, state: str, code: int) -> None:
-        status = wait_for(lambda: self._in_state(state), f"the state {state}")
+        status = wait_for(lambda: self._in_state(state), f"the state {state}", ASK_EVERY_S)
         evening.claims[f"{state}, alarm {code}"] = [alarm["code"] for alarm in status["alarms"]][:1] == [code]
 
     def _in_state(self, state: str) -> dict[str, object] | None:
@@ -214,7 +221,7 @@ class Incidents:
         """The estimate of this very night where nothing happens to it."""
         twin = self._plant.twin()
         directory = Path(self._house.directory, "twin")
-        with self._house.copy(directory, twin.ready, self._changes) as other:
+        with self._house.copy(directory, twin.ready) as other:
             other.serve()
             command = other.timer("nightly", evening.station, *SLOT)
             run_id = command.communicate(timeout=PATIENCE_S)[0].strip()

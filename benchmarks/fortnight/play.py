@@ -22,30 +22,41 @@ from benchmarks.nights import memory
 from benchmarks.nights_season import Season, reach_um
 
 LARGEST_RATIO = 1.5
-QUIET = ("timer", "verify", "timer at noon", "doors open")
+DAMAGE = "damage"
 
 
 @dataclass(frozen=True)
 class Programme:
-    """`evenings` by name, in turn; `changes` of the shipped settings; `reach`: whether it is worked out."""
+    """`evenings` in turn, each one or more names of `Incidents`, separated by commas; `changes` of the shipped
+    settings; `compared`: with what only a machine of one's own can tell, which takes its time."""
 
     evenings: tuple[str, ...]
     changes: dict[str, str] = field(default_factory=dict)
-    reach: bool = True
+    compared: bool = True
 
     @property
     def season(self) -> Season:
         """The collision is before the slot of the evening that is named for it."""
-        damaged = self.evenings.index("damage") if "damage" in self.evenings else len(self.evenings)
+        damaged = self.evenings.index(DAMAGE) if DAMAGE in self.evenings else len(self.evenings)
         return Season(len(self.evenings) - 1, damaged, seed=1)
 
 
 FORTNIGHT = Programme(
     (
-        *("calibrated by hand", "timer at noon", "verify", "doors open", "link loss", "timer", "power failure"),
-        *("timer", "abort", "timer", "timer", "damage", "full calibration", "timer"),
+        *("calibrated by hand", "timer at noon, timer", "verify", "doors open, timer", "link loss", "timer"),
+        *("power failure", "timer", "abort", "timer", "timer", DAMAGE, "full calibration", "timer"),
     )
 )
+THIN = Programme(
+    ("calibrated by hand", "timer at noon, link loss", "doors open, power failure", "abort", DAMAGE),
+    {
+        'position_set = "S3"': 'position_set = "S1"',
+        "[verification]\nstations = [1, 4]": "[verification]\nstations = [1]\nlargest_share = 1.0\nlargest_chi2 = 1e3",
+        "[gates]": "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1e3",
+    },
+    compared=False,
+)
+"""Everything in five evenings, and as little measured as it can be."""
 
 
 @dataclass
@@ -82,11 +93,11 @@ def play(programme: Programme, report: Callable[[str], None], figure: Path | Non
 def _reached(programme: Programme, pool: ProcessPoolExecutor) -> list[Future[float]]:
     """Worked out beside the nights, by a process that begins before there are threads."""
     season = programme.season
-    return [pool.submit(reach_um if programme.reach else _unknown, season, n) for n in range(season.nights + 1)]
+    return [pool.submit(reach_um if programme.compared else _unknown, season, n) for n in range(season.nights + 1)]
 
 
 def _unknown(_: Season, __: int) -> float:
-    return float("nan")
+    return 0.0
 
 
 class _Player:
@@ -96,16 +107,16 @@ class _Player:
         self._report = report
         self._plant = Plant(self._season.scenario, self._season.station)
         self._house = House(directory, self._plant.ready, programme.changes)
-        self._incidents = Incidents(self._house, self._plant, programme.changes)
+        self._incidents = Incidents(self._house, self._plant, compared=programme.compared)
 
     def played(self, figure: Path | None) -> Played:
         played = Played([])
         with self._house as house:
             for night, name in enumerate(self._programme.evenings):
                 played.evenings.append(self._evening(night, name))
-                if name == "damage":
+                if name == DAMAGE:
                     played.trends["damaged"] = trends_of(house)
-                if self._programme.evenings[night + 1 : night + 2] == ("damage",):
+                if self._programme.evenings[night + 1 : night + 2] == (DAMAGE,):
                     played.trends["before"] = trends_of(house, figure and figure.with_stem(f"{figure.stem}-before"))
             played.claims["the service ends well"] = house.stop() == 0
             played.rows = history_of(house)
@@ -124,7 +135,8 @@ class _Player:
         evening.true_before = self._plant.true_um
         if not night:
             self._incidents.prepare(evening)
-        self._incidents.by_name[name](evening)
+        for incident in name.split(", "):
+            self._incidents.by_name[incident](evening)
         evening.true_after, evening.active_bank = self._plant.true_um, self._plant.active_bank
         evening.claims["the last accepted table acts"] = acting_is_accepted(self._house, self._plant)
         evening.wall_s = perf_counter() - began
@@ -135,8 +147,8 @@ class _Player:
 def _judge(programme: Programme, played: Played) -> None:
     """What only the simulator knows, and everything that has failed."""
     played.claims["no collision"] = played.collisions == 0
-    if programme.reach:
-        bound = [e.ratio <= LARGEST_RATIO for e in played.evenings if e.incident != "damage"]
+    if programme.compared:
+        bound = [e.ratio <= LARGEST_RATIO for e in played.evenings if e.incident != DAMAGE]
         played.claims["true error within its bound"] = all(bound)
     played.claims |= trend_claims(programme, played)
     played.failed += [name for evening in played.evenings for name in evening.failed]
@@ -144,23 +156,26 @@ def _judge(programme: Programme, played: Played) -> None:
 
 
 def trend_claims(programme: Programme, played: Played) -> dict[str, bool]:
-    if "damage" not in programme.evenings or "before" not in played.trends:
+    if DAMAGE not in programme.evenings or "before" not in played.trends:
         return {}
     before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
     acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})
     return {
         "control limits before the damage": acting.get("control_limits") is not None,
-        "no alarm before the damage": not before["alarms"],
-        "alarm of the damage": any(
-            alarm["series"] == "ve_acting" and alarm["kind"] == "limit" for alarm in damaged["alarms"]
-        ),
-        "no limit is reached at the end": all(alarm["kind"] != "limit" for alarm in end["alarms"]),
+        "no tolerance is reached before the damage": not _limits(before),
+        "the damage reaches a tolerance": _limits(damaged) == ["held_out"],
+        "no tolerance is reached at the end": not _limits(end),
     }
+
+
+def _limits(trends: dict[str, Any]) -> list[str]:
+    """Series that have reached their tolerance."""
+    return [alarm["series"] for alarm in trends["alarms"] if alarm["kind"] == "limit"]
 
 
 def line(evening: Evening) -> str:
     return (
-        f"{evening.night + 1:2d} {evening.incident:20s} station {evening.station}: exit codes {evening.asked}, true "
+        f"{evening.night + 1:2d} {evening.incident:25s} station {evening.station}: exit codes {evening.asked}, true "
         f"{evening.true_before:5.2f} -> {evening.true_after:5.2f} µm, bank {evening.active_bank}, "
         f"{evening.wall_s:.1f} s {evening.told or ''} {' '.join(evening.failed)}"
     )
