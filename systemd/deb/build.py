@@ -31,9 +31,9 @@ TEXT, PROGRAM = 0o644, 0o755
 KIB = 1024
 
 
-def run(*command: str | Path, **options: object) -> str:
-    done = subprocess.run([str(word) for word in command], check=True, stdout=subprocess.PIPE, text=True, **options)  # type: ignore[call-overload]
-    return str(done.stdout)
+def run(*command: str | Path, cwd: Path | None = None) -> str:
+    words = [str(word) for word in command]
+    return subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True, cwd=cwd).stdout
 
 
 def main() -> None:

@@ -17,40 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from container import NEEDED, Container, base_root, booted, waited
+from plant import SETTINGS, STATE, end_simulator, start_simulator, write_settings
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 WORK = ROOT / "build" / "nspawn"
-STATE = "/var/lib/volcal"
-SETTINGS = "/etc/volcal/volcal.toml"
 SERVICE = "volcal.service"
 NIGHTLY = "volcal-nightly.service"
 TIMER = "volcal-nightly.timer"
 PATIENCE_S = 120.0
 DECLINED = 6
-SIMULATOR = """[Unit]
-Description=A simulated machine
-[Service]
-ExecStart=/usr/bin/volcal simulate --config /etc/simulated.toml --modbus 127.0.0.1:5020 \
-    --can socketcand:127.0.0.1:29536 --control 127.0.0.1:5022 --clock lockstep --time 127.0.0.1:5021
-DynamicUser=yes
-"""
-SHORT = {
-    '"machines/': '"/usr/share/volcal/config/machines/',
-    '"artefacts/': '"/usr/share/volcal/config/artefacts/',
-    '"../runs"': f'"{STATE}"',
-    'position_set = "S3"': 'position_set = "two.csv"\nstations = [1]',
-    "[stations]": "[stations]\nstanding_at = 1",
-    "[verification]\nstations = [1, 4]": (
-        "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nlargest_share = 1.0\nlargest_chi2 = 1e3"
-    ),
-    "[gates]": "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1e3",
-}
-AT_ONCE = (
-    "\n[identification]\norder = 4\n"
-    "[nightly]\nslot_minutes = 30.0\nlooked_at = 1\nlargest_chi2 = 4.0\nlargest_growth = 20.0\nstep_evidence = 30.0\n"
-    "[service]\nwarm_up_minutes = 0\n"
-)
 QUICK_WATCHDOG = "[Service]\nWatchdogSec=6s\nRestartSec=1s\n"
 EVERY_FEW_SECONDS = "[Timer]\nOnCalendar=\nOnCalendar=*-*-* *:*:0/5\nRandomizedDelaySec=0\nAccuracySec=1s\n"
 SECRET = "a-token-of-the-plant-0123456789"  # noqa: S105
@@ -122,14 +98,8 @@ class Trial:
         machine = self.machine
         machine.run("systemctl", "start", SERVICE)
         assert machine.property(SERVICE, "ActiveState") == "inactive", "started without settings"
-        scenario = machine.read("/usr/share/volcal/config/simulators/case-study.toml")
-        scenario = scenario.replace("[truth]", "[truth]\nscale = 4.0").replace('"../', '"/usr/share/volcal/config/')
-        machine.write("/etc/simulated.toml", scenario)
-        machine.write("/etc/systemd/system/simulator.service", SIMULATOR)
-        machine.run("systemctl", "daemon-reload")
-        machine.run("systemctl", "start", "simulator.service")
-        waited(lambda: '"modbus"' in machine.journal("simulator.service"), "the simulator", PATIENCE_S)
-        self._settings("")
+        start_simulator(machine)
+        write_settings(self.machine, "")
         began = time.monotonic()
         machine.run("systemctl", "start", SERVICE)
         self.seen["ready_s"] = round(time.monotonic() - began, 1)
@@ -137,6 +107,15 @@ class Trial:
         self.seen["status_text"] = machine.property(SERVICE, "StatusText")
         assert self.seen["status_text"].startswith("case-study:")
         assert machine.out("stat", "-c", "%U %a", f"{STATE}/token", STATE) == "volcal 600\nvolcal 750"
+        self._members_may_look_and_not_start()
+
+    def _members_may_look_and_not_start(self) -> None:
+        group = self.machine.out("id", "-g", "volcal")
+        member = ("setpriv", "--reuid=65534", "--regid=65534", f"--groups={group}", "volcal")
+        self.machine.run(*member, "status", "--config", SETTINGS)
+        self.machine.run(*member, "abort", "--config", SETTINGS)
+        start = self.machine.run(*member, "start", "--kind", "verify", "--config", SETTINGS, check=False)
+        assert (start.returncode, "token cannot be read" in start.stderr) == (2, True), start.stderr
 
     def calibrate(self) -> None:
         began = time.monotonic()
@@ -170,7 +149,7 @@ class Trial:
         """Outside the permitted hours nothing begins, and nobody has to come."""
         hour = (int(self.machine.out("date", "+%H")) + 11) % 24
         runs = self._last_run()
-        self._settings(f'hours = ["{hour:02}:00-{hour:02}:30"]\n')
+        write_settings(self.machine, f'hours = ["{hour:02}:00-{hour:02}:30"]\n')
         self.machine.run("systemctl", "reload", SERVICE)
         self.machine.run("systemctl", "start", NIGHTLY)
         assert "nothing may begin by itself" in self.machine.journal(NIGHTLY)
@@ -179,7 +158,7 @@ class Trial:
         self.seen["declined_exit"] = asked.returncode
         assert asked.returncode == DECLINED, asked.stderr
         assert self._last_run() == runs
-        self._settings("")
+        write_settings(self.machine, "")
         self.machine.run("systemctl", "reload", SERVICE)
 
     def hang(self) -> None:
@@ -204,7 +183,7 @@ class Trial:
         """A token of the administrator's, which the night has too; one without a panel code starts all the same."""
         machine = self.machine
         machine.write("/etc/credstore/volcal.token", f"{SECRET}\n", 0o600)
-        self._settings('token_file = "/etc/credstore/volcal.token"\n')
+        write_settings(self.machine, 'token_file = "/etc/credstore/volcal.token"\n')
         machine.run("systemctl", "restart", SERVICE)
         handed = machine.out("sh", "-c", f"stat -c '%a %U' /run/credentials/{SERVICE}/*")
         self.seen["credential_mode"] = handed
@@ -265,16 +244,7 @@ class Trial:
         self.machine.run("dpkg", "-P", "volcal")
         for path in (STATE, "/etc/volcal", "/etc/credstore/volcal.token"):
             assert not self.machine.exists(path), path
-        self.machine.run("systemctl", "stop", "simulator.service")
-        self.machine.run("rm", "/etc/systemd/system/simulator.service", "/etc/simulated.toml")
-
-    def _settings(self, service: str) -> None:
-        text = self.machine.read("/usr/share/volcal/config/case-study.toml")
-        for former, now in SHORT.items():
-            assert former in text, former
-            text = text.replace(former, now)
-        self.machine.write("/etc/volcal/two.csv", "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n")
-        self.machine.write(SETTINGS, text + AT_ONCE + service)
+        end_simulator(self.machine)
 
     def _status(self) -> dict[str, Any]:
         document: dict[str, Any] = json.loads(self.machine.out("volcal", "status", "--json", "--config", SETTINGS))

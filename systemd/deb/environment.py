@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from email.message import Message
 from email.parser import HeaderParser
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -48,8 +49,8 @@ def licences(site: Path) -> str:
     )
 
 
-def _licence(about: object) -> str:
-    headers = {name: about.get_all(name, []) for name in ("License-Expression", "Classifier", "License")}  # type: ignore[attr-defined]
+def _licence(about: Message) -> str:
+    headers = {name: about.get_all(name, []) for name in ("License-Expression", "Classifier", "License")}
     classified = [line.rpartition(" :: ")[2] for line in headers["Classifier"] if line.startswith("License ::")]
     free = [line.splitlines()[0] for line in headers["License"] if line]
     return "; ".join(headers["License-Expression"] or classified or free or ["see its metadata"])
