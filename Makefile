@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts schema deb deb-test clean
+.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts resumes warming schema deb deb-test clean
 
 setup: $(STAMP)
 
@@ -55,6 +55,13 @@ bad-plans: setup
 
 aborts: setup
 	$(BIN)/python -m benchmarks.aborts --workers 2
+
+# One run broken off and gone on with, at one step in seventeen; a machine and a bar that warm by 3 K.
+resumes: setup
+	$(BIN)/python -m benchmarks.resume --every 17
+
+warming: setup
+	$(BIN)/python -m benchmarks.warming --seeds 4
 
 schema: setup
 	mkdir -p config/schema
