@@ -28,7 +28,7 @@ DAMAGE = "damage"
 @dataclass(frozen=True)
 class Programme:
     """`evenings` in turn, each one or more names of `Incidents`, separated by commas; `changes` of the shipped
-    settings; `compared`: with what only a machine of one's own can tell, which takes its time."""
+    settings; `compared`: with what only a machine of one's own can tell, and with trends, which take their nights."""
 
     evenings: tuple[str, ...]
     changes: dict[str, str] = field(default_factory=dict)
@@ -150,14 +150,13 @@ def _judge(programme: Programme, played: Played) -> None:
     if programme.compared:
         bound = [e.ratio <= LARGEST_RATIO for e in played.evenings if e.incident != DAMAGE]
         played.claims["true error within its bound"] = all(bound)
-    played.claims |= trend_claims(programme, played)
+        played.claims |= trend_claims(played)
     played.failed += [name for evening in played.evenings for name in evening.failed]
     played.failed += [name for name, held in played.claims.items() if not held]
 
 
-def trend_claims(programme: Programme, played: Played) -> dict[str, bool]:
-    if DAMAGE not in programme.evenings or "before" not in played.trends:
-        return {}
+def trend_claims(played: Played) -> dict[str, bool]:
+    """What history warns of, and when."""
     before, damaged, end = (played.trends[name] for name in ("before", "damaged", "end"))
     acting = {trend["name"]: trend for trend in before["trends"]}.get("ve_acting", {})
     return {
