@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,9 +31,10 @@ class UnknownRun(InputError):
 
 @dataclass(frozen=True)
 class Archive:
-    """`directory`: the state directory."""
+    """`directory`: the state directory; `reports` finds or makes the file of a report."""
 
     directory: Path
+    reports: Callable[[str], Path]
 
     def runs(self, limit: int, before: str | None = None) -> list[Document]:
         """The latest first; `before`: only those begun before that run."""
@@ -97,13 +98,13 @@ class Archive:
         return document
 
     def report(self, run_id: str) -> Path:
-        """The report's file. UnknownRun where there is none."""
+        """The report's file. UnknownRun where there is none; InputError where it cannot be made."""
         with self._reading() as connection:
-            self._number(connection, run_id)
-        path = self.directory / run_id / "report.html"
-        if not path.is_file():
-            raise UnknownRun(f"run {run_id} has no report", hint="it ended before its errors were identified")
-        return path
+            run = self._number(connection, run_id)
+            (ended,) = connection.execute("SELECT ended FROM runs WHERE run = ?", (run,)).fetchone()
+        if ended is None:
+            raise UnknownRun(f"run {run_id} has no report yet", hint="it has not ended")
+        return self.reports(run_id)
 
     def tables(self, limit: int) -> list[Document]:
         """Every table that was kept, the latest first: backups, staged and restored ones."""

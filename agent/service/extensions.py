@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from agent.service.doors import Door
 from agent.service.gateway.door import GatewayDoor
 from agent.service.http.app import Extension
+from agent.service.metrics import mount_metrics
 from agent.service.opcua.door import OpcUaDoor
 from agent.service.page.mounting import mount_page
 from agent.service.token import read_token, token_path
@@ -28,4 +29,4 @@ def further_doors(settings: Settings) -> Sequence[Door]:
 
 def http_extensions(_: Settings) -> Sequence[Extension]:
     """Pages and routers behind the guard of the HTTP door."""
-    return (mount_page,)
+    return (mount_page, mount_metrics)

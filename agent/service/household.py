@@ -14,6 +14,7 @@ from agent.service.bulletin import Bulletin
 from agent.service.health import Health
 from agent.service.ordering import Devices
 from agent.service.past import Past
+from agent.service.reports import Reports
 from agent.service.scenes import Scenes
 from agent.service.unattended import Circumstances
 from agent.session import Ended, Request, carry_out
@@ -37,6 +38,7 @@ class Household:
     health: Health
     ownership: Ownership
     past: Past
+    reports: Reports
     scenes: Scenes = field(default_factory=Scenes)
     devices: Devices = field(default_factory=Devices)
     carry_out: Callable[[Request], Ended] = carry_out

@@ -10,6 +10,8 @@ import structlog
 
 log = structlog.get_logger()
 S_PER_US = 1e-6
+TAKEN_WITHIN_S = 1.0
+"""A manager that does not read (its queue holds ten) must not keep the service from hearing its signals."""
 
 
 class Notifier:
@@ -28,6 +30,7 @@ class Notifier:
         message = "\n".join(f"{name}={value}" for name, value in assignments.items())
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+                channel.settimeout(TAKEN_WITHIN_S)
                 channel.sendto(message.encode(), self._address)
         except OSError as error:
             log.warning("systemd cannot be notified", error=str(error))

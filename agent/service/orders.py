@@ -12,12 +12,12 @@ from agent.execution.states import RunState
 from agent.execution.steps import Step
 from agent.job import Job
 from agent.kinds.kind import Kind, Ready
-from agent.reporting.apart import made_apart
 from agent.resuming.resume import ResumeRequest
 from agent.service.control import Source
 from agent.service.household import Household
 from agent.service.ordering import require_within
 from agent.service.questions import Questions
+from agent.service.reports import none_yet
 from agent.service.requests import AT_REST
 from agent.service.running import Running
 from agent.service.unattended import minutes_until_end, require_permission, require_warm
@@ -61,7 +61,7 @@ class Orders:
             lock=house.ownership.for_run,
             observer=self._observe,
             passed=passed,
-            reports=made_apart,
+            reports=none_yet,
         )
 
     def going_on(self, running: Running, source: Source, settings: Settings) -> ResumeRequest:
@@ -76,7 +76,7 @@ class Orders:
             lock=house.ownership.for_run,
             observer=self._observe,
             passed=lambda ready: house.scenes.rehearsed(running.run_id, ready),
-            reports=made_apart,
+            reports=none_yet,
         )
 
     def permitted_minutes(self, settings: Settings) -> float | None:

@@ -231,6 +231,7 @@ class Owner:
             else:
                 self._board.ended(ended.outcome)
                 self._conclude(ended.outcome.state, ended.error)
+                self._house.reports.wanted(run_id)
 
     def _conclude(self, state: RunState, error: BaseException | None) -> None:
         standing = self._standing()

@@ -27,6 +27,7 @@ from agent.service.life import Life, heard_signals
 from agent.service.notify import Notifier
 from agent.service.owner import Owner
 from agent.service.past import Past
+from agent.service.reports import Reports
 from agent.service.scenes import Scenes
 from agent.service.token import make_token, read_token, token_path
 from agent.service.unattended import Circumstances
@@ -49,11 +50,18 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_no
         owner = Owner(settings, household)
         token = read_token(token_path(settings))
         site = Site(
-            owner, household.bulletin, Archive(directory), household.scenes, lambda: owner.settings, config, token
+            owner,
+            household.bulletin,
+            Archive(directory, household.reports.path),
+            household.scenes,
+            lambda: owner.settings,
+            config,
+            token,
         )
 
         def make_app(_: Control) -> FastAPI:
-            return create_app(site, settings.service.host_names, http_extensions(settings))
+            names = (*settings.service.host_names, settings.service.reached_at)
+            return create_app(site, names, http_extensions(settings))
 
         http = HttpDoor(settings.service, directory, make_app)
         with opened([http, *further_doors(settings)], owner):
@@ -74,6 +82,7 @@ def _household(
         health=Health(RealClock().now, hung_after_s=service.hung_after_s, computing_s=computing_s),
         ownership=owned,
         past=Past(settings.state_directory),
+        reports=Reports(settings.state_directory),
         scenes=Scenes(),
         circumstances=circumstances,
     )

@@ -35,6 +35,13 @@ class ServiceSettings(Strict):
         return self.host == "localhost" or ip_address(self.host).is_loopback
 
     @property
+    def reached_at(self) -> str:
+        """Host part of the address by which this computer reaches itself."""
+        if self.host != "localhost" and ip_address(self.host).is_unspecified:
+            return "[::1]" if ":" in self.host else "127.0.0.1"
+        return f"[{self.host}]" if ":" in self.host else self.host
+
+    @property
     def scheme(self) -> str:
         return "http" if self.certificate_file is None else "https"
 

@@ -8,11 +8,13 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import httpx
@@ -161,22 +163,33 @@ def service(config: Path, **environment: str) -> Iterator[Service]:
         process.wait(PATIENCE_S)
 
 
+class Systemd:
+    """Reads all the while, as systemd does: a queue of ten datagrams is soon full."""
+
+    def __init__(self, listening: socket.socket) -> None:
+        self._listening = listening
+        self._messages: SimpleQueue[dict[str, str]] = SimpleQueue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        with suppress(OSError):
+            while message := self._listening.recv(4096):
+                self._messages.put(dict(line.split("=", 1) for line in message.decode().splitlines()))
+
+    def told_until(self, key: str) -> list[dict[str, str]]:
+        """Every message up to the first one that has `key`."""
+        messages = [self._messages.get(timeout=PATIENCE_S)]
+        while key not in messages[-1]:
+            messages.append(self._messages.get(timeout=PATIENCE_S))
+        return messages
+
+
 @contextmanager
-def systemd_socket(name: str) -> Iterator[tuple[socket.socket, str]]:
-    """What systemd listens on, and how NOTIFY_SOCKET names it; `@…` is an abstract one."""
+def systemd_socket(name: str) -> Iterator[Systemd]:
+    """What systemd listens on, as NOTIFY_SOCKET names it; `@…` is an abstract one."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
         listening.bind(f"\0{name[1:]}" if name.startswith("@") else name)
-        listening.settimeout(PATIENCE_S)
-        yield listening, name
-
-
-def told(listening: socket.socket) -> dict[str, str]:
-    return dict(line.split("=", 1) for line in listening.recv(4096).decode().splitlines())
-
-
-def told_until(listening: socket.socket, key: str) -> list[dict[str, str]]:
-    """Every message up to the first one that has `key`."""
-    messages = [told(listening)]
-    while key not in messages[-1]:
-        messages.append(told(listening))
-    return messages
+        try:
+            yield Systemd(listening)
+        finally:
+            listening.shutdown(socket.SHUT_RDWR)

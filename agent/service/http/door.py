@@ -42,8 +42,7 @@ class HttpDoor:
         settings = self._settings
         bound = self._bound()
         port = bound.getsockname()[1]
-        host = f"[{settings.host}]" if ":" in settings.host else settings.host
-        self.url = f"{settings.scheme}://{host}:{port}"
+        self.url = f"{settings.scheme}://{settings.reached_at}:{port}"
         config = uvicorn.Config(
             self._make_app(control),
             log_config=None,

@@ -25,6 +25,7 @@ from agent.service.household import Household
 from agent.service.ordering import Devices
 from agent.service.owner import Owner
 from agent.service.past import Past
+from agent.service.reports import Reports
 from agent.service.unattended import Circumstances
 from agent.session import Ended, Request
 from agent.settings import Settings
@@ -171,6 +172,7 @@ def house(
             health=Health(VirtualClock().now, hung_after_s=30.0, computing_s=900.0),
             ownership=owned,
             past=Past(state),
+            reports=Reports(state, lambda *_: {}),
             devices=AbsentDevices(make_clock=lambda _: VirtualClock(), status=status),
             carry_out=puppet,
             circumstances=lambda: circumstances,

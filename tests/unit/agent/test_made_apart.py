@@ -10,6 +10,7 @@ import pytest
 
 from agent.execution.journal import Journal
 from agent.reporting.apart import rebuilt_apart
+from agent.service.reports import Reports
 from drivers.errors import InputError
 
 WANTED_LATER = ("matplotlib", "sqlalchemy", "weasyprint", "dask", "scipy.stats", "asyncua", "jinja2")
@@ -27,3 +28,19 @@ def test_a_report_that_cannot_be_made_is_said_in_one_line(tmp_path: Path) -> Non
         rebuilt_apart(tmp_path, "nobody", pdf=False)
     assert "Traceback" not in str(said.value)
     assert "\n" not in str(said.value)
+
+
+def test_a_report_is_made_once_and_again_when_the_run_has_gone_on(tmp_path: Path) -> None:
+    made: list[str] = []
+
+    def make(_: Path, run_id: str) -> dict[str, str | bytes]:
+        made.append(run_id)
+        return {"report.html": f"version {len(made)}"}
+
+    reports = Reports(tmp_path, make)
+    assert reports.path("a").read_text() == "version 1"
+    assert reports.path("a").read_text() == "version 1"
+    reports.wanted("a")
+    assert reports.path("a").read_text() == "version 2"
+    assert reports.path("a").read_text() == "version 2"
+    assert made == ["a", "a"]

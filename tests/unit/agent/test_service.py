@@ -399,6 +399,15 @@ def test_another_address_than_loopback_needs_a_certificate() -> None:
 # ---------------------------------------------------------------------- words and errors
 
 
+@pytest.mark.parametrize(
+    ("host", "reached"),
+    [("127.0.0.1", "127.0.0.1"), ("0.0.0.0", "127.0.0.1"), ("::", "[::1]"), ("10.1.2.3", "10.1.2.3")],  # noqa: S104
+)
+def test_every_address_is_reached_from_this_computer(host: str, reached: str) -> None:
+    settings = ServiceSettings(host=host, certificate_file=Path("a.pem"), key_file=Path("a.key"))
+    assert settings.reached_at == reached
+
+
 def test_errors_come_through_the_door_as_they_were() -> None:
     for error in (Busy("run a is under way", hint="wait"), LinkLost("gone", link="10.0.0.1"), VolcalError("x")):
         back = error_of(problem_of(error).model_dump())

@@ -9,9 +9,15 @@ import socket
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import NameOID
 from service_process import (
     PATIENCE_S,
     Service,
@@ -19,7 +25,6 @@ from service_process import (
     short_settings,
     simulator,
     systemd_socket,
-    told_until,
 )
 
 from agent.execution.states import FINAL
@@ -149,12 +154,10 @@ def test_a_link_that_breaks_is_a_fault_with_a_hint_that_outlives_the_service(tmp
             assert left["may"] == ["reset"]
             assert again.post("/api/reset").status_code == 200
             assert again.status()["unfinished"] == run_id
-        with service(config) as once_more:
-            assert once_more.status()["state"] == "idle"
-            assert "resume_run" in once_more.status()["may"]
+            assert "resume_run" in again.status()["may"]
 
 
-def test_a_service_that_was_killed_says_so_and_goes_on_after_a_reset(tmp_path: Path) -> None:
+def test_a_service_that_was_killed_says_so_and_could_go_on_after_a_reset(tmp_path: Path) -> None:
     with simulator(tmp_path) as (_, ready):
         config = short_settings(ready, tmp_path)
         with service(config) as running:
@@ -166,61 +169,71 @@ def test_a_service_that_was_killed_says_so_and_goes_on_after_a_reset(tmp_path: P
             left = again.status()
             assert (left["state"], left["run_id"]) == ("faulted", run_id)
             assert "broken off" in left["alarms"][0]["text"]
+            assert left["alarms"][0]["code"] == 480
+            assert again.post("/api/reset").status_code == 200
+            again.process.kill()
+            again.process.wait(PATIENCE_S)
+        with service(config) as once_more:
+            assert once_more.status()["state"] == "idle"
+            assert "resume_run" in once_more.status()["may"]
+
+
+def test_the_end_of_the_service_withdraws_and_the_next_one_goes_on(tmp_path: Path) -> None:
+    name = str(tmp_path / "notify")
+    with simulator(tmp_path) as (_, ready), systemd_socket(name) as systemd:
+        config = short_settings(ready, tmp_path)
+        with service(config, NOTIFY_SOCKET=name) as running:
+            assert systemd.told_until("READY")[-1]["READY"] == "1"
+            run_id = running.start()
+            running.until(lambda now: now["balls"] > 2, "balls")
+            assert running.end() == 0
+            stopping = systemd.told_until("STOPPING")
+            assert any("measuring" in message.get("STATUS", "") for message in stopping)
+        assert not (tmp_path / "state" / "service.json").exists()
+        ending = [line for line in running.log() if line["event"] == "ending"]
+        assert ending[0]["asked_by"] == "SIGTERM"
+        assert all("step" in line for line in running.log() if line.get("state") == "aborting")
+        with service(config) as again:
+            left = again.status()
+            assert (left["state"], left["run_id"]) == ("faulted", run_id)
+            assert "the service is being stopped" in left["alarms"][0]["text"]
             assert again.post("/api/reset").status_code == 200
             answer = again.post("/api/resume-run")
             assert answer.status_code == 202, answer.text
             assert answer.json()["run_id"] == run_id
-            ended = again.reached("complete", "faulted")
+            ended = again.reached("complete", "faulted", "refused")
             assert ended["state"] == "complete", ended["alarms"]
-        with closing(sqlite3.connect(tmp_path / "state" / "journal.sqlite")) as journal:
-            keys = [key for (key,) in journal.execute("SELECT key FROM balls")]
-        assert len(keys) == len(set(keys))
-
-
-def test_the_end_of_the_service_withdraws_and_closes(tmp_path: Path) -> None:
-    name = str(tmp_path / "notify")
-    with simulator(tmp_path) as (_, ready), systemd_socket(name) as (systemd, _):
-        with service(short_settings(ready, tmp_path), NOTIFY_SOCKET=name) as running:
-            assert told_until(systemd, "READY")[-1]["READY"] == "1"
-            run_id = running.start()
-            running.until(lambda now: now["touches"] > 3, "touches")
-            assert running.end() == 0
-            stopping = told_until(systemd, "STOPPING")
-            assert any("measuring" in message.get("STATUS", "") for message in stopping)
-        assert not (tmp_path / "state" / "service.json").exists()
-        with closing(sqlite3.connect(tmp_path / "state" / "journal.sqlite")) as journal:
-            assert journal.execute("SELECT run_id, state FROM runs").fetchall() == [(run_id, "aborted")]
-        ending = [line for line in running.log() if line["event"] == "ending"]
-        assert ending[0]["asked_by"] == "SIGTERM"
-        assert all("step" in line for line in running.log() if line.get("state") == "aborting")
+    with closing(sqlite3.connect(tmp_path / "state" / "journal.sqlite")) as journal:
+        keys = [key for (key,) in journal.execute("SELECT key FROM balls")]
+    assert len(keys) == len(set(keys)) > 20
 
 
 def test_the_watchdog_is_fed_through_an_abstract_socket_and_settings_are_reloaded(tmp_path: Path) -> None:
     name = f"@volcal-test-{os.getpid()}"
-    with simulator(tmp_path) as (_, ready), systemd_socket(name) as (systemd, _):
+    with simulator(tmp_path) as (_, ready), systemd_socket(name) as systemd:
         config = short_settings(ready, tmp_path)
         with service(config, NOTIFY_SOCKET=name, WATCHDOG_USEC="600000") as running:
-            assert told_until(systemd, "READY")
+            assert systemd.told_until("READY")
             for _ in range(3):  # an idle service is alive
-                assert told_until(systemd, "WATCHDOG")[-1] == {"WATCHDOG": "1"}
+                assert systemd.told_until("WATCHDOG")[-1] == {"WATCHDOG": "1"}
             assert running.get("/api/machine")["slot_minutes"] == 15.0
             good = config.read_text()
             config.write_text(good + "\n[nightly]\nslot_minutes = 20.0\n")
             running.process.send_signal(signal.SIGHUP)
-            assert "MONOTONIC_USEC" in told_until(systemd, "RELOADING")[-1]
-            assert told_until(systemd, "READY")
+            assert "MONOTONIC_USEC" in systemd.told_until("RELOADING")[-1]
+            assert systemd.told_until("READY")
             assert running.get("/api/machine")["slot_minutes"] == 20.0
             config.write_text(good + "\n[nightly]\nslot_minutes = -1.0\n")
             running.process.send_signal(signal.SIGHUP)
-            told_until(systemd, "RELOADING")
-            assert "slot_minutes" in told_until(systemd, "READY")[-1]["STATUS"]
+            systemd.told_until("RELOADING")
+            assert "slot_minutes" in systemd.told_until("READY")[-1]["STATUS"]
             assert running.get("/api/machine")["slot_minutes"] == 20.0
             config.write_text(good)
             running.start()
             running.until(lambda now: now["touches"] > 3, "touches")
             running.process.send_signal(signal.SIGHUP)
-            told_until(systemd, "RELOADING")
-            assert "under way" in told_until(systemd, "READY")[-1]["STATUS"]
+            systemd.told_until("RELOADING")
+            assert "under way" in systemd.told_until("READY")[-1]["STATUS"]
             assert running.status()["state"] == "measuring"
 
 
@@ -244,6 +257,16 @@ def test_the_commands_and_their_exit_codes(served: Service) -> None:
     assert too_short.returncode == 4
     assert "min of machine time" in too_short.stderr
     assert "Traceback" not in "".join(r.stderr for r in (nothing, other, too_short))
+
+
+def test_an_abort_while_it_is_rehearsed_ends_the_run_before_anything_moves(served: Service) -> None:
+    run_id = served.start()
+    assert served.post("/api/abort", {"reason": "a test"}).status_code == 200
+    aborted = served.reached("aborted")
+    assert aborted["touches"] == 0
+    assert "a test" in aborted["alarms"][0]["text"]
+    states = [e["record"]["state"] for e in served.get(f"/api/runs/{run_id}/events") if e["kind"] == "state"]
+    assert states == ["preflight", "aborting", "aborted"]
 
 
 def test_two_services_never_own_one_machine(served: Service) -> None:
@@ -319,6 +342,50 @@ def test_strangers_are_kept_out(served: Service) -> None:
     path = served.post("/api/start", {"kind": "calibrate", "position_set": "../../etc/passwd.csv"})
     assert path.status_code == 422
     assert served.status()["state"] == "idle"
+
+
+def test_metrics_for_prometheus(served: Service) -> None:
+    """After the whole run above."""
+    for _ in range(2):  # what has been fitted, and what is kept of it
+        with served.client() as client:
+            answer = client.get("/metrics")
+        assert answer.status_code == 200, answer.text
+        assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    lines = answer.text.splitlines()
+    assert 'volcal_run_under_way{machine="case-study"} 0.0' in lines
+    assert 'volcal_runs{kind="calibrate",machine="case-study",state="complete"} 1.0' in lines
+
+
+def test_a_service_with_a_certificate_is_spoken_to_by_the_commands(tmp_path: Path) -> None:
+    certificate, key = self_signed(tmp_path)
+    with simulator(tmp_path) as (_, ready):
+        config = short_settings(ready, tmp_path)
+        named = f'certificate_file = "{certificate}"\nkey_file = "{key}"\n'
+        config.write_text(config.read_text() + f'host = "0.0.0.0"\n{named}')
+        with service(config) as running:
+            assert running.url.startswith("https://")
+            shown = running.command("status", "--json")
+            assert shown.returncode == 0, shown.stderr
+            assert json.loads(shown.stdout)["state"] == "idle"
+            stranger, _ = self_signed(tmp_path, "stranger")
+            config.write_text(config.read_text().replace(str(certificate), str(stranger)))
+            refused = running.command("status")
+            assert refused.returncode == 3
+            assert "certificate" in refused.stderr.lower()
+
+
+def self_signed(directory: Path, name: str = "volcal") -> tuple[Path, Path]:
+    """Certificate and key of `name`, as files."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    now = datetime.now(UTC)
+    builder = x509.CertificateBuilder(subject, subject, key.public_key(), x509.random_serial_number())
+    signed = builder.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
+    authority = signed.add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+    certificate, private = directory / f"{name}.pem", directory / f"{name}.key"
+    certificate.write_bytes(authority.sign(key, hashes.SHA256()).public_bytes(Encoding.PEM))
+    private.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    return certificate, private
 
 
 def test_the_token_is_the_owners_alone(served: Service) -> None:
