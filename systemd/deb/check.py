@@ -214,7 +214,9 @@ class Trial:
         self.seen["stop_s"] = round(time.monotonic() - began, 1)
         assert machine.property(SERVICE, "Result") == "success", machine.journal(SERVICE)
         machine.run("systemctl", "start", SERVICE)
-        assert self._status()["state"] == "aborted"
+        status = self._status()
+        assert status["state"] == "faulted", status
+        assert "the service is being stopped" in status["alarms"][0]["text"], status
         machine.run("volcal", "reset", "--config", SETTINGS)
 
     def upgrade(self) -> None:
