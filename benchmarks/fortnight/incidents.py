@@ -156,7 +156,8 @@ class Incidents:
         evening.claims["named by axis and error"] = str(evening.told["named"]).startswith("B0Z changed by +")
         expected = Expected("nightly", "refused", "timer", (Decision.FULL_NEEDED.value,), "B0Z changed by +")
         evening.expected.append(expected)
-        self._stands(evening, "refused", 420)
+        if code == REFUSED:
+            self._stands(evening, "refused", 420)
 
     def full(self, evening: Evening) -> None:
         """Somebody carries the artefact tonight."""
