@@ -10,7 +10,7 @@ from agent.execution.steps import Point
 from agent.job import Job
 from agent.rig import Rig, in_role
 from agent.settings import ClockSettings, Settings
-from drivers.clock import Clock, LockstepClock, RealClock, ScaledClock, VirtualClock
+from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, RealClock, ScaledClock, VirtualClock
 from drivers.errors import ConfigurationError
 from drivers.registry import DeviceContext, create_device
 from drivers.roles import (
@@ -26,6 +26,8 @@ from drivers.roles import (
 
 LOCKSTEP_SLICE_S = 0.5
 """Against a lockstep simulator a wait is cut only this fine: there machine time passes in jumps anyway."""
+REAL_SLICE_S = 0.02
+"""By the wall clock: leaves a busy computer time to send STOP within 100 ms of an abort."""
 
 
 def make_clock(settings: ClockSettings) -> Clock:
@@ -43,6 +45,17 @@ def make_clock(settings: ClockSettings) -> Clock:
                     key="clock",
                     hint="start `volcal simulate --clock lockstep` first, or use kind = 'real'",
                 ) from error
+
+
+def slice_of(clock: Clock) -> float:
+    """Longest machine time in one piece of a wait."""
+    match clock:
+        case LockstepClock():
+            return LOCKSTEP_SLICE_S
+        case RealClock():
+            return REAL_SLICE_S
+        case _:
+            return INTERRUPT_SLICE_S
 
 
 @contextmanager

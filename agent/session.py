@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from agent.assembly import LOCKSTEP_SLICE_S, assemble, closed_after, make_clock
+from agent.assembly import assemble, closed_after, make_clock, slice_of
 from agent.beginning import Beginning, Fresh, Wanted
 from agent.conduct import Conduct, Listener
 from agent.execution.engine import Observer
@@ -29,7 +29,7 @@ from agent.reporting.making import Reports, rebuilt_here
 from agent.rig import Rig
 from agent.settings import Settings
 from agent.writing import write_results
-from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, WatchedClock, utc_timestamp, wall_seconds
+from drivers.clock import Clock, WatchedClock, utc_timestamp, wall_seconds
 from drivers.errors import Aborted, Interrupted, PlanRefused, UserError, VolcalError
 
 
@@ -88,8 +88,7 @@ def carry_out(request: Request) -> Ended:
     ):
         supervisor = Supervisor(outer)
         request.interrupts(supervisor)
-        slice_s = LOCKSTEP_SLICE_S if isinstance(outer, LockstepClock) else INTERRUPT_SLICE_S
-        clock = WatchedClock(request.beginning.clock(outer), supervisor.check, slice_s)
+        clock = WatchedClock(request.beginning.clock(outer), supervisor.check, slice_of(outer))
         rig = (request.rig or assemble)(settings, clock, request.base)
         wanted = Wanted(run_id, request.job, request.kind, request.base)
         run_journal, conduct = request.beginning.written(journal, wanted, clock, request.listener)

@@ -28,12 +28,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "system")
 from service_process import COMMAND, Service, service, short_settings, wait_for
 from test_kill import SCENARIO
 
+from agent.execution.journal import Journal
 from agent.execution.steps import ACTING
 from benchmarks.service_wire import Wire, wire
 
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 POLLING_CLIENTS = 4
 POLL_EVERY_S = 0.05
+COMMITS = 400
 POLLED_WITHIN_S = 45.0
 FIRST_TOUCH_WITHIN_S = 300.0
 
@@ -96,12 +98,13 @@ def abort_to_stop_ms(running: Service, between: Wire) -> float:
 
 
 def early_abort_ms(running: Service) -> float:
-    """While the run is still being rehearsed: until nothing goes on any more."""
+    """While the run is still being rehearsed: until the state says so."""
     running.start()
     running.until(lambda now: now["state"] == "preflight", "the preflight")
     began = ask_abort(running)
-    running.reached("aborted")
+    running.reached("aborting", "aborted")
     latency_ms = 1e3 * (time.perf_counter() - began)
+    running.reached("aborted")
     running.post("/api/reset")
     return latency_ms
 
@@ -121,6 +124,7 @@ def measured(running: Service, seconds: float) -> dict[str, float]:
     """A run that goes on for a while, then what its journal says of the time between its steps."""
     run_id = running.start()
     running.until(lambda now: now["touches"] > 0, "a touch", FIRST_TOUCH_WITHIN_S)
+    commits = sorted(bare_commits_s(running.directory, COMMITS))
     share = cpu_percent(running.process.pid, seconds)
     running.post("/api/abort")
     running.reached("aborted")
@@ -133,6 +137,8 @@ def measured(running: Service, seconds: float) -> dict[str, float]:
     moving = {kind.__name__ for kind in ACTING}
     gaps = sorted(after[0] - before[1] for before, after in pairwise(rows) if after[2] in moving)
     return {
+        "bare_commit_ms_median": 1e3 * commits[len(commits) // 2],
+        "bare_commit_ms_p99": 1e3 * commits[int(0.99 * len(commits))],
         "running_cpu_percent": share,
         "peak_rss_mb": rss_mb(running.process.pid, "VmHWM"),
         "steps": len(gaps),
@@ -140,6 +146,19 @@ def measured(running: Service, seconds: float) -> dict[str, float]:
         "step_overhead_ms_p99": 1e3 * gaps[int(0.99 * len(gaps))],
         "overhead_percent": 100.0 * sum(gaps) / (rows[-1][1] - rows[0][0]),
     }
+
+
+def bare_commits_s(directory: Path, count: int) -> Iterator[float]:
+    """Durable commits of nothing much beside the journal, meanwhile: what a step cannot go below on this disk."""
+    journal = Journal(directory / "bare")
+    connection = journal._connection
+    connection.execute("CREATE TABLE bare (n INTEGER PRIMARY KEY, t TEXT)")
+    for number in range(count):
+        began = time.perf_counter()
+        connection.execute("INSERT INTO bare VALUES (?, ?)", (number, "x" * 120))
+        yield time.perf_counter() - began
+        time.sleep(0.05)
+    journal.close()
 
 
 def cpu_percent(process: int, seconds: float) -> float:
