@@ -152,8 +152,10 @@ class Incidents:
         self._is(evening, 23)
         code, said = self._asked(evening, *SLOT)
         evening.claims["the timer's command tells it"] = code == REFUSED and "a full calibration is" in said
-        evening.told["named"] = said.partition("at once: ")[2].partition(". ")[0]
-        evening.claims["named by axis and error"] = str(evening.told["named"]).startswith("B0Z changed by +")
+        named = said.partition("at once: ")[2].partition("; ")[0].partition(". ")[0]
+        evening.told["named"] = named
+        first = named.startswith("B0Z changed by +")
+        evening.claims["named by axis and error"] = first if self._compared else "B0Z changed by +" in named
         expected = Expected("nightly", "refused", "timer", (Decision.FULL_NEEDED.value,), "B0Z changed by +")
         evening.expected.append(expected)
         if code == REFUSED:

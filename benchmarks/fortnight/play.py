@@ -6,7 +6,7 @@ import logging
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -20,6 +20,7 @@ from benchmarks.fortnight.ledger import acting_is_accepted, differing, history_o
 from benchmarks.fortnight.plant import Plant
 from benchmarks.nights import memory
 from benchmarks.nights_season import Season, reach_um
+from simulators.scenario import Scenario
 
 LARGEST_RATIO = 1.5
 DAMAGE = "damage"
@@ -28,17 +29,27 @@ DAMAGE = "damage"
 @dataclass(frozen=True)
 class Programme:
     """`evenings` in turn, each one or more names of `Incidents`, separated by commas; `changes` of the shipped
-    settings; `compared`: with what only a machine of one's own can tell, and with trends, which take their nights."""
+    settings; `compared`: with what only a machine of one's own can tell, and with trends, which take their nights;
+    `hit`: how hard the machine is hit, in collisions of the season."""
 
     evenings: tuple[str, ...]
     changes: dict[str, str] = field(default_factory=dict)
     compared: bool = True
+    hit: float = 1.0
 
     @property
     def season(self) -> Season:
         """The collision is before the slot of the evening that is named for it."""
         damaged = self.evenings.index(DAMAGE) if DAMAGE in self.evenings else len(self.evenings)
         return Season(len(self.evenings) - 1, damaged, seed=1)
+
+    @property
+    def scenario(self) -> Scenario:
+        found = self.season.scenario
+        ageing = found.settings.ageing
+        collision = {name: self.hit * jump for name, jump in ageing.collision.items()}
+        harder = ageing.model_copy(update={"collision": collision})
+        return replace(found, settings=found.settings.model_copy(update={"ageing": harder}))
 
 
 FORTNIGHT = Programme(
@@ -55,8 +66,9 @@ THIN = Programme(
         "[gates]": "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1e3",
     },
     compared=False,
+    hit=6.0,
 )
-"""Everything in five evenings, and as little measured as it can be."""
+"""Everything in five evenings, and as little measured as it can be: what is known so badly must be hit hard."""
 
 
 @dataclass
@@ -105,7 +117,7 @@ class _Player:
         self._programme = programme
         self._season = programme.season
         self._report = report
-        self._plant = Plant(self._season.scenario, self._season.station)
+        self._plant = Plant(programme.scenario, self._season.station)
         self._house = House(directory, self._plant.ready, programme.changes)
         self._incidents = Incidents(self._house, self._plant, compared=programme.compared)
 
