@@ -28,7 +28,7 @@ from agent.recording import record_probe
 from agent.rig import Rig
 from agent.table_image import table_of
 from drivers.clock import Clock
-from drivers.errors import Aborted, GateRefused, JournalFailed, LinkError, PlanDiverged, VolcalError
+from drivers.errors import Aborted, GateRefused, JournalFailed, LinkError, PlanDiverged, PlanRefused, VolcalError
 from drivers.roles import Activation
 
 
@@ -116,8 +116,9 @@ class GuardedRun(ABC):
         record_probe(self._journal, prepared)
         return prepared
 
-    def require_time(self, following: Step) -> None:
-        """Asked when a run that broke off is about to move again; PlanRefused where it is too late for `following`."""
+    def too_late(self, following: Step) -> PlanRefused | None:
+        """Asked when a run that broke off is about to move again: why there is no more time for `following`."""
+        return None
 
     @property
     def activation(self) -> Activation:

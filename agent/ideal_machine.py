@@ -21,7 +21,8 @@ from twin.position_set import Position
 class IdealMachine:
     """Axes at `start_mm`, the mount's at zero; mounts at every station begin where they are turned to first.
 
-    `spent(step, motion_s, beyond_s)` hears of every step that takes time. Every ball stands where `layout` has it; the probe trips at contact.
+    `spent(step, motion_s, beyond_s)` hears of every step that takes time. Every ball stands where `layout` has it; the
+    probe trips at contact.
     """
 
     def __init__(

@@ -66,7 +66,6 @@ class StationSettings(Strict):
     parked_deg: Angles = (0.0, 90.0)
     park_distance_mm: PositiveFloat = 1000.0
 
-
     def resolved(self, base: Path) -> StationSettings:
         """The same with every path made absolute, starting from `base`."""
         if self.artefacts is None:

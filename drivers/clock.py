@@ -71,7 +71,7 @@ class VirtualClock:
         return self._now
 
     def sleep(self, duration_s: float) -> None:
-        """Time passes, however short the sleep: who waits for an instant would otherwise wait for ever just before it."""
+        """Time passes, however short the sleep: else who waits for an instant would wait for ever just before it."""
         if duration_s > 0.0:
             self.advance_to(max(self._now + duration_s, math.nextafter(self._now, math.inf)))
 

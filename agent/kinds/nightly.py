@@ -136,18 +136,19 @@ class NightlyRun(CalibrationRun):
             needed -= self._chooser.minutes([further.pop()])
         return tuple(further)
 
-    def require_time(self, following: Step) -> None:
+    def too_late(self, following: Step) -> PlanRefused | None:
         """A slot goes on while nothing runs. What was measured for the verification is of use only if the rest of it
         can be measured too."""
         at_s = self._rehearsal.timeline.get(following.key)
         needed = 0.0 if at_s is None else (self._rehearsal.machine_seconds - at_s) / S_PER_MIN
         needed -= self._rehearsed_after(LOOK)
         if max(needed, 0.0) > self._left_minutes or self._left_minutes <= 0.0:
-            raise PlanRefused(
+            return PlanRefused(
                 f"the night cannot be gone on with: {self._left_minutes:.1f} min are left of its slot of "
                 f"{self._slot.minutes:g} min, the verification alone needs {max(needed, 0.0):.1f} min more",
                 hint="wait for the next night; what was measured stays in the journal",
             )
+        return None
 
     def _rehearsed_after(self, prefix: str) -> float:
         """Minutes from the end of a part of the night to the end of all, by the rehearsal."""

@@ -82,7 +82,7 @@ class Resumption:
             known.replay.trace,
             aside,
             lambda: run.rules,
-            run.require_time,
+            run.too_late,
             conduct,
             known.clock,
             self._time_s(),

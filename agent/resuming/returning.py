@@ -24,7 +24,7 @@ from agent.resuming.clock import ResumedClock
 from agent.resuming.coming_back import WayBack
 from agent.resuming.trace import Trace
 from agent.rig import Rig
-from drivers.errors import PlanDiverged
+from drivers.errors import PlanDiverged, PlanRefused
 from drivers.roles import Activation
 
 
@@ -39,7 +39,7 @@ class Returning:
         trace: Trace,
         aside: Engine,
         rules: Callable[[], PositionRules],
-        require_time: Callable[[Step], None],
+        too_late: Callable[[Step], PlanRefused | None],
         conduct: Conduct,
         clock: ResumedClock,
         time_s: float,
@@ -50,7 +50,7 @@ class Returning:
         self._trace = trace
         self._aside = aside
         self._rules = rules
-        self._require_time = require_time
+        self._too_late = too_late
         self._conduct = conduct
         self._clock = clock
         self._time_s = time_s
@@ -62,7 +62,9 @@ class Returning:
 
     def machine(self, following: Step) -> None:
         self._at_rest()
-        self._require_time(following)
+        refusal = self._too_late(following)
+        if refusal is not None:
+            raise refusal
         if isinstance(following, (MoveTo, TouchTowards)):
             self._trace.came.begins(following.target_mm, touch=isinstance(following, TouchTowards))
         self._rig.last_motion = self._trace.came

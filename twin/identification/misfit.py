@@ -35,6 +35,7 @@ _MIXED_DECAY = 0.75  # prior standard deviation per degree
 _WAVE_DECAY = 0.85  # per order; rail waves fall off more slowly than the series themselves
 _LEVER = 0.4  # of a wave with a lever beside the one without
 _MOST_MODES = (24, 12, 12, 12)  # by kind; what they leave out is small enough to be taken for uncorrelated
+_CHUNK = 1000  # points whose basis is held at a time
 _DEPENDENT = 1e-10  # of the largest eigenvalue: combinations of parameters that do not change the field
 
 Degrees = tuple[int, int, int]
@@ -116,13 +117,19 @@ class _Represented:
     @classmethod
     def build(cls, model: ErrorModel, offset: Array, degrees: tuple[Degrees, ...]) -> _Represented:
         points, weights = _quadrature(model, degrees)
-        basis = deviation_basis(model, points, offset)
-        known = np.concatenate((basis, _motions(model.ranges_mm, points)), axis=2)
-        candidates = _candidates(degrees, model.ranges_mm, points)
-        weighted = weights[:, None] * candidates
-        common = np.stack([known[:, direction].T @ weighted for direction in range(3)])
-        gram = np.einsum("n,nik,nil->kl", weights, known, known, optimize=True)
-        return cls(_pseudo_inverse(gram), common, np.asarray(weights @ candidates**2))
+        count = model.size + _motions(model.ranges_mm, points[:1]).shape[2]
+        common, squares = np.zeros((3, count, len(degrees))), np.zeros(len(degrees))
+        gram = np.zeros((count, count))
+        for start in range(0, len(points), _CHUNK):
+            chunk, weight = points[start : start + _CHUNK], weights[start : start + _CHUNK, None]
+            known = np.concatenate((deviation_basis(model, chunk, offset), _motions(model.ranges_mm, chunk)), axis=2)
+            candidates = _candidates(degrees, model.ranges_mm, chunk)
+            squares += weight[:, 0] @ candidates**2
+            for direction in range(3):
+                one = known[:, direction]
+                common[direction] += one.T @ (weight * candidates)
+                gram += one.T @ (weight * one)
+        return cls(_pseudo_inverse(gram), common, squares)
 
     def share(self, mixing: Array) -> Array:
         """(k, q) of the known fields that are contained in combinations (3, c, q) of the candidates."""

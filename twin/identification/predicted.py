@@ -17,7 +17,7 @@ from twin.machine_model import deviation_basis
 from twin.rigid_motion import rigid_fields
 from twin.volumetric import Volumetric
 
-_CHUNK = 2000  # points whose basis is held at a time
+_CHUNK = 500  # points whose basis is held at a time
 
 
 class FieldKnowledge(Protocol):

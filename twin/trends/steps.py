@@ -20,6 +20,8 @@ from twin.trends.drift import regression_design
 PENALTY_PER_LOG = 6.0
 FEWEST = 8
 MOST = 5
+SMALLEST_SCATTER = 1e-3
+"""Of the stated uncertainty: below that a series is smooth, and what is left is rounding."""
 MEDIAN_RANGE = 0.9539
 """Median of the range of two standard normal values: sqrt(2) times the upper quartile 0.6745."""
 
@@ -38,7 +40,7 @@ def find_steps(
     if len(t) < FEWEST:
         return tuple(steps)
     relative = u / np.median(u)
-    scatter = max(_successive(y / relative), 1e-12 * max(float(np.abs(y).max()), 1e-300))
+    scatter = max(_successive(y / relative), SMALLEST_SCATTER * float(np.median(u)))
     while len(steps) < MOST + len(known):
         best = _best(t, y, scatter * relative, steps)
         if best is None:
