@@ -22,10 +22,10 @@ from drivers.modbus_cnc.codes import (
     Outcome,
     fault_text,
 )
-from drivers.modbus_cnc.prediction import move_duration_s
 from drivers.modbus_cnc.registers import Command, Status, Triple
 from drivers.modbus_cnc.session import Session
 from drivers.roles import AxisLimits, MotionState
+from drivers.straight_move import move_duration_s
 
 COARSEST_FINE_POLL_S = 0.1
 JUST_AFTER_S = 0.001

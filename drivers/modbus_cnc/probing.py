@@ -16,6 +16,7 @@ from drivers.modbus_cnc.motion import Motion
 from drivers.modbus_cnc.registers import Status, Triple
 from drivers.modbus_cnc.session import Session
 from drivers.roles import Miss, ProbeStatus, Touch, Vector
+from drivers.straight_move import distance_to_segment_mm
 
 _LATCH_RESULTS = {Outcome.TRIPPED: 1, Outcome.MISSED: 2}
 
@@ -52,7 +53,7 @@ class Probing:
             )
 
     def _require_on_path(self, latched: Triple, start: Triple, target_mm: Vector) -> None:
-        distance_mm = _distance_to_segment(np.array(latched), np.array(start), np.asarray(target_mm, float))
+        distance_mm = distance_to_segment_mm(np.array(latched), np.array(start), np.asarray(target_mm, float))
         allowed_mm = self._session.settings.latch_tolerance_mm
         if distance_mm > allowed_mm:
             raise self._latch_error(
@@ -68,10 +69,3 @@ class Probing:
             register=settings.blocks.status + offset,
             **self._session.where,
         )
-
-
-def _distance_to_segment(point: Vector, start: Vector, end: Vector) -> float:
-    along = end - start
-    square = float(along @ along)
-    share = float(np.clip((point - start) @ along / square, 0.0, 1.0)) if square else 0.0
-    return float(np.linalg.norm(point - start - share * along))

@@ -16,9 +16,9 @@ from drivers.errors import LinkLost
 from drivers.modbus_cnc.codec import Layout, NumberFormat, Register
 from drivers.modbus_cnc.heartbeat import PeerHeartbeat
 from drivers.modbus_cnc.plugin import PLUGIN
-from drivers.modbus_cnc.prediction import move_duration_s
 from drivers.modbus_cnc.settings import Blocks, ModbusCncSettings
 from drivers.registry import GROUP, DeviceContext
+from drivers.straight_move import move_duration_s
 
 REGISTERS = [Register("a", "u16"), Register("b", "i32"), Register("c", "number", 2), Register("d", "u32")]
 

@@ -1,9 +1,13 @@
-"""How long a straight move will take, so that a wait can sleep until just before its end."""
+"""A straight move: how long it will take, so that a wait can sleep until just before its end, and what lies on it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.roles import Vector
 
 
 def move_duration_s(
@@ -27,6 +31,14 @@ def move_duration_s(
     if length_mm < speed * speed / acceleration:
         return 2.0 * math.sqrt(length_mm / acceleration)
     return length_mm / speed + speed / acceleration
+
+
+def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -> float:
+    """Of a point, (3,), from the straight line between two others."""
+    along = end_mm - start_mm
+    square = float(along @ along)
+    share = float(np.clip((point_mm - start_mm) @ along / square, 0.0, 1.0)) if square else 0.0
+    return float(np.linalg.norm(point_mm - start_mm - share * along))
 
 
 def _along_path(shares: Sequence[float], per_axis: Sequence[float]) -> float:
