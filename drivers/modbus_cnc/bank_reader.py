@@ -27,7 +27,8 @@ class BankReader:
         self._require_sound(bank, descriptor)
         nx, ny, nz = descriptor.nodes
         blocks = [self._read_block(bank, number + 1) for number in range(block_count(descriptor.nodes))]
-        data = b"".join(blocks)[: nx * ny * nz * 12]
+        reordered = self._session.layouts.block.reordered
+        data = b"".join(reordered(block) for block in blocks)[: nx * ny * nz * 12]
         if crc32(data) != descriptor.crc:
             raise ChecksumMismatch(
                 f"bank {bank}: CRC-32 of what was read is {crc32(data):08X}, "

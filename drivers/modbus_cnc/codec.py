@@ -15,11 +15,16 @@ _REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """How the map's f64 travel: as float64, or int32 × `scale` in the first two of their four registers."""
+    """How the map's f64 travel: as float64, or int32 × `scale` in the first two of their four registers.
+
+    `word_order`: of the registers of a value, `byte_order`: of the two bytes in each of them. Both concern values of
+    more than one register; u16 travel as the protocol has them.
+    """
 
     kind: Literal["float64", "int32"] = "float64"
     scale: float = 1e-5
     word_order: WordOrder = "high-first"
+    byte_order: WordOrder = "high-first"
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,8 @@ class Layout:
         codes = {"u16": "H", "u32": "I", "i32": "i", "number": "d" if numbers.kind == "float64" else "i4x"}
         # Each item is repeated rather than counted: "3d" would do, "3i4x" would not.
         self._struct = struct.Struct(">" + "".join(codes[kind] for kind in self._kinds()))
-        self._order = tuple(self._swapped_bytes()) if numbers.word_order == "low-first" else None
+        swapped = "low-first" in (numbers.word_order, numbers.byte_order)
+        self._order = tuple(self._swapped_bytes()) if swapped else None
         scaled = numbers.kind == "int32"
         self._scaled = tuple(index for index, kind in enumerate(self._kinds()) if scaled and kind == "number")
 
@@ -60,7 +66,7 @@ class Layout:
 
     def unpack(self, data: bytes) -> Iterator[Any]:
         """One int, float or tuple of them per register name, in order."""
-        flat: Sequence[Any] = self._struct.unpack(self._reordered(data))
+        flat: Sequence[Any] = self._struct.unpack(self.reordered(data))
         if self._scaled:
             values = list(flat)
             for index in self._scaled:
@@ -79,24 +85,27 @@ class Layout:
         for index in self._scaled:
             flat[index] = round(flat[index] / self._numbers.scale)
         try:
-            return self._reordered(self._struct.pack(*flat))
+            return self.reordered(self._struct.pack(*flat))
         except struct.error as error:
             raise ValueError(str(error)) from error
+
+    def reordered(self, data: bytes) -> bytes:
+        """Big-endian bytes of the whole layout as they go over the wire, and back: a reversal is its own inverse."""
+        return data if self._order is None else bytes([data[index] for index in self._order])
 
     def _kinds(self) -> Iterator[Kind]:
         for register in self._registers:
             yield from (register.kind,) * register.count
 
-    def _reordered(self, data: bytes) -> bytes:
-        # Reversing the registers of a value is its own inverse.
-        return data if self._order is None else bytes([data[index] for index in self._order])
-
     def _swapped_bytes(self) -> Iterator[int]:
+        words_reversed = self._numbers.word_order == "low-first"
+        low_byte_first = self._numbers.byte_order == "low-first"
         at = 0
         for kind in self._kinds():
             registers = _REGISTERS[kind]
             valued = 2 if kind == "number" and self._numbers.kind == "int32" else registers
-            words = [*range(valued - 1, -1, -1), *range(valued, registers)]
+            words = [*(range(valued - 1, -1, -1) if words_reversed else range(valued)), *range(valued, registers)]
+            first, second = (1, 0) if low_byte_first and registers > 1 else (0, 1)
             for word in words:
-                yield from (at + 2 * word, at + 2 * word + 1)
+                yield from (at + 2 * word + first, at + 2 * word + second)
             at += 2 * registers

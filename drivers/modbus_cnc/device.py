@@ -9,9 +9,9 @@ import numpy as np
 
 from drivers.clock import Clock
 from drivers.errors import DeviceError, LinkLost, ProtocolError
-from drivers.links.modbus import Endpoint, ModbusLink
 from drivers.modbus_cnc.codes import ACTIVATIONS, NO_TEMPERATURE, Code, fault_text
 from drivers.modbus_cnc.diagnosis import diagnose
+from drivers.modbus_cnc.linking import link_of
 from drivers.modbus_cnc.motion import Motion
 from drivers.modbus_cnc.probing import Probing
 from drivers.modbus_cnc.registers import Command, Limits
@@ -35,15 +35,7 @@ class ModbusCnc:
     """Composes motion, probing and store over one shared session; they exist while the device is open."""
 
     def __init__(self, settings: ModbusCncSettings, clock: Clock, name: str) -> None:
-        link = ModbusLink(
-            Endpoint(settings.host, settings.port, settings.unit),
-            writable=settings.blocks.writable(),
-            timeout_s=settings.timeout_s,
-            retries=settings.retries,
-            combined=settings.combined_function,
-            device=name,
-        )
-        self._session = Session(link, clock, settings)
+        self._session = Session(link_of(settings, clock, name), clock, settings)
         self._parts: _Parts | None = None
 
     def open(self) -> None:

@@ -100,7 +100,7 @@ class Motion:
     def _wait(self, code: Code, target: Triple, feed_mm_per_s: float | None, status: Status) -> Status:
         session, clock, settings = self._session, self._session.clock, self._session.settings
         predicted_s = self._predicted_s(status.position, target, feed_mm_per_s)
-        slice_s = settings.touch_poll_interval_s if code is Code.TOUCH else settings.poll_interval_s
+        slice_s = self._slice_s(settings.touch_poll_interval_s if code is Code.TOUCH else settings.poll_interval_s)
         end_s = clock.now() + predicted_s + JUST_AFTER_S
         allowed_s = DURATION_FACTOR * predicted_s + settings.motion_margin_s
         deadline = Deadline.after(clock, allowed_s)
@@ -121,6 +121,10 @@ class Motion:
             clock.sleep(pause_s)
             status = session.poll()
         return status
+
+    def _slice_s(self, interval_s: float) -> float:
+        """The pause between two polls: on a slow line the poll itself is part of the interval."""
+        return max(interval_s - self._session.poll_line_s, self._session.settings.fine_poll_interval_s)
 
     def _predicted_s(self, start: Triple, target: Triple, feed_mm_per_s: float | None) -> float:
         return move_duration_s(

@@ -13,6 +13,7 @@ from drivers.errors import (
     ProtocolError,
 )
 from drivers.links.modbus import ModbusLink
+from drivers.links.modbus_transport import DamagedFrame
 from drivers.modbus_cnc.codec import NumberFormat
 from drivers.modbus_cnc.codes import (
     ACCEPTED,
@@ -40,7 +41,9 @@ class Session:
         self.clock = clock
         self.settings = settings
         self.where: Mapping[str, str] = link.where
-        self.layouts = Layouts(NumberFormat(settings.number, settings.number_scale, settings.word_order))
+        self.layouts = Layouts(
+            NumberFormat(settings.number, settings.number_scale, settings.word_order, settings.byte_order)
+        )
         self._heartbeat = 0
         self._peer = PeerHeartbeat(clock, settings.heartbeat_lost_after_s, link.where)
         self._sequence = 0
@@ -67,6 +70,11 @@ class Session:
     def look(self) -> Status:
         """As `status`, for onlookers: neither the heartbeat nor the acknowledgement is judged."""
         return self._whole(self._read_status())
+
+    @property
+    def poll_line_s(self) -> float:
+        """What the wire itself takes for a poll."""
+        return self.link.exchange_line_s(1, self.layouts.status.size)
 
     def poll(self) -> Status:
         """Write the heartbeat and read one image."""
@@ -129,7 +137,7 @@ class Session:
         self._unacknowledged = sequence
         try:
             return self.write_and_status(self.settings.blocks.command, block, idempotent=False)
-        except LinkTimeout:
+        except (LinkTimeout, DamagedFrame):
             status = self.status()
         if sequence in self._known:
             return status

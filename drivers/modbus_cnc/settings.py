@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from drivers.links.modbus_serial_line import SerialLine
 
 STATUS_REGISTERS = 70
 LIMITS_REGISTERS = 63
@@ -14,6 +16,13 @@ COMMAND_REGISTERS = 23
 DESCRIPTOR_REGISTERS = 34
 DATA_WINDOW_REGISTERS = 121
 READ_SELECTOR_REGISTERS = 2
+
+TCP_TIMEOUT_S = 0.5
+SERIAL_TIMEOUT_S = 0.25
+"""Beyond the line's own time: a lost answer must leave room for the next heartbeat within the controller's second."""
+
+BROADCAST_UNIT = 0
+LAST_SERIAL_UNIT = 247
 
 Address = Annotated[int, Field(ge=0, le=65535)]
 Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
@@ -64,14 +73,17 @@ class Blocks(BaseModel):
 
 
 class ModbusCncSettings(BaseModel):
-    """Settings of driver `modbus-cnc`."""
+    """Settings of driver `modbus-cnc`: over TCP with `host`, over a serial line (Modbus RTU) with `serial`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    host: str = Field(min_length=1, description="host name or address of the controller")
+    host: str | None = Field(default=None, min_length=1, description="host name or address of the controller")
     port: int = Field(default=502, ge=1, le=65535)
-    unit: int = Field(default=1, ge=0, le=255, description="Modbus unit id")
-    timeout_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.5
+    serial: SerialLine | None = Field(default=None, description="the serial line instead of host and port")
+    unit: int = Field(default=1, ge=0, le=255, description="Modbus unit id; 1 to 247 on a serial line")
+    timeout_s: float = Field(
+        default=TCP_TIMEOUT_S, gt=0.0, le=10.0, description="for an answer; on a serial line beyond the line's own time"
+    )
     retries: int = Field(default=1, ge=0, le=10, description="for requests that may be sent again")
     combined_function: bool = Field(default=True, description="use function 23 (write and read in one)")
 
@@ -79,6 +91,10 @@ class ModbusCncSettings(BaseModel):
     number: Literal["float64", "int32"] = "float64"
     number_scale: float = Field(default=1e-5, gt=0.0, description="unit of an int32 number")
     word_order: Literal["high-first", "low-first"] = "high-first"
+    byte_order: Literal["high-first", "low-first"] = Field(
+        default="high-first",
+        description="of the bytes in each register of values of more than one; u16 are always high-first",
+    )
 
     poll_interval_s: float = Field(
         default=0.4, gt=0.0, le=0.5, description="between two status reads while something moves"
@@ -100,6 +116,25 @@ class ModbusCncSettings(BaseModel):
         max_length=8,
         description="names in the order of the registers; an empty name is a sensor that is not used",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _serial_timeout(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("serial") is not None:
+            return {"timeout_s": SERIAL_TIMEOUT_S, **data}
+        return data
+
+    @model_validator(mode="after")
+    def _one_link(self) -> Self:
+        if (self.host is None) == (self.serial is None):
+            raise ValueError("one of host (Modbus TCP) and serial (Modbus RTU) must be given, and not both")
+        if self.serial is not None and "port" in self.model_fields_set:
+            raise ValueError("port is the TCP port; the serial port is serial.port")
+        if self.serial is not None and not BROADCAST_UNIT < self.unit <= LAST_SERIAL_UNIT:
+            raise ValueError(
+                f"unit {self.unit} is not one of a serial line: 1 to {LAST_SERIAL_UNIT} (0 would be everybody)"
+            )
+        return self
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:

@@ -108,9 +108,8 @@ class Store:
 
     def _write_block(self, number: int, block: bytes) -> None:
         session = self._session
-        status = session.write_and_status(
-            session.settings.blocks.data_window, block + number.to_bytes(2, "big"), idempotent=True
-        )
+        data = session.layouts.block.reordered(block) + number.to_bytes(2, "big")
+        status = session.write_and_status(session.settings.blocks.data_window, data, idempotent=True)
         self._await(status, lambda image: self._block_taken(number, image), f"data block {number} to be taken")
 
     def _block_taken(self, number: int, status: Status) -> bool:

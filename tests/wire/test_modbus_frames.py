@@ -17,7 +17,8 @@ import pytest
 
 from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, ProtocolError
-from drivers.links.modbus import Endpoint, ModbusLink
+from drivers.links.modbus import ModbusLink
+from drivers.links.modbus_tcp import Endpoint, TcpTransport
 from drivers.modbus_cnc.codes import Code
 from drivers.modbus_cnc.registers import Command, Layouts, NumberFormat
 from drivers.modbus_cnc.session import Session
@@ -80,14 +81,15 @@ def script(request: pytest.FixtureRequest) -> Iterator[Script]:
         yield server
 
 
+def link_at(port: int, retries: int = 0) -> ModbusLink:
+    endpoint = Endpoint("127.0.0.1", port, 1)
+    where = {"device": "cnc", "link": str(endpoint)}
+    transport = TcpTransport(endpoint, timeout_s=0.2, where=where)
+    return ModbusLink(transport, writable=Blocks().writable(), where=where, retries=retries)
+
+
 def link_to(script: Script, retries: int = 0) -> ModbusLink:
-    link = ModbusLink(
-        Endpoint("127.0.0.1", script.port, 1),
-        writable=Blocks().writable(),
-        timeout_s=0.2,
-        retries=retries,
-        device="cnc",
-    )
+    link = link_at(script.port, retries)
     link.open()
     return link
 
@@ -225,7 +227,7 @@ def test_a_connection_that_ends_is_lost_and_stays_so(script: Script) -> None:
 
 @pytest.mark.parametrize(("register", "count"), [(1000, 1), (2023, 1), (2022, 2), (1999, 2), (2134, 1)])
 def test_registers_outside_the_allow_list_are_never_written(register: int, count: int) -> None:
-    link = ModbusLink(Endpoint("127.0.0.1", 1, 1), writable=Blocks().writable())
+    link = link_at(1)
     with pytest.raises(ConfigurationError, match="write outside the registers that may be written"):
         link.write(register, bytes(2 * count), idempotent=True)
     with pytest.raises(ConfigurationError):
@@ -235,7 +237,7 @@ def test_registers_outside_the_allow_list_are_never_written(register: int, count
 def test_nobody_there_is_a_lost_link() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    link = ModbusLink(Endpoint("127.0.0.1", port, 1), writable=())
+    link = link_at(port)
     with pytest.raises(LinkLost, match="no connection to the Modbus server"):
         link.open()
 

@@ -1,0 +1,234 @@
+"""Modbus RTU on a serial line over pyserial.
+
+A transport of our own: pymodbus looks for a frame anywhere in what came, passes over another unit's answer in silence
+and tells a garbled answer as a timeout, so that a bad line and a dead controller look the same.
+
+RTU has no transaction number. What is still on the line before a request is thrown away, after a failure until the
+line is quiet; what comes later than that is taken for the answer if it looks like one, and it is then an image that is
+older by one request. The register map's own numbers (sequence, block, latch) catch what such an image could spoil.
+
+The time of the line passes on the device's clock. Where it does not pass by itself (a pseudo-terminal, a lockstep
+clock), it is slept, so that a request costs the machine what it would cost on a cable.
+"""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import serial
+
+from drivers.clock import Clock, unwatched, wall_seconds
+from drivers.errors import LinkLost, LinkTimeout, ProtocolError
+from drivers.links.modbus_serial_line import ADDRESS_AND_CRC, SerialLine, framed, is_sound
+from drivers.links.modbus_transport import EXCEPTION_BIT, READ, WRITE, WRITE_AND_READ, DamagedFrame, answer_length
+
+QUIET_S = 0.02
+"""Silence by which a frame of unknown length is taken to have ended: above what adapters and schedulers insert."""
+
+QUIET_WITHIN_S = 0.5
+"""A line that never falls silent is not waited for."""
+
+_PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.PARITY_NONE}
+
+
+@dataclass(frozen=True)
+class RtuEndpoint:
+    """A unit on a serial line."""
+
+    line: SerialLine
+    unit: int
+
+    def __str__(self) -> str:
+        return f"modbus-rtu {self.line} unit {self.unit}"
+
+
+class RtuTransport:
+    """The master of one line. `stray_bytes` counts what came without having been asked for."""
+
+    def __init__(self, endpoint: RtuEndpoint, clock: Clock, *, timeout_s: float, where: Mapping[str, str]) -> None:
+        self._line = endpoint.line
+        self._unit = endpoint.unit
+        self._clock = unwatched(clock)
+        self._timeout_s = timeout_s
+        self._where = where
+        self._serial: serial.Serial | None = None
+        self._quiet_since_s = float("-inf")
+        self._unsettled = False
+        self.stray_bytes = 0
+
+    @property
+    def connected(self) -> bool:
+        return self._serial is not None
+
+    def open(self) -> None:
+        line = self._line
+        try:
+            self._serial = serial.Serial(
+                line.port,
+                line.baud,
+                parity=_PARITY[line.parity],
+                stopbits=line.stop_bits,
+                timeout=0,
+                write_timeout=self._timeout_s + line.exchange_s(256, 0),
+                exclusive=True,
+            )
+        except (OSError, ValueError) as error:
+            raise LinkLost(
+                f"the serial port cannot be opened: {error}",
+                hint="check serial.port, that the adapter is plugged in, that this user may use it (group dialout), "
+                "and that no other program has it",
+                **self._where,
+            ) from error
+
+    def close(self) -> None:
+        if self._serial is not None:
+            self._serial.close()
+            self._serial = None
+
+    def line_s(self, request: bytes) -> float:
+        return self._line.exchange_s(len(request), answer_length(request))
+
+    def ask(self, request: bytes) -> bytes:
+        port = self._serial
+        if port is None:
+            raise LinkLost("the serial port is not open", hint="open the device first", **self._where)
+        started_s, owed_s = self._clock.now(), self.line_s(request)
+        try:
+            self._settle(port)
+            self._unsettled = True
+            answer = self._transact(port, framed(self._unit, request), request)
+            self._unsettled = False
+        except LinkTimeout:
+            owed_s += self._timeout_s
+            raise
+        except serial.SerialTimeoutException as error:
+            raise LinkTimeout(
+                "the serial port does not take what is to be sent", hint="check the adapter", **self._where
+            ) from error
+        except OSError as error:
+            self.close()
+            raise LinkLost(
+                f"serial port lost: {error}", hint="check that the adapter is plugged in", **self._where
+            ) from error
+        finally:
+            self._pass_time(started_s + owed_s)
+        return answer
+
+    def _settle(self, port: serial.Serial) -> None:
+        """Nothing old on the line, and silent for as long as the standard wants."""
+        self.stray_bytes += len(port.read(port.in_waiting))
+        if self._unsettled:
+            self.stray_bytes += len(self._until_quiet(port))
+        self._pass_time(self._quiet_since_s + self._line.gap_s)
+
+    def _pass_time(self, instant_s: float) -> None:
+        self._clock.sleep(instant_s - self._clock.now())
+        self._quiet_since_s = self._clock.now()
+
+    def _transact(self, port: serial.Serial, frame: bytes, request: bytes) -> bytes:
+        port.write(frame)
+        give_up_s = wall_seconds() + self.line_s(request) + self._timeout_s
+        if self._line.echo:
+            self._take_echo(port, frame, give_up_s)
+        answer = self._frame(port, frame, give_up_s)
+        if answer[0] != self._unit:
+            raise ProtocolError(
+                f"unit {answer[0]} answered instead of unit {self._unit}",
+                hint="two devices on the line have one address, or the unit in the configuration is wrong",
+                **self._where,
+            )
+        return answer[1:-2]
+
+    def _frame(self, port: serial.Serial, sent: bytes, give_up_s: float) -> bytes:
+        """One whole answer. A sound frame of another length or function is handed on to be judged above."""
+        data = b""
+        while (wanted := _length(data, sent[1])) is None or len(data) < wanted:
+            more = self._some(port, give_up_s - wall_seconds(), (wanted or ADDRESS_AND_CRC) - len(data))
+            if not more:
+                self._require_no_echo(data, sent)
+                raise self._incomplete(data, wanted)
+            data += more
+            if wanted is None and len(data) >= ADDRESS_AND_CRC and _length(data, sent[1]) is None:
+                data += self._until_quiet(port)
+                break
+        if is_sound(data) and data != sent:
+            return data
+        data += self._until_quiet(port)
+        self._require_no_echo(data, sent)
+        raise DamagedFrame(
+            f"garbled answer: {_hex(data)}",
+            hint=f"check baud rate, parity and stop bits at both ends (here {self._line.mode}), termination and shield",
+            **self._where,
+        )
+
+    def _take_echo(self, port: serial.Serial, frame: bytes, give_up_s: float) -> None:
+        heard = b""
+        while len(heard) < len(frame):
+            more = self._some(port, give_up_s - wall_seconds(), len(frame) - len(heard))
+            if not more:
+                break
+            heard += more
+        if heard == frame:
+            return
+        if not heard:
+            raise LinkTimeout(
+                "neither echo nor answer", hint="set serial.echo = false if the adapter has none", **self._where
+            )
+        raise DamagedFrame(
+            f"what was sent came back as {_hex(heard)}",
+            hint="another sender is on the line, or serial.echo = true is wrong for this adapter",
+            **self._where,
+        )
+
+    def _some(self, port: serial.Serial, within_s: float, at_most: int) -> bytes:
+        """What has come, as soon as anything has; empty when nothing came in time."""
+        ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))
+        return bytes(port.read(at_most)) if ready else b""
+
+    def _until_quiet(self, port: serial.Serial) -> bytes:
+        """Everything until the line is silent."""
+        data = b""
+        give_up_s = wall_seconds() + QUIET_WITHIN_S
+        while (more := self._some(port, max(QUIET_S, self._line.gap_s), 256)) and wall_seconds() < give_up_s:
+            data += more
+        return data
+
+    def _incomplete(self, data: bytes, wanted: int | None) -> LinkTimeout | DamagedFrame:
+        if not data:
+            return LinkTimeout(
+                f"no answer within {self._timeout_s:g} s",
+                hint=f"check unit id, cable, and baud rate, parity and stop bits ({self._line.mode}) at both ends",
+                **self._where,
+            )
+        of = f" of {wanted}" if wanted is not None else ""
+        return DamagedFrame(
+            f"answer cut short after {len(data)}{of} bytes: {_hex(data)}",
+            hint="check the cable; a controller that pauses within a frame breaks the standard",
+            **self._where,
+        )
+
+    def _require_no_echo(self, data: bytes, sent: bytes) -> None:
+        if data.startswith(sent):
+            raise ProtocolError(
+                "the line hands back what was sent",
+                hint="set serial.echo = true, or switch the adapter's echo off",
+                **self._where,
+            )
+
+
+def _length(data: bytes, function: int) -> int | None:
+    """Bytes of the frame that begins so, as far as its beginning says; None where it does not."""
+    if len(data) < ADDRESS_AND_CRC or (data[1] & ~EXCEPTION_BIT) != function:
+        return None
+    if data[1] & EXCEPTION_BIT:
+        return 5
+    if function == WRITE:
+        return 8
+    return data[2] + 5 if function in (READ, WRITE_AND_READ) else None
+
+
+def _hex(data: bytes) -> str:
+    shown = data[:12].hex(" ")
+    return f"{shown} … ({len(data)} bytes)" if len(data) > 12 else shown

@@ -1,0 +1,142 @@
+"""Modbus TCP over pymodbus 3.16, the only module that imports it.
+
+Register contents travel as bytes, big-endian within a register, so that a block is packed and unpacked with
+one `struct` call above. pymodbus' own register messages do that register by register, which costs as much as
+the whole round trip (70 registers over loopback: 96 µs against 59 µs, measured); hence messages of our own,
+handed to `ModbusTcpClient.register` and `execute`.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, cast
+
+from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
+from pymodbus.pdu import ExceptionResponse, ModbusPDU
+
+from drivers.errors import LinkError, LinkLost, LinkTimeout, ProtocolError
+from drivers.links.modbus_transport import EXCEPTION_BIT
+
+# Every pymodbus log record is followed by a typed error here; without this the last-resort handler of
+# logging would print it to stderr as well.
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """Where a Modbus TCP server is reached."""
+
+    host: str
+    port: int
+    unit: int
+
+    def __str__(self) -> str:
+        return f"modbus-tcp {self.host}:{self.port} unit {self.unit}"
+
+
+class TcpTransport:
+    """One connection to one unit; a lost connection is never reopened behind the caller's back."""
+
+    def __init__(self, endpoint: Endpoint, *, timeout_s: float, where: Mapping[str, str]) -> None:
+        self._unit = endpoint.unit
+        self._timeout_s = timeout_s
+        self._where = where
+        client = ModbusTcpClient(endpoint.host, port=endpoint.port, timeout=timeout_s, retries=0)
+        self._client = cast(_Client, client)
+        for response in (_ReadResponse, _WriteResponse, _WriteAndReadResponse):
+            self._client.register(response)
+
+    @property
+    def connected(self) -> bool:
+        return self._client.connected
+
+    def open(self) -> None:
+        if not self._client.connect():
+            raise LinkLost(
+                "no connection to the Modbus server",
+                hint="check the address, the cable and that the controller's Modbus server is running",
+                **self._where,
+            )
+
+    def close(self) -> None:
+        self._client.close()
+
+    def line_s(self, request: bytes) -> float:
+        """Not known, and small against everything else."""
+        return 0.0
+
+    def ask(self, request: bytes) -> bytes:
+        try:
+            answer = self._client.execute(False, _Request(request, self._unit))
+        except (ConnectionException, OSError) as error:
+            self.close()
+            raise LinkLost(
+                f"connection lost: {error}", hint="check the cable and that the controller is on", **self._where
+            ) from error
+        except ModbusException as error:
+            raise self._io_error(error) from error
+        if isinstance(answer, ExceptionResponse):
+            return bytes((request[0] | EXCEPTION_BIT, answer.exception_code))
+        payload = answer.payload if isinstance(answer, _Response) else b""
+        return bytes((answer.function_code,)) + payload
+
+    def _io_error(self, error: ModbusException) -> LinkError:
+        # A timeout carries the function code of its request, an answer that cannot be decoded carries none.
+        if isinstance(error, ModbusIOException) and error.fcode is not None:
+            return LinkTimeout(
+                f"no answer within {self._timeout_s:g} s",
+                hint="check unit id, cable and the load of the controller",
+                **self._where,
+            )
+        return ProtocolError(f"answer cannot be decoded: {error}", **self._where)
+
+
+class _Request(ModbusPDU):
+    """A request whose body is packed already."""
+
+    def __init__(self, request: bytes, unit: int) -> None:
+        super().__init__(dev_id=unit)
+        self.function_code = request[0]
+        self._body = request[1:]
+
+    def encode(self) -> bytes:
+        return self._body
+
+
+class _Response(ModbusPDU):
+    """An answer kept as bytes; what it must look like is decided by the one who asked."""
+
+    payload: bytes = b""
+
+    def decode(self, data: bytes) -> None:
+        self.payload = data
+
+
+class _ReadResponse(_Response):
+    function_code = 3
+
+
+class _WriteResponse(_Response):
+    function_code = 16
+
+
+class _WriteAndReadResponse(_Response):
+    function_code = 23
+
+
+class _Client(Protocol):
+    """What is used of pymodbus' client, with the annotations that it lacks."""
+
+    @property
+    def connected(self) -> bool: ...
+
+    def connect(self) -> bool: ...
+
+    def close(self) -> None: ...
+
+    def register(self, custom_response_class: type[ModbusPDU]) -> None: ...
+
+    def execute(self, no_response_expected: bool, request: ModbusPDU) -> ModbusPDU: ...
