@@ -112,6 +112,11 @@ class Controller:
         """When the current motion ends if nothing intervenes."""
         return None if self._motion is None else self._motion.course.law.end_s
 
+    @property
+    def comes_free_s(self) -> float | None:
+        """When the probe comes off what deflected it at the start of the current motion; None where it was free."""
+        return self._motion.course.free_s if self._motion is not None and self._deflected else None
+
     def displayed_at(self, instant_s: float) -> Point:
         """Axis positions at an instant not before now, if nothing intervenes."""
         if self._motion is None:
