@@ -17,11 +17,13 @@ from drivers.errors import VolcalError
 from simulators.scenario import read_scenario
 from simulators.wire.machine_on_wires import Links, MachineOnWires
 from simulators.wire.modbus_numbers import Float64Numbers, NumberFormat, ScaledInt32Numbers
+from simulators.wire.modbus_rtu import LineSettings
 
 log = structlog.get_logger()
 
 
 FASTEST = 1000.0
+BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 
 
 def _address(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[str, int]:
@@ -48,6 +50,21 @@ def _numbers(_ctx: click.Context, _param: click.Parameter, value: str) -> Number
     return ScaledInt32Numbers(_number(text, value, "float64, int32, or int32:SCALE", 1.0))
 
 
+def _serial_line(_ctx: click.Context, _param: click.Parameter, value: str | None) -> LineSettings | None:
+    """PATH or any, with the line after an @ where it is not the standard's: any@9600,8N2."""
+    if value is None:
+        return None
+    place, _, line = value.partition("@")
+    baud, _, mode = (line or "19200,8E1").partition(",")
+    parity = {"N": "none", "E": "even", "O": "odd"}.get(mode[1:2])
+    known = (
+        baud.isdecimal() and int(baud) in BAUDS and parity is not None and mode[:1] == "8" and mode[2:] in ("1", "2")
+    )
+    if not (place and known and parity is not None):
+        raise click.BadParameter(f"{value!r} is not PATH, any, or one of them with a line, as any@9600,8N2")
+    return LineSettings(place, int(baud), parity, int(mode[2:]))
+
+
 def _number(text: str, value: str, forms: str, largest: float) -> float:
     """The number at the end of an option such as ``scaled:20``."""
     try:
@@ -63,6 +80,12 @@ def _number(text: str, value: str, forms: str, largest: float) -> float:
 @click.option("--config", type=click.Path(path_type=Path), required=True, help="The scenario (TOML).")
 @click.option(
     "--modbus", callback=_address, metavar="HOST:PORT", default="127.0.0.1:0", show_default=True, help="Port 0: any."
+)
+@click.option(
+    "--modbus-rtu",
+    callback=_serial_line,
+    metavar="PATH|any[@BAUD,8P1]",
+    help="On a pseudo-terminal instead of TCP; PATH is linked to it.",
 )
 @click.option("--can", metavar="CHANNEL", help="socketcand:HOST:PORT, udp_multicast:GROUP:PORT, socketcan:NAME …")
 @click.option(
@@ -97,6 +120,7 @@ def simulate(
     *,
     config: Path,
     modbus: tuple[str, int],
+    modbus_rtu: LineSettings | None,
     can: str | None,
     control: tuple[str, int],
     clock: float | None,
@@ -110,7 +134,9 @@ def simulate(
     """
     if not structlog.is_configured():
         _log_to_stderr()
-    links = Links(modbus=modbus, control=control, can=can, time=time_, speed=clock, numbers=numbers)
+    links = Links(
+        modbus=modbus, control=control, can=can, time=time_, speed=clock, numbers=numbers, modbus_rtu=modbus_rtu
+    )
     try:
         machine = MachineOnWires(read_scenario(config), links)
     except VolcalError as error:

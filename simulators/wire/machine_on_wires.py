@@ -15,6 +15,7 @@ from simulators.wire.can_server import CanServer
 from simulators.wire.control import ControlServer
 from simulators.wire.modbus_controller import ModbusController
 from simulators.wire.modbus_numbers import Float64Numbers, NumberFormat
+from simulators.wire.modbus_rtu import LineSettings, ModbusRtuController
 from simulators.wire.shared_world import SharedWorld
 from simulators.wire.time_server import Ticker, TimeServer
 from simulators.world.world import World
@@ -29,7 +30,8 @@ Address = tuple[str, int]
 
 @dataclass(frozen=True)
 class Links:
-    """Where to listen. `speed` is machine seconds per wall second, None for lockstep at `time`."""
+    """Where to listen. `speed` is machine seconds per wall second, None for lockstep at `time`. With `modbus_rtu` the
+    controller is on that serial line instead of on TCP: it has one master."""
 
     modbus: Address
     control: Address
@@ -37,6 +39,7 @@ class Links:
     time: Address = ("127.0.0.1", 0)
     speed: float | None = None
     numbers: NumberFormat = field(default_factory=Float64Numbers)
+    modbus_rtu: LineSettings | None = None
 
 
 class MachineOnWires:
@@ -49,10 +52,12 @@ class MachineOnWires:
         self.world = World(scenario)
         self._shared = SharedWorld(self.world)
         self._can: CanChannel | None = None
-        self._servers: list[ModbusController | ControlServer | TimeServer | Ticker | CanServer] = []
+        self._servers: list[
+            ModbusController | ModbusRtuController | ControlServer | TimeServer | Ticker | CanServer
+        ] = []
         with ExitStack() as undo:
             undo.callback(self.close)
-            self.modbus = ModbusController(self._shared, links.modbus, links.numbers)
+            self.modbus = self._controller(links)
             self._servers.append(self.modbus)
             self.control = ControlServer(self._shared, links.control)
             self._servers.append(self.control)
@@ -61,6 +66,12 @@ class MachineOnWires:
             self.time = TimeServer(self._shared, links.time) if links.speed is None else None
             self._servers.append(self.time or Ticker(self._shared, _clock(links.speed)))
             undo.pop_all()
+
+    def _controller(self, links: Links) -> ModbusController | ModbusRtuController:
+        if links.modbus_rtu is None:
+            return ModbusController(self._shared, links.modbus, links.numbers)
+        clock = None if links.speed is None else _clock(links.speed)
+        return ModbusRtuController(self._shared, links.modbus_rtu, links.numbers, clock)
 
     def _open_can(self, spec: str) -> CanServer:
         self._can = open_channel(spec)
@@ -89,7 +100,7 @@ class MachineOnWires:
         settings = self.world.scenario.settings
         nodes = [{drive.axis: drive.node_id for drive in drives} for drives in _drives(len(self.world.mounts))]
         return {
-            "modbus": _place(self.modbus.address),
+            "modbus": self.modbus.agent_settings,
             "control": _place(self.control.address),
             "time": _place(self.time.address) if self.time is not None else None,
             "can": self._can.agent_settings if self._can is not None else None,

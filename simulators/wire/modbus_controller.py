@@ -8,7 +8,7 @@ them, and both halves of function 23 must be one transaction under the world's l
 from __future__ import annotations
 
 import socket
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import structlog
 
@@ -29,6 +29,15 @@ class WorldWithController(MovedByTime, Protocol):
     def controller(self) -> ControllerPhysics: ...
 
 
+def registers_behind(
+    shared: SharedWorld[WorldWithController], numbers: NumberFormat | None = None
+) -> ControllerRegisters:
+    """The registers of the world's controller, moved along with its time."""
+    registers = ControllerRegisters(shared.world.controller, numbers or Float64Numbers(), lambda: shared.now)
+    shared.subscribe(lambda _now_s: registers.motion.observe(), wakes_at=registers.motion.wakes_at)
+    return registers
+
+
 class ModbusController:
     """Serves the world's controller on `address`; one client at a time, others wait for their turn."""
 
@@ -39,15 +48,17 @@ class ModbusController:
         numbers: NumberFormat | None = None,
     ) -> None:
         self._shared = shared
-        self.registers = ControllerRegisters(shared.world.controller, numbers or Float64Numbers(), lambda: shared.now)
-        shared.subscribe(lambda _now_s: self.registers.motion.observe(), wakes_at=self._wakes_at)
+        self.registers = registers_behind(shared, numbers)
         self._server = TcpServer("modbus", address, self._serve, one_client=True)
         self.address = self._server.address
         self.start = self._server.start
         self.close = self._server.close
 
-    def _wakes_at(self) -> float | None:
-        return self.registers.motion.wakes_at()
+    @property
+    def agent_settings(self) -> dict[str, Any]:
+        """Options of the agent's driver."""
+        host, port = self.address
+        return {"host": host, "port": port}
 
     def _serve(self, connection: socket.socket) -> None:
         log.debug("modbus client connected", peer=str(connection.getpeername()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from drivers.roles import CompensationStore, Machine, MotionState, Operator, Pro
 from simulators.backend import SimulatedMachineDevice
 from simulators.scenario import read_scenario
 from simulators.wire.machine_on_wires import Links, MachineOnWires
+from simulators.wire.modbus_rtu import LineSettings
 from simulators.world.world import World
 
 SCENARIO = Path(__file__).resolve().parents[2] / "config" / "simulators" / "case-study.toml"
@@ -92,10 +93,15 @@ def in_process() -> Iterator[Played]:
     device.close()
 
 
+def over_rtu() -> AbstractContextManager[Played]:
+    """The controller on a pseudo-terminal, at the standard's 19200 baud, 8E1."""
+    return on_wires(modbus_rtu=LineSettings())
+
+
 @contextmanager
-def on_wires() -> Iterator[Played]:
+def on_wires(**links: Any) -> Iterator[Played]:
     machine = MachineOnWires(
-        read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, can=f"virtual:contract-{next(channels)}")
+        read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, can=f"virtual:contract-{next(channels)}", **links)
     )
     machine.start()
     assert machine.time is not None

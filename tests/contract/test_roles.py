@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from rigs import REACH, Played, StoppedError, in_process, on_wires
+from rigs import REACH, Played, StoppedError, in_process, on_wires, over_rtu
 
 from drivers.errors import CommandRejected, DeviceError, GuardTripped, StoreError
 from drivers.roles import (
@@ -26,7 +26,7 @@ from drivers.roles import (
 )
 
 
-@pytest.fixture(params=[in_process, on_wires], ids=["in-process", "on-wires"])
+@pytest.fixture(params=[in_process, on_wires, over_rtu], ids=["in-process", "on-wires", "over-rtu"])
 def played(request: pytest.FixtureRequest) -> Iterator[Played]:
     with request.param() as rig:
         yield rig
