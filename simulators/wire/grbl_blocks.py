@@ -1,0 +1,260 @@
+"""G-code blocks as GRBL 1.1 reads them: words, modal groups, and the errors in the order of its checks.
+
+Not simulated, answered with error 20: arcs (G2, G3), predefined positions (G28, G30), inverse time (G93) and jogging.
+Source: gnea/grbl, doc/markdown/commands.md and doc/csv/error_codes_en_US.csv.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+EXPECTED_LETTER, BAD_NUMBER, UNSUPPORTED, MODAL_VIOLATION = 1, 2, 20, 21
+UNDEFINED_FEED, NOT_AN_INTEGER, AXIS_CONFLICT, REPEATED, NO_AXIS_WORDS = 22, 23, 24, 25, 26
+LINE_NUMBER, VALUE_MISSING, UNSUPPORTED_COORDINATES, G53_MODE, AXIS_WORDS_UNUSED = 27, 28, 29, 30, 31
+INVALID_TARGET, UNUSED_WORDS, LENGTH_AXIS = 33, 36, 37
+
+MM_PER_INCH: Final = 25.4
+LARGEST_LINE_NUMBER: Final = 9_999_999
+AXES: Final = "XYZ"
+Triple = tuple[float, float, float]
+ORIGIN: Triple = (0.0, 0.0, 0.0)
+
+_WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))?")
+_GROUPS: Final = {
+    "motion": {0, 1, 38.2, 38.3, 38.4, 38.5, 80},
+    "plane": {17, 18, 19},
+    "distance": {90, 91},
+    "feed": {94},
+    "units": {20, 21},
+    "cutter": {40},
+    "length": {43.1, 49},
+    "coordinates": {54, 55, 56, 57, 58, 59},
+    "control": {61},
+    "once": {4, 10, 53, 92, 92.1},
+    "M-flow": {0, 1, 2, 30},
+    "M-spindle": {3, 4, 5},
+    "M-coolant": {7, 8, 9},
+}
+PROBING: Final = frozenset({38.2, 38.3, 38.4, 38.5})
+
+
+class BlockError(Exception):
+    """`code` is the number after ``error:``."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+@dataclass(frozen=True)
+class Modes:
+    """The parser's state; lengths in mm. Offsets of G92 and G43.1 are lost by a reset, those of G54 to G59 are not."""
+
+    motion: float = 0
+    plane: float = 17
+    distance: float = 90
+    units: float = 21
+    coordinates: int = 54
+    spindle: float = 5
+    coolant: float = 9
+    feed_mm_per_min: float = 0.0
+    speed_rpm: float = 0.0
+    tool: int = 0
+    g92_mm: Triple = ORIGIN
+    tool_length_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """What a line wants. `target_mm`: machine coordinates, None where nothing moves."""
+
+    motion: float | None = None
+    target_mm: Triple | None = None
+    dwell_s: float | None = None
+    program_end: bool = False
+
+
+@dataclass
+class Offsets:
+    """Of G54 to G59: work coordinate 0 in machine coordinates, mm."""
+
+    systems: dict[int, Triple] = field(default_factory=lambda: dict.fromkeys(range(54, 60), ORIGIN))
+
+    def work_offset(self, modes: Modes) -> Triple:
+        """`WCO`: machine = work + this."""
+        x, y, z = self.systems[modes.coordinates]
+        gx, gy, gz = modes.g92_mm
+        return x + gx, y + gy, z + gz + modes.tool_length_mm
+
+
+def words_of(line: str) -> list[tuple[str, float]]:
+    """Letters and values of a line without blanks and comments. Raises BlockError."""
+    words: list[tuple[str, float]] = []
+    at = 0
+    while at < len(line):
+        match = _WORD.match(line, at)
+        if match is None:
+            raise BlockError(EXPECTED_LETTER)
+        if match[2] is None:
+            raise BlockError(BAD_NUMBER)
+        words.append((match[1], float(match[2])))
+        at = match.end()
+    return words
+
+
+class Parser:
+    """Takes lines one after the other; a line with an error changes nothing."""
+
+    def __init__(self, offsets: Offsets) -> None:
+        self.offsets = offsets
+        self.modes = Modes()
+
+    @property
+    def work_offset_mm(self) -> Triple:
+        return self.offsets.work_offset(self.modes)
+
+    def read(self, line: str, machine_mm: Triple) -> Block:
+        """`machine_mm`: where the last line ended, machine coordinates. Raises BlockError."""
+        codes, values = self._sorted(words_of(line))
+        modes = self._modes(codes, values)
+        once = codes.get("once")
+        unused = set(values) - {"N", "F", "S", "T"}
+        block = Block(program_end=codes.get("M-flow") in (2, 30))
+        if once == 4:
+            if "P" not in values:
+                raise BlockError(VALUE_MISSING)
+            block, unused = replace(block, dwell_s=values["P"]), unused - {"P"}
+        elif once in (10, 92, 92.1) or codes.get("length") == 43.1:
+            modes, used = self._offset(once, values, modes, machine_mm)
+            unused -= used
+        else:
+            block, used = self._motion(codes, values, modes, machine_mm, block)
+            unused -= used
+        if unused & set(AXES):
+            raise BlockError(AXIS_WORDS_UNUSED)
+        if unused:
+            raise BlockError(UNUSED_WORDS)
+        self.modes = replace(modes, motion=1, distance=90, coordinates=54) if block.program_end else modes
+        return block
+
+    def _sorted(self, words: list[tuple[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
+        codes: dict[str, float] = {}
+        values: dict[str, float] = {}
+        for letter, value in words:
+            if letter in "GM":
+                group = _group_of(letter, value)
+                if group in codes:
+                    raise BlockError(MODAL_VIOLATION)
+                codes[group] = value
+            elif letter not in "XYZFSPLNT":
+                raise BlockError(UNSUPPORTED)
+            elif letter in values:
+                raise BlockError(REPEATED)
+            else:
+                values[letter] = value
+        if "N" in values and not (values["N"].is_integer() and 1 <= values["N"] <= LARGEST_LINE_NUMBER):
+            raise BlockError(LINE_NUMBER)
+        return codes, values
+
+    def _modes(self, codes: dict[str, float], values: dict[str, float]) -> Modes:
+        modes = self.modes
+        modes = replace(
+            modes,
+            plane=codes.get("plane", modes.plane),
+            distance=codes.get("distance", modes.distance),
+            units=codes.get("units", modes.units),
+            coordinates=int(codes.get("coordinates", modes.coordinates)),
+            motion=codes.get("motion", modes.motion),
+            spindle=codes.get("M-spindle", modes.spindle),
+            coolant=codes.get("M-coolant", modes.coolant),
+            speed_rpm=values.get("S", modes.speed_rpm),
+            tool=int(values.get("T", modes.tool)),
+            tool_length_mm=0.0 if codes.get("length") == 49 else modes.tool_length_mm,
+        )
+        return replace(modes, feed_mm_per_min=values["F"] * _scale(modes)) if "F" in values else modes
+
+    def _motion(
+        self, codes: dict[str, float], values: dict[str, float], modes: Modes, machine_mm: Triple, block: Block
+    ) -> tuple[Block, set[str]]:
+        axis_words = {letter for letter in values if letter in AXES}
+        absolute = codes.get("once") == 53
+        if absolute and modes.motion not in (0, 1):
+            raise BlockError(G53_MODE)
+        if modes.motion in PROBING and "motion" in codes and not axis_words:
+            raise BlockError(NO_AXIS_WORDS)
+        if not axis_words or modes.motion == 80:
+            return block, set()
+        if modes.motion != 0 and modes.feed_mm_per_min <= 0.0:
+            raise BlockError(UNDEFINED_FEED)
+        target = self._target(values, modes, machine_mm, absolute=absolute)
+        if modes.motion in PROBING and target == machine_mm:
+            raise BlockError(INVALID_TARGET)
+        return replace(block, motion=modes.motion, target_mm=target), axis_words
+
+    def _target(self, values: dict[str, float], modes: Modes, machine_mm: Triple, *, absolute: bool) -> Triple:
+        offset = self.offsets.work_offset(modes)
+        scale = _scale(modes)
+        target = list(machine_mm)
+        for axis, letter in enumerate(AXES):
+            if letter not in values:
+                continue
+            if absolute:
+                target[axis] = values[letter] * scale
+            elif modes.distance == 91:
+                target[axis] += values[letter] * scale
+            else:
+                target[axis] = values[letter] * scale + offset[axis]
+        return target[0], target[1], target[2]
+
+    def _offset(
+        self, once: float | None, values: dict[str, float], modes: Modes, machine_mm: Triple
+    ) -> tuple[Modes, set[str]]:
+        scale = _scale(modes)
+        given = {letter: values[letter] * scale for letter in AXES if letter in values}
+        if once == 92.1:
+            return replace(modes, g92_mm=ORIGIN), set()
+        if not given:
+            raise BlockError(NO_AXIS_WORDS)
+        if once == 92:
+            base = self.offsets.work_offset(replace(modes, g92_mm=ORIGIN))
+            return replace(modes, g92_mm=_replaced(modes.g92_mm, given, lambda i, v: machine_mm[i] - base[i] - v)), set(
+                given
+            )
+        if once == 10:
+            return self._store_system(values, given, modes, machine_mm), set(given) | {"P", "L"}
+        if set(given) != {"Z"}:
+            raise BlockError(LENGTH_AXIS)
+        return replace(modes, tool_length_mm=given["Z"]), {"Z"}
+
+    def _store_system(
+        self, values: dict[str, float], given: dict[str, float], modes: Modes, machine_mm: Triple
+    ) -> Modes:
+        if not {"P", "L"} <= set(values):
+            raise BlockError(VALUE_MISSING)
+        system = int(values["P"]) + 53 if values["P"] else modes.coordinates
+        if values["L"] not in (2, 20) or system not in self.offsets.systems:
+            raise BlockError(UNSUPPORTED_COORDINATES if system not in self.offsets.systems else UNSUPPORTED)
+        relative = values["L"] == 20
+        self.offsets.systems[system] = _replaced(
+            self.offsets.systems[system], given, lambda i, v: machine_mm[i] - v if relative else v
+        )
+        return modes
+
+
+def _replaced(offset: Triple, given: dict[str, float], value: object) -> Triple:
+    new = [value(i, given[a]) if a in given else offset[i] for i, a in enumerate(AXES)]  # type: ignore[operator]
+    return new[0], new[1], new[2]
+
+
+def _scale(modes: Modes) -> float:
+    return MM_PER_INCH if modes.units == 20 else 1.0
+
+
+def _group_of(letter: str, value: float) -> str:
+    prefix = "M-" if letter == "M" else ""
+    for group, members in _GROUPS.items():
+        if group.startswith("M-") == bool(prefix) and value in members:
+            return group
+    raise BlockError(UNSUPPORTED)

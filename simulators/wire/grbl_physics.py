@@ -1,0 +1,84 @@
+"""What a simulated GRBL needs of the physics behind it (`simulators.world.controller.Controller` has it all)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from drivers.roles import AxisLimits, MotionState, Permission, Vector
+from simulators.wire.grbl_settings import STEPS, GrblSettings
+
+
+class Latch(Protocol):
+    @property
+    def sequence(self) -> int: ...
+
+    @property
+    def position(self) -> Vector: ...
+
+
+class GrblPhysics(Protocol):
+    """Axes, probe and door."""
+
+    @property
+    def motion(self) -> MotionState: ...
+
+    @property
+    def fault(self) -> str: ...
+
+    @property
+    def latch(self) -> Latch | None: ...
+
+    @property
+    def probe_deflected(self) -> bool: ...
+
+    @property
+    def motion_ends_s(self) -> float | None: ...
+
+    @property
+    def comes_free_s(self) -> float | None: ...
+
+    @property
+    def permissions(self) -> Mapping[Permission, bool]: ...
+
+    def limits(self) -> AxisLimits: ...
+
+    def displayed_position(self) -> Vector: ...
+
+    def begin_move(self, target: Vector, feed_mm_per_s: float | None, guarded: bool) -> None: ...
+
+    def begin_touch(self, target: Vector, feed_mm_per_s: float) -> None: ...
+
+    def hold(self) -> None: ...
+
+    def resume(self) -> None: ...
+
+    def halt(self) -> None: ...
+
+    def reset(self) -> None: ...
+
+
+Triple = tuple[float, float, float]
+
+
+class MachineCoordinates:
+    """GRBL's machine coordinates: zero where the axes home, at the upper end of each, all others negative.
+
+    Every position is a whole number of steps.
+    """
+
+    def __init__(self, limits: AxisLimits, settings: GrblSettings) -> None:
+        self._zero = limits.upper_mm
+        self._settings = settings
+
+    def of_axes(self, axis_mm: Vector) -> Triple:
+        x, y, z = (self._stepped(i, float(value) - self._zero[i]) for i, value in enumerate(axis_mm))
+        return x, y, z
+
+    def to_axes(self, machine_mm: Triple) -> Triple:
+        x, y, z = (self._stepped(i, value) + self._zero[i] for i, value in enumerate(machine_mm))
+        return x, y, z
+
+    def _stepped(self, axis: int, value_mm: float) -> float:
+        steps = self._settings[STEPS + axis]
+        return round(value_mm * steps) / steps

@@ -1,0 +1,75 @@
+"""The `$` settings of a simulated GRBL 1.1, as its documents list them.
+
+Source: gnea/grbl, doc/markdown/settings.md and doc/csv/setting_codes_en_US.csv.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from drivers.roles import AxisLimits
+
+INTEGERS = frozenset({0, 1, 2, 3, 4, 5, 6, 10, 13, 20, 21, 22, 23, 26, 32})
+BOOLEANS = frozenset({4, 5, 6, 13, 20, 21, 22, 32})
+STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
+SHORTEST_PULSE_US = 3.0
+
+NEGATIVE_VALUE, PULSE_TOO_SHORT, NO_SUCH_SETTING, BAD_NUMBER, SOFT_LIMITS_NEED_HOMING = 4, 6, 3, 2, 10
+
+
+class SettingRefusedError(Exception):
+    """`code` is the number after ``error:``."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+class GrblSettings:
+    """A machine of these limits with homing and soft limits, one step a micrometre."""
+
+    def __init__(self, limits: AxisLimits, steps_per_mm: float = 1000.0) -> None:
+        self._values: dict[int, float] = {
+            0: 10, 1: 255, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.010, 12: 0.002, 13: 0,
+            20: 1, 21: 1, 22: 1, 23: 0, 24: 25.0, 25: 500.0, 26: 250, 27: 1.0, 30: 1000.0, 31: 0.0, 32: 0,
+        }  # fmt: skip
+        for axis in range(3):
+            self._values[STEPS + axis] = steps_per_mm
+            self._values[RATE + axis] = 60.0 * limits.rapid_mm_per_s[axis]
+            self._values[ACCELERATION + axis] = limits.acceleration_mm_per_s2[axis]
+            self._values[TRAVEL + axis] = limits.upper_mm[axis] - limits.lower_mm[axis]
+
+    def __getitem__(self, number: int) -> float:
+        return self._values[number]
+
+    def flag(self, number: int) -> bool:
+        return bool(self._values[number])
+
+    def axes(self, first: int) -> tuple[float, float, float]:
+        """`first` is that of X: 100 steps, 110 rates, 120 accelerations, 130 travels."""
+        return self._values[first], self._values[first + 1], self._values[first + 2]
+
+    def change(self, values: Mapping[int, float]) -> None:
+        """As a person at a terminal would have; SettingRefusedError for what GRBL refuses."""
+        for number, value in values.items():
+            self.store(number, value)
+
+    def store(self, number: int, value: float) -> None:
+        if value < 0.0:
+            raise SettingRefusedError(NEGATIVE_VALUE)
+        if number not in self._values:
+            raise SettingRefusedError(NO_SUCH_SETTING)
+        if not math.isfinite(value):
+            raise SettingRefusedError(BAD_NUMBER)
+        if number == 0 and value < SHORTEST_PULSE_US:
+            raise SettingRefusedError(PULSE_TOO_SHORT)
+        if number == 20 and value and not self._values[22]:
+            raise SettingRefusedError(SOFT_LIMITS_NEED_HOMING)
+        self._values[number] = float(bool(value)) if number in BOOLEANS else value
+        if number == 22 and not value:
+            self._values[20] = 0.0  # soft limits need homing
+
+    def lines(self) -> Iterator[str]:
+        for number, value in sorted(self._values.items()):
+            yield f"${number}={int(value)}" if number in INTEGERS else f"${number}={value:.3f}"

@@ -1,0 +1,98 @@
+"""A pseudo-terminal: the far end of a serial line that a program opens like `/dev/ttyUSB0`."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import select
+import threading
+import tty
+from collections.abc import Callable
+from pathlib import Path
+
+import structlog
+
+from drivers.errors import ConfigurationError
+
+RECEIVE_BYTES = 4096
+ANY = "any"
+"""In the place of a path: no link, the name the system gives is enough."""
+log = structlog.get_logger()
+
+
+class PseudoTerminal:
+    """One serial line; `received(bytes)` is called in a thread of this object's own.
+
+    Bytes that nobody fetches are lost once the terminal's buffer is full, as on a line without handshake. `distort`
+    is what a bad cable does to the bytes that are sent: tests put it there. Raises ConfigurationError where the link
+    cannot be made.
+    """
+
+    def __init__(self, name: str, received: Callable[[bytes], None], link: str = ANY) -> None:
+        self._name = name
+        self._received = received
+        self._link = None if link == ANY else Path(link)
+        self._ours, self._theirs = pty.openpty()
+        self._wake, self._waker = os.pipe()
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
+        self._closed = False
+        self.port = os.ttyname(self._theirs)
+        self.distort: Callable[[bytes], bytes] | None = None
+        try:
+            self._make_link()
+        except OSError as error:
+            self.close()
+            raise ConfigurationError(
+                f"no link to the pseudo-terminal can be made: {error.strerror or error}",
+                hint=f"name a file that does not exist yet, or write {ANY}",
+                file=link,
+            ) from error
+
+    @property
+    def place(self) -> str:
+        """What the other side opens."""
+        return self.port if self._link is None else str(self._link)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def send(self, data: bytes) -> None:
+        """What does not fit is lost."""
+        if self.distort is not None:
+            data = self.distort(data)
+        with contextlib.suppress(OSError):  # nobody reads, or it is closed: a line without a listener
+            os.write(self._ours, data)
+
+    def close(self) -> None:
+        if self._closed:
+            return
+        self._closed = True
+        os.write(self._waker, b"!")
+        if self._thread.ident is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout=5.0)
+        for descriptor in (self._ours, self._theirs, self._wake, self._waker):
+            os.close(descriptor)
+        if self._link is not None and self._link.is_symlink():
+            self._link.unlink()
+
+    def _make_link(self) -> None:
+        if self._link is None:
+            return
+        if self._link.is_symlink():
+            self._link.unlink()  # of a simulator that was killed
+        self._link.symlink_to(self.port)
+
+    def _serve(self) -> None:
+        while True:
+            ready, _, _ = select.select([self._ours, self._wake], [], [])
+            if self._wake in ready:
+                return
+            try:
+                data = os.read(self._ours, RECEIVE_BYTES)
+            except OSError as error:
+                log.info("serial line gone", line=self._name, reason=str(error))
+                return
+            self._received(data)
