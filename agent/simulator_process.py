@@ -23,7 +23,7 @@ END_WITHIN_S = 5.0
 class SimulatorProcess:
     """A context: the process runs inside, and never outlives it (it ends when its standard input closes)."""
 
-    def __init__(self, scenario: Path, *, can: str, log: Path) -> None:
+    def __init__(self, scenario: Path, *, can: str, log: Path, modbus_rtu: str | None = None) -> None:
         self._command = [
             sys.executable,
             "-m",
@@ -31,8 +31,7 @@ class SimulatorProcess:
             "simulate",
             "--config",
             str(scenario),
-            "--modbus",
-            "127.0.0.1:0",
+            *(("--modbus", "127.0.0.1:0") if modbus_rtu is None else ("--modbus-rtu", modbus_rtu)),
             "--can",
             can,
             "--control",

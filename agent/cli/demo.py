@@ -48,6 +48,11 @@ class Truth:
     show_default=True,
     help="CAN between the processes, as `volcal simulate --can` takes it.",
 )
+@click.option(
+    "--modbus-rtu",
+    metavar="PATH|any[@BAUD,8P1]",
+    help="The controller on a serial line instead of TCP, as `volcal simulate --modbus-rtu` takes it.",
+)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
 @reported
@@ -57,12 +62,13 @@ def demo_command(
     position_set: str | None,
     formulation: str | None,
     can: str,
+    modbus_rtu: str | None,
     out: Path,
     as_json: bool,
 ) -> None:
     """Start the simulated machine as a process, calibrate it over TCP and CAN, compare with the truth."""
     settings = with_overrides(load_settings(config), position_set=position_set, formulation=formulation)
-    with SimulatorProcess(scenario, can=can, log=out / "simulator.log") as simulator:
+    with SimulatorProcess(scenario, can=can, log=out / "simulator.log", modbus_rtu=modbus_rtu) as simulator:
         before = _aligned_um(simulator.ask("truth"), "active")
         connected = connect(settings, simulator.ready, out)
         click.echo(_introduction(simulator.ready), err=True)
@@ -81,7 +87,9 @@ def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
     document = settings.model_dump(mode="json")
     devices = document["devices"]
     roles = document["roles"]
-    devices[roles["machine"]]["options"] |= ready["modbus"]
+    machine = devices[roles["machine"]]
+    kept = {name: value for name, value in machine["options"].items() if name not in ("host", "port", "serial")}
+    machine["options"] = kept | ready["modbus"]
     mounts = [roles["mount"]] if isinstance(roles["mount"], str) else roles["mount"].values()
     for mount in mounts:
         devices[mount]["options"] |= ready["can"]
@@ -106,8 +114,10 @@ def _aligned_um(truth: dict[str, Any], which: str) -> float:
 
 def _introduction(ready: dict[str, Any]) -> str:
     modbus, can = ready["modbus"], ready["can"]
+    serial = modbus.get("serial")
+    link = f"RTU {serial['port']} {serial['baud']} baud" if serial else f"TCP {modbus['host']}:{modbus['port']}"
     return (
-        f"simulated machine in a process of its own: Modbus TCP {modbus['host']}:{modbus['port']}, "
+        f"simulated machine in a process of its own: Modbus {link}, "
         f"CAN {can['interface']} {can['channel']} {can['options']}"
     )
 

@@ -6,13 +6,15 @@ from collections.abc import Iterator
 
 from drivers.errors import DeviceError
 from drivers.modbus_cnc.codes import PROBE_HEALTHY, PROBE_LOADED, fault_text
+from drivers.modbus_cnc.line_diagnosis import line_findings, where_it_answers
 from drivers.modbus_cnc.registers import Status
 from drivers.modbus_cnc.session import Session
 from drivers.roles import Finding
 
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.1
-"""A quarter of the poll interval; slower links leave the heartbeat too little room."""
+"""A quarter of the poll interval; slower links leave the heartbeat too little room. On a serial line beyond the time
+that the line itself takes."""
 
 HEARTBEAT_PAUSE_S = 0.3
 """The map promises a new heartbeat every 0.25 s."""
@@ -28,6 +30,9 @@ def diagnose(session: Session) -> list[Finding]:
         findings.extend(_findings(session))
     except DeviceError as error:
         findings.append(Finding("link", ok=False, text=str(error)))
+        if opened_here:
+            session.close()
+            findings.extend(where_it_answers(session.settings, session.clock, session.where["device"], error))
     finally:
         if opened_here:
             session.close()
@@ -40,6 +45,8 @@ def _findings(session: Session) -> Iterator[Finding]:
     yield Finding("link", ok=True, text=f"{session.where['link']}, register map version {version}")
     yield _heartbeat(session, status)
     yield _latency(session)
+    if session.settings.serial is not None:
+        yield from line_findings(session, session.settings.serial)
     yield from _machine(status)
     limits = session.read_limits()
     travel = ", ".join(
@@ -65,7 +72,7 @@ def _latency(session: Session) -> Finding:
         session.look()
     latency = session.link.latency
     text = f"median {latency.median_s * 1e3:.2f} ms, worst {latency.worst_s * 1e3:.2f} ms"
-    return Finding("latency", ok=latency.median_s <= SLOW_ROUND_TRIP_S, text=text)
+    return Finding("latency", ok=latency.median_s <= SLOW_ROUND_TRIP_S + session.poll_line_s, text=text)
 
 
 def _machine(status: Status) -> Iterator[Finding]:
