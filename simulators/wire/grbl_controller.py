@@ -229,6 +229,7 @@ class GrblController:
             yield self._synchronised
             self._dwell_until_s = self._now() + block.dwell_s
             yield self._dwelt
+            self._dwell_until_s = None
         if block.target_mm is not None and block.motion is not None:
             if self.settings.flag(20) and self._axes.beyond_travel(block.target_mm):
                 yield self._synchronised
@@ -346,10 +347,7 @@ class GrblController:
         return self._axes.under_way is None
 
     def _dwelt(self) -> bool:
-        if self._dwell_until_s is None or self._now() < self._dwell_until_s:
-            return False
-        self._dwell_until_s = None
-        return True
+        return self._dwell_until_s is None or self._now() >= self._dwell_until_s
 
     def _can_start(self) -> bool:
         free = self.state in (State.IDLE, State.RUN) and self._axes.under_way is None

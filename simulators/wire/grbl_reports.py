@@ -93,7 +93,7 @@ def coordinates(position_mm: Triple, *, inches: bool) -> str:
     return ",".join(f"{value:.3f}" for value in position_mm)
 
 
-def probe_message(position_mm: Triple, *, tripped: bool, inches: bool) -> str:
+def probe_message(position_mm: Triple, tripped: bool, *, inches: bool) -> str:
     return f"[PRB:{coordinates(position_mm, inches=inches)}:{int(tripped)}]"
 
 
