@@ -14,7 +14,7 @@ from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.job import load_settings, naming, prepare_job
 from agent.settings import Settings
-from drivers.errors import DeviceError
+from drivers.errors import DeviceError, VolcalError
 from drivers.roles import Device, Finding
 
 
@@ -48,14 +48,22 @@ def examine(settings: Settings, base: Path) -> dict[str, list[Finding]]:
 def _examined(device: Device) -> list[Finding]:
     try:
         device.open()
-    except DeviceError as error:
-        return [Finding("open", ok=False, text=str(error))]
+    except VolcalError as error:
+        return [Finding("open", ok=False, text=str(error)), *_without_opening(device)]
     try:
         return device.diagnose()
     except DeviceError as error:
         return [Finding("diagnose", ok=False, text=str(error))]
     finally:
         device.close()
+
+
+def _without_opening(device: Device) -> list[Finding]:
+    """What a device that refused to open can still tell; some can be looked at without."""
+    try:
+        return device.diagnose()
+    except VolcalError:
+        return []
 
 
 def _table(findings: dict[str, list[Finding]]) -> Table:

@@ -1,13 +1,13 @@
-"""The optional EDS file of a drive (CiA 306): its identity, and proof that it has the objects needed."""
+"""The optional EDS file of a drive (CiA 306): its identity, and proof that it has the objects needed, as needed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from canopen.objectdictionary import ObjectDictionary, import_od
+from canopen.objectdictionary import INTEGER_TYPES, ObjectDictionary, import_od
 
-from drivers.canopen_mount.objects import NEEDED
+from drivers.canopen_mount.objects import READ, WRITTEN, WRITTEN_FOR_HOMING, DriveObject
 from drivers.canopen_mount.settings import AxisSettings
 from drivers.errors import ConfigurationError
 
@@ -28,7 +28,7 @@ class DriveDescription:
 
 
 def load_description(settings: AxisSettings, base_path: Path) -> DriveDescription:
-    """Raises ConfigurationError naming the file when it cannot be read or lacks a needed object."""
+    """Raises ConfigurationError naming the file, and the object that it lacks or lets nobody write."""
     if settings.eds is None:
         return DriveDescription(ObjectDictionary())  # type: ignore[no-untyped-call]
     path = base_path / settings.eds
@@ -40,12 +40,27 @@ def load_description(settings: AxisSettings, base_path: Path) -> DriveDescriptio
             file=str(path),
             hint="take the EDS file of the drive's maker",
         ) from error
-    missing = [str(entry) for entry in NEEDED if dictionary.get_variable(entry.index, entry.subindex) is None]
-    if missing:
-        raise ConfigurationError(
-            f"the EDS file lists no {', '.join(missing)}",
-            file=str(path),
-            hint="the drive must support CiA 402 profile position mode",
-        )
+    _require_objects(dictionary, settings, path)
     identity = dictionary.device_information
     return DriveDescription(dictionary, identity.vendor_number, identity.product_number)
+
+
+def _require_objects(dictionary: ObjectDictionary, settings: AxisSettings, path: Path) -> None:
+    written = WRITTEN if settings.homing is None else (*WRITTEN, *WRITTEN_FOR_HOMING)
+    for entry in (*READ, *written):
+        variable = dictionary.get_variable(entry.index, entry.subindex)
+        if variable is None:
+            raise _unusable("the EDS file does not list", entry, path)
+        if entry in written and not variable.writable:
+            raise _unusable(f"the EDS file lists as {variable.access_type} what must be written:", entry, path)
+        if variable.data_type in INTEGER_TYPES and len(variable) != 8 * entry.size:
+            raise _unusable(f"the EDS file gives {len(variable)} bits to", entry, path)
+
+
+def _unusable(what: str, entry: DriveObject, path: Path) -> ConfigurationError:
+    return ConfigurationError(
+        f"{what} {entry}",
+        file=str(path),
+        object=f"0x{entry.index:04X}:{entry.subindex:02X}",
+        hint="take the EDS file of this drive; it must support profile position mode, and homing where configured",
+    )

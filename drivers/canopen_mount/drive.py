@@ -6,16 +6,20 @@ handed in behaves the same in virtual and in real time.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import structlog
 
 from drivers.canopen_mount import objects, states
 from drivers.canopen_mount.emergency import emergency_text
-from drivers.canopen_mount.node import DriveNode, NodeWatch
+from drivers.canopen_mount.factors import prove_factors
+from drivers.canopen_mount.identity import prove_identity
+from drivers.canopen_mount.limits import SoftLimits, barrier, hindrance, read_soft_limits
+from drivers.canopen_mount.node import DriveNode
 from drivers.canopen_mount.scale import turn_duration_s
 from drivers.canopen_mount.settings import AxisSettings, HomingSettings
 from drivers.canopen_mount.states import CLIMB, DriveState, Step, drive_state
+from drivers.canopen_mount.watch import NodeWatch
 from drivers.clock import Clock, Deadline
 from drivers.errors import CommandRejected, DeadlineExpired, MotionFault, ProtocolError
 
@@ -41,6 +45,7 @@ class Drive:
         *,
         heartbeat_ms: int,
         heartbeat_timeout_s: float,
+        tolerated_emergencies: Collection[int] = (),
     ) -> None:
         self.node = node
         self.settings = settings
@@ -48,45 +53,30 @@ class Drive:
         self._watch = NodeWatch(node, clock, timeout_s=heartbeat_timeout_s if heartbeat_ms else None)
         self._clock = clock
         self._scale = settings.scale
+        self._tolerated = tolerated_emergencies
         self._mode: int | None = None
+        self._target = 0
+        self._soft_limits: SoftLimits | None = None
+        self._limit_told = False
         self._homed = settings.homing is None
         self._prepared = False
 
-    def prove_identity(self) -> None:
-        """Raises ProtocolError when the node is not the drive that the settings describe."""
-        kind = self.node.read(objects.DEVICE_TYPE) & 0xFFFF
-        if kind != objects.CIA_402:
-            raise ProtocolError(
-                f"the node is no CiA 402 drive, its device profile is {kind}",
-                hint="check the node id: another device answers there",
-                **self.node.where,
-            )
-        for entry, expected in (
-            (objects.VENDOR_ID, self.settings.vendor_id),
-            (objects.PRODUCT_CODE, self.settings.product_code),
-        ):
-            if expected is not None and (found := self.node.read(entry)) != expected:
-                raise ProtocolError(
-                    f"{entry} is 0x{found:X}, expected 0x{expected:X}",
-                    hint="check the node id and that azimuth and elevation are not exchanged",
-                    **self.node.where,
-                )
-        self._require_modes()
+    def prove(self) -> None:
+        """Raises when the drive is not the one that the settings describe, or counts in other units; writes nothing,
+        unless the units are to be written. Remembers its software limits."""
+        prove_identity(self.node, self.settings)
+        prove_factors(self.node, self.settings)
+        self._soft_limits = read_soft_limits(self.node)
 
-    def _require_modes(self) -> None:
-        supported = self.node.read(objects.SUPPORTED_MODES)
-        needed = {objects.PROFILE_POSITION: "profile position"}
-        if self.settings.homing is not None:
-            needed[objects.HOMING] = "homing"
-        for mode, name in needed.items():
-            if not supported & objects.mode_bit(mode):
-                raise ProtocolError(f"the drive does not support the {name} mode (0x6502)", **self.node.where)
+    @property
+    def identity_stated(self) -> bool:
+        return self.settings.vendor_id is not None and self.settings.product_code is not None
 
     def angle_deg(self) -> float:
         return self._scale.angle_deg(self.node.read(objects.POSITION))
 
     def state(self) -> DriveState:
-        return self._state_of(self.node.read(objects.STATUSWORD))
+        return self.state_of(self.node.read(objects.STATUSWORD))
 
     def require_within_limits(self, angle_deg: float) -> None:
         """Raises CommandRejected; nothing has been sent then."""
@@ -95,6 +85,15 @@ class Drive:
             raise CommandRejected(
                 f"{self.node.axis} {angle_deg:g} degrees is outside the limits {lower:g} ... {upper:g}",
                 hint="choose a position set within the limits of the mount, or correct them in its settings",
+                **self.node.where,
+            )
+        own = self._soft_limits
+        if own is not None and not own.hold(self._scale.counts(angle_deg)):
+            lower, upper = sorted((self._scale.angle_deg(own.lower), self._scale.angle_deg(own.upper)))
+            raise CommandRejected(
+                f"{self.node.axis} {angle_deg:g} degrees is outside the drive's own software limits"
+                f" {lower:g} ... {upper:g} (0x607D)",
+                hint="choose a position within them, or set 0x607D of the drive as wide as the mount allows",
                 **self.node.where,
             )
 
@@ -141,8 +140,10 @@ class Drive:
     def start_turn(self, angle_deg: float) -> float:
         """Hand over a set-point; returns the predicted duration in s. The caller has checked the limits."""
         self._enter_profile_position()
+        self._limit_told = False
+        self._target = self._scale.counts(angle_deg)
         start_deg = self.angle_deg()
-        self.node.write(objects.TARGET_POSITION, self._scale.counts(angle_deg))
+        self.node.write(objects.TARGET_POSITION, self._target)
         self.node.write(objects.CONTROLWORD, states.NEW_SET_POINT)
         self._await(
             "the set-point to be acknowledged (statusword bit 12)",
@@ -157,6 +158,10 @@ class Drive:
     def turn_ended(self) -> bool:
         """One look. Raises MotionFault for a fault, a following error, a drive that left operation."""
         return bool(self._statusword_in_motion() & states.TARGET_REACHED)
+
+    def hindrance(self) -> str:
+        """What the drive tells of a target that it does not reach."""
+        return hindrance(self.node, self._scale, self._target)
 
     def start_homing(self, homing: HomingSettings) -> None:
         self._homed = False
@@ -192,33 +197,72 @@ class Drive:
         """What 0x603F says, for a diagnosis."""
         return emergency_text(self.node.read(objects.ERROR_CODE))
 
-    def check(self) -> None:
-        """Raises when the node has restarted (MotionFault) or is silent (LinkTimeout, LinkLost)."""
+    def check(self) -> list[int]:
+        """Error codes of emergencies. Raises when the node has restarted or left its NMT state (MotionFault) or is
+        silent (LinkTimeout, LinkLost)."""
         try:
-            self._watch.check()
+            return self._watch.check()
         except MotionFault:
             self._prepared = False
             self._homed = self.settings.homing is None
             raise
 
+    def check_in_motion(self) -> None:
+        """As `check`; an emergency that is not tolerated is a MotionFault too."""
+        self._require_calm(self.check())
+
+    def _require_calm(self, codes: list[int]) -> None:
+        grave = [code for code in codes if code not in self._tolerated]
+        if grave:
+            raise MotionFault(
+                f"emergency message of the drive: {', '.join(emergency_text(code) for code in grave)}",
+                hint="remove the cause; a code that is a mere warning can be named in tolerated_emergencies",
+                **self.node.where,
+            )
+
     def _statusword_in_motion(self) -> int:
         status = self.node.read(objects.STATUSWORD)
-        self.check()
-        state = self._state_of(status)
+        codes = self.check()
+        state = self.state_of(status)
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
             raise self._fault("the drive went into fault")
+        self._require_calm(codes)
         if state is not DriveState.OPERATION_ENABLED:
+            made = "made a quick stop" if state is DriveState.QUICK_STOP_ACTIVE else "left operation enabled"
             raise MotionFault(
-                f"the drive left operation enabled, it is in {state.value}",
+                f"the drive {made}, it is in {state.value}",
                 hint="a stop, an enable input or another master took it away",
                 **self.node.where,
             )
+        homing = self._mode == objects.HOMING
         if status & states.FOLLOWING_ERROR:
-            what = "homing error" if self._mode == objects.HOMING else "following error"
-            raise self._fault(f"{what} (statusword bit 13)")
+            raise self._homing_error() if homing else self._fault("following error (statusword bit 13)")
+        if status & states.INTERNAL_LIMIT and not homing:
+            self._judge_limit()
         return status
 
-    def _state_of(self, statusword: int) -> DriveState:
+    def _homing_error(self) -> MotionFault:
+        homing = self.settings.homing
+        method = f", method {homing.method}" if homing is not None else ""
+        return MotionFault(
+            f"homing failed (statusword bit 13{method}): {self.fault_text()}",
+            hint="check the reference and limit switches, their cables, and that the method fits them",
+            **self.node.where,
+        )
+
+    def _judge_limit(self) -> None:
+        """Bit 11 may also tell of a limited current; it is the end of a turn where something bars the way."""
+        if bars := barrier(self.node, self._target):
+            raise MotionFault(
+                f"stopped at a limit (statusword bit 11): {bars}",
+                hint="check the limits of the drive and of the settings, the zero of the encoder, and the switches",
+                **self.node.where,
+            )
+        if not self._limit_told:
+            self._limit_told = True
+            _log.warning("internal limit active", **self.node.where)
+
+    def state_of(self, statusword: int) -> DriveState:
         state = drive_state(statusword)
         if state is None:
             raise ProtocolError(f"statusword 0x{statusword:04X} is no state of CiA 402", **self.node.where)

@@ -10,8 +10,9 @@ from drivers.canopen_mount.drive import POLL_S, Drive
 from drivers.canopen_mount.node import DriveNode
 from drivers.canopen_mount.settings import CanopenMountSettings
 from drivers.clock import Clock, Deadline
-from drivers.errors import DeviceError, LinkLost
-from drivers.links.can_bus import PROCESS_NETWORKS, CanAddress, CanLink, CanNetworks
+from drivers.errors import DeviceError, LinkLost, VolcalError
+from drivers.links.can_adapters import CanAddress
+from drivers.links.can_bus import PROCESS_NETWORKS, CanLink, CanNetworks
 from drivers.registry import DeviceContext
 from drivers.roles import Finding, Orientation
 
@@ -36,13 +37,14 @@ class CanopenMount:
         self._drives: tuple[Drive, ...] = ()
 
     def open(self) -> None:
-        """Connect, prove the identity of both drives, start them and their heartbeats; moves nothing."""
+        """Connect, prove identity and units of both drives, start them and their heartbeats; moves nothing."""
         if self._link is not None:
             return
         self._connect()
         try:
             for drive in self._drives:
-                drive.prove_identity()
+                drive.prove()
+            for drive in self._drives:
                 drive.prepare()
         except BaseException:
             self._disconnect()
@@ -110,12 +112,16 @@ class CanopenMount:
         try:
             if not was_open:
                 self._connect()
-            return [finding for drive in self._drives for finding in examine(drive)]
-        except DeviceError as error:
+            return [*self._adapter(), *(finding for drive in self._drives for finding in examine(drive))]
+        except VolcalError as error:
             return [Finding(self._address.name, ok=False, text=str(error))]
         finally:
             if not was_open:
                 self._disconnect()
+
+    def _adapter(self) -> list[Finding]:
+        told = self._link.adapter_text() if self._link is not None else ""
+        return [Finding(self._address.name, ok=told.endswith("no error"), text=told)] if told else []
 
     def _connect(self) -> None:
         self._link = link = self._networks.acquire(self._address)
@@ -140,6 +146,7 @@ class CanopenMount:
             self._clock,
             heartbeat_ms=self._settings.heartbeat_ms,
             heartbeat_timeout_s=self._settings.heartbeat_timeout_s,
+            tolerated_emergencies=self._settings.tolerated_emergencies,
         )
 
     def _disconnect(self) -> None:
@@ -173,10 +180,10 @@ class CanopenMount:
             self._clock.sleep(max(POLL_S, min(WATCH_S, predicted.remaining_s)))
             turning = [drive for drive in turning if not drive.turn_ended()]
             for drive in self._drives:
-                drive.check()
-            if turning:
+                drive.check_in_motion()
+            if turning and deadline.expired:
                 deadline.require(
-                    f"{turning[0].node.axis} to reach its target (statusword bit 10)",
+                    f"{turning[0].node.axis} to reach its target (statusword bit 10), {turning[0].hindrance()}",
                     hint="check that the mount is free to turn, its brake is open and nothing is jammed",
                     **turning[0].node.where,
                 )
@@ -201,7 +208,7 @@ class CanopenMount:
             )
             self._clock.sleep(POLL_S)
             for other in self._drives:
-                other.check()
+                other.check_in_motion()
 
     def _abandon(self, error: BaseException) -> None:
         """Stop both drives before `error` travels on; a stop that fails is added to it."""

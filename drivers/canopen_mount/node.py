@@ -15,13 +15,15 @@ import canopen
 import structlog
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.canopen_mount.emergency import emergency_text
 from drivers.canopen_mount.objects import STATUSWORD, DriveObject
-from drivers.clock import Clock
-from drivers.errors import CommandRejected, DeviceError, LinkTimeout, MotionFault, ProtocolError
+from drivers.errors import CommandRejected, DeviceError, LinkTimeout, ProtocolError
 from drivers.links.can_bus import CanLink
 
 T = TypeVar("T")
+
+NO_SUCH_OBJECT = (0x0602_0000, 0x0609_0011)
+"""SDO abort codes (CiA 301): object, sub-index does not exist."""
+NMT_OPERATIONAL = 0x05
 
 _log = structlog.get_logger("canopen_mount")
 
@@ -51,6 +53,7 @@ class DriveNode:
         self._seen = threading.Lock()
         self._heartbeats = 0
         self._booted = False
+        self._nmt_state: int | None = None
         self._emergencies: list[int] = []
         self._node.nmt.add_heartbeat_callback(self._on_heartbeat)
         self._node.emcy.add_callback(self._on_emergency)
@@ -70,21 +73,39 @@ class DriveNode:
             )
         return entry.unpack(data)
 
+    def read_optional(self, entry: DriveObject) -> int | None:
+        """As `read`; None where the node says that it has no such object."""
+        try:
+            return self.read(entry)
+        except CommandRejected as refused:
+            if isinstance(refused.__cause__, canopen.SdoAbortedError) and refused.__cause__.code in NO_SUCH_OBJECT:
+                return None
+            raise
+
+    def read_text(self, index: int) -> str:
+        """A visible string; empty where the node has none."""
+        try:
+            data = self._transfer(f"0x{index:04X}", lambda: self._node.sdo.upload(index, 0))
+        except CommandRejected:
+            return ""
+        return bytes(data).split(b"\0")[0].decode("ascii", errors="replace").strip()
+
     def read_bytes(self, entry: DriveObject) -> bytes:
-        return bytes(self._transfer(entry, lambda: self._node.sdo.upload(entry.index, entry.subindex)))
+        return bytes(self._transfer(str(entry), lambda: self._node.sdo.upload(entry.index, entry.subindex)))
 
     def write(self, entry: DriveObject, value: int) -> None:
         """Raises as `read`; CommandRejected carries the drive's reason."""
         data = entry.pack(value)
-        self._transfer(entry, lambda: self._node.sdo.download(entry.index, entry.subindex, data))
+        self._transfer(str(entry), lambda: self._node.sdo.download(entry.index, entry.subindex, data))
 
     def start(self) -> None:
-        """NMT: go to *operational*."""
+        """NMT: go to *operational*. The read after it has the node take the command before anything else."""
         try:
             self._link.check()
             self._node.nmt.state = "OPERATIONAL"
         except (can.CanError, OSError) as error:
             raise self._link.lost(str(error)).at(**self.where) from error
+        self.read(STATUSWORD)
 
     def take_boot_up(self) -> bool:
         """Whether the node announced a boot-up since the last call."""
@@ -97,6 +118,12 @@ class DriveNode:
             seen, self._heartbeats = self._heartbeats > 0, 0
         return seen
 
+    def take_nmt_state(self) -> int | None:
+        """The NMT state of the latest heartbeat since the last call."""
+        with self._seen:
+            state, self._nmt_state = self._nmt_state, None
+        return state
+
     def take_emergencies(self) -> list[int]:
         """Error codes received since the last call, oldest first."""
         with self._seen:
@@ -107,19 +134,20 @@ class DriveNode:
         with self._seen:
             self._heartbeats += 1
             self._booted = self._booted or state == 0
+            self._nmt_state = state
 
     def _on_emergency(self, emergency: canopen.emcy.EmcyError) -> None:
         with self._seen:
             self._emergencies.append(int(emergency.code))
 
-    def _transfer(self, entry: DriveObject, exchange: Callable[[], T]) -> T:
+    def _transfer(self, entry: str, exchange: Callable[[], T]) -> T:
         try:
             return self._exchange_once(entry, exchange)
         except LinkTimeout:
-            _log.warning("SDO answer missing, asked again", object=str(entry), **self.where)
+            _log.warning("SDO answer missing, asked again", object=entry, **self.where)
             return self._exchange_once(entry, exchange)
 
-    def _exchange_once(self, entry: DriveObject, exchange: Callable[[], T]) -> T:
+    def _exchange_once(self, entry: str, exchange: Callable[[], T]) -> T:
         with self._exchange:
             try:
                 self._link.check()
@@ -133,63 +161,16 @@ class DriveNode:
             except (can.CanError, OSError) as error:
                 raise self._link.lost(str(error)).at(**self.where) from error
 
-    def _unanswered(self, entry: DriveObject, error: Exception) -> DeviceError:
+    def _unanswered(self, entry: str, error: Exception) -> DeviceError:
         if "No SDO response" not in str(error):
             return ProtocolError(
                 f"unexpected SDO answer for {entry}: {error}",
                 hint="check that no other CANopen master talks to this node",
                 **self.where,
             )
+        told = self._link.adapter_text()
         return LinkTimeout(
-            f"no SDO response from node {self.node_id} to {entry}",
+            f"no SDO response from node {self.node_id} to {entry}" + (f"; {told}" if told else ""),
             hint="check that the drive is powered, its node id, the bit rate, the cable and both terminators",
             **self.where,
         )
-
-
-class NodeWatch:
-    """Notices restarts and silence of a node; called wherever the driver waits.
-
-    The age of the heartbeat is taken on the clock handed in, in the thread that waits. A heartbeat may be
-    late because this process was busy, so the node is asked by SDO before it is declared lost.
-    """
-
-    def __init__(self, node: DriveNode, clock: Clock, *, timeout_s: float | None) -> None:
-        self._node = node
-        self._clock = clock
-        self._timeout_s = timeout_s
-        self._last_s = clock.now()
-        self._silent = False
-
-    def arm(self) -> None:
-        self._node.take_boot_up()
-        self._node.take_emergencies()
-        self._last_s = self._clock.now()
-
-    def check(self) -> None:
-        """Raises MotionFault after a restart, LinkTimeout or LinkLost when the node is gone."""
-        for code in self._node.take_emergencies():
-            _log.warning("emergency", text=emergency_text(code), **self._node.where)
-        if self._node.take_boot_up():
-            raise MotionFault(
-                "the drive has restarted",
-                hint="check its supply; home the mount again before it is turned",
-                **self._node.where,
-            )
-        if self._node.take_heartbeat():
-            self._heard()
-        elif self._timeout_s is not None and self._clock.now() - self._last_s > self._timeout_s:
-            self._ask()
-
-    def _heard(self) -> None:
-        self._last_s = self._clock.now()
-        if self._silent:
-            self._silent = False
-            _log.info("heartbeat available again", **self._node.where)
-
-    def _ask(self) -> None:
-        self._node.read(STATUSWORD)
-        self._last_s = self._clock.now()
-        if not self._silent:
-            self._silent = True
-            _log.warning("heartbeat missing, the drive still answers", **self._node.where)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.settings import CanopenMountSettings
-from drivers.links.can_bus import CanAddress
+from drivers.links.can_adapters import CanAddress
 from drivers.registry import DeviceContext, DriverPlugin
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -24,6 +25,40 @@ class HomingSettings(_Strict):
     timeout_s: float = Field(default=120.0, gt=0.0, le=3600.0)
 
 
+Compared = Literal["encoder", "gear", "feed", "polarity"]
+
+
+class UnitSettings(_Strict):
+    """In which unit the drive counts positions, and which of its own objects must say the same (CiA 402-2, factors)."""
+
+    position: Literal["increments", "feed"] = Field(
+        default="increments", description="increments of the encoder, or what 0x6092 makes of a turn of the mount"
+    )
+    feed_per_revolution: int | None = Field(
+        default=None, gt=0, description="position units per turn of the mount, 0x6092:01 / 0x6092:02"
+    )
+    compare: tuple[Compared, ...] | None = Field(
+        default=None, description="default: encoder and polarity; with the unit feed also gear and feed"
+    )
+    polarity: int = Field(default=0, ge=0, le=255, description="expected 0x607E; bit 7 reverses positions")
+    unit_code: int | None = Field(default=None, ge=0, lt=2**32, description="expected 0x60A8, where the drive has it")
+    write: bool = Field(default=False, description="write what differs when the mount opens, instead of refusing")
+
+    @property
+    def compared(self) -> tuple[Compared, ...]:
+        if self.compare is not None:
+            return self.compare
+        return ("encoder", "polarity") if self.position == "increments" else ("encoder", "gear", "feed", "polarity")
+
+    @model_validator(mode="after")
+    def _feed_belongs_to_its_unit(self) -> Self:
+        if (self.position == "feed") is not (self.feed_per_revolution is not None):
+            raise ValueError('feed_per_revolution is stated with position = "feed", and only with it')
+        if "feed" in self.compared and self.feed_per_revolution is None:
+            raise ValueError('"feed" can be compared only where feed_per_revolution is stated')
+        return self
+
+
 class AxisSettings(_Strict):
     """One drive and the gear between its motor and the mount."""
 
@@ -42,9 +77,14 @@ class AxisSettings(_Strict):
     eds: Path | None = Field(default=None, description="EDS file of the drive; its identity and objects are checked")
     vendor_id: int | None = Field(default=None, ge=0, description="expected 0x1018:01")
     product_code: int | None = Field(default=None, ge=0, description="expected 0x1018:02")
+    serial_number: int | None = Field(default=None, ge=0, description="expected 0x1018:04, to tell two alike apart")
+    units: UnitSettings = Field(default_factory=UnitSettings, description="what the drive's own factors must be")
 
     @property
     def scale(self) -> AxisScale:
+        feed = self.units.feed_per_revolution
+        if feed is not None:
+            return AxisScale(Fraction(feed, 360), self.direction, self.offset_deg)
         return AxisScale.of(
             counts_per_revolution=self.encoder_counts_per_revolution,
             motor_revolutions=self.gear_motor_revolutions,
@@ -79,6 +119,9 @@ class CanopenMountSettings(_Strict):
     sdo_timeout_s: float = Field(default=0.3, ge=0.01, le=5.0, description="wall time for one SDO answer")
     heartbeat_ms: int = Field(default=500, ge=0, le=32_000, description="0x1017 of the drives; 0: not watched")
     heartbeat_timeout_s: float = Field(default=2.0, gt=0.0, le=120.0)
+    tolerated_emergencies: tuple[Annotated[int, Field(ge=1, le=0xFFFF)], ...] = Field(
+        default=(), description="EMCY error codes that are logged and do not stop the mount"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

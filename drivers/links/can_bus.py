@@ -4,66 +4,37 @@ A CAN channel can be opened once per process and carries every node of every mou
 that name the same interface, channel and options get the same `canopen.Network`; the last one to close
 it shuts the bus.
 
-Peculiarities of python-can 4.6 that are kept in here:
-
-* ``udp_multicast`` hands a bus its own frames back whatever ``receive_own_messages`` says. In CANopen a
-  COB-ID has one producer, so a frame with an identifier that we have sent is our own and is dropped.
-* the ``socketcand`` client retries a refused connection in a busy loop for ten seconds, and when the server
-  goes away it spins on an empty read for ever. The first is answered before it is asked, by a connection
-  attempt with a time limit; the second by looking ahead for the end of the stream.
-* its notifier thread dies on an exception, or, with a handler, spins on it; so frames are received by a
-  thread of our own, which ends quietly at the first failure, and `CanLink.check` tells.
+Frames are received by a thread of our own: python-can's notifier dies on an exception or, with a handler, spins on
+it. Ours ends at the first failure or when the controller is off the bus, and `CanLink.check` tells. An interface
+that hands a bus its own frames back is listened to without them: in CANopen an identifier has one producer, so
+a frame with one that we have sent is our own.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import select
-import socket
 import threading
-from collections import deque
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, cast
 
 import can
 import canopen
-from can.interfaces.socketcand import SocketCanDaemonBus
+import structlog
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.errors import ConfigurationError, LinkLost
+from drivers.links.can_adapters import ECHOING_INTERFACES, CanAddress, SlcanBus, open_bus
 
 for _library in ("can", "canopen"):  # what they log as an error is raised as a typed error here
     logging.getLogger(_library).addHandler(logging.NullHandler())
 
-Option = str | int | float | bool
-
-ECHOING_INTERFACES = frozenset({"udp_multicast"})
 RECEIVE_CYCLE_S = 0.1
 """Longest wait of the receiving thread for one frame: closing the bus takes up to this long."""
-CONNECT_WITHIN_S = 3.0
+BUS_OFF = 0x40
+CONTROLLER_PROBLEM = 0x04
+"""Classes of error frames (linux/can/error.h), where a bus reports them."""
 
-
-@dataclass(frozen=True)
-class CanAddress:
-    """Where a bus is, in python-can's words."""
-
-    interface: str
-    channel: str
-    options: tuple[tuple[str, Option], ...] = ()
-
-    @classmethod
-    def of(cls, interface: str, channel: str, options: Mapping[str, Option]) -> CanAddress:
-        return cls(interface, channel, tuple(sorted(options.items())))
-
-    @property
-    def name(self) -> str:
-        """How messages call the link, for example ``socketcand:can0@127.0.0.1:29536``."""
-        options = dict(self.options)
-        host = f"@{options['host']}" if "host" in options else ""
-        port = f":{options['port']}" if "port" in options else ""
-        return f"{self.interface}:{self.channel}{host}{port}"
+_log = structlog.get_logger("can_bus")
 
 
 class _Network(canopen.Network):
@@ -83,24 +54,6 @@ class _Network(canopen.Network):
             super().notify(can_id, data, timestamp)
 
 
-class _SocketcandBus(SocketCanDaemonBus):
-    """python-can's client, which notices that its server has gone."""
-
-    _SocketCanDaemonBus__socket: socket.socket
-    _SocketCanDaemonBus__message_buffer: deque[can.Message]
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        stream = self._SocketCanDaemonBus__socket
-        if not self._SocketCanDaemonBus__message_buffer:
-            readable, _, _ = select.select([stream], [], [], timeout)
-            if not readable:
-                return None, False
-            if not stream.recv(1, socket.MSG_PEEK):
-                raise can.CanOperationError("the socketcand server closed the connection")
-        message, filtered = super()._recv_internal(0.0)  # type: ignore[no-untyped-call]
-        return message, filtered
-
-
 class _Receiver(threading.Thread):
     """Feeds a network from its bus until told to stop or until the bus fails."""
 
@@ -109,6 +62,7 @@ class _Receiver(threading.Thread):
         self._bus = bus
         self._listener = network.listeners[0]
         self._stopping = threading.Event()
+        self._warned = False
         self.failure: Exception | None = None
 
     def run(self) -> None:
@@ -118,8 +72,20 @@ class _Receiver(threading.Thread):
             except Exception as error:  # noqa: BLE001  whatever it is, it ends receiving and `check` reports it
                 self.failure = error
                 return
-            if message is not None:
+            if message is None:
+                continue
+            if message.is_error_frame:
+                self._take_error(message.arbitration_id)
+            else:
                 self._listener.on_message_received(message)  # type: ignore[no-untyped-call]
+
+    def _take_error(self, classes: int) -> None:
+        if classes & BUS_OFF:
+            self.failure = can.CanOperationError("the CAN controller has gone off the bus (bus-off)")
+            self._stopping.set()
+        elif classes & CONTROLLER_PROBLEM and not self._warned:
+            self._warned = True
+            _log.warning("CAN controller reports errors: check bit rate, cable and terminators", bus=self.name)
 
     def stop(self) -> None:
         self._stopping.set()
@@ -136,8 +102,7 @@ class _SharedNetwork:
 
     @classmethod
     def at(cls, address: CanAddress) -> _SharedNetwork:
-        with _naming_the_link(address):
-            bus = _open_bus(address)
+        bus = open_bus(address)
         network = _Network(bus, drops_own_frames=address.interface in ECHOING_INTERFACES)
         receiver = _Receiver(bus, network)
         receiver.start()
@@ -163,12 +128,22 @@ class CanNetworks:
         Raises LinkLost naming the link when it cannot be opened.
         """
         with self._lock:
+            self._refuse_second_opening(address)
             shared = self._open.get(address)
             if shared is None or shared.receiver.failure is not None:
                 shared = _SharedNetwork.at(address)
                 self._open[address] = shared
             shared.users += 1
         return CanLink(address, shared, self)
+
+    def _refuse_second_opening(self, address: CanAddress) -> None:
+        for other in self._open:
+            if other.name == address.name and other != address:
+                raise ConfigurationError(
+                    "two devices state different options for one CAN bus",
+                    link=address.name,
+                    hint="give them the same interface, channel and options; they then share the bus",
+                )
 
     def release(self, address: CanAddress, shared: _SharedNetwork) -> None:
         with self._lock:
@@ -214,6 +189,17 @@ class CanLink:
         if failure is not None:
             raise self.lost(f"receiving has stopped: {failure}")
 
+    def adapter_text(self) -> str:
+        """What the adapter says of itself, where it can be asked; empty where not. Moves and changes nothing."""
+        bus = self._require_open().bus
+        if not isinstance(bus, SlcanBus):
+            return ""
+        try:
+            refused = f"; it has refused {bus.refusals} commands" if bus.refusals else ""
+            return bus.status_text() + refused
+        except (can.CanError, OSError) as error:
+            raise self.lost(str(error)) from error
+
     def lost(self, what: str) -> LinkLost:
         return LinkLost(
             f"CAN link lost, {what}",
@@ -238,30 +224,3 @@ class CanLink:
 
 PROCESS_NETWORKS = CanNetworks()
 """A CAN adapter can be opened once per process, so its owners share this one book."""
-
-
-def _open_bus(address: CanAddress) -> can.BusABC:
-    options = dict(address.options)
-    if address.interface != "socketcand":
-        return can.Bus(interface=address.interface, channel=address.channel, **cast(dict[str, Any], options))
-    endpoint = (str(options["host"]), int(options["port"]))
-    socket.create_connection(endpoint, timeout=CONNECT_WITHIN_S).close()
-    return _SocketcandBus(channel=address.channel, **options)  # type: ignore[no-untyped-call]
-
-
-@contextlib.contextmanager
-def _naming_the_link(address: CanAddress) -> Iterator[None]:
-    try:
-        yield
-    except (can.CanInterfaceNotImplementedError, TypeError, ValueError, KeyError, ImportError) as error:
-        raise ConfigurationError(
-            f"the CAN bus cannot be opened with these settings: {error!r}",
-            link=address.name,
-            hint="check interface, channel and options against python-can's list of interfaces",
-        ) from error
-    except (can.CanError, OSError) as error:
-        raise LinkLost(
-            f"cannot open the CAN bus: {error}",
-            link=address.name,
-            hint="check that the interface exists and is up (ip link), or that the CAN server is running",
-        ) from error

@@ -1,29 +1,35 @@
 """A CiA 402 drive in front of one axis of the simulated mount, written from the profile's text.
 
-Power drive state machine, profile position mode, homing mode, quick stop, fault reaction. The drive's
-position unit is the encoder count, speeds are counts per second. It moves nothing itself: the physics behind it turns
-with the world's clock, and the drive looks at it whenever it is asked or time has advanced.
+Power drive state machine, profile position mode, homing mode, quick stop, fault reaction, limits. The drive's position
+unit is the encoder count unless its factor group makes another of it, speeds are units per second. It moves nothing
+itself: the physics behind it turns with the world's clock, and the drive looks at it whenever it is asked or time has
+advanced.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import partial
 from typing import Protocol
 
 from drivers.errors import DeviceError
 from simulators.wire.can_node import CanopenNode
+from simulators.wire.can_parameters import HOMING_METHOD, HOMING_SPEED, QUICK_STOP_OPTION, FactorGroup, Parameters
 from simulators.wire.can_sdo import ABORT_LOCAL_STATE, ABORT_VALUE, Dictionary, Entry, SdoAbortError
 
 DEVICE_TYPE_SERVO = 0x0002_0192
 """Additional information 2 (servo drive), profile 402."""
+VENDOR_AND_PRODUCT = (0x000003E7, 0x00000402)
 PROFILE_POSITION, HOMING = 1, 6
 HOMING_HERE = (35, 37)
 """Homing methods that take the present position as home."""
 
 FOLLOWING_ERROR = 0x8611
 REFERENCE_LIMIT = 0x8612
+
+NEGATIVE_SWITCH, POSITIVE_SWITCH, HOME_SWITCH = 1, 2, 4
+"""Bits of 0x60FD."""
+DC_LINK_MV = 48_000
 
 POSITION_WINDOW_DEG = 0.01
 """Within which a drive calls its target reached (0x6067)."""
@@ -43,14 +49,16 @@ class MountAxes(Protocol):
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """One simulated drive. `zero_deg` is the mount angle at which the encoder reads 0."""
+    """One simulated drive. `counts_per_degree`: increments of its encoder; `zero_deg`: the mount angle at which it
+    reads 0; `factors`: None for a drive without a factor group."""
 
     node_id: int
     axis: str
     counts_per_degree: float
     zero_deg: float = 0.0
     device_name: str = "volcal simulated servo drive"
-    identity: tuple[int, int, int, int] = (0x000003E7, 0x00000402, 1, 1)
+    identity: tuple[int, int, int, int] = (*VENDOR_AND_PRODUCT, 1, 1)
+    factors: FactorGroup | None = None
 
 
 class State(IntEnum):
@@ -66,17 +74,6 @@ class State(IntEnum):
     FAULT = 0x08
 
 
-_POWER_ON_REGISTERS = {
-    (0x605A, 0): 2,  # quick stop option: ramp down, then switch on disabled
-    (0x6083, 0): 0,
-    (0x6084, 0): 0,
-    (0x6085, 0): 0,
-    (0x6098, 0): 0,
-    (0x6099, 1): 0,
-    (0x6099, 2): 0,
-    (0x609A, 0): 0,
-}
-
 POWERED = frozenset({State.SWITCHED_ON, State.ENABLED, State.QUICK_STOP})
 
 
@@ -87,10 +84,12 @@ class ServoDrive:
         self._config = config
         self._axes = axes
         self._zero_deg = config.zero_deg
-        self._registers: dict[tuple[int, int], int] = {}
+        self.parameters = Parameters(config.factors)
         self._emergencies: list[int] = []
         self._jammed = False
         self._deviating = False
+        self._switches = 0
+        self._home_switch = True
         self.reset()
 
     def reset(self) -> None:
@@ -101,11 +100,13 @@ class ServoDrive:
         self._persistent = False
         self._target = 0
         self._velocity = 0
-        self._registers.update(_POWER_ON_REGISTERS)
+        self.parameters.reset()
+        self._homing_error = False
         self._acknowledged = False
         self._buffered: int | None = None
         self._goal: int | None = None  # of the motion under way; reached means there, not merely at rest
         self._underway = False
+        self._clipped = False
         self._homing_attained = False
         self._halted = False
         self._axes.halt()
@@ -136,6 +137,16 @@ class ServoDrive:
         """Statusword bit 13, following or homing error, in a drive that is set not to trip on it."""
         self._deviating = deviating
 
+    def press_limit_switch(self, way: int, *, pressed: bool = True) -> None:
+        """The switch at the end of the way in the direction `way` (1, -1) of counts; motion that way stops there."""
+        bit = POSITIVE_SWITCH if way > 0 else NEGATIVE_SWITCH
+        self._switches = self._switches | bit if pressed else self._switches & ~bit
+        self._stop_at_switch()
+
+    def lose_home_switch(self, *, lost: bool = True) -> None:
+        """The reference switch, or its cable, is broken: homing that looks for it fails."""
+        self._home_switch = not lost
+
     def warn(self, code: int) -> None:
         """An emergency message without a fault."""
         self._emergencies.append(code)
@@ -158,17 +169,12 @@ class ServoDrive:
             (0x6064, 0): Entry("i", self._position),
             (0x607A, 0): Entry("i", lambda: self._target, self._set_target),
             (0x6081, 0): Entry("I", lambda: self._velocity, self._set_velocity),
+            (0x6079, 0): Entry("I", lambda: DC_LINK_MV),
+            (0x60F4, 0): Entry("i", self._following_distance),
+            (0x60FD, 0): Entry("I", lambda: self._switches | (HOME_SWITCH if self._at_home() else 0)),
             (0x6502, 0): Entry("I", lambda: 1 << PROFILE_POSITION - 1 | 1 << HOMING - 1),
-            (0x6099, 0): Entry("B", lambda: 2),
         }
-        codes = {(0x6098, 0): "b", (0x605A, 0): "h"}
-        for key in _POWER_ON_REGISTERS:
-            entries[key] = Entry(
-                codes.get(key, "I"),
-                partial(self._registers.__getitem__, key),
-                partial(self._registers.__setitem__, key),
-            )
-        return entries
+        return {**entries, **self.parameters.dictionary()}
 
     def _set_target(self, value: int) -> None:
         self._target = value
@@ -184,8 +190,19 @@ class ServoDrive:
         self._mode = mode
         self._acknowledged = False
 
+    @property
+    def _units_per_degree(self) -> float:
+        return self._config.counts_per_degree * self.parameters.units_per_increment
+
     def _position(self) -> int:
-        return round((self._axes.position_deg(self._config.axis) - self._zero_deg) * self._config.counts_per_degree)
+        return round((self._axes.position_deg(self._config.axis) - self._zero_deg) * self._units_per_degree)
+
+    def _following_distance(self) -> int:
+        return self._goal - self._position() if self._jammed and self._underway and self._goal is not None else 0
+
+    def _at_home(self) -> bool:
+        away_deg = self._axes.position_deg(self._config.axis) - self._config.zero_deg
+        return self._home_switch and abs(away_deg) <= POSITION_WINDOW_DEG
 
     def _statusword(self) -> int:
         self._settle()
@@ -196,8 +213,10 @@ class ServoDrive:
             word |= 0x0400
         if self._homing_attained if self._mode == HOMING else self._acknowledged:
             word |= 0x1000
-        if self._deviating and self._state is State.ENABLED:
+        if self._state is State.ENABLED and (self._deviating or (self._homing_error and self._mode == HOMING)):
             word |= 0x2000
+        if self._switches or self._clipped:
+            word |= 0x0800
         return word
 
     def _control(self, word: int) -> None:
@@ -273,27 +292,41 @@ class ServoDrive:
 
     def _begin_homing(self) -> None:
         self._homing_attained = False
-        if self._registers[0x6098, 0] in HOMING_HERE:
+        self._homing_error = False
+        if self.parameters[HOMING_METHOD] in HOMING_HERE:
             self._zero_deg = self._axes.position_deg(self._config.axis)
             self._homing_attained = True
         else:
             self._zero_deg = self._config.zero_deg
-            self._begin(0, self._registers[0x6099, 1])
+            self._begin(0, self.parameters[HOMING_SPEED])
 
     def _begin(self, target: int, speed: int) -> None:
+        """A target beyond a software limit is driven to as far as the limit, and bit 11 tells."""
         self._underway = True
         self._goal = target
-        if self._jammed or self._halted:
+        allowed = target if self._mode == HOMING else self.parameters.within_limits(target)
+        self._clipped = allowed != target
+        if self._jammed or self._halted or self._barred():
             return
-        angle_deg = self._zero_deg + target / self._config.counts_per_degree
-        speed_deg_per_s = speed / self._config.counts_per_degree or None
+        angle_deg = self._zero_deg + allowed / self._units_per_degree
+        speed_deg_per_s = speed / abs(self._units_per_degree) or None
         try:
             self._axes.begin_turn(self._config.axis, angle_deg, speed_deg_per_s)
         except (DeviceError, ValueError):  # physics refuses what its stops do not allow
             self.trip(REFERENCE_LIMIT)
 
+    def _barred(self) -> bool:
+        """Whether an active limit switch is in the way to the goal."""
+        ahead = (self._goal or 0) - self._position()
+        return bool(self._switches & (POSITIVE_SWITCH if ahead > 0 else NEGATIVE_SWITCH))
+
+    def _stop_at_switch(self) -> None:
+        """The goal stays: it is not reached."""
+        if self._underway and self._barred():
+            self._axes.halt()
+
     def _at_goal(self) -> bool:
-        window = max(1.0, POSITION_WINDOW_DEG * self._config.counts_per_degree)
+        window = max(1.0, POSITION_WINDOW_DEG * abs(self._units_per_degree))
         return self._goal is not None and abs(self._position() - self._goal) <= window
 
     def _stop_motion(self) -> None:
@@ -306,11 +339,13 @@ class ServoDrive:
         moving = self._axes.moving(self._config.axis)
         if self._state is State.FAULT_REACTION and not moving:
             self._state = State.FAULT
-        if self._state is State.QUICK_STOP and not moving and self._registers[0x605A, 0] in range(5):
+        if self._state is State.QUICK_STOP and not moving and self.parameters[QUICK_STOP_OPTION] in range(5):
             self._state = State.SWITCH_ON_DISABLED
         if self._underway and not moving and self._at_goal():
             self._underway = False
-            self._homing_attained = self._homing_attained or self._mode == HOMING
+            if self._mode == HOMING:
+                self._homing_attained = self._at_home()
+                self._homing_error = not self._homing_attained
             if self._buffered is not None:
                 target, self._buffered = self._buffered, None
                 self._begin(target, self._velocity)

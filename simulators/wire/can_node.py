@@ -14,6 +14,9 @@ from simulators.wire.can_sdo import Dictionary, Entry, SdoServer
 
 Frame = tuple[int, bytes]
 
+HARDWARE_VERSION, SOFTWARE_VERSION = "simulated", "volcal"
+"""0x1009 and 0x100A."""
+
 
 class NmtState(IntEnum):
     BOOT_UP = 0x00
@@ -58,6 +61,7 @@ class CanopenNode:
         self._application = application
         self._heartbeat_ms = 0
         self._next_heartbeat_s = 0.0
+        self._watched = 0
         self._now_s = 0.0
         self._errors: list[int] = []
         own: dict[tuple[int, int], Entry] = {
@@ -66,6 +70,10 @@ class CanopenNode:
             (0x1003, 0): Entry("B", lambda: len(self._errors)),
             (0x1003, 1): Entry("I", lambda: self._errors[0] if self._errors else 0),
             (0x1008, 0): Entry("", lambda: device_name),
+            (0x1009, 0): Entry("", lambda: HARDWARE_VERSION),
+            (0x100A, 0): Entry("", lambda: SOFTWARE_VERSION),
+            (0x1016, 0): Entry("B", lambda: 1),
+            (0x1016, 1): Entry("I", lambda: self._watched, self._set_watched),
             (0x1017, 0): Entry("H", lambda: self._heartbeat_ms, self._set_heartbeat),
             (0x1018, 0): Entry("B", lambda: 4),
         }
@@ -123,6 +131,9 @@ class CanopenNode:
     def _set_heartbeat(self, period_ms: int) -> None:
         self._heartbeat_ms = period_ms
         self._next_heartbeat_s = self._now_s + 1e-3 * period_ms
+
+    def _set_watched(self, value: int) -> None:
+        self._watched = value
 
     def _emergency_frames(self) -> list[Frame]:
         """COB-ID 0x80 + node: error code, error register, five bytes of the maker (CiA 301, 7.2.7)."""

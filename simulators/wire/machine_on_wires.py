@@ -10,7 +10,8 @@ from drivers.clock import RealClock, ScaledClock
 from drivers.errors import ConfigurationError
 from simulators.scenario import Scenario
 from simulators.wire.can_channel import CanChannel, open_channel
-from simulators.wire.can_drive import DriveConfig, drive_node
+from simulators.wire.can_drive import VENDOR_AND_PRODUCT, DriveConfig, drive_node
+from simulators.wire.can_parameters import FactorGroup
 from simulators.wire.can_server import CanServer
 from simulators.wire.control import ControlServer
 from simulators.wire.modbus_controller import ModbusController
@@ -20,7 +21,9 @@ from simulators.wire.shared_world import SharedWorld
 from simulators.wire.time_server import Ticker, TimeServer
 from simulators.world.world import World
 
-COUNTS_PER_DEGREE: Final = 131072 * 100 / 360
+ENCODER_INCREMENTS: Final = 131072
+GEAR: Final = 100
+COUNTS_PER_DEGREE: Final = ENCODER_INCREMENTS * GEAR / 360
 """17-bit encoder on the motor, gear 100:1."""
 
 AXES: Final = ("azimuth", "elevation")
@@ -114,9 +117,14 @@ class MachineOnWires:
 def _drives(mounts: int) -> list[tuple[DriveConfig, ...]]:
     """Nodes 1 and 2 for the first mount, 3 and 4 for the second, and so on."""
     return [
-        tuple(DriveConfig(2 * number + place, axis, COUNTS_PER_DEGREE) for place, axis in enumerate(AXES, start=1))
-        for number in range(mounts)
+        tuple(_drive(2 * number + place, axis) for place, axis in enumerate(AXES, start=1)) for number in range(mounts)
     ]
+
+
+def _drive(node_id: int, axis: str) -> DriveConfig:
+    """Its serial number is its node id: no two are alike."""
+    factors = FactorGroup.in_increments(ENCODER_INCREMENTS, GEAR)
+    return DriveConfig(node_id, axis, COUNTS_PER_DEGREE, identity=(*VENDOR_AND_PRODUCT, 1, node_id), factors=factors)
 
 
 def _clock(speed: float | None) -> RealClock | ScaledClock:

@@ -14,7 +14,8 @@ import canopen
 import pytest
 
 from drivers.errors import ConfigurationError, LinkLost
-from drivers.links.can_bus import CanAddress, CanNetworks
+from drivers.links.can_adapters import CanAddress
+from drivers.links.can_bus import CanNetworks
 from simulators.wire.can_channel import CanChannel, multicast_works, open_channel
 from simulators.wire.can_drive import DriveConfig, drive_node
 from simulators.wire.can_server import CanServer
@@ -220,7 +221,8 @@ def test_two_processes_over_socketcand() -> None:
     """The agent's side is a process of its own: what it needs is on its command line."""
     program = (
         "import sys, canopen\n"
-        "from drivers.links.can_bus import CanAddress, CanNetworks\n"
+        "from drivers.links.can_adapters import CanAddress\n"
+        "from drivers.links.can_bus import CanNetworks\n"
         "options = {'host': '127.0.0.1', 'port': int(sys.argv[1])}\n"
         "link = CanNetworks().acquire(CanAddress.of('socketcand', 'can0', options))\n"
         "print(link.add_node(5, canopen.ObjectDictionary()).sdo.upload(0x6041, 0).hex())\n"

@@ -19,6 +19,7 @@ from drivers.links.can_bus import CanNetworks
 from drivers.registry import DeviceContext
 from simulators.wire.can_drive import DriveConfig, ServoDrive, drive_node
 from simulators.wire.can_node import CanopenNode
+from simulators.wire.can_parameters import FactorGroup
 from simulators.wire.can_server import CanServer
 
 COUNTS_PER_DEGREE = 10_000 * 36 / 360
@@ -116,7 +117,8 @@ def rig(
 ) -> Iterator[Rig]:
     channel = f"rig-{next(_channels)}"
     axes, clock, networks = LinearAxes(), VirtualClock(), CanNetworks()
-    azimuth_node, azimuth_drive = drive_node(DriveConfig(5, "azimuth", COUNTS_PER_DEGREE), axes)
+    factors = FactorGroup.in_increments(10_000, 36)
+    azimuth_node, azimuth_drive = drive_node(DriveConfig(5, "azimuth", COUNTS_PER_DEGREE, factors=factors), axes)
     elevation_node, elevation_drive = drive_node(DriveConfig(6, "elevation", COUNTS_PER_DEGREE), axes)
     sniffer = can.Bus(interface="virtual", channel=channel)
     server = CanServer(can.Bus(interface="virtual", channel=channel), [azimuth_node, elevation_node], threading.RLock())

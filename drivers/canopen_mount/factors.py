@@ -1,0 +1,104 @@
+"""The drive's own factors (0x608F, 0x6091, 0x6092, 0x607E, 0x60A8) against the settings, read and compared.
+
+A drive whose factors are others than assumed turns the mount by another angle than asked for, without any fault. So
+what the drive offers of these objects is read when the mount opens, and a difference ends the opening before anything
+moves. An object that the drive does not have is passed over: CiA 402 requires none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+
+import structlog
+
+from drivers.canopen_mount import objects
+from drivers.canopen_mount.node import DriveNode
+from drivers.canopen_mount.objects import DriveObject
+from drivers.canopen_mount.settings import AxisSettings
+from drivers.errors import ConfigurationError
+
+_log = structlog.get_logger("canopen_mount")
+
+
+@dataclass(frozen=True)
+class Factor:
+    """What one object, or a ratio of two sub-indexes, must be. `key`: where in the axis' settings that is stated."""
+
+    name: str
+    entries: tuple[DriveObject, ...]
+    values: tuple[int, ...]
+    key: str
+
+    def agrees(self, found: tuple[int, ...]) -> bool:
+        """Ratios are compared as numbers: 36:1 is 72:2. A zero denominator is none."""
+        if len(found) == 1:
+            return found == self.values
+        return bool(found[1]) and Fraction(*found) == Fraction(*self.values)
+
+    def __str__(self) -> str:
+        return f"0x{self.entries[0].index:04X} {self.name}"
+
+
+def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
+    """What the settings say of the drive's objects, of those that are to be compared."""
+    units = settings.units
+    turns = (objects.ENCODER_INCREMENTS, objects.ENCODER_MOTOR_TURNS)
+    gear = (objects.GEAR_MOTOR_TURNS, objects.GEAR_SHAFT_TURNS)
+    shaft = (settings.gear_motor_revolutions, settings.gear_shaft_revolutions)
+    if units.unit_code is not None:
+        yield Factor("SI unit position", (objects.POSITION_UNIT,), (units.unit_code,), "units.unit_code")
+    if "encoder" in units.compared:
+        per_turn = settings.encoder_counts_per_revolution
+        yield Factor("position encoder resolution", turns, (per_turn, 1), "encoder_counts_per_revolution")
+    if "gear" in units.compared:
+        yield Factor("gear ratio", gear, shaft, "gear_motor_revolutions")
+    if "feed" in units.compared and units.feed_per_revolution is not None:
+        feed = (objects.FEED, objects.FEED_SHAFT_TURNS)
+        yield Factor("feed constant", feed, (units.feed_per_revolution, 1), "units.feed_per_revolution")
+    if "polarity" in units.compared:
+        yield Factor("polarity", (objects.POLARITY,), (units.polarity,), "units.polarity")
+
+
+def read_factor(node: DriveNode, factor: Factor) -> tuple[int, ...] | None:
+    """What the drive says; None where it does not have the object."""
+    found = [node.read_optional(entry) for entry in factor.entries]
+    return None if None in found else tuple(value for value in found if value is not None)
+
+
+def prove_factors(node: DriveNode, settings: AxisSettings) -> None:
+    """Raises ConfigurationError naming object and key where the drive says otherwise, after writing if that is asked
+    for. Moves nothing."""
+    for factor in expected_factors(settings):
+        found = read_factor(node, factor)
+        if found is not None and not factor.agrees(found) and settings.units.write:
+            _log.warning("factor written", object=str(factor), former=_ratio(found), **node.where)
+            for entry, value in zip(factor.entries, factor.values, strict=True):
+                node.write(entry, value)
+            found = read_factor(node, factor)
+        if found is not None and not factor.agrees(found):
+            raise _mismatch(factor, found).at(**node.where)
+
+
+def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
+    """One line of a diagnosis. Reads only."""
+    found = read_factor(node, factor)
+    if found is None:
+        return True, f"{factor}: the drive has no such object, not compared"
+    if factor.agrees(found):
+        return True, f"{factor} {_ratio(found)}, as configured"
+    return False, f"{factor} is {_ratio(found)} in the drive, {_ratio(factor.values)} in the settings ({factor.key})"
+
+
+def _mismatch(factor: Factor, found: tuple[int, ...]) -> ConfigurationError:
+    return ConfigurationError(
+        f"{factor} is {_ratio(found)} in the drive and {_ratio(factor.values)} in the settings",
+        key=factor.key,
+        object=f"0x{factor.entries[0].index:04X}",
+        hint="a turn would end at another angle: correct the one that is wrong, or let units.write set the drive",
+    )
+
+
+def _ratio(values: tuple[int, ...]) -> str:
+    return " : ".join(str(value) for value in values)

@@ -1,0 +1,60 @@
+"""What keeps a drive from going on: limit switches (0x60FD), its own software limits (0x607D), following error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.canopen_mount import objects
+from drivers.canopen_mount.node import DriveNode
+from drivers.canopen_mount.scale import AxisScale
+
+SWITCHES = {-1: "negative limit switch", 1: "positive limit switch"}
+"""By the direction of counts in which they bar the way: bits 0 and 1 of 0x60FD."""
+
+
+@dataclass(frozen=True)
+class SoftLimits:
+    """Counts, as in 0x607D."""
+
+    lower: int
+    upper: int
+
+    def hold(self, counts: int) -> bool:
+        return self.lower <= counts <= self.upper
+
+
+def read_soft_limits(node: DriveNode) -> SoftLimits | None:
+    """None where the drive has none or has them switched off: both equal, or the lower one not below the upper."""
+    lower, upper = node.read_optional(objects.LOWER_LIMIT), node.read_optional(objects.UPPER_LIMIT)
+    if lower is None or upper is None or lower >= upper:
+        return None
+    return SoftLimits(lower, upper)
+
+
+def active_switches(node: DriveNode) -> dict[int, str]:
+    """The limit switches that are active, by the direction of counts that they bar."""
+    inputs = node.read_optional(objects.DIGITAL_INPUTS) or 0
+    return {way: name for way, name in SWITCHES.items() if inputs & (1 if way < 0 else 2)}
+
+
+def barrier(node: DriveNode, target: int) -> str:
+    """What bars the way to `target` counts; empty when nothing that the drive tells does."""
+    way = 1 if target > node.read(objects.POSITION) else -1
+    switch = active_switches(node).get(way)
+    if switch is not None:
+        return f"the {switch} is active (0x60FD)"
+    limits = read_soft_limits(node)
+    if limits is not None and not limits.hold(target):
+        return f"the target {target} is outside the drive's software limits {limits.lower} ... {limits.upper} (0x607D)"
+    return ""
+
+
+def hindrance(node: DriveNode, scale: AxisScale, target: int) -> str:
+    """What the drive tells of a target that it does not reach."""
+    told = [f"at {scale.angle_deg(node.read(objects.POSITION)):.4f} of {scale.angle_deg(target):.4f} degrees"]
+    if bars := barrier(node, target):
+        told.append(bars)
+    distance = node.read_optional(objects.FOLLOWING_DISTANCE)
+    if distance is not None:
+        told.append(f"following error {abs(distance) / float(scale.counts_per_degree):.4f} degrees (0x60F4)")
+    return ", ".join(told)

@@ -1,0 +1,73 @@
+"""Notices what a node does unasked: restarts, silence, emergencies, leaving the NMT state that it was put in."""
+
+from __future__ import annotations
+
+import structlog
+
+from drivers.canopen_mount.emergency import emergency_text
+from drivers.canopen_mount.node import NMT_OPERATIONAL, DriveNode
+from drivers.canopen_mount.objects import STATUSWORD
+from drivers.clock import Clock
+from drivers.errors import MotionFault
+
+_log = structlog.get_logger("canopen_mount")
+
+
+class NodeWatch:
+    """Called wherever the driver waits.
+
+    The age of the heartbeat is taken on the clock handed in, in the thread that waits. A heartbeat may be
+    late because this process was busy, so the node is asked by SDO before it is declared lost.
+    """
+
+    def __init__(self, node: DriveNode, clock: Clock, *, timeout_s: float | None) -> None:
+        self._node = node
+        self._clock = clock
+        self._timeout_s = timeout_s
+        self._last_s = clock.now()
+        self._silent = False
+
+    def arm(self) -> None:
+        self._node.take_boot_up()
+        self._node.take_nmt_state()
+        self._node.take_emergencies()
+        self._last_s = self._clock.now()
+
+    def check(self) -> list[int]:
+        """The error codes of emergencies since the last call, logged.
+
+        Raises MotionFault after a restart, LinkTimeout or LinkLost when the node is gone.
+        """
+        codes = [code for code in self._node.take_emergencies() if code]
+        for code in codes:
+            _log.warning("emergency", text=emergency_text(code), **self._node.where)
+        if self._node.take_boot_up():
+            raise MotionFault(
+                "the drive has restarted",
+                hint="check its supply; home the mount again before it is turned",
+                **self._node.where,
+            )
+        if (state := self._node.take_nmt_state()) not in (None, NMT_OPERATIONAL):
+            raise MotionFault(
+                f"the node has left the NMT state operational, its heartbeat says 0x{state:02X}",
+                hint="another CANopen master or the drive's own monitoring (0x1029, 0x1016) has stopped it",
+                **self._node.where,
+            )
+        if self._node.take_heartbeat():
+            self._heard()
+        elif self._timeout_s is not None and self._clock.now() - self._last_s > self._timeout_s:
+            self._ask()
+        return codes
+
+    def _heard(self) -> None:
+        self._last_s = self._clock.now()
+        if self._silent:
+            self._silent = False
+            _log.info("heartbeat available again", **self._node.where)
+
+    def _ask(self) -> None:
+        self._node.read(STATUSWORD)
+        self._last_s = self._clock.now()
+        if not self._silent:
+            self._silent = True
+            _log.warning("heartbeat missing, the drive still answers", **self._node.where)

@@ -1,0 +1,224 @@
+"""python-can's buses as this project opens them: where they are, and what had to be mended in them.
+
+Peculiarities of python-can 4.6 that are kept in here:
+
+* the ``socketcand`` client retries a refused connection in a busy loop for ten seconds, and when the server
+  goes away it spins on an empty read for ever. The first is answered before it is asked, by a connection
+  attempt with a time limit; the second by looking ahead for the end of the stream.
+* the ``slcan`` interface reads its serial port byte by byte and falls behind in a burst; it passes over every
+  refusal (BELL) of the adapter; and it writes without a time limit, so that a dead adapter holds its caller.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import io
+import os
+import select
+import socket
+import threading
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import can
+from can.interfaces.slcan import slcanBus
+from can.interfaces.socketcand import SocketCanDaemonBus
+
+from drivers.clock import wall_seconds
+from drivers.errors import ConfigurationError, LinkLost
+
+Option = str | int | float | bool
+
+ECHOING_INTERFACES = frozenset({"udp_multicast"})
+"""They hand a bus its own frames back, whatever ``receive_own_messages`` says."""
+CONNECT_WITHIN_S = 3.0
+SEND_WITHIN_S = 1.0
+"""A serial adapter that takes no bytes for so long is dead."""
+FLAGS_WITHIN_S = 0.3
+
+
+@dataclass(frozen=True)
+class CanAddress:
+    """Where a bus is, in python-can's words."""
+
+    interface: str
+    channel: str
+    options: tuple[tuple[str, Option], ...] = ()
+
+    @classmethod
+    def of(cls, interface: str, channel: str, options: Mapping[str, Option]) -> CanAddress:
+        return cls(interface, channel, tuple(sorted(options.items())))
+
+    @property
+    def name(self) -> str:
+        """How messages call the link, for example ``socketcand:can0@127.0.0.1:29536``."""
+        options = dict(self.options)
+        host = f"@{options['host']}" if "host" in options else ""
+        port = f":{options['port']}" if "port" in options else ""
+        return f"{self.interface}:{self.channel}{host}{port}"
+
+
+class SocketcandBus(SocketCanDaemonBus):
+    """python-can's client, which notices that its server has gone."""
+
+    _SocketCanDaemonBus__socket: socket.socket
+    _SocketCanDaemonBus__message_buffer: deque[can.Message]
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        stream = self._SocketCanDaemonBus__socket
+        if not self._SocketCanDaemonBus__message_buffer:
+            readable, _, _ = select.select([stream], [], [], timeout)
+            if not readable:
+                return None, False
+            if not stream.recv(1, socket.MSG_PEEK):
+                raise can.CanOperationError("the socketcand server closed the connection")
+        message, filtered = super()._recv_internal(0.0)  # type: ignore[no-untyped-call]
+        return message, filtered
+
+
+STATUS_FLAGS = {
+    0: "receive queue full",
+    1: "transmit queue full",
+    2: "error warning",
+    3: "data overrun",
+    5: "error passive",
+    6: "arbitration lost",
+    7: "bus error",
+}
+"""Bits of the answer to ``F`` (CAN232 manual of LAWICEL)."""
+
+
+class SlcanBus(slcanBus):
+    """python-can's serial-line bus, which keeps up with bursts and hears what the adapter says of itself."""
+
+    def __init__(self, channel: str, **options: Any) -> None:
+        self._writing = threading.Lock()
+        self._answered = threading.Event()
+        self._flags = 0
+        self.refusals = 0
+        with contextlib.ExitStack() as undo:
+            undo.callback(setattr, self, "_is_shutdown", True)
+            self._claim = undo.enter_context(_claimed(channel.partition("@")[0]))
+            super().__init__(channel, **options)
+            undo.pop_all()
+        self._hear_out_the_opening()
+
+    def _hear_out_the_opening(self) -> None:
+        """python-can opens twice; the adapter's refusal of the second time is no refusal of a frame."""
+        self._write("F")
+        ends_s = wall_seconds() + FLAGS_WITHIN_S
+        while not self._answered.is_set() and self._read(max(0.0, ends_s - wall_seconds())) is not None:
+            continue
+        self.refusals = 0
+
+    def shutdown(self) -> None:
+        if self._is_shutdown:
+            return
+        try:
+            super().shutdown()
+        except can.CanOperationError:  # the adapter has gone; what it was reached by is still ours to close
+            self.serialPortOrig.close()
+            raise
+        finally:
+            self._claim.close()
+
+    def status_text(self) -> str:
+        """What the adapter says of itself; it is asked, and the receiving thread takes the answer."""
+        self._answered.clear()
+        self._write("F")
+        if not self._answered.wait(FLAGS_WITHIN_S):
+            return "the adapter does not answer when asked for its status"
+        told = [text for bit, text in STATUS_FLAGS.items() if self._flags >> bit & 1]
+        return f"the adapter reports {', '.join(told)}" if told else "the adapter reports no error"
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        super().send(msg, SEND_WITHIN_S if timeout is None else timeout)
+
+    def _write(self, string: str) -> None:
+        with self._writing:
+            super()._write(string)
+
+    def _read(self, timeout: float | None) -> str | None:
+        """The next line or BELL; None when none came within `timeout` seconds."""
+        ends_s = None if timeout is None else wall_seconds() + timeout
+        while (line := self._take_line()) is None:
+            left_s = None if ends_s is None else max(0.0, ends_s - wall_seconds())
+            if not self._fill(left_s):
+                return None
+        if line == "\a":
+            self.refusals += 1
+        elif line.startswith("F") and len(line) == len("Fxx\r"):
+            self._flags = int(line[1:3], 16)
+            self._answered.set()
+        return line
+
+    def _take_line(self) -> str | None:
+        ends = [end for mark in (b"\r", b"\a") if (end := self._buffer.find(mark)) >= 0]
+        if not ends:
+            return None
+        line = self._buffer[: min(ends) + 1].decode("ascii", errors="replace")
+        del self._buffer[: min(ends) + 1]
+        return line
+
+    def _fill(self, timeout: float | None) -> bool:
+        port = self.serialPortOrig
+        try:
+            readable, _, _ = select.select([port.fileno()], [], [], timeout)
+            if readable:
+                self._buffer.extend(port.read(max(1, port.in_waiting)))
+        except (OSError, TypeError, ValueError) as error:  # pyserial's own error is an OSError; a closed port the rest
+            raise can.CanOperationError(f"the serial port of the adapter is gone: {error}") from error
+        return bool(readable)
+
+
+def _claimed(port: str) -> io.FileIO:
+    """The port, locked: of two processes that talk to one adapter, the second is told so. Holds while it is open."""
+    held = io.FileIO(os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), "r+")
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        held.close()
+        raise
+    return held
+
+
+def open_bus(address: CanAddress) -> can.BusABC:
+    """Raises ConfigurationError for settings that no bus can have, LinkLost when it cannot be reached."""
+    with _naming_the_link(address):
+        options = dict(address.options)
+        if address.interface == "slcan":
+            return SlcanBus(address.channel, **options)
+        if address.interface != "socketcand":
+            return can.Bus(interface=address.interface, channel=address.channel, **cast(dict[str, Any], options))
+        endpoint = (str(options["host"]), int(options["port"]))
+        socket.create_connection(endpoint, timeout=CONNECT_WITHIN_S).close()
+        return SocketcandBus(channel=address.channel, **options)  # type: ignore[no-untyped-call]
+
+
+@contextlib.contextmanager
+def _naming_the_link(address: CanAddress) -> Iterator[None]:
+    try:
+        yield
+    except (can.CanInterfaceNotImplementedError, TypeError, ValueError, KeyError, ImportError) as error:
+        raise ConfigurationError(
+            f"the CAN bus cannot be opened with these settings: {error!r}",
+            link=address.name,
+            hint="check interface, channel and options against python-can's list of interfaces",
+        ) from error
+    except (can.CanError, OSError) as error:
+        raise LinkLost(f"cannot open the CAN bus: {error}", link=address.name, hint=_hint(address)) from error
+
+
+def _hint(address: CanAddress) -> str:
+    match address.interface:
+        case "slcan":
+            return "check that the adapter is plugged in, the name of its serial port, and that nobody else has it open"
+        case "udp_multicast":
+            return "check that the network interface is up and has multicast and a route for 224.0.0.0/4"
+        case "socketcand":
+            return "check that the CAN server is running"
+        case _:
+            return "check that the interface exists and is up (ip link)"
