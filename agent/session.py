@@ -156,7 +156,9 @@ class _Session:
             attempt("note the complaint", lambda: self._conduct.note(complaint))
 
     def _report(self) -> Mapping[str, str | bytes]:
-        """Empty where it could not be made; `volcal report` makes it any time."""
+        """Empty where nothing was begun, or where it could not be made; `volcal report` makes it any time."""
+        if self._rehearsal is None:
+            return {}
         try:
             return self._request.reports(self._job.settings.state_directory, self._run_id)
         except VolcalError as error:

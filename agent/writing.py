@@ -30,6 +30,8 @@ def write_results(job: Job, outcome: Outcome, progress: Progress, report: Mappin
     if progress.finding is not None:
         positions = measured_positions(read_record(state, outcome.run_id))
         texts |= _results(job, outcome.run_id, progress.finding, positions)
+    if not texts:
+        return outcome
     directory = state / outcome.run_id
     write_all_atomically(directory, texts)
     return replace(outcome, report=directory / REPORT) if REPORT in report else outcome

@@ -181,7 +181,7 @@ def test_demo_into_a_file(good: str) -> None:
 
 
 def test_run_that_preflight_refuses_writes_no_result(monkeypatch, tmp_path: Path) -> None:
-    """The journal keeps that it was asked for, and why nothing moved."""
+    """Journal and history keep that it was asked for, and why nothing moved."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n")
     settings = document(tmp_path / "state", procedure={"position_set": "p.csv"}, verification={"stations": [1]})
@@ -193,7 +193,7 @@ def test_run_that_preflight_refuses_writes_no_result(monkeypatch, tmp_path: Path
     assert outcome["touches"] == 0
     assert outcome["report"] is None
     assert "cannot tell machine from artefact" in result.stderr
-    assert sorted(path.name for path in (tmp_path / "state").iterdir()) == ["journal.sqlite", "run.lock"]
+    assert sorted(path.name for path in (tmp_path / "state").iterdir()) == ["history.sqlite", "journal.sqlite", "run.lock"]
 
 
 def toml(value: object) -> str:

@@ -141,9 +141,11 @@ def test_the_command_finds_what_a_run_took(slow_run: Path) -> None:
         "carrying_minutes": 1.5,
     }
     kinds = {kind["kind"]: kind for kind in said["steps"]}
-    assert kinds[TOUCH]["count"] == 2 * 12 * 5
+    located, positions, balls_and_the_first_again = 1, 2, 11 + 1
+    touches = 5 * (located + positions * balls_and_the_first_again)
+    assert kinds[TOUCH]["count"] == touches
     assert kinds[TOUCH]["latency_s"] == 0.079
-    assert kinds[TOUCH]["observed_s"] - kinds[TOUCH]["predicted_s"] == pytest.approx(120 * (0.1 - 0.079))
+    assert kinds[TOUCH]["observed_s"] - kinds[TOUCH]["predicted_s"] == pytest.approx(touches * (0.1 - 0.079))
     assert max(kind["rest_s"] for kind in kinds.values()) < 1e-9
 
 
