@@ -1,0 +1,85 @@
+"""The other end of a serial line in tests: a pseudo-terminal, and whatever answers on it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import threading
+import tty
+from collections.abc import Callable
+
+
+def crc(data: bytes) -> bytes:
+    """MODBUS over Serial Line V1.02, 6.2.2, step by step."""
+    register = 0xFFFF
+    for byte in data:
+        register ^= byte
+        for _ in range(8):
+            register, carried = register >> 1, register & 1
+            if carried:
+                register ^= 0b1010_0000_0000_0001
+    return bytes((register & 0xFF, register >> 8))
+
+
+def framed(hexed: str) -> bytes:
+    data = bytes.fromhex(hexed)
+    return data + crc(data)
+
+
+def request_length(data: bytes) -> int | None:
+    """Bytes of the request that begins so; None while that is not known."""
+    if len(data) < 2:
+        return None
+    at = {16: 6, 23: 10}.get(data[1])
+    if at is None:
+        return 8
+    return at + 3 + data[at] if len(data) > at else None
+
+
+class RtuSlave:
+    """Calls `answer(request)` for each whole request, CRC included, and sends what comes back; None: silence."""
+
+    def __init__(self, answer: Callable[[bytes], bytes | None]) -> None:
+        self._answer = answer
+        self._ours, self._theirs = pty.openpty()
+        tty.setraw(self._theirs)
+        self._wake, self._waker = os.pipe()
+        self.port = os.ttyname(self._theirs)
+        self.requests: list[bytes] = []
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def push(self, data: bytes) -> None:
+        """Bytes that nobody asked for."""
+        os.write(self._ours, data)
+
+    def close(self) -> None:
+        """As an adapter does that is pulled out."""
+        if self._ours < 0:
+            return
+        os.write(self._waker, b"!")
+        self._thread.join(5.0)
+        for end in (self._ours, self._theirs, self._wake, self._waker):
+            os.close(end)
+        self._ours = -1
+
+    def _serve(self) -> None:
+        buffer = b""
+        while True:
+            ready, _, _ = select.select([self._ours, self._wake], [], [])
+            if self._wake in ready:
+                return
+            buffer += os.read(self._ours, 1024)
+            while (length := request_length(buffer)) is not None and len(buffer) >= length:
+                request, buffer = buffer[:length], buffer[length:]
+                self.requests.append(request)
+                answer = self._answer(request)
+                if answer:
+                    os.write(self._ours, answer)
+
+
+def scripted(*answers: bytes | None) -> RtuSlave:
+    """Answers request n with `answers[n]`, and is silent afterwards."""
+    left = list(answers)
+    return RtuSlave(lambda _request: left.pop(0) if left else None)
