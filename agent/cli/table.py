@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -12,21 +10,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from agent.assembly import assemble, closed_after, make_clock
 from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.cli.start import conclude, waited_for
+from agent.cli.store_connection import connected
+from agent.cli.table_export import export
 from agent.execution.encoding import table_digest
-from agent.files import write_all_atomically
-from agent.job import Job, load_settings, naming, prepare_job
+from agent.job import load_settings
 from agent.kinds.restoration import ROLES
-from agent.rig import Rig
 from agent.service.client import Client
-from agent.table_image import table_of
 from drivers.clock import RealClock
-from drivers.errors import InputError
 from drivers.roles import TableImage
-from twin.formats.table_file import format_side_file, format_table
 
 
 @click.group("table")
@@ -40,7 +34,7 @@ def table_group() -> None:
 @reported
 def show(config: Path, as_json: bool) -> None:
     """Every bank: which one acts, its grid, checksum and largest correction."""
-    with _connected(config) as (_, rig):
+    with connected(config) as (_, rig):
         active = rig.store.active_bank()
         banks = {bank: rig.store.read_table(bank) for bank in rig.store.store_limits().banks if bank}
     if as_json:
@@ -58,22 +52,7 @@ def show(config: Path, as_json: bool) -> None:
     Console().print(table)
 
 
-@table_group.command("export")
-@config_option
-@click.option("--bank", type=int, help="Which bank; the active one when not said.")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="The CSV file to write.")
-@reported
-def export(config: Path, bank: int | None, out: Path) -> None:
-    """Read a bank from the controller and write it as a neutral table (CSV and JSON side file)."""
-    with _connected(config) as (job, rig):
-        chosen = rig.store.active_bank() if bank is None else bank
-        image = rig.store.read_table(chosen) if chosen else None
-        if image is None:
-            raise InputError(f"bank {chosen} holds no table", hint="`volcal table show` lists the banks", key="--bank")
-        table = table_of(image, job.tool_offset_mm)
-    texts = {out.name: format_table(table), f"{out.stem}.json": format_side_file(table)}
-    write_all_atomically(out.parent, texts)
-    click.echo(f"bank {chosen} → {out}")
+table_group.add_command(export)
 
 
 @table_group.command("restore")
@@ -104,18 +83,3 @@ def _facts(image: TableImage | None) -> dict[str, object] | None:
         "crc32": f"{table_digest(image):08x}",
         "largest_um": round(float(np.abs(image.counts).max()) * image.resolution_mm * 1e3, 3),
     }
-
-
-@contextmanager
-def _connected(config: Path) -> Iterator[tuple[Job, Rig]]:
-    settings = load_settings(config)
-    base = config.resolve().parent
-    with naming(config):
-        job = prepare_job(settings, base)
-    with closed_after(make_clock(settings.clock)) as clock:
-        rig = assemble(settings, clock, base)
-        rig.open()
-        try:
-            yield job, rig
-        finally:
-            rig.close()

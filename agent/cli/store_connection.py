@@ -1,0 +1,27 @@
+"""The devices of the settings, opened for one command and closed after it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from agent.assembly import assemble, closed_after, make_clock
+from agent.job import Job, load_settings, naming, prepare_job
+from agent.rig import Rig
+
+
+@contextmanager
+def connected(config: Path) -> Iterator[tuple[Job, Rig]]:
+    """The job of the settings and its open devices."""
+    settings = load_settings(config)
+    base = config.resolve().parent
+    with naming(config):
+        job = prepare_job(settings, base)
+    with closed_after(make_clock(settings.clock)) as clock:
+        rig = assemble(settings, clock, base)
+        rig.open()
+        try:
+            yield job, rig
+        finally:
+            rig.close()
