@@ -1,0 +1,29 @@
+"""What was done with a program, to be told to whoever is to run it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class Counts:
+    """`moves` were corrected, `divided` of them written as several lines, `arcs` as straight ones.
+
+    `not_corrected`: rapid moves before all three axes had a known position. `outside`: points beyond the table's
+    volume, `held`: points where the correction would have left it, both with the largest amount. `extrapolated`:
+    points in cells of which the table says that nothing was measured there.
+    """
+
+    lines: int = 0
+    written_lines: int = 0
+    moves: int = 0
+    divided: int = 0
+    arcs: int = 0
+    points: int = 0
+    not_corrected: int = 0
+    outside: int = 0
+    outside_mm: float = 0.0
+    held: int = 0
+    held_mm: float = 0.0
+    extrapolated: int = 0
+    largest_correction_mm: float = 0.0

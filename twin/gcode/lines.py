@@ -1,0 +1,83 @@
+"""Text of the lines that a move becomes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+ALL_AXES = 7
+
+
+class Move(NamedTuple):
+    """One block that moves: what is written before and after its axis words.
+
+    `code`: G0 or G1 as it is written; `coded`: it stood there. `mask`: bits of the axes that were named. `stop`: words
+    that act after the motion. `inverse`: F of a block with G93, else 0. `whole`: why it must not be divided, or empty.
+    """
+
+    line: int
+    text: str
+    code: str
+    coded: bool
+    machine: bool
+    mask: int
+    head: str
+    tail: str
+    stop: str
+    inverse: float
+    whole: str
+
+
+class Pen:
+    """Writes moves one after the other; knows which motion code is in effect. `forget` when that is not known."""
+
+    def __init__(self, decimals: int) -> None:
+        x, y, z = (f"{letter}%.{decimals}f" for letter in "XYZ")
+        self._forms = ["", x, y, f"{x} {y}", z, f"{x} {z}", f"{y} {z}", f"{x} {y} {z}"]
+        self._code = ""
+
+    def forget(self) -> None:
+        self._code = ""
+
+    def line(self, move: Move, values: Sequence[float], axes: int) -> str:
+        """The one line of a move; `axes`: bits of the words to be written."""
+        words = self._axis_words(values, axes)
+        code = self._motion(move, forced=move.coded)
+        if not (move.stop or move.inverse):
+            return f"{move.head}{code}{words}{move.tail}"
+        feed = f" F{_number(move.inverse)}" if move.inverse else ""
+        return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}"
+
+    def lines(self, move: Move, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
+        """The lines of a divided move, one for each piece that moves at the resolution of the words.
+
+        With G93 a piece gets its share of the time of the whole (F is one over minutes).
+        """
+        count, waiting, first = len(values), 0, True
+        for place, (piece, bits) in enumerate(zip(values, axes, strict=True), start=1):
+            waiting += 1
+            if not bits and place < count:
+                continue
+            head, tail = (move.head, move.tail) if first else ("", "")
+            code = self._motion(move, forced=first)
+            feed = f" F{_number(move.inverse * count / waiting)}" if move.inverse else ""
+            yield f"{head}{code}{self._axis_words(piece, bits)}{feed}{tail}{move.stop if place == count else ''}"
+            waiting, first = 0, False
+
+    def _axis_words(self, values: Sequence[float], axes: int) -> str:
+        if axes == ALL_AXES:
+            return self._forms[ALL_AXES] % (values[0], values[1], values[2])
+        return self._forms[axes] % tuple(value for k, value in enumerate(values) if axes >> k & 1)
+
+    def _motion(self, move: Move, forced: bool) -> str:
+        if move.machine:
+            self._code = move.code
+            return f"G53 {move.code} "
+        if not forced and self._code == move.code:
+            return ""
+        self._code = move.code
+        return f"{move.code} "
+
+
+def _number(value: float) -> str:
+    return f"{value:.6f}".rstrip("0").rstrip(".")

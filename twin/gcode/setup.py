@@ -1,0 +1,50 @@
+"""What a part program does not say itself: where the work stands, how long the tools are, how the controller starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Triple = tuple[float, float, float]
+
+SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
+NO_OFFSET: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PartSetup:
+    """All lengths in mm, all positions as axis positions (machine coordinates).
+
+    `work_offsets`: axis position of the zero point of G54 ...; `reference_points`: where G28 and G30 end; `tools`: by
+    the number of H, what G43 adds to the programmed position; `g92`: what an earlier program left as G92 offset.
+    `start`: where the axes stand before the first line, None: unknown. `tool_change_moves`: M6 may move the axes.
+    """
+
+    work_offsets: Mapping[str, Triple] = field(default_factory=dict)
+    reference_points: Mapping[str, Triple] = field(default_factory=dict)
+    tools: Mapping[int, Triple] = field(default_factory=dict)
+    start: Triple | None = None
+    g92: Triple = NO_OFFSET
+    system: str = "G54"
+    units: Literal["G20", "G21"] = "G21"
+    distance: Literal["G90", "G91"] = "G90"
+    arc_centres: Literal["G90.1", "G91.1"] = "G91.1"
+    plane: Literal["G17", "G18", "G19"] = "G17"
+    feed: Literal["G93", "G94", "G95"] = "G94"
+    tool_change_moves: bool = True
+
+
+@dataclass(frozen=True)
+class CorrectionOptions:
+    """`max_chord_error_mm`: how far the written lines may be from the corrected curve, rounding included.
+
+    `decimals` of a coordinate in mm; in inches one more. `outside`: what happens beyond the table's volume. `kept_g`:
+    ten times the number of G codes that are passed on although they are not known here.
+    """
+
+    max_chord_error_mm: float
+    decimals: int = 4
+    outside: Literal["refuse", "clamp"] = "refuse"
+    divide_rapids: bool = False
+    kept_g: frozenset[int] = frozenset()

@@ -1,0 +1,107 @@
+"""One line of a part program as words.
+
+A word is a letter and a decimal number (RS-274/NGC, NISTIR 6556, section 3.3). What a number is computed from
+(expressions, parameters) and what jumps about (O-words, macros) is refused: where the tool would then be is only known
+to the controller.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NoReturn
+
+from twin.errors import FormatError
+
+_WORD = re.compile(r"([A-Z])[ \t]*([-+]?(?:\d+\.?\d*|\.\d+))|([^ \t])")
+_COMMENT = re.compile(r"\([^()]*\)|;.*")
+_PROGRAM_NUMBER = re.compile(r"O\d+$")
+_COMPUTED = re.compile(r"[#\[\]=<>]")
+_ROTARY = "ABCUVW"
+_FLOW = "variables, expressions and O-words are computed by the controller"
+
+
+@dataclass(slots=True)
+class Block:
+    """`text` is the line without its end. `g` and `m` hold ten times the number: G91.1 is 911.
+
+    `values`: every other letter that stands once; `tokens`: all words in their order; `comments` as they stand.
+    """
+
+    line: int
+    text: str
+    g: list[int] = field(default_factory=list)
+    m: list[int] = field(default_factory=list)
+    values: dict[str, float] = field(default_factory=dict)
+    tokens: list[tuple[str, str, str]] = field(default_factory=list)
+    comments: str = ""
+    deletable: bool = False
+
+    def refuse(self, message: str, hint: str = "") -> NoReturn:
+        raise refusal(self.line, self.text, message, hint)
+
+    @property
+    def is_empty(self) -> bool:
+        return not self.tokens
+
+
+def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
+    """The error for a line that cannot be corrected: names the line and shows it."""
+    shown = text.strip() if len(text.strip()) <= 60 else text.strip()[:57] + "..."
+    return FormatError(f"{message}: {shown}", hint=hint, line=line)
+
+
+def read_block(text: str, line: int) -> Block:
+    """The words of one line (without its end). FormatError for what is no plain word."""
+    block = Block(line, text)
+    code = text.upper()
+    if "(" in code or ";" in code or ")" in code:
+        code = _without_comments(block)
+    if code.startswith("/"):
+        block.deletable, code = True, code[1:]
+    block.tokens = _WORD.findall(code)
+    values = block.values
+    for letter, number, other in block.tokens:
+        if letter == "G":
+            block.g.append(code_number(number))
+        elif letter == "M":
+            block.m.append(code_number(number))
+        elif letter in values:
+            block.refuse(f"the word {letter} stands twice")
+        elif other:
+            _refuse_sign(block, code, other)
+        else:
+            values[letter] = float(number)
+    return block
+
+
+@lru_cache(maxsize=1024)
+def code_number(number: str) -> int:
+    """Ten times the number of a G or M word: `01` is 10, `91.1` is 911; -1 for what can be no code."""
+    tenfold = float(number) * 10.0
+    return round(tenfold) if tenfold >= 0.0 and abs(tenfold - round(tenfold)) < 1e-6 else -1
+
+
+def is_program_number(block: Block) -> bool:
+    """Whether the line is nothing but the number that Fanuc-like programs begin with, `O1234`."""
+    words = "".join(letter + number for letter, number, _ in block.tokens)
+    return _PROGRAM_NUMBER.match(words) is not None
+
+
+def _without_comments(block: Block) -> str:
+    block.comments = " ".join(_COMMENT.findall(block.text))
+    code = _COMMENT.sub(" ", block.text).upper().lstrip()
+    if "(" in code or ")" in code:
+        block.refuse("a comment is not closed, or stands in another one")
+    return code
+
+
+def _refuse_sign(block: Block, code: str, sign: str) -> NoReturn:
+    if _COMPUTED.search(code):
+        block.refuse(f"it is not known where the tool goes, {_FLOW}", "Post-process with plain numbers")
+    if sign == "$":
+        block.refuse("a command to the controller itself ($) may move the machine", "Send it apart from the program")
+    if sign == "/":
+        block.refuse("a slash stands within the line", "Block delete stands at its beginning")
+    block.refuse(f"'{sign}' cannot be read as a word with a number")
