@@ -10,7 +10,7 @@ from simulators.wire.grbl_settings import GrblSettings
 from simulators.wire.pty_port import ANY, PseudoTerminal
 from simulators.wire.shared_world import MovedByTime, SharedWorld
 
-BAUD_RATE: Final = 115200
+BAUD: Final = 115200
 """What the documents ask for; a pseudo-terminal has none."""
 
 
@@ -42,7 +42,7 @@ class GrblPort:
     @property
     def agent_settings(self) -> dict[str, str | int]:
         """The keys of a serial device's settings."""
-        return {"port": self.line.place, "baud_rate": BAUD_RATE}
+        return {"port": self.line.place, "baud": BAUD}
 
     def _received(self, data: bytes) -> None:
         with self._shared.lock:

@@ -1,0 +1,155 @@
+"""The `$` settings of the controller, and which of them make probing wrong.
+
+Sources: gnea/grbl, doc/markdown/settings.md; for the bits beyond GRBL's, grblHAL/core settings.h (`reportmask_t`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from drivers.roles import AxisLimits, Finding
+from drivers.serial_cnc.lines import Message, Setting
+
+PROBE_INVERT, REPORT_MASK, REPORT_INCHES = 6, 10, 13
+SOFT_LIMITS, HARD_LIMITS, HOMING, HOMING_DIRECTION = 20, 21, 22, 23
+IDLE_DELAY, LASER_MODE = 1, 32
+STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
+NEEDED = (REPORT_MASK, REPORT_INCHES, SOFT_LIMITS, HOMING, *(b + a for b in (100, 110, 120, 130) for a in range(3)))
+
+ALWAYS_ON_MS = 255
+FINEST_STEP_MM = 0.0011
+"""A latch is a whole number of steps, and is told with three decimals."""
+HAL_FIELDS = {1: "machine position", 16: "input pins", 32: "work offset", 128: "probe result"}
+HAL_ORIGIN_AT_HOME = 8
+"""Of ``$22`` in grblHAL: the machine's zero is where it homes, as in a GRBL built so (``Z`` in ``[OPT:``)."""
+AXES = "XYZ"
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """What ``$$`` and ``$I`` have told. `hal`: grblHAL, whose masks have more bits."""
+
+    values: Mapping[int, float]
+    version: str
+    options: str
+    hal: bool
+
+    @classmethod
+    def of(cls, told: Iterable[Message | Setting]) -> ControllerSettings:
+        """Settings that are no numbers (names, passwords) are left out."""
+        values: dict[int, float] = {}
+        version = options = ""
+        hal = False
+        for line in told:
+            match line:
+                case Setting(number, text) if (value := _number(text)) is not None:
+                    values[number] = value
+                case Message("VER", text):
+                    version = text.strip(":")
+                case Message("OPT", text):
+                    options = text
+                case Message("FIRMWARE", text):
+                    hal = "HAL" in text
+                case _:
+                    pass
+        return cls(values, version, options, hal)
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        return tuple(number for number in NEEDED if number not in self.values)
+
+    @property
+    def homes(self) -> bool:
+        return bool(int(self.values[HOMING]) & 1)
+
+    @property
+    def position_in_machine(self) -> bool:
+        """Reports give MPos and not WPos."""
+        return bool(int(self.values[REPORT_MASK]) & 1)
+
+    @property
+    def inches(self) -> bool:
+        return bool(self.values[REPORT_INCHES])
+
+    def step_mm(self, axis: int) -> float:
+        return 1.0 / self.values[STEPS + axis]
+
+    def limits(self, axis_zero_mm: tuple[float, float, float]) -> AxisLimits:
+        """Travel in axis positions; the machine's zero is at the upper end unless it is set where it homes."""
+        at_home = int(self.values[HOMING]) & HAL_ORIGIN_AT_HOME if self.hal else "Z" in self.options.split(",")[0]
+        lower, upper = [], []
+        for axis, zero in enumerate(axis_zero_mm):
+            travel = self.values[TRAVEL + axis]
+            upwards = at_home and int(self.values.get(HOMING_DIRECTION, 0.0)) >> axis & 1
+            lower.append((0.0 if upwards else -travel) - zero)
+            upper.append((travel if upwards else 0.0) - zero)
+        rates = [self.values[RATE + axis] / 60.0 for axis in range(3)]
+        accelerations = [self.values[ACCELERATION + axis] for axis in range(3)]
+        return AxisLimits(_triple(lower), _triple(upper), _triple(rates), _triple(accelerations))
+
+    def fatal(self) -> str:
+        """What nobody may probe with: positions would be misread or the limits are unknown. Empty: nothing."""
+        if self.missing:
+            return f"the controller does not tell ${', $'.join(map(str, self.missing))}"
+        if self.inches:
+            return "$13=1: positions are reported in inches, to 2.5 µm; set $13=0"
+        if not self.position_in_machine:
+            return f"$10={self.values[REPORT_MASK]:g}: reports give work and not machine positions; add 1 to $10"
+        if min(self.values[base + axis] for base in (STEPS, RATE, ACCELERATION, TRAVEL) for axis in range(3)) <= 0.0:
+            return "steps, rates, accelerations and travels ($100 to $132) must be positive"
+        return ""
+
+    def findings(self, *, referenced_by_hand: bool) -> Iterator[Finding]:
+        """One line for each group of settings, good or bad; what is bad says what to set."""
+        fatal = self.fatal()
+        if fatal:
+            yield Finding("settings", ok=False, text=fatal)
+        if self.missing:
+            return
+        yield self._reports()
+        homes = self.homes or referenced_by_hand
+        text = "homes with switches" if self.homes else "$22=0: the machine does not home"
+        yield Finding("homing", ok=homes, text=text + (" (referenced by hand)" if referenced_by_hand else ""))
+        soft = bool(self.values[SOFT_LIMITS])
+        yield Finding(
+            "soft limits", ok=soft, text="on" if soft else "$20=0: nothing in the controller guards the travel; set $20=1"
+        )
+        yield self._steps()
+        yield self._idle()
+        if self.values.get(LASER_MODE):
+            yield Finding("laser mode", ok=False, text="$32=1: motion does not stop for the spindle; set $32=0")
+
+    def _reports(self) -> Finding:
+        mask = int(self.values[REPORT_MASK])
+        lacking = [name for bit, name in HAL_FIELDS.items() if self.hal and not mask & bit]
+        if lacking:
+            wanted = mask | sum(HAL_FIELDS)
+            return Finding("reports", ok=False, text=f"$10={mask} leaves out {', '.join(lacking)}; set $10={wanted}")
+        return Finding("reports", ok=bool(mask & 1), text=f"$10={mask}, $13={self.values[REPORT_INCHES]:g}")
+
+    def _steps(self) -> Finding:
+        sizes = [self.step_mm(axis) if self.values[STEPS + axis] > 0.0 else math.inf for axis in range(3)]
+        text = ", ".join(f"{axis} {1e3 * size:.3g} µm" for axis, size in zip(AXES, sizes, strict=True))
+        fine = max(sizes) <= FINEST_STEP_MM
+        return Finding("steps", ok=fine, text=text if fine else f"{text}: a touch is latched no finer ($100 to $102)")
+
+    def _idle(self) -> Finding:
+        delay = self.values.get(IDLE_DELAY, float(ALWAYS_ON_MS))
+        on = delay >= ALWAYS_ON_MS
+        text = f"$1={delay:g}" + ("" if on else ": motors are released at rest, and axes may settle; set $1=255")
+        return Finding("motors at rest", ok=on, text=text)
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _triple(values: list[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z

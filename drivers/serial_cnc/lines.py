@@ -1,0 +1,162 @@
+"""Lines of a GRBL by class. A line tells by itself what it is; nothing here depends on what was asked.
+
+Source: gnea/grbl, doc/markdown/interface.md ("Message Summary").
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+Triple = tuple[float, float, float]
+
+
+class GarbledLineError(ValueError):
+    """A line of no class, or one whose content is not what its class allows."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """`ok`, or `error:n`: exactly one for each line that was sent."""
+
+    error: int | None
+
+
+@dataclass(frozen=True)
+class StatusReport:
+    """What ``?`` is answered with. `fields` are the ones after the state: ``{"FS": "500,0"}``."""
+
+    state: str
+    substate: int | None
+    fields: Mapping[str, str]
+
+    def triple(self, name: str) -> Triple | None:
+        """A field of coordinates; GarbledLineError where it has none."""
+        return _triple(self.fields[name]) if name in self.fields else None
+
+
+@dataclass(frozen=True)
+class AlarmRaised:
+    code: int
+
+
+@dataclass(frozen=True)
+class ProbeResult:
+    """`[PRB:x,y,z:1]`, machine coordinates."""
+
+    position: Triple
+    tripped: bool
+
+
+@dataclass(frozen=True)
+class Message:
+    """Any other line in brackets: ``[MSG:...]``, ``[GC:...]``, ``[G54:...]``, ``[VER:...]``."""
+
+    kind: str
+    text: str
+
+    def triple(self) -> Triple:
+        return _triple(self.text)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """`$number=text`."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Welcome:
+    """Says that the controller has just begun anew."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class StartupLine:
+    """A line that the controller has given itself, with its own answer in it."""
+
+    text: str
+
+
+Line = Answer | StatusReport | AlarmRaised | ProbeResult | Message | Setting | Welcome | StartupLine
+
+_ERROR: Final = re.compile(r"error:(\d{1,3})")
+_ALARM: Final = re.compile(r"ALARM:(\d{1,3})")
+_SETTING: Final = re.compile(r"\$(N?\d+)=(.*)")
+_WELCOME: Final = re.compile(r"Grbl(HAL)? \d.*\[.*\]")
+_PROBE: Final = re.compile(r"([-\d.,]+):([01])")
+_STATE: Final = re.compile(r"(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep|Tool)(?::(\d+))?")
+
+
+def parse_line(raw: bytes) -> Line:  # noqa: PLR0911  one line a class
+    """Raises GarbledLineError."""
+    try:
+        text = raw.decode("ascii")
+    except UnicodeDecodeError:
+        raise GarbledLineError(f"not ASCII: {raw!r}") from None
+    if text == "ok":
+        return Answer(None)
+    if match := _ERROR.fullmatch(text):
+        return Answer(int(match[1]))
+    if text.startswith("<") and text.endswith(">"):
+        return _status(text)
+    if match := _ALARM.fullmatch(text):
+        return AlarmRaised(int(match[1]))
+    if text.startswith("[") and text.endswith("]"):
+        return _bracketed(text[1:-1])
+    if match := _SETTING.fullmatch(text):
+        # GRBL built for terminals adds what the setting means: "$100=250.000 (x, step/mm)".
+        name, value = match[1], match[2].split(" (", 1)[0].strip()
+        return StartupLine(text) if name.startswith("N") else Setting(int(name), value)
+    if _WELCOME.fullmatch(text):
+        return Welcome(text)
+    if text.startswith(">"):
+        return StartupLine(text)
+    raise GarbledLineError(f"a line of no known kind: {text!r}")
+
+
+def _status(text: str) -> StatusReport:
+    state, *rest = text[1:-1].split("|")
+    match = _STATE.fullmatch(state)
+    if match is None:
+        raise GarbledLineError(f"unknown state in {text!r}")
+    fields: dict[str, str] = {}
+    for field in rest:
+        name, separator, value = field.partition(":")
+        if not separator or name in fields:
+            raise GarbledLineError(f"malformed status report {text!r}")
+        fields[name] = value
+    report = StatusReport(match[1], int(match[2]) if match[2] else None, fields)
+    if report.triple("MPos") is None and report.triple("WPos") is None:
+        raise GarbledLineError(f"status report without a position: {text!r}")
+    report.triple("WCO")
+    return report
+
+
+def _bracketed(text: str) -> ProbeResult | Message:
+    kind, separator, rest = text.partition(":")
+    if not separator:
+        raise GarbledLineError(f"malformed message [{text}]")
+    if kind != "PRB":
+        return Message(kind, rest)
+    match = _PROBE.fullmatch(rest)
+    if match is None:
+        raise GarbledLineError(f"malformed probe result [{text}]")
+    return ProbeResult(_triple(match[1]), match[2] == "1")
+
+
+def _triple(text: str) -> Triple:
+    """The first three of three or more numbers (further axes are not ours)."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise GarbledLineError(f"not coordinates: {text!r}") from None
+    if len(values) < 3 or not all(map(math.isfinite, values)):
+        raise GarbledLineError(f"not coordinates: {text!r}")
+    return values[0], values[1], values[2]

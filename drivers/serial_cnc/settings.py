@@ -1,0 +1,64 @@
+"""Settings of driver `serial-cnc`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
+Triple = tuple[float, float, float]
+
+
+class BankSettings(BaseModel):
+    """The compensation tables: files, since the controller has none. `directory` is relative to the settings file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    directory: Path = Path("banks")
+    resolution_mm: float = Field(default=1e-4, ge=1e-6, le=1e-2)
+    max_correction_mm: float = Field(default=1.0, gt=0.0, le=10.0)
+    max_nodes: Annotated[int, Field(ge=2, le=1000)] = 200
+    max_total_nodes: Annotated[int, Field(ge=8, le=1_000_000)] = 100_000
+
+
+class SerialCncSettings(BaseModel):
+    """Settings of driver `serial-cnc`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    port: str = Field(min_length=1, description="as /dev/serial/by-id/…, which stays the same when another is plugged in")
+    baud: int = Field(default=115200, ge=1200, le=4_000_000)
+    dialect: Literal["grbl"] = Field(default="grbl", description="GRBL 1.1 and grblHAL")
+    axis_zero_mm: Triple = Field(
+        default=(0.0, 0.0, 0.0),
+        description="machine coordinates (MPos) at which the axes of the machine file read 0",
+    )
+    referenced_by_hand: bool = Field(
+        default=False, description="without homing switches: somebody puts the axes on their marks and answers for it"
+    )
+    spindle_is_probe: bool = Field(default=True, description="the probe sits in the spindle: it must not turn")
+
+    answer_within_s: Annotated[float, Field(gt=0.0, le=30.0)] = Field(
+        default=2.0, description="wall time for an answer that comes at once"
+    )
+    boot_within_s: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
+        default=6.0, description="wall time for the first answer: many boards restart when the port is opened"
+    )
+    repeats: int = Field(default=2, ge=0, le=10, description="status queries sent again after a lost or garbled one")
+    receive_buffer: int = Field(default=128, ge=80, le=65536, description="bytes that the controller keeps")
+    poll_interval_s: float = Field(default=0.4, gt=0.0, le=0.5, description="between two status queries in motion")
+    touch_poll_interval_s: float = Field(default=0.2, gt=0.0, le=0.5)
+    fine_poll_interval_s: float = Field(default=0.01, gt=0.0, le=0.5, description="near the end of a wait")
+    motion_margin_s: Seconds = Field(default=5.0, description="beyond 1.5 times the predicted duration")
+    held_at_most_s: Seconds = Field(default=600.0, description="how long a feed hold at the machine is waited for")
+    latch_tolerance_mm: float = Field(default=1.0, gt=0.0, description="of a latched position from the commanded path")
+    position_tolerance_mm: float = Field(default=0.02, gt=0.0, description="of the axes from where a move should end")
+    free_within_mm: float = Field(
+        default=5.0, gt=0.0, le=50.0, description="on a way back a deflected probe must come free within this"
+    )
+    stated_temperatures_c: dict[str, Annotated[float, Field(ge=-50.0, le=100.0)]] = Field(
+        default_factory=dict, description="read by a person; the controller has no sensor"
+    )
+    banks: BankSettings = BankSettings()

@@ -1,0 +1,122 @@
+"""Two banks of tables in files, for a controller that has none.
+
+While a bank is active the driver corrects what it commands and takes the correction out of what it latches. That is
+what `volcal gcode correct` does to a part program, so a verification measures what corrected programs will do; a
+program that was not corrected runs uncorrected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from drivers.errors import ChecksumMismatch, ReadBackMismatch, StoreError
+from drivers.roles import Activation, StoreLimits, TableImage
+from drivers.serial_cnc.bank_files import BankFiles, table_crc32
+from drivers.serial_cnc.correction import Correction
+from drivers.serial_cnc.settings import BankSettings
+
+BANKS = (1, 2)
+
+
+class BankStore:
+    """Plays CompensationStore. `require_rest` raises while something moves: there the display would jump."""
+
+    def __init__(
+        self, settings: BankSettings, files: BankFiles, where: Mapping[str, str], require_rest: Callable[[], None]
+    ) -> None:
+        most = settings.max_nodes
+        self.limits = StoreLimits(
+            banks=BANKS,
+            max_nodes=(most, most, most),
+            max_total_nodes=settings.max_total_nodes,
+            resolution_mm=settings.resolution_mm,
+            max_correction_mm=settings.max_correction_mm,
+            activation=Activation.IMMEDIATE,
+        )
+        self._files = files
+        self._where = where
+        self._require_rest = require_rest
+        self._active = 0
+        self.correction = Correction(None)
+
+    def open(self) -> None:
+        """Take up the bank that acted last. StoreError where its table is not the one that was activated."""
+        self._files.require_writable()
+        bank, crc = self._files.active()
+        self._active, self.correction = bank, Correction(self._proved(bank, crc) if bank else None)
+
+    def active_bank(self) -> int:
+        return self._active
+
+    def read_table(self, bank: int) -> TableImage | None:
+        if bank == 0:
+            return None
+        self._require_known(bank)
+        return self._files.read(bank)
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        self._require_known(bank)
+        if bank == self._active:
+            raise self._error(f"bank {bank} is active and cannot be written", hint="stage into another bank")
+        objection = self._objection(table)
+        if objection:
+            raise self._error(objection)
+        self._files.write(bank, table)
+        back = self._files.read(bank)
+        if back is None or not back.same_as(table):
+            raise ReadBackMismatch(
+                f"bank {bank} reads back differently from what was written",
+                hint="do not activate it; stage it again",
+                bank=bank,
+                **self._where,
+            )
+
+    def activate(self, bank: int) -> None:
+        """Read the table back, prove its CRC-32, record it as active, and only then correct with it."""
+        table = None
+        if bank != 0:
+            self._require_known(bank)
+            table = self._files.read(bank)
+            if table is None:
+                raise self._error(f"bank {bank} holds no table", hint="stage it first")
+        self._require_rest()
+        self._files.set_active(bank, table_crc32(table) if table is not None else 0)
+        self._active, self.correction = bank, Correction(table)
+
+    def _proved(self, bank: int, crc: int) -> TableImage:
+        if bank not in BANKS:
+            raise self._error(f"bank {bank} is recorded as active, and there is none")
+        table = self._files.read(bank)
+        if table is None:
+            raise self._error(f"bank {bank} is active and its file is gone", hint="restore it, or remove active.json")
+        if table_crc32(table) != crc:
+            raise ChecksumMismatch(
+                f"bank {bank} is active with CRC-32 {crc:08x}, its file has {table_crc32(table):08x}",
+                hint="the file was exchanged behind the driver's back; restore it, or remove active.json",
+                bank=bank,
+                **self._where,
+            )
+        return table
+
+    def _objection(self, table: TableImage) -> str:
+        limits = self.limits
+        if any(have > most for have, most in zip(table.shape, limits.max_nodes, strict=True)) or (
+            math.prod(table.shape) > limits.max_total_nodes
+        ):
+            return f"grid {table.shape} exceeds {limits.max_nodes} nodes, or {limits.max_total_nodes} in all"
+        if not math.isclose(table.resolution_mm, limits.resolution_mm, rel_tol=1e-9):
+            return f"one count of the table is {table.resolution_mm} mm, the store's {limits.resolution_mm} mm"
+        largest_mm = float(np.max(np.abs(table.counts.astype(np.int64)), initial=0)) * table.resolution_mm
+        if largest_mm > limits.max_correction_mm * (1.0 + 1e-9):
+            return f"correction of {largest_mm} mm exceeds the largest, {limits.max_correction_mm} mm"
+        return ""
+
+    def _require_known(self, bank: int) -> None:
+        if bank not in BANKS:
+            raise self._error(f"no bank {bank}; there are {BANKS}")
+
+    def _error(self, text: str, hint: str = "") -> StoreError:
+        return StoreError(text, hint=hint, **self._where)
