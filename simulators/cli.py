@@ -87,7 +87,7 @@ def _number(text: str, value: str, forms: str, largest: float) -> float:
     metavar="PATH|any[@BAUD,8P1]",
     help="On a pseudo-terminal instead of TCP; PATH is linked to it.",
 )
-@click.option("--can", metavar="CHANNEL", help="socketcand:HOST:PORT, udp_multicast:GROUP:PORT, socketcan:NAME …")
+@click.option("--can", metavar="CHANNEL", help="socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH …")
 @click.option(
     "--control", callback=_address, metavar="HOST:PORT", default="127.0.0.1:0", show_default=True, help="JSON lines."
 )

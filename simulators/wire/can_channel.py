@@ -3,6 +3,8 @@
 ========================================  ==============================================================
 ``socketcand:127.0.0.1:0``                TCP; the server is in this process (port 0: any)
 ``udp_multicast:239.74.163.2:43113``      UDP multicast, frames stay on this computer (port 0: any)
+``slcan:PATH``                            a serial adapter on a pseudo-terminal that PATH is made to
+                                          point at (``slcan:any``: wherever the system puts it)
 ``virtual:NAME``                          inside this process only
 ``socketcan:can0``                        a kernel CAN interface, real or ``vcan``
 ========================================  ==============================================================
@@ -18,6 +20,7 @@ import can
 
 from drivers.clock import wall_seconds
 from drivers.errors import ConfigurationError
+from simulators.wire.slcan_peer import SlcanPeerBus
 from simulators.wire.socketcand_server import SocketcandServerBus
 
 logging.getLogger("can").addHandler(logging.NullHandler())  # its failures are errors here, not lines on stderr
@@ -25,10 +28,11 @@ logging.getLogger("can").addHandler(logging.NullHandler())  # its failures are e
 Option = str | int | float | bool
 
 SOCKETCAND_BUS = "can0"
+SLCAN_BIT_RATE = 500_000
 MULTICAST_GROUP = "239.74.163.2"
 PROBE_IDENTIFIER = 0x1FFFFFF0
 """Extended, so that no CANopen node takes the self-test's frame for its own."""
-_FORMS = "socketcand:HOST:PORT, udp_multicast:GROUP:PORT, virtual:NAME or socketcan:INTERFACE"
+_FORMS = "socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH, slcan:any, virtual:NAME or socketcan:INTERFACE"
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,8 @@ def open_channel(spec: str) -> CanChannel:
             return _socketcand(*_host_and_port(spec, place))
         if kind == "udp_multicast":
             return _multicast(*_host_and_port(spec, place))
+        if kind == "slcan" and place:
+            return _slcan(place)
         if kind in ("virtual", "socketcan") and place:
             return CanChannel(can.Bus(interface=kind, channel=place), kind, place, {})
     except (can.CanError, OSError, OverflowError) as error:
@@ -92,6 +98,12 @@ def _socketcand(host: str, port: int) -> CanChannel:
     bus = SocketcandServerBus(SOCKETCAND_BUS, host, port)
     options: dict[str, Option] = {"host": bus.host, "port": bus.port, "tcp_tune": True}
     return CanChannel(bus, "socketcand", SOCKETCAND_BUS, options)
+
+
+def _slcan(link: str) -> CanChannel:
+    """Nothing has to wake up here after its port was opened, so nobody need wait for that."""
+    bus = SlcanPeerBus(link)
+    return CanChannel(bus, "slcan", bus.port, {"bitrate": SLCAN_BIT_RATE, "sleep_after_open": 0.0})
 
 
 def _multicast(group: str, port: int) -> CanChannel:

@@ -66,6 +66,13 @@ class PseudoTerminal:
         with contextlib.suppress(OSError):  # nobody reads, or it is closed: a line without a listener
             os.write(self._ours, data)
 
+    def offer(self, data: bytes) -> int:
+        """How many of the bytes the line takes now; a sender that keeps the rest loses none."""
+        try:
+            return os.write(self._ours, data)
+        except BlockingIOError:
+            return 0
+
     def close(self) -> None:
         if self._closed:
             return

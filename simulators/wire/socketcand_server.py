@@ -165,6 +165,8 @@ class SocketcandServerBus(can.BusABC):
 def format_frame(message: can.Message, instant_s: float) -> str:
     """What a client in raw mode is told of a frame on the bus."""
     identifier = f"{message.arbitration_id:08X}" if message.is_extended_id else f"{message.arbitration_id:03X}"
+    if message.is_error_frame:
+        return f"< error {message.arbitration_id:08X} {instant_s:.6f} >"
     if message.is_remote_frame:
         return f"< rtr {identifier} {instant_s:.6f} {message.dlc} >"
     return f"< frame {identifier} {instant_s:.6f} {bytes(message.data).hex().upper()} >"

@@ -152,7 +152,7 @@ def test_socketcand_knows_its_bus_and_its_commands() -> None:
 
 
 @pytest.mark.parametrize(
-    "spec", ["", "can0", "socketcand:127.0.0.1", "socketcand:127.0.0.1:http", "udp_multicast::1", "slcan:x", "virtual:"]
+    "spec", ["", "can0", "socketcand:127.0.0.1", "socketcand:127.0.0.1:http", "udp_multicast::1", "slcan:", "virtual:"]
 )
 def test_unknown_words_say_the_forms(spec: str) -> None:
     with pytest.raises(ConfigurationError, match=r"socketcand:HOST:PORT"):
@@ -178,7 +178,7 @@ def drive_read(channel: CanChannel) -> bytes:
             link.close()
 
 
-@pytest.mark.parametrize("spec", ["socketcand:127.0.0.1:0", "virtual:channel-test"])
+@pytest.mark.parametrize("spec", ["socketcand:127.0.0.1:0", "slcan:any", "virtual:channel-test"])
 def test_drive_behind_a_channel(spec: str) -> None:
     assert drive_read(open_channel(spec)) == bytes.fromhex("DC 05 00 00")
 
