@@ -1,0 +1,65 @@
+"""What every way has in common: two banks, their table files, and what they cannot take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drivers.errors import StoreError
+from drivers.linuxcnc.compensation.settings import CompensationSettings
+from drivers.roles import Activation, StoreLimits, TableImage
+from drivers.tables.files import read_whole, write_whole
+from drivers.tables.objections import form_objection, stage_objection
+from drivers.tables.text import table_of, text_of
+
+BANKS = (1, 2)
+MAX_NODES = (256, 256, 256)
+MAX_TOTAL_NODES = 262_144
+STEEPEST = 0.1
+"""As the loader has it: the way back through the kinematics must contract."""
+
+
+class Banks:
+    """Table files of the banks in one directory."""
+
+    def __init__(self, settings: CompensationSettings, directory: Path, activation: Activation, device: str) -> None:
+        self.directory = directory
+        self.limits = StoreLimits(
+            banks=BANKS,
+            max_nodes=MAX_NODES,
+            max_total_nodes=MAX_TOTAL_NODES,
+            resolution_mm=settings.resolution_um * 1e-3,
+            max_correction_mm=settings.largest_correction_mm,
+            activation=activation,
+        )
+        self._device = device
+
+    def path(self, bank: int) -> Path:
+        return self.directory / f"bank{bank}.table"
+
+    def write(self, bank: int, table: TableImage) -> None:
+        write_whole(self.path(bank), text_of(table))
+
+    def read(self, bank: int) -> TableImage | None:
+        """What the file of the bank holds; None where there is none. StoreError for a file that is no table."""
+        text = read_whole(self.path(bank))
+        return None if text is None else table_of(text, file=str(self.path(bank)), device=self._device, bank=bank)
+
+    def require_known(self, bank: int) -> None:
+        if bank not in BANKS:
+            raise self.error(f"no bank {bank}; there are {BANKS}")
+
+    def require_stageable(self, bank: int, table: TableImage, taken: tuple[int | None, ...]) -> None:
+        """`taken`: banks that act or are about to."""
+        self.require_known(bank)
+        if bank in taken:
+            raise self.error(f"bank {bank} is active and cannot be written", hint="stage into another bank")
+        objection = stage_objection(self.limits, table) or form_objection(table, STEEPEST)
+        if objection:
+            raise self.error(objection)
+
+    def error(self, text: str, hint: str = "") -> StoreError:
+        return StoreError(text, hint=hint, device=self._device)
+
+    @property
+    def where(self) -> dict[str, str]:
+        return {"device": self._device}

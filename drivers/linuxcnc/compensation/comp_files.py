@@ -1,0 +1,167 @@
+"""Banks of screw-compensation files: LinuxCNC reads them at its start, and each joint is corrected alone.
+
+::
+
+    bank1.table                 the whole table as it was staged
+    bank1/x.comp y.comp z.comp  its own-axis part, COMP_FILE_TYPE = 0
+    bank1/bank.hal              tells the running LinuxCNC which bank and table it was started with
+    acting -> bank1             what the INI file names; the only thing that activation changes
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from drivers.errors import ChecksumMismatch, CommandRejected, StoreError
+from drivers.linuxcnc.compensation.banks import Banks
+from drivers.linuxcnc.compensation.reduction import OwnAxisPart, own_axis_part
+from drivers.linuxcnc.pins import Pins
+from drivers.roles import Finding, StoreLimits, TableImage
+from drivers.tables.files import make_durable, read_whole, write_whole
+from drivers.tables.text import counts_crc32
+
+ACTING = "acting"
+BANK_SIGNAL, CRC_SIGNAL = "volcal-comp-bank", "volcal-comp-crc"
+SETUP = "set the INI and HAL files up as docs/explanation/linuxcnc-compensation.md says"
+
+
+class CompFileStore:
+    """Plays CompensationStore by files and a symbolic link; a bank acts from the next start of LinuxCNC."""
+
+    def __init__(self, pins: Pins, banks: Banks, accepted_loss_mm: float) -> None:
+        self._pins = pins
+        self._banks = banks
+        self._accepted_loss_mm = accepted_loss_mm
+
+    def store_limits(self) -> StoreLimits:
+        return self._banks.limits
+
+    def active_bank(self) -> int:
+        """The bank that LinuxCNC was started with."""
+        return self._signal(BANK_SIGNAL)
+
+    def pending_bank(self) -> int | None:
+        chosen = self._chosen()
+        return None if chosen == self.active_bank() else chosen
+
+    def read_table(self, bank: int) -> TableImage | None:
+        """The whole table as staged. For the acting bank proved to be the one that LinuxCNC was started with."""
+        if bank == 0:
+            return None
+        self._banks.require_known(bank)
+        table = self._banks.read(bank)
+        if bank != self.active_bank():
+            return table
+        if table is None:
+            raise self._banks.error(f"active bank {bank} holds no table")
+        if counts_crc32(table.counts) != self._signal(CRC_SIGNAL):
+            raise self._mismatch(f"bank {bank} is not what LinuxCNC was started with")
+        return table
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        """Refused where more of the table would be lost than the settings accept."""
+        self._banks.require_stageable(bank, table, (self.active_bank(), self._chosen()))
+        part = own_axis_part(table)
+        self._require_acceptable(part)
+        folder = self._banks.directory / f"bank{bank}"
+        folder.mkdir(exist_ok=True)
+        self._banks.write(bank, table)
+        for name, text in _files(bank, table).items():
+            write_whole(folder / name, text)
+
+    def activate(self, bank: int) -> None:
+        """Arm: every file proved again, a link laid beside; confirm: the link put in place. Acts after a restart."""
+        if bank == self._chosen():
+            return
+        if bank != 0:
+            self._prove(bank)
+        elif not (self._banks.directory / "bank0").is_dir():
+            raise self._banks.error("there is no directory bank0 without compensation", hint=SETUP)
+        armed = self._banks.directory / f"{ACTING}.part"
+        try:
+            armed.unlink(missing_ok=True)
+            armed.symlink_to(f"bank{bank}")
+            armed.replace(self._link)
+            make_durable(self._banks.directory)
+        except OSError as error:
+            raise self._banks.error(f"cannot put the link {self._link}: {error.strerror}") from error
+
+    def diagnose(self) -> list[Finding]:
+        """Which bank acts and which waits, and what of the table is lost; reads only."""
+        subject = "compensation"
+        try:
+            active, pending = self.active_bank(), self.pending_bank()
+            table = self.read_table(active)
+        except StoreError as error:
+            return [Finding(subject, ok=False, text=str(error))]
+        acts = f"bank {active} acts joint by joint" if active else "no table acts"
+        waits = "" if pending is None else f"; bank {pending} waits for a restart of LinuxCNC"
+        findings = [Finding(subject, ok=True, text=acts + waits)]
+        if table is not None:
+            lost_um = own_axis_part(table).lost_mm * 1e3
+            findings.append(Finding(subject, ok=True, text=f"up to {lost_um:.1f} µm of its table do not act"))
+        return findings
+
+    def _prove(self, bank: int) -> None:
+        self._banks.require_known(bank)
+        table = self._banks.read(bank)
+        if table is None:
+            raise self._banks.error(f"bank {bank} holds no table", hint="stage it first")
+        folder = self._banks.directory / f"bank{bank}"
+        for name, text in _files(bank, table).items():
+            if read_whole(folder / name) != text:
+                raise self._mismatch(f"{folder / name} is not what the table of bank {bank} makes")
+
+    def _require_acceptable(self, part: OwnAxisPart) -> None:
+        if part.lost_mm <= self._accepted_loss_mm + 0.5 * self._banks.limits.resolution_mm:
+            return
+        raise self._banks.error(
+            f"screw-compensation files correct each joint alone; {part.lost_mm * 1e3:.1f} µm of this table would be "
+            f"lost, {self._accepted_loss_mm * 1e3:.1f} µm are accepted",
+            hint="compensate by external offsets or kinematics, or raise accepted_loss_um",
+        )
+
+    @property
+    def _link(self) -> Path:
+        return self._banks.directory / ACTING
+
+    def _chosen(self) -> int:
+        """The bank that the next start takes."""
+        try:
+            name = self._link.readlink().name
+        except OSError as error:
+            raise self._banks.error(f"there is no link {self._link}", hint=SETUP) from error
+        if name not in ("bank0", "bank1", "bank2"):
+            raise self._banks.error(f"the link {self._link} leads to {name}, which is no bank", hint=SETUP)
+        return int(name.removeprefix("bank"))
+
+    def _signal(self, name: str) -> int:
+        try:
+            return int(self._pins.get(name))
+        except CommandRejected as missing:
+            raise self._banks.error(f"LinuxCNC has no signal {name}", hint=SETUP) from missing
+
+    def _mismatch(self, text: str) -> ChecksumMismatch:
+        return ChecksumMismatch(text, hint="stage the table again", **self._banks.where)
+
+
+def _files(bank: int, table: TableImage) -> dict[str, str]:
+    """Name → text of the files that LinuxCNC reads for this bank."""
+    part = own_axis_part(table)
+    files = {
+        f"{letter}.comp": _comp_text(nominal.tolist(), correction.tolist())
+        for letter, nominal, correction in zip("xyz", part.nominal_mm, part.correction_mm, strict=True)
+    }
+    files["bank.hal"] = (
+        f"newsig {BANK_SIGNAL} u32\nsets {BANK_SIGNAL} {bank}\n"
+        f"newsig {CRC_SIGNAL} u32\nsets {CRC_SIGNAL} {counts_crc32(table.counts)}\n"
+    )
+    return files
+
+
+def _comp_text(nominal_mm: list[float], correction_mm: list[float]) -> str:
+    """Type 0: nominal, forward and reverse position. LinuxCNC adds nominal - position to the motor command."""
+    if len(nominal_mm) == 1:
+        nominal_mm, correction_mm = [nominal_mm[0], nominal_mm[0] + 1.0], correction_mm * 2
+    rows = zip(nominal_mm, correction_mm, strict=True)
+    return "".join(f"{at:.9f} {at - shift:.9f} {at - shift:.9f}\n" for at, shift in rows)

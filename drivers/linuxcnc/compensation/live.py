@@ -1,0 +1,175 @@
+"""Banks that are loaded and switched while LinuxCNC runs: external offsets, and kinematics of ours.
+
+Both follow the loader `volcal_tables`, whose pins are all that is spoken to here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.clock import Clock, Deadline
+from drivers.errors import ChecksumMismatch, CommandRejected, DeadlineExpired, ReadBackMismatch, StoreError
+from drivers.linuxcnc.compensation.banks import Banks
+from drivers.linuxcnc.pins import Pins, PinValue
+from drivers.roles import Finding, StoreLimits, TableImage
+from drivers.tables.text import counts_crc32
+
+POLL_S = 0.01
+COMPLETE, DAMAGED = 1, 2
+BANK_USED, CRC_DIFFERS, NO_FILE = 2, 5, 3
+RESULTS = {
+    1: "no such bank",
+    BANK_USED: "the bank is in use",
+    NO_FILE: "the table file cannot be read: other directory, or no right to it",
+    4: "the table file is malformed",
+    CRC_DIFFERS: "CRC-32 differs",
+    6: "a correction is too large or too steep for the loader",
+    7: "the bank holds no table",
+}
+FAULTS = {
+    1: "the components share no memory: another version is running",
+    2: "the bank that was chosen is empty",
+    3: "the acting table was damaged; its last correction is held",
+}
+HELD_OR_NONE = (1, 3)
+
+
+class LiveStore:
+    """Plays CompensationStore by the pins of the loader."""
+
+    def __init__(self, pins: Pins, banks: Banks, clock: Clock, within_s: float) -> None:
+        self._pins = pins
+        self._banks = banks
+        self._clock = clock
+        self._within_s = within_s
+
+    def store_limits(self) -> StoreLimits:
+        return self._banks.limits
+
+    def active_bank(self) -> int:
+        """StoreError where what acts is no bank: a correction that is held after damage."""
+        fault = int(self._get("acting-fault"))
+        if fault in HELD_OR_NONE:
+            raise self._banks.error(FAULTS[fault], hint="activate bank 0, then look at the controller")
+        return int(self._get("acting-bank"))
+
+    def pending_bank(self) -> int | None:
+        return None
+
+    def read_table(self, bank: int) -> TableImage | None:
+        """The file of the bank, proved to be what the controller holds in memory."""
+        if bank == 0:
+            return None
+        self._banks.require_known(bank)
+        state = int(self._get(f"bank{bank}-state"))
+        if state == DAMAGED:
+            raise self._mismatch(f"the table of bank {bank} is damaged in the controller's memory")
+        if state != COMPLETE:
+            if bank == int(self._get("acting-bank")):
+                raise self._banks.error(f"active bank {bank} holds no complete table")
+            return None
+        table = self._banks.read(bank)
+        if table is None or counts_crc32(table.counts) != int(self._get(f"bank{bank}-crc")):
+            raise self._mismatch(f"the file of bank {bank} is not what the controller holds in memory")
+        return table
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        """Write the file, have it loaded, read back. Raises ReadBackMismatch; the acting bank is never touched."""
+        acting, chosen = int(self._get("acting-bank")), int(self._get("bank"))
+        self._banks.require_stageable(bank, table, (acting, chosen))
+        self._require_alive()
+        self._banks.write(bank, table)
+        self._request("load", {"load-bank": bank}, bank)
+        back = self.read_table(bank)
+        if back is None or not back.same_as(table):
+            raise ReadBackMismatch(
+                f"bank {bank} reads back differently from what was written",
+                hint="do not activate it; stage it again",
+                bank=bank,
+                **self._banks.where,
+            )
+
+    def activate(self, bank: int) -> None:
+        """Arm with the CRC-32 of the table, confirm with the nonce, wait until it acts and has settled."""
+        self._require_alive()
+        crc = 0
+        if bank != 0:
+            table = self.read_table(bank)
+            if table is None:
+                raise self._banks.error(f"bank {bank} holds no complete table", hint="stage it first")
+            crc = counts_crc32(table.counts)
+        self._request("arm", {"arm-bank": bank, "arm-crc": crc}, bank)
+        nonce = int(self._get("armed-nonce"))
+        if nonce == 0 or int(self._get("armed-bank")) != bank:
+            raise self._banks.error(f"bank {bank} was not armed", hint="somebody else switches banks; try again")
+        self._set("confirm-nonce", nonce)
+        self._await(lambda: int(self._get("bank")) == bank, f"bank {bank} to be chosen")
+        self._await(lambda: self._acts(bank), f"bank {bank} to act and settle")
+
+    def diagnose(self) -> list[Finding]:
+        """Loader, table that acts, faults; reads only."""
+        subject = "compensation"
+        try:
+            self._require_alive()
+        except (StoreError, DeadlineExpired) as error:
+            return [Finding(subject, ok=False, text=str(error))]
+        fault = int(self._get("acting-fault"))
+        bank, crc = int(self._get("acting-bank")), int(self._get("acting-crc"))
+        applied = "applied" if self._get("acting") else "not applied while the machine is off or not homed"
+        age_s = float(self._get("age"))
+        acts = f"bank {bank}, CRC-32 {crc:08X}, loaded {age_s:.0f} s ago, {applied}" if bank else "no table acts"
+        findings = [Finding(subject, ok=fault == 0, text=FAULTS.get(fault, acts))]
+        if self._get("table-lost"):
+            text = "the table that acted before the restart is lost; nothing is compensated: restore it"
+            findings.append(Finding(subject, ok=False, text=text))
+        return findings
+
+    def _acts(self, bank: int) -> bool:
+        fault = int(self._get("acting-fault"))
+        if fault in HELD_OR_NONE and int(self._get("acting-bank")) == bank:
+            raise self._banks.error(FAULTS[fault])
+        settled = bool(self._get("settled")) or not self._get("acting")
+        return settled and int(self._get("acting-bank")) == bank
+
+    def _request(self, name: str, operands: dict[str, int], bank: int) -> None:
+        """Operands first, then another sequence number; the answer holds once it shows that number."""
+        for pin, value in operands.items():
+            self._set(pin, value)
+        sequence = (int(self._get(f"{name}-done")) + 1) & 0xFFFFFFFF
+        self._set(f"{name}-sequence", sequence)
+        self._await(lambda: int(self._get(f"{name}-done")) == sequence, f"volcal_tables to answer ({name})")
+        result = int(self._get(f"{name}-result"))
+        if result == 0:
+            return
+        kind = ChecksumMismatch if result == CRC_DIFFERS else StoreError
+        raise kind(
+            f"volcal_tables refuses to {name} bank {bank}: {RESULTS.get(result, f'result {result}')}",
+            hint="the acting table is unchanged",
+            bank=bank,
+            **self._banks.where,
+        )
+
+    def _require_alive(self) -> None:
+        beat = self._get("beat")
+        self._await(lambda: self._get("beat") != beat, "the loader volcal_tables, which does not run any more")
+
+    def _await(self, reached: Callable[[], bool], awaited: str) -> None:
+        deadline = Deadline.after(self._clock, self._within_s)
+        while not reached():
+            deadline.require(awaited, hint="look at the log of LinuxCNC", **self._banks.where)
+            self._clock.sleep(POLL_S)
+
+    def _get(self, pin: str) -> PinValue:
+        try:
+            return self._pins.get(f"volcal-tables.{pin}")
+        except CommandRejected as missing:
+            raise self._banks.error(
+                f"LinuxCNC has no pin volcal-tables.{pin}",
+                hint="load the compensation's HAL file: docs/explanation/linuxcnc-compensation.md",
+            ) from missing
+
+    def _set(self, pin: str, value: int) -> None:
+        self._pins.set(f"volcal-tables.{pin}", value)
+
+    def _mismatch(self, text: str) -> ChecksumMismatch:
+        return ChecksumMismatch(text, hint="stage the table again", **self._banks.where)

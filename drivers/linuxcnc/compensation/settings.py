@@ -1,0 +1,28 @@
+"""How LinuxCNC compensates, and where its tables lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class CompensationSettings(BaseModel):
+    """The way that the machine's INI and HAL files were set up for."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    way: Literal["external-offsets", "kinematics", "comp-files"] = Field(
+        description="which of the three HAL and INI fragments the machine loads"
+    )
+    directory: Path = Field(description="[VOLCAL]DIRECTORY of the INI file; of this computer, shared with LinuxCNC")
+    resolution_um: Annotated[float, Field(ge=0.001, le=10.0)] = Field(default=0.1, description="one count of a table")
+    largest_correction_mm: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    accepted_loss_um: Annotated[float, Field(ge=0.0, le=1000.0)] = Field(
+        default=0.0,
+        description="comp-files: how much of a table may be lost at any node because each joint is corrected alone",
+    )
+    within_s: Annotated[float, Field(gt=0.0, le=600.0)] = Field(
+        default=10.0, description="for one step: a table loaded, a bank acting and settled"
+    )

@@ -1,0 +1,40 @@
+"""Whether a store can take a table."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.roles import StoreLimits, TableImage
+
+
+def stage_objection(limits: StoreLimits, table: TableImage) -> str:
+    """Why a controller of these limits cannot take the table; empty where it can."""
+    if any(have > most for have, most in zip(table.shape, limits.max_nodes, strict=True)) or (
+        math.prod(table.shape) > limits.max_total_nodes
+    ):
+        return f"grid {table.shape} exceeds {limits.max_nodes} nodes, or {limits.max_total_nodes} in all"
+    if not math.isclose(table.resolution_mm, limits.resolution_mm, rel_tol=1e-9):
+        return f"one count of the table is {table.resolution_mm} mm, the controller's {limits.resolution_mm} mm"
+    largest_mm = float(np.max(np.abs(table.counts.astype(np.int64)), initial=0)) * table.resolution_mm
+    if largest_mm > limits.max_correction_mm * (1.0 + 1e-9):
+        return f"correction of {largest_mm} mm exceeds the largest, {limits.max_correction_mm} mm"
+    return ""
+
+
+def form_objection(table: TableImage, steepest: float) -> str:
+    """Why a table is none: numbers that are no numbers, an empty grid, steps that do not rise, too steep a slope.
+
+    `steepest`: mm of correction per mm of way between two neighbours.
+    """
+    if min(table.shape) < 1:
+        return f"grid {table.shape} has no nodes"
+    if not all(map(math.isfinite, (*table.origin_mm, *table.step_mm))) or min(table.step_mm) <= 0.0:
+        return f"origin {table.origin_mm} and step {table.step_mm} make no grid"
+    for axis, step_mm in enumerate(table.step_mm):
+        rise_mm = np.abs(np.diff(table.counts.astype(np.int64), axis=axis)) * table.resolution_mm
+        slope = float(np.max(rise_mm, initial=0.0)) / step_mm
+        if slope > steepest:
+            return f"corrections differ by {slope:.3g} mm per mm along {'XYZ'[axis]}, at most {steepest:g}"
+    return ""
