@@ -24,8 +24,9 @@ from drivers.modbus_cnc.codes import (
 )
 from drivers.modbus_cnc.registers import Command, Descriptor, Limits, Status
 from drivers.modbus_cnc.session import Session
-from drivers.modbus_cnc.table import crc32, data_blocks, descriptor_of, stage_objection, table_bytes
+from drivers.modbus_cnc.table import crc32, data_blocks, descriptor_of, table_bytes
 from drivers.roles import Activation, StoreLimits, TableImage
+from drivers.tables.objections import stage_objection
 
 COARSEST_POLL_S = 0.1
 

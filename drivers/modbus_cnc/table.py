@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Iterator
 
 import numpy as np
 
 from drivers.modbus_cnc.registers import Descriptor
-from drivers.roles import StoreLimits, TableImage
+from drivers.roles import TableImage
 
 BLOCK_BYTES = 240
 """120 registers: 60 counts, 20 nodes."""
@@ -43,17 +42,3 @@ def table_of(descriptor: Descriptor, data: bytes) -> TableImage:
     """`data` holds 12 bytes per node."""
     counts = np.frombuffer(data, dtype=">i4").astype(np.int32).reshape(*descriptor.nodes, 3)
     return TableImage(descriptor.origin, descriptor.step, descriptor.resolution, counts)
-
-
-def stage_objection(limits: StoreLimits, table: TableImage) -> str:
-    """Why a controller of these limits cannot take the table; empty where it can."""
-    if any(have > most for have, most in zip(table.shape, limits.max_nodes, strict=True)) or (
-        math.prod(table.shape) > limits.max_total_nodes
-    ):
-        return f"grid {table.shape} exceeds {limits.max_nodes} nodes, or {limits.max_total_nodes} in all"
-    if not math.isclose(table.resolution_mm, limits.resolution_mm, rel_tol=1e-9):
-        return f"one count of the table is {table.resolution_mm} mm, the controller's {limits.resolution_mm} mm"
-    largest_mm = float(np.max(np.abs(table.counts.astype(np.int64)), initial=0)) * table.resolution_mm
-    if largest_mm > limits.max_correction_mm * (1.0 + 1e-9):
-        return f"correction of {largest_mm} mm exceeds the largest, {limits.max_correction_mm} mm"
-    return ""
