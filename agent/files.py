@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from drivers.errors import ConfigurationError, InputError, UserError, VolcalError
 from twin.artefact import Artefact
@@ -115,6 +116,32 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
     finally:
         for temporary in staged.values():
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def streamed_atomically(path: Path) -> Iterator[TextIO]:
+    """A file to write into, bit by bit, that becomes `path` when the block ends well and is gone when it does not.
+
+    Bytes that were no UTF-8 on reading (`surrogateescape`) are written as they were; line ends are left alone.
+    """
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as cause:
+        raise InputError(f"results cannot be written: {_reason(cause)}", file=str(path)) from None
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", errors="surrogateescape", newline="") as file:
+            yield file
+            file.flush()
+            os.fchmod(file.fileno(), FILE_MODE)
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        _sync_directory(path.parent)
+    except OSError as cause:
+        hint = "check the permissions and the free space"
+        raise InputError(f"results cannot be written: {_reason(cause)}", hint=hint, file=str(path)) from None
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _stage(directory: Path, name: str, content: str | bytes) -> Path:

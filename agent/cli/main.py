@@ -31,6 +31,7 @@ OWN_COMMANDS = {
     "demo": "agent.cli.demo:demo_command",
     "design": "agent.cli.design:design_command",
     "doctor": "agent.cli.doctor:doctor_command",
+    "gcode": "agent.cli.gcode:gcode_group",
     "hold": "agent.cli.asking:hold_command",
     "history": "agent.cli.history:history_group",
     "identify": "agent.cli.identify:identify",

@@ -1,0 +1,182 @@
+"""`volcal gcode correct`: the corrections of a table written into a part program."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+
+from agent.cli.errors import reported
+from agent.part_programs import correct_file, correct_to, load_part_setup, load_table
+from drivers.clock import wall_seconds
+from twin.gcode.counts import Counts
+from twin.gcode.setup import SYSTEMS, CorrectionOptions, PartSetup, Triple
+from twin.table import CompensationTable
+
+PATH = click.Path(path_type=Path)
+
+_LENGTH = re.compile(r"(\d+\.?\d*|\.\d+)\s*(um|µm|μm|mm)$")
+_G_CODE = re.compile(r"G?(\d+)(?:\.(\d))?$", re.IGNORECASE)
+
+
+def _length_mm(_: click.Context, __: click.Parameter, text: str) -> float:
+    found = _LENGTH.match(text.strip())
+    value = float(found[1]) * (1.0 if found[2] == "mm" else 1e-3) if found else 0.0
+    if not value > 0.0:
+        raise click.BadParameter(f"'{text}' is no length above 0: write 2um or 0.002mm")
+    return value
+
+
+def _triple(text: str) -> Triple:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"'{text}' is not X,Y,Z in mm, such as 100,200,-50.5") from None
+    return x, y, z
+
+
+def _start(_: click.Context, __: click.Parameter, text: str | None) -> Triple | None:
+    return None if text is None else _triple(text)
+
+
+def _named(_: click.Context, parameter: click.Parameter, texts: Sequence[str]) -> dict[str, Triple]:
+    """NAME=X,Y,Z, several times."""
+    known = {"work_offset": SYSTEMS, "reference": ("G28", "G30")}.get(parameter.name or "", ())
+    found = {}
+    for text in texts:
+        name, _equals, numbers = text.partition("=")
+        name = name.strip().upper()
+        if (known and name not in known) or (not known and not name.isdecimal()):
+            raise click.BadParameter(f"'{name}' is not {'one of ' + ', '.join(known) if known else 'a tool number'}")
+        found[name] = _triple(numbers)
+    return found
+
+
+def _g_codes(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> frozenset[int]:
+    codes = set()
+    for text in texts:
+        found = _G_CODE.match(text.strip())
+        if found is None:
+            raise click.BadParameter(f"'{text}' is no G code, such as G5.1")
+        codes.add(10 * int(found[1]) + int(found[2] or 0))
+    return frozenset(codes)
+
+
+@click.group("gcode")
+def gcode_group() -> None:
+    """Part programs for controllers that have no compensation table."""
+
+
+@gcode_group.command("correct")
+@click.argument("part", type=PATH, metavar="PART.nc")
+@click.option("--table", "table_file", type=PATH, required=True, help="table.csv, its JSON side file beside it.")
+@click.option(
+    "--max-chord-error",
+    callback=_length_mm,
+    required=True,
+    metavar="LENGTH",
+    help="How far straight pieces may be from the corrected curve: 2um, 0.002mm.",
+)
+@click.option("-o", "--out", type=PATH, metavar="OUT.nc", help="The corrected program [default: standard output].")
+@click.option("--setup", "setup_file", type=PATH, help="Work offsets, tools and start of the controller (TOML).")
+@click.option("--work-offset", multiple=True, callback=_named, metavar="G54=X,Y,Z", help="Axis position of its zero.")
+@click.option("--tool", multiple=True, callback=_named, metavar="H=X,Y,Z", help="What G43 H adds, mm.")
+@click.option("--reference", multiple=True, callback=_named, metavar="G28=X,Y,Z", help="Axis position where G28 ends.")
+@click.option("--start", callback=_start, metavar="X,Y,Z", help="Axis position before the first block.")
+@click.option("--tool-change", type=click.Choice(["moves", "stays"]), help="Whether M6 may move axes [default: moves].")
+@click.option(
+    "--outside",
+    type=click.Choice(["refuse", "clamp"]),
+    default="refuse",
+    show_default=True,
+    help="Beyond the table's volume: refuse, or correct as at its border.",
+)
+@click.option("--decimals", type=click.IntRange(2, 8), default=4, show_default=True, help="Of mm; of inches one more.")
+@click.option("--divide-rapids", is_flag=True, help="Divide G0 moves too, not only G1 to G3.")
+@click.option("--keep", multiple=True, callback=_g_codes, metavar="G", help="Pass this unknown G code on.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; the program then needs --out.")
+@reported
+def correct(
+    *,
+    part: Path,
+    table_file: Path,
+    max_chord_error: float,
+    out: Path | None,
+    setup_file: Path | None,
+    work_offset: dict[str, Triple],
+    tool: dict[str, Triple],
+    reference: dict[str, Triple],
+    start: Triple | None,
+    tool_change: Literal["moves", "stays"] | None,
+    outside: Literal["refuse", "clamp"],
+    decimals: int,
+    divide_rapids: bool,
+    keep: frozenset[int],
+    as_json: bool,
+) -> None:
+    """Add a table's corrections to the positions of a part program (G-code).
+
+    Lines and arcs become straight pieces as short as the chord error asks for. What cannot be corrected is refused
+    with its line (exit code 2), and nothing is written.
+    """
+    started = wall_seconds()
+    if as_json and out is None:
+        raise click.UsageError("--json and the program cannot both go to standard output: give --out")
+    table, crc = load_table(table_file)
+    setup = load_part_setup(setup_file) if setup_file else PartSetup()
+    setup = replace(
+        setup,
+        work_offsets={**setup.work_offsets, **work_offset},
+        reference_points={**setup.reference_points, **reference},
+        tools={**setup.tools, **{int(number): offset for number, offset in tool.items()}},
+        start=start or setup.start,
+        tool_change_moves=setup.tool_change_moves if tool_change is None else tool_change == "moves",
+    )
+    options = CorrectionOptions(max_chord_error, decimals, outside, divide_rapids, keep)
+    name = f"table {crc}, tool offset {_joined(table)}"
+    if out is None:
+        counts = correct_to(click.get_binary_stream("stdout"), part, table, name, setup, options)
+    else:
+        counts = correct_file(part, out, table, name, setup, options)
+    if as_json:
+        click.echo(json.dumps(_document(counts, part, out, table, crc, wall_seconds() - started)))
+    else:
+        for line in _told(counts, part, out, table):
+            click.echo(line, err=True)
+
+
+def _joined(table: CompensationTable) -> str:
+    return " ".join(f"{value:g}" for value in table.tool_offset)
+
+
+def _document(
+    counts: Counts, part: Path, out: Path | None, table: CompensationTable, crc: str, seconds: float
+) -> dict[str, Any]:
+    document: dict[str, Any] = {"part": str(part), "out": str(out)}
+    for name, value in asdict(counts).items():
+        document[name.replace("_mm", "_um")] = round(1e3 * value, 4) if name.endswith("_mm") else value
+    return {**document, "table_crc32": crc, "tool_offset_mm": table.tool_offset.tolist(), "wall_seconds": seconds}
+
+
+def _told(counts: Counts, part: Path, out: Path | None, table: CompensationTable) -> list[str]:
+    told = [
+        f"{part}: {counts.moves} moves corrected, by up to {1e3 * counts.largest_correction_mm:.1f} µm; "
+        f"{counts.divided} divided, {counts.arcs} arcs; {counts.lines} lines became {counts.written_lines}",
+        f"the table holds for the tool offset ({_joined(table)}) mm",
+    ]
+    if counts.not_corrected:
+        told.append(f"note: {counts.not_corrected} rapid moves from an unknown position were left as they are")
+    if counts.outside:
+        told.append(f"note: {counts.outside} points lie up to {counts.outside_mm:.3f} mm outside the table")
+    if counts.held:
+        told.append(
+            f"note: {counts.held} points were held at its border, up to {1e3 * counts.held_mm:.1f} µm are missing"
+        )
+    if counts.extrapolated:
+        told.append(f"note: {counts.extrapolated} points lie where nothing was measured")
+    return [*told, f"written: {out}"] if out else told
