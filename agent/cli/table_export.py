@@ -166,7 +166,7 @@ def _show(result: Result) -> None:
         f"The machine is taken {machine}; {100.0 * found.kept_share:.0f} % of what the table removes is kept."
     )
     if found.unknown_mm is not None:
-        console.print(f"What the estimate does not know adds {1e3 * found.unknown_mm:.2f} µm to each.")
+        console.print(f"What the estimate does not know adds {1e3 * found.unknown_mm:.2f} µm to each (as squares).")
     for text in result.exported.lost:
         console.print(f"lost: {text}", markup=False)
     for name, fact in result.exported.facts.items():

@@ -63,3 +63,8 @@ def smallest_unit(values_mm: list[Array], choices: Choices, most: int, *, increm
     message = f"a value of {largest} is beyond ±{most}, at magnification {tried[-1]}"
     hint = "Allow a larger --magnification, a finer grid with --points, or a larger --detection-unit-um"
     raise DataError(message, hint=hint)
+
+
+def counted_from(reference: Array) -> str:
+    """Machine position of the reference point, which stands in no parameter here: points are counted from it."""
+    return ", ".join(f"{value:.10g}" for value in reference.tolist())

@@ -14,6 +14,7 @@ Correction = Callable[[Array], Array]
 """Axis positions (n, 3) mm to what the controller adds to them (n, 3) mm."""
 
 Names = tuple[str, str, str]
+Facts = Mapping[str, str | int | float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ class Exported:
     files: Mapping[str, str]
     correction: Correction
     lost: tuple[str, ...]
-    facts: Mapping[str, str | int | float] = field(default_factory=dict)
+    facts: Facts = field(default_factory=dict)
 
 
 class Writer(Protocol):

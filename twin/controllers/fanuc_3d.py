@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from twin.chain import AXES
-from twin.controllers.counting import Counts, Unit, smallest_unit
-from twin.controllers.export import Choices, Exported, Source
+from twin.controllers.counting import Counts, Unit, counted_from, smallest_unit
+from twin.controllers.export import Choices, Exported, Facts, Source
 from twin.controllers.grids import even_steps, reference_nodes, reference_point, require_points
 from twin.table import CompensationTable
 
@@ -39,8 +39,8 @@ def export(source: Source, choices: Choices) -> Exported:
         "points.csv": _points(table, choices.sign * counts),
         "parameters.txt": _parameters(table, places, steps, unit),
     }
-    facts = {"points": counts.size // 3, "magnification": unit.magnification}
-    return Exported(files, written.at, LOST, {**facts, "detection_unit_um": unit.detection_unit_um})
+    facts: Facts = {"magnification": unit.magnification, "counted_from_mm": counted_from(reference)}
+    return Exported(files, written.at, LOST, facts)
 
 
 def _points(table: CompensationTable, counts: Counts) -> str:

@@ -2,7 +2,7 @@
 
 Parameter manual 0i-PB (B-63980EN), 3620 to 3624 with its example: compensation number n stands for the interval that
 ends, in positive direction, at reference + (n - 3620) x 3624; the amount at a position is the sum from the reference
-point to there. That amounts are added to the command is from experience.
+point to there. That amounts are added to the command is from experience, and so is the form of the data as punched.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.chain import AXES
-from twin.controllers.counting import Counts, Unit, smallest_unit
-from twin.controllers.export import Choices, Exported, Source
+from twin.controllers.counting import Counts, Unit, counted_from, smallest_unit
+from twin.controllers.export import Choices, Exported, Facts, Source
 from twin.controllers.grids import even_steps, reference_nodes, reference_point, require_points
 from twin.controllers.linuxcnc_comp import diagonal
 from twin.controllers.reduction import own_axis, sum_of_profiles
@@ -49,7 +49,7 @@ def export(source: Source, choices: Choices) -> Exported:
     def correction(axis_positions: Array) -> Array:
         return sum_of_profiles(diagonal(written), axis_positions)
 
-    facts = {"detection_unit_um": unit.detection_unit_um, "magnification": unit.magnification}
+    facts: Facts = {"magnification": unit.magnification, "counted_from_mm": counted_from(reference)}
     return Exported(files, correction, LOST, facts)
 
 

@@ -53,9 +53,14 @@ def require_points(table: CompensationTable, most: Shape, format_name: str) -> N
     found = table.corrections.shape[:3]
     if any(count > limit for count, limit in zip(found, most, strict=True)):
         axis = AXES[next(k for k in range(3) if found[k] > most[k])]
-        fitting = "x".join(str(min(count, limit)) for count, limit in zip(found, most, strict=True))
+        fitting = "x".join(str(_thinned(count, limit)) for count, limit in zip(found, most, strict=True))
         message = f"{found[AXES.index(axis)]} points where {format_name} holds {most[AXES.index(axis)]}"
         raise DataError(message, hint=f"Thin the grid with --points {fitting}", axis=axis)
+
+
+def _thinned(count: int, most: int) -> int:
+    """The most points that fit and are points of the grid already, so that the steps stay round."""
+    return next(n for n in range(min(count, most), 1, -1) if (count - 1) % (n - 1) == 0)
 
 
 def resampled(table: CompensationTable, points: Shape) -> CompensationTable:

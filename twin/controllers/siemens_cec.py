@@ -20,6 +20,8 @@ from twin.errors import DataError
 MOST_POINTS = 2000
 _FACTOR_DECIMALS = 9
 
+LOST = ("what depends on all three axes at once, and what is worth less than 0.02 µm or found no table",)
+
 
 def export(source: Source, choices: Choices) -> Exported:
     """One INI file with all tables, and a part program that enables those that act by themselves."""
@@ -38,9 +40,9 @@ def export(source: Source, choices: Choices) -> Exported:
         return summed(kept, axis_positions)
 
     used = sum(term.tables for term in kept)
-    facts = {"tables": used, "MD18342_at_least": max(table.corrections.shape[:3])}
+    facts = {"tables": used, "MD18342_at_least": max(table.corrections.shape[:3]), "written": _written(kept)}
     files = {"NC_CEC.INI": _ini(kept, names, steps, choices), "CEC_ENABLE.SPF": _enabling(kept, choices.first_table)}
-    return Exported(files, correction, _lost(kept), facts)
+    return Exported(files, correction, LOST, facts)
 
 
 def _as_written(term: Term) -> Term:
@@ -48,13 +50,10 @@ def _as_written(term: Term) -> Term:
     return replace(term, profile=rounded(term.profile, DECIMALS), factor=factor)
 
 
-def _lost(kept: tuple[Term, ...]) -> tuple[str, ...]:
-    written = ", ".join(
+def _written(kept: tuple[Term, ...]) -> str:
+    """The most valuable first."""
+    return ", ".join(
         describe(term.profile.axis, None if term.factor is None else term.factor.axis, term.output) for term in kept
-    )
-    return (
-        "what depends on all three axes at once, and products that are worth less or found no table",
-        f"written, the most valuable first: {written}",
     )
 
 

@@ -1,0 +1,319 @@
+"""How each controller reads its files, written from its documents in plain loops; nothing of the writers is used.
+
+Every reader takes the files by name and gives a function from axis positions (n, 3) to what the controller adds to
+them (n, 3), in mm. The documents are named in docs/reference/formats.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+Files = Mapping[str, str]
+Rule = Callable[[np.ndarray], np.ndarray]
+Place = tuple[float, float, float]
+
+
+def straight_line(position: float, nodes: list[float], values: list[float]) -> float:
+    """Linear between neighbours, the end value beyond an end."""
+    if position <= nodes[0]:
+        return values[0]
+    for left in range(len(nodes) - 1):
+        if position <= nodes[left + 1]:
+            share = (position - nodes[left]) / (nodes[left + 1] - nodes[left])
+            return values[left] + share * (values[left + 1] - values[left])
+    return values[-1]
+
+
+def linuxcnc(files: Files) -> Rule:
+    """usrmotLoadComp: rows of three numbers until one is not; trim = nominal - forward; motor = joint + trim."""
+    joints = []
+    for section in re.findall(r"\[JOINT_\d\]\n(.*)\n(.*)\n", files["ini-lines.txt"]):
+        settings = dict(line.split(" = ") for line in section)
+        assert settings["COMP_FILE_TYPE"] == "0"
+        nominals, trims = [], []
+        for line in files[settings["COMP_FILE"]].split("\n"):
+            try:
+                nominal, forward, reverse = (float(word) for word in line.split())
+            except ValueError:
+                break
+            assert forward == reverse
+            assert not nominals or nominal > nominals[-1]
+            if len(nominals) < 256:
+                nominals.append(nominal)
+                trims.append(nominal - forward)
+        joints.append((nominals, trims))
+    return lambda points: np.array(
+        [[straight_line(p, *joint) for p, joint in zip(row, joints, strict=True)] for row in points]
+    )
+
+
+def siemens_lec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) -> Rule:
+    """K3 4.4.2: a positive value makes the machine axis move in the negative direction."""
+    axes = []
+    for name in names:
+        lines = [line for line in files[f"{name}_EEC.INI"].splitlines() if not line.startswith(";")]
+        assert lines[0] == f"%_N_{name}_EEC_INI"
+        assert lines[1] == "CHANDATA(1)"
+        assert lines[-1] == "M17"
+        told = dict(line.split("=") for line in lines[2:-1])
+        low, high, step = (float(told[f"$AA_ENC_COMP_{word}[0,{name}]"]) for word in ("MIN", "MAX", "STEP"))
+        last = (high - low) / step
+        assert abs(last - round(last)) < 1e-6
+        assert told[f"$AA_ENC_COMP_IS_MODULO[0,{name}]"] == "0"
+        values = [float(told[f"$AA_ENC_COMP[0,{place},{name}]"]) for place in range(round(last) + 1)]
+        assert len(told) == len(values) + 4
+        axes.append(([low + place * step for place in range(len(values))], values))
+    return lambda points: (
+        -np.array([[straight_line(p, *axis) for p, axis in zip(row, axes, strict=True)] for row in points])
+    )
+
+
+def siemens_cec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) -> Rule:
+    """K3 4.4.3: values of all tables of an output axis are summed; a table with MULT_BY_TABLE gives the product with
+    the table of that number (index + 1); SD41300 says which are evaluated; the axis moves against the value."""
+    lines = [line.split(" ;")[0] for line in files["NC_CEC.INI"].splitlines() if not line.startswith(";")]
+    assert lines[:2] == ["%_N_NC_CEC_INI", "CHANDATA(1)"]
+    assert lines[-1] == "M17"
+    told = dict(line.split("=") for line in lines[2:-1])
+    enabling = [line.split(" ;")[0] for line in files["CEC_ENABLE.SPF"].splitlines() if line.startswith("$")]
+    enabled = {int(re.search(r"\[(\d+)\]", line)[1]) for line in enabling if line.endswith("=1")}
+    tables = {}
+    for index in sorted({int(key.split("[")[1].rstrip("]")) for key in told if key.startswith("$AN_CEC_MIN")}):
+        low, high, step = (float(told[f"$AN_CEC_{word}[{index}]"]) for word in ("MIN", "MAX", "STEP"))
+        last = (high - low) / step
+        assert abs(last - round(last)) < 1e-6
+        assert told[f"$AN_CEC_DIRECTION[{index}]"] == told[f"$AN_CEC_IS_MODULO[{index}]"] == "0"
+        values = [float(told[f"$AN_CEC[{index},{place}]"]) for place in range(round(last) + 1)]
+        nodes = [low + place * step for place in range(len(values))]
+        source, output = (
+            names.index(told[f"$AN_CEC_{word}_AXIS[{index}]"].strip("()")) for word in ("INPUT", "OUTPUT")
+        )
+        tables[index] = (source, output, nodes, values, int(told[f"$AN_CEC_MULT_BY_TABLE[{index}]"]))
+
+    def value(index: int, row: np.ndarray) -> float:
+        source, _, nodes, values, _ = tables[index]
+        return straight_line(row[source], nodes, values)
+
+    def rule(points: np.ndarray) -> np.ndarray:
+        total = np.zeros_like(points)
+        for n, row in enumerate(points):
+            for index, (_, output, _, _, multiplier) in tables.items():
+                if index in enabled:
+                    total[n, output] += value(index, row) * (value(multiplier - 1, row) if multiplier else 1.0)
+        return -total
+
+    return rule
+
+
+def heidenhain(files: Files, names: str = "XYZ") -> Rule:
+    """[axis in the column of *.COM] = F(axis in whose column of *.CMA the file stands); the active line counts, and the
+    control moves against the error that is entered."""
+    header, *rows = table_rows(files["CONFIG.CMA"])
+    active = [row for row in rows if row["ACTIVE"] == "*"]
+    assert len(active) == 1
+    assert header == ["NR", "ACTIVE", *names]
+    relations = []
+    for source, name in enumerate(names):
+        com_header, *com = table_rows(files[active[0][name] + ".COM"])
+        assert com_header == ["NR", "AXISPOS", "BACKLASH", *names]
+        assert len(com) <= 256
+        nodes = [float(row["AXISPOS"]) for row in com]
+        for output, column in enumerate(names):
+            relations.append((source, output, nodes, [float(row[column]) for row in com]))
+
+    def rule(points: np.ndarray) -> np.ndarray:
+        total = np.zeros_like(points)
+        for n, row in enumerate(points):
+            for source, output, nodes, values in relations:
+                total[n, output] -= straight_line(row[source], nodes, values)
+        return total
+
+    return rule
+
+
+def table_rows(text: str) -> list:
+    """Header, then rows by column name; columns begin where their names begin."""
+    lines = text.splitlines()
+    assert lines[0].startswith("BEGIN ")
+    assert lines[0].endswith(" MM")
+    assert lines[-1] == "[END]"
+    starts = [match.start() for match in re.finditer(r"\S+", lines[1])]
+    names = lines[1].split()
+    ends = [*starts[1:], None]
+    rows = [{name: line[a:b].strip() for name, a, b in zip(names, starts, ends, strict=True)} for line in lines[2:-1]]
+    return [names, *rows]
+
+
+def fanuc_pitch(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
+    """B-63980EN 3620 ... 3624: number n belongs to the interval that ends at (n - reference) intervals from the
+    reference point, from which positions count. Going up its value is added, going down taken away; it is put out in
+    the middle of the interval."""
+    told = {}
+    for line in files["parameters.txt"].split("\n")[1:-2]:
+        number, rest = re.fullmatch(r"N(\d+)(A.*)", line).groups()
+        told[int(number)] = {int(axis): int(value) for axis, value in re.findall(r"A(\d)P(-?\d+)", rest)}
+    data = {int(n) - 10000: int(v) for n, v in re.findall(r"N(\d+)P(-?\d+)", files["pitch-error.txt"])}
+    assert all(abs(value) <= 7 for value in data.values())
+
+    def amount(axis: int, position: float) -> float:
+        reference, low, high, magnification, interval = (told[number][axis] for number in range(3620, 3625))
+        interval_mm, total = interval * 1e-3, 0
+        for number in range(low, high + 1):
+            middle = (number - reference - 0.5) * interval_mm
+            if middle > 0.0 and position >= middle:
+                total += data[number]
+            if middle < 0.0 and position < middle:
+                total -= data[number]
+        return total * magnification * 1e-3
+
+    def rule(points: np.ndarray) -> np.ndarray:
+        return np.array([[amount(axis + 1, row[axis]) for axis in range(3)] for row in points - np.array(reference_mm)])
+
+    return rule
+
+
+def fanuc_3d(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
+    """A-79351E: the eight corners of the cell, weighed by the shares of the way through it; numbered X first."""
+    told = {int(n): int(v) for n, v in re.findall(r"N(\d+)P(-?\d+)", files["parameters.txt"])}
+    counts = [told[10803 + axis] for axis in range(3)]
+    references = [told[10806 + axis] for axis in range(3)]
+    magnification = [told[10809 + axis] for axis in range(3)]
+    intervals = [told[10812 + axis] * 1e-3 for axis in range(3)]
+    assert max(counts) <= 25
+    values = {}
+    for line in files["points.csv"].splitlines()[1:]:
+        number, *_, x, y, z = line.split(",")
+        values[int(number)] = np.array([int(x), int(y), int(z)]) * magnification * 1e-3
+    assert sorted(values) == list(range(1, math.prod(counts) + 1))
+
+    def at(i: int, j: int, k: int) -> np.ndarray:
+        return values[1 + i + counts[0] * (j + counts[1] * k)]
+
+    def rule(points: np.ndarray) -> np.ndarray:
+        from_first = (points - np.array(reference_mm)) / intervals + np.array(references) - 1
+        return np.array([eight_corners(row, counts, at) for row in from_first])
+
+    return rule
+
+
+def eight_corners(cells: np.ndarray, counts: list[int], at: Callable[[int, int, int], np.ndarray]) -> np.ndarray:
+    """`cells`: position in steps from the first point."""
+    inside = [min(max(value, 0.0), count - 1.0) for value, count in zip(cells, counts, strict=True)]
+    low = [min(int(value), count - 2) for value, count in zip(inside, counts, strict=True)]
+    x, y, z = (value - start for value, start in zip(inside, low, strict=True))
+    i, j, k = low
+    return (
+        at(i, j, k) * (1 - x) * (1 - y) * (1 - z)
+        + at(i + 1, j, k) * x * (1 - y) * (1 - z)
+        + at(i, j + 1, k) * (1 - x) * y * (1 - z)
+        + at(i, j, k + 1) * (1 - x) * (1 - y) * z
+        + at(i + 1, j + 1, k) * x * y * (1 - z)
+        + at(i + 1, j, k + 1) * x * (1 - y) * z
+        + at(i, j + 1, k + 1) * (1 - x) * y * z
+        + at(i + 1, j + 1, k + 1) * x * y * z
+    )
+
+
+def neutral(files: Files) -> Rule:
+    """What stands at a node is added to the command there; the eight corners of the cell in between."""
+    name = "table.csv" if "table.csv" in files else "compensation.csv"
+    lines = [line.split(",") for line in files[name].splitlines()]
+    assert lines[0][:6] == ["x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um"]
+    if name == "table.csv":
+        assert json.loads(files["table.json"])["meaning"] == "added to the commanded axis position"
+    rows = np.array([[float(cell) for cell in line[:6]] for line in lines[1:]])
+    nodes = [sorted(set(rows[:, axis])) for axis in range(3)]
+    counts = [len(line) for line in nodes]
+    values = dict(zip(map(tuple, rows[:, :3]), rows[:, 3:] * 1e-3, strict=True))
+
+    def at(i: int, j: int, k: int) -> np.ndarray:
+        return values[nodes[0][i], nodes[1][j], nodes[2][k]]
+
+    def rule(points: np.ndarray) -> np.ndarray:
+        cells = [[straight_line(row[a], nodes[a], list(range(counts[a]))) for a in range(3)] for row in points]
+        return np.array([eight_corners(np.array(row), counts, at) for row in cells])
+
+    return rule
+
+
+def isg(files: Files) -> Rule:
+    """TF5280: blocks between `#`, header with arguments and parameters, linear on the grid; the tool point of the chain
+    with errors less that without, and against it."""
+    listed = dict(line.split() for line in files["volcomp.lis"].splitlines() if not line.startswith("#"))
+    blocks = [read_block(block) for block in files["volcomp.csv"].split("\n#\n")]
+    constants = dict(zip(blocks[0][0], blocks[0][1][0], strict=True))
+    assert constants["A0Z"] == constants["B0Z"] == constants["C0Y"] == 0.0
+    tool = np.array([constants["P0X"], constants["P0Y"], constants["P0Z"]])
+    parameters = {}
+    for header, rows in blocks[1:]:
+        arguments = [name for name in header if name in ("X", "Y", "Z")]
+        for column, name in enumerate(header[len(arguments) :], start=len(arguments)):
+            parameters[name] = (
+                arguments,
+                lookup([row[: len(arguments)] for row in rows], [row[column] for row in rows]),
+            )
+
+    def error(name: str, row: np.ndarray) -> float:
+        if name not in parameters:
+            return 0.0
+        arguments, value = parameters[name]
+        return value([row["XYZ".index(letter)] for letter in arguments])
+
+    def tool_point(row: np.ndarray, with_errors: bool) -> np.ndarray:
+        """From the workpiece to the tool: the chain, its first axes carrying the workpiece."""
+        matrix = np.eye(4)
+        for place, axis in enumerate(listed["chain"]):
+            six = [error(f"E{letter}{axis}", row) if with_errors else 0.0 for letter in "XYZABC"]
+            moved = np.eye(4)
+            moved["XYZ".index(axis), 3] = row["XYZ".index(axis)]
+            wrong = np.eye(4)
+            wrong[:3, 3] = six[:3]
+            wrong[:3, :3] = small_turn(*six[3:])
+            matrix = matrix @ (wrong @ moved if place < int(listed["workpiece_axes"]) else moved @ wrong)
+        return (matrix @ [*tool, 1.0])[:3]
+
+    return lambda points: np.array([tool_point(row, False) - tool_point(row, True) for row in points])
+
+
+def read_block(text: str) -> tuple[list[str], list[list[float]]]:
+    lines = [line for line in text.splitlines() if line and not line.startswith("//")]
+    return lines[0].split(), [[float(word) for word in line.split()] for line in lines[1:]]
+
+
+def lookup(arguments: list[list[float]], values: list[float]) -> Callable[[list[float]], float]:
+    """Linear in one argument, or bilinear in two."""
+    if len(arguments[0]) == 1:
+        nodes = [row[0] for row in arguments]
+        return lambda asked: straight_line(asked[0], nodes, values)
+    firsts = sorted({row[0] for row in arguments})
+    seconds = sorted({row[1] for row in arguments})
+    by_place = {tuple(row): value for row, value in zip(arguments, values, strict=True)}
+
+    def bilinear(asked: list[float]) -> float:
+        along = [straight_line(asked[1], seconds, [by_place[f, s] for s in seconds]) for f in firsts]
+        return straight_line(asked[0], firsts, along)
+
+    return bilinear
+
+
+def small_turn(a: float, b: float, c: float) -> np.ndarray:
+    """About X, Y, Z, right-handed, first order."""
+    return np.array([[1.0, -c, b], [c, 1.0, -a], [-b, a, 1.0]])
+
+
+RULES: dict[str, Callable[[Files], Rule]] = {
+    "linuxcnc-comp": linuxcnc,
+    "siemens-lec": siemens_lec,
+    "siemens-cec": siemens_cec,
+    "isg-volcomp": isg,
+    "fanuc-pitch": fanuc_pitch,
+    "fanuc-3d": fanuc_3d,
+    "heidenhain-com": heidenhain,
+    "gcode-csv": neutral,
+    "neutral": neutral,
+}

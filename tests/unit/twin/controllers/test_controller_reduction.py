@@ -1,0 +1,163 @@
+"""What is kept of a table is the best that the form allows, and what is lost is what is said to be lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimated_machine import RANGES, TOOL, known, left_of_estimate_um, machine_with
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin.controllers.export import Choices, Source
+from twin.controllers.loss import loss
+from twin.controllers.reduction import cross_axis, own_axis, sum_of_profiles, summed, terms
+from twin.controllers.registry import WRITERS
+from twin.table import Anchor, CompensationTable
+from twin.volumetric import evaluation_grid, volumetric_error
+
+ORIGIN = np.zeros(3)
+
+
+def table_of(corrections: np.ndarray) -> CompensationTable:
+    shape = corrections.shape[:3]
+    x, y, z = (np.linspace(0.0, 100.0 * (n - 1), n) for n in shape)
+    return CompensationTable(x, y, z, corrections, ORIGIN, Anchor(ORIGIN), np.zeros(shape, dtype=bool))
+
+
+def points_of(table: CompensationTable) -> np.ndarray:
+    return np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def random_table(seed: int, shape: tuple[int, int, int] = (5, 4, 3)) -> CompensationTable:
+    return table_of(1e-3 * np.random.default_rng(seed).standard_normal((*shape, 3)))
+
+
+def kept(name: str, source: Source, **choices: object) -> float:
+    return loss(source, WRITERS[name](source, Choices(**choices)).correction).kept_share
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_functions_of_one_axis_are_the_least_squares_fit(seed: int) -> None:
+    """Against a plain fit with one unknown for each node of each axis."""
+    table = random_table(seed)
+    points = points_of(table)
+    columns = np.concatenate([points[:, [axis]] == table.nodes[axis] for axis in range(3)], axis=1).astype(float)
+    for output in range(3):
+        wanted = table.corrections[..., output].reshape(-1)
+        fitted = columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+        found = sum_of_profiles(cross_axis(table, ORIGIN), points)[:, output]
+        assert found - found.mean() == pytest.approx(fitted - fitted.mean(), abs=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_all_terms_together_are_the_table_but_for_what_depends_on_three_axes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    xy, yz, xz = (rng.standard_normal(shape) for shape in ((5, 4, 1, 3), (1, 4, 3, 3), (5, 1, 3, 3)))
+    table = table_of(1e-3 * (xy + yz + xz))
+    reference = points_of(table)[0]
+    found = summed(terms(table, 1000, reference), points_of(table))
+    wanted = table.corrections.reshape(-1, 3)
+    assert found == pytest.approx(wanted - wanted[0], abs=2e-4)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 20))
+def test_no_more_tables_are_used_than_there_are_and_more_never_leave_more(seed: int, most: int) -> None:
+    table = random_table(seed)
+    points, wanted = points_of(table), table.corrections.reshape(-1, 3)
+
+    def left(count: int) -> float:
+        one = terms(table, count, ORIGIN)
+        assert sum(term.tables for term in one) <= count
+        rest = wanted - summed(one, points)
+        return float(np.var(rest, axis=0).sum())
+
+    assert left(most + 4) <= left(most) + 1e-18
+
+
+def test_a_product_is_at_most_its_first_factor() -> None:
+    for term in terms(random_table(3), 1000, ORIGIN):
+        if term.factor is not None:
+            assert np.abs(term.factor.values).max() == pytest.approx(1.0)
+
+
+def test_no_other_functions_of_one_axis_leave_less_after_a_rigid_alignment() -> None:
+    """Changed by little anywhere, the rest only grows: on the nodes themselves, as the fit weighs them."""
+    table = known(1).table
+    points, wanted = points_of(table), table.corrections.reshape(-1, 3)
+    profiles = own_axis(table, ORIGIN)
+
+    def left(bumped: int, place: int, by: float) -> float:
+        added = np.zeros_like(points)
+        for axis, one in enumerate(profiles):
+            values = one.values.copy()
+            if axis == bumped:
+                values[place] += by
+            added[:, axis] = replace(one, values=values).at(points)
+        return volumetric_error(points + TOOL, wanted - added).aligned_mm
+
+    best = left(0, 0, 0.0)
+    assert all(left(axis, place, by) > best for axis in range(3) for place in (0, 5, 13) for by in (1e-4, -1e-4))
+
+
+@pytest.mark.parametrize("name", ["linuxcnc-comp", "siemens-lec", "fanuc-pitch"])
+def test_positioning_alone_is_kept_whole_by_a_form_of_one_axis(name: str) -> None:
+    assert kept(name, machine_with(EXX_1=6e-3, EYY_2=4e-3, EZZ_1=-5e-3)) > (0.9 if name == "fanuc-pitch" else 0.98)
+    assert kept(name, machine_with(EYX_2=6e-3, A0Z=9e-6)) == pytest.approx(0.0, abs=0.01)
+
+
+def test_straightness_and_squareness_are_kept_by_cross_tables_and_rotation_is_not() -> None:
+    source = machine_with(EXX_1=6e-3, EYX_2=6e-3, EZY_3=-3e-3, A0Z=9e-6, B0Z=-5e-6, C0Y=7e-6)
+    assert kept("heidenhain-com", source) > 0.98
+    turning = machine_with(EBX_2=5e-6, ECY_2=5e-6)
+    assert kept("heidenhain-com", turning) < 0.6
+    assert kept("siemens-cec", turning) > 0.97
+
+
+def test_the_cross_effect_is_carried_by_multiplied_tables_and_by_a_second_argument() -> None:
+    """y z² of column and ram: one product is enough; without products most of it is lost."""
+    source = machine_with(CROSS_b1=-12e-3, CROSS_b2=12e-3)
+    assert kept("siemens-cec", source, most_tables=4) > 0.97
+    assert kept("heidenhain-com", source) < 0.8
+    assert kept("isg-volcomp", source) > 0.999
+    rows = WRITERS["isg-volcomp"](source, Choices()).files["volcomp.csv"].split("\n#\n")[-1].splitlines()
+    assert rows[1] == "Y Z EYZ EAZ"
+    assert len(rows) == 2 + 14 * 16
+
+
+def test_ve_is_that_of_the_estimated_machine_whatever_the_table_can_say() -> None:
+    source = known(1)
+    one = WRITERS["heidenhain-com"](source, Choices())
+    found = loss(source, one.correction)
+    grid = evaluation_grid(RANGES, (60, 20, 20))
+    for value, added in (
+        (found.before, np.zeros_like(grid)),
+        (found.full, source.table.at(grid)),
+        (found.reduced, one.correction(grid)),
+    ):
+        assert value.aligned_um == pytest.approx(left_of_estimate_um(source, added, grid), rel=1e-9)
+    assert found.full.aligned_um < found.reduced.aligned_um < found.before.aligned_um
+    assert found.unknown_mm > 0.0
+
+
+def test_without_an_estimate_the_table_is_the_machine() -> None:
+    whole = known(1)
+    alone = Source(whole.table)
+    correction = WRITERS["heidenhain-com"](alone, Choices()).correction
+    found, by_estimate = loss(alone, correction), loss(whole, correction)
+    assert not found.estimated
+    assert found.unknown_mm is None
+    assert found.full.aligned_um == pytest.approx(0.0, abs=1e-3)
+    assert found.before.aligned_um == pytest.approx(by_estimate.before.aligned_um, rel=0.02)
+    assert found.reduced.aligned_um == pytest.approx(by_estimate.reduced.aligned_um, rel=0.05)
+
+
+def test_fewer_tables_keep_less() -> None:
+    shares = [kept("siemens-cec", known(1), most_tables=count) for count in (2, 5, 9, 15, 62)]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.7
+    assert shares[-1] > 0.97
