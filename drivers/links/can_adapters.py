@@ -95,6 +95,12 @@ class SlcanBus(slcanBus):
     """python-can's serial-line bus, which keeps up with bursts and hears what the adapter says of itself."""
 
     def __init__(self, channel: str, **options: Any) -> None:
+        self._is_shutdown = True
+        if options.get("bitrate") not in (None, *self._BITRATES):
+            raise ValueError(
+                f"bitrate {options['bitrate']} is none of {', '.join(str(rate) for rate in self._BITRATES)}"
+            )
+        self._is_shutdown = False
         self._writing = threading.Lock()
         self._answered = threading.Event()
         self._flags = 0
@@ -125,13 +131,18 @@ class SlcanBus(slcanBus):
         finally:
             self._claim.close()
 
-    def status_text(self) -> str:
-        """What the adapter says of itself; it is asked, and the receiving thread takes the answer."""
+    def status_flags(self, within_s: float) -> int | None:
+        """The adapter's status flags, which whoever receives takes in; None without an answer."""
         self._answered.clear()
         self._write("F")
-        if not self._answered.wait(FLAGS_WITHIN_S):
+        return self._flags if self._answered.wait(within_s) else None
+
+    def status_text(self) -> str:
+        """What the adapter says of itself when it is asked."""
+        flags = self.status_flags(FLAGS_WITHIN_S)
+        if flags is None:
             return "the adapter does not answer when asked for its status"
-        told = [text for bit, text in STATUS_FLAGS.items() if self._flags >> bit & 1]
+        told = [text for bit, text in STATUS_FLAGS.items() if flags >> bit & 1]
         return f"the adapter reports {', '.join(told)}" if told else "the adapter reports no error"
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:

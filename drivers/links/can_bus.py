@@ -195,10 +195,10 @@ class CanLink:
         if not isinstance(bus, SlcanBus):
             return ""
         try:
-            refused = f"; it has refused {bus.refusals} commands" if bus.refusals else ""
-            return bus.status_text() + refused
+            told = bus.status_text()
         except (can.CanError, OSError) as error:
             raise self.lost(str(error)) from error
+        return f"{told}; it has refused {bus.refusals} commands" if bus.refusals else told
 
     def lost(self, what: str) -> LinkLost:
         return LinkLost(

@@ -5,7 +5,7 @@ a frame to the host. Written from the manual of LAWICEL's CAN232 and CANUSB: ASC
 by CR or BELL; a channel that is closed, set to a bit rate and opened; frames as ``tiiildd..`` and ``Tiiiiiiiildd..``;
 polling switched off as in the CANUSB.
 
-The line has a limit: a pseudo-terminal takes about 4 kB that nobody has fetched. What it does not take waits in the
+The line has a limit: a pseudo-terminal takes some ten kB that nobody has fetched. What it does not take waits in the
 adapter's queue, in order; where that overflows too, frames are lost as in the real one, and bit 0 of the status flags
 tells so.
 """
