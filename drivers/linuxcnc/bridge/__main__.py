@@ -1,0 +1,323 @@
+"""One JSON object a line on standard input, one back on standard output: LinuxCNC for a program of another Python.
+
+Run by the distribution's interpreter (`/usr/bin/python3 drivers/linuxcnc/bridge`), because the modules `linuxcnc` and
+`hal` are built for that one. Imports nothing of volcal. Every request is answered within a few cycles of the task;
+nothing here waits for a motion. The machine is stopped when standard input ends, and when a motion that was begun here
+is under way and nobody has asked for `watch_s` seconds.
+
+    {"id": 7, "do": "status"}  ->  {"id": 7, "ok": {...}}  or  {"id": 7, "error": "refused", "text": "..."}
+
+`error` is `refused` (understood and not done), `unknown` (no such HAL name), `gone` (LinuxCNC does not answer).
+"""
+
+import json
+import os
+import select
+import sys
+import time
+
+import hal
+import linuxcnc
+from halpins import HalPins, NoSuchPinError
+
+PROTOCOL = 1
+TASK_STATES = {
+    linuxcnc.STATE_ESTOP: "estop",
+    linuxcnc.STATE_ESTOP_RESET: "estop_reset",
+    linuxcnc.STATE_OFF: "off",
+    linuxcnc.STATE_ON: "on",
+}
+MODES = {linuxcnc.MODE_MANUAL: "manual", linuxcnc.MODE_AUTO: "auto", linuxcnc.MODE_MDI: "mdi"}
+STATES = {linuxcnc.RCS_DONE: "done", linuxcnc.RCS_EXEC: "exec", linuxcnc.RCS_ERROR: "error"}
+ERRORS = (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR)
+MODAL_GROUPS = range(17)
+
+
+class RefusedError(Exception):
+    """LinuxCNC, or this bridge, does not do that now."""
+
+
+class GoneError(Exception):
+    """LinuxCNC does not answer any more."""
+
+
+class Bridge:
+    """`watch_s`: longest silence of the other side while a motion of ours is under way; 0: not watched."""
+
+    def __init__(self):
+        self._command = linuxcnc.command()
+        self._stat = linuxcnc.stat()
+        self._channel = linuxcnc.error_channel()
+        self._component = hal.component(f"volcal-bridge-{os.getpid()}")
+        self._component.ready()
+        self._pins = HalPins()
+        self._watch_s = 0.0
+        self._heard_s = time.monotonic()
+        self._begun = None
+        self._abandoned = False
+
+    def answer(self, request):
+        """The fields of the answer to one request."""
+        self._heard_s = time.monotonic()
+        actions = {
+            "hello": self._hello,
+            "ini": self._ini,
+            "status": self._status,
+            "mdi": self._mdi,
+            "mode": self._mode,
+            "home": self._home,
+            "abort": self._abort,
+            "pause": self._pause,
+            "resume": self._resume,
+            "on": self._on,
+            "hal_get": lambda r: {"values": [self._pins.get(name) for name in r["names"]]},
+            "hal_set": lambda r: self._pins.set(r["name"], r["value"]) or {},
+        }
+        action = actions.get(request.get("do"))
+        if action is None:
+            raise RefusedError(f"no such request: {request.get('do')!r}")
+        return action(request)
+
+    def pause_s(self):
+        """How long the loop may wait for a request before `watch` must be called."""
+        return 0.05 if self._watched() else None
+
+    def watch(self):
+        """Stop a motion of ours that nobody asks after."""
+        if self._watched() and time.monotonic() - self._heard_s > self._watch_s:
+            self._poll()
+            if self._under_way() and not self._stat.paused:
+                self._abandoned = True
+                self._command.abort()
+            self._begun = self._begun if self._stat.paused else None
+            self._heard_s = time.monotonic()
+
+    def end(self):
+        """The other side has gone: nothing of ours goes on moving."""
+        self._poll()
+        if self._begun is not None and self._under_way():
+            self._command.abort()
+
+    def _watched(self):
+        return self._watch_s > 0.0 and self._begun is not None
+
+    def _under_way(self):
+        stat = self._stat
+        return stat.state == linuxcnc.RCS_EXEC or stat.interp_state != linuxcnc.INTERP_IDLE or not stat.inpos
+
+    def _poll(self):
+        try:
+            self._stat.poll()
+        except (SystemError, linuxcnc.error) as error:
+            raise GoneError(f"status of LinuxCNC cannot be read: {error.__cause__ or error}") from error
+
+    # ------------------------------------------------------------------ what it tells
+
+    def _hello(self, request):
+        self._watch_s = float(request.get("watch_s", 0.0))
+        self._poll()
+        return {
+            "protocol": PROTOCOL,
+            "version": linuxcnc.version,
+            "ini": self._stat.ini_filename,
+            "pid": os.getpid(),
+            "linear_units": self._stat.linear_units,
+            "axis_mask": self._stat.axis_mask,
+            "joints": self._stat.joints,
+            "limits": [(a["min_position_limit"], a["max_position_limit"]) for a in self._stat.axis[:3]],
+            "monotonic_s": time.monotonic(),
+        }
+
+    def _ini(self, request):
+        """Values of the INI file as text, null where there is none; the first where there are several."""
+        self._poll()
+        ini = linuxcnc.ini(self._stat.ini_filename)
+        return {"values": [ini.find(section, key) for section, key in request["keys"]]}
+
+    def _status(self, request):
+        self._poll()
+        stat = self._stat
+        if self._begun is not None and not self._under_way():
+            self._begun = None
+        joints = range(stat.joints)
+        return {
+            "position": stat.position[:3],
+            "eoffset": self._pins.values("axis.x.eoffset", "axis.y.eoffset", "axis.z.eoffset"),
+            "probed": stat.probed_position[:3],
+            "tripped": bool(stat.probe_tripped),
+            "probe": bool(stat.probe_val),
+            "task_state": TASK_STATES.get(stat.task_state, str(stat.task_state)),
+            "mode": MODES.get(stat.task_mode, str(stat.task_mode)),
+            "state": STATES.get(stat.state, str(stat.state)),
+            "idle": stat.interp_state == linuxcnc.INTERP_IDLE,
+            "paused": bool(stat.paused),
+            "in_position": bool(stat.inpos),
+            "velocity": stat.current_vel,
+            "homed": all(stat.homed[n] for n in joints),
+            "homing": any(stat.joint[n]["homing"] for n in joints),
+            "joint_faults": [n for n in joints if stat.joint[n]["fault"]],
+            "on_limit": [n for n in joints if stat.joint[n]["min_hard_limit"] or stat.joint[n]["max_hard_limit"]],
+            "spindle": any(s["enabled"] for s in stat.spindle[: stat.spindles]),
+            "tool": stat.tool_in_spindle,
+            "program_offset": [
+                sum(parts)
+                for parts in zip(stat.g5x_offset[:3], stat.g92_offset[:3], stat.tool_offset[:3])  # noqa: B905  3.9
+            ],
+            "rotation_deg": stat.rotation_xy,
+            "modal": [code / 10.0 for code in stat.gcodes[1:] if code >= 0],
+            "feed_override": stat.feedrate,
+            "rapid_override": stat.rapidrate,
+            "cycle_s": stat.cycle_time,
+            "abandoned": self._abandoned,
+            "errors": self._drained(),
+            "pins": self._pins.values(*request.get("pins", ())),
+            "monotonic_s": time.monotonic(),
+        }
+
+    def _drained(self):
+        """What LinuxCNC has said since it was asked last."""
+        said = []
+        for _ in range(100):
+            message = self._channel.poll()
+            if not message:
+                break
+            if message[0] in ERRORS:
+                said.append(message[1])
+        return said
+
+    # ------------------------------------------------------------------ what it does
+
+    def _mdi(self, request):
+        """Send one line; the task has it when this answers."""
+        self._poll()
+        if self._stat.task_state != linuxcnc.STATE_ON:
+            raise RefusedError("the machine is not on")
+        if self._stat.interp_state != linuxcnc.INTERP_IDLE:
+            raise RefusedError("LinuxCNC is busy with a program or another command")
+        if self._stat.task_mode != linuxcnc.MODE_MDI:
+            self._set_mode(linuxcnc.MODE_MDI)
+        self._drained()
+        self._abandoned = False
+        self._command.mdi(request["line"])
+        self._begin()
+        return {}
+
+    def _mode(self, request):
+        wanted = {name: number for number, name in MODES.items()}.get(request["mode"])
+        if wanted is None:
+            raise RefusedError(f"no such mode: {request['mode']!r}")
+        self._poll()
+        if self._stat.interp_state != linuxcnc.INTERP_IDLE:
+            raise RefusedError("LinuxCNC is busy with a program or another command")
+        self._set_mode(wanted)
+        return {}
+
+    def _begin(self):
+        """The command just sent is ours, and the task has taken it."""
+        self._begun = serial = self._command.serial
+        self._await(lambda stat: stat.echo_serial_number == serial, "take the command")
+
+    def _set_mode(self, mode):
+        self._command.mode(mode)
+        self._await(lambda stat: stat.task_mode == mode, f"change to mode {MODES[mode]}")
+
+    def _home(self, _request):
+        """Begin to home all joints, in the order of the INI file."""
+        self._poll()
+        if self._stat.task_state != linuxcnc.STATE_ON:
+            raise RefusedError("the machine is not on")
+        self._set_mode(linuxcnc.MODE_MANUAL)
+        self._command.teleop_enable(0)
+        self._command.home(-1)
+        self._begin()
+        return {}
+
+    def _abort(self, _request):
+        self._begun = None
+        self._command.abort()
+        return {}
+
+    def _pause(self, _request):
+        self._command.auto(linuxcnc.AUTO_PAUSE)
+        return {}
+
+    def _resume(self, _request):
+        self._command.auto(linuxcnc.AUTO_RESUME)
+        return {}
+
+    def _on(self, _request):
+        """Switch the machine on where only that is missing; an e-stop from outside is never overridden."""
+        self._poll()
+        if self._stat.task_state == linuxcnc.STATE_ESTOP:
+            raise RefusedError("emergency stop")
+        if self._stat.task_state != linuxcnc.STATE_ON:
+            self._command.state(linuxcnc.STATE_ON)
+            self._await(lambda stat: stat.task_state == linuxcnc.STATE_ON, "switch the machine on")
+        return {}
+
+    def _await(self, reached, what):
+        """Short: what the task does in its next cycles or not at all."""
+        ends_s = time.monotonic() + 1.0
+        while True:
+            self._poll()
+            if reached(self._stat):
+                return
+            if time.monotonic() > ends_s:
+                said = "; ".join(self._drained())
+                raise RefusedError(f"LinuxCNC did not {what}{': ' if said else ''}{said}")
+            time.sleep(0.002)
+
+
+def answered(bridge, line):
+    """The answer to one line; never raises for what was asked."""
+    number = None
+    try:
+        request = json.loads(line)
+        number = request.get("id")
+        return {"id": number, "ok": bridge.answer(request)}
+    except NoSuchPinError as error:
+        return {"id": number, "error": "unknown", "text": str(error)}
+    except GoneError as error:
+        return {"id": number, "error": "gone", "text": str(error)}
+    except (RefusedError, linuxcnc.error) as error:
+        return {"id": number, "error": "refused", "text": str(error)}
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        return {"id": number, "error": "refused", "text": f"not a request: {error!r}"}
+
+
+def main():
+    replies = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # the C library of LinuxCNC prints where the answers would be
+    try:
+        bridge = Bridge()
+    except (linuxcnc.error, hal.error) as error:
+        replies.write(json.dumps({"id": 0, "error": "gone", "text": f"LinuxCNC is not running: {error}"}) + "\n")
+        return
+    replies.write(json.dumps({"id": 0, "ok": {"protocol": PROTOCOL}}) + "\n")
+    buffered = b""
+    try:
+        while True:
+            if not select.select([0], [], [], bridge.pause_s())[0]:
+                bridge.watch()
+                continue
+            chunk = os.read(0, 65536)
+            if not chunk:
+                return
+            *lines, buffered = (buffered + chunk).split(b"\n")
+            for line in lines:
+                replies.write(json.dumps(answered(bridge, line)) + "\n")
+    except (BrokenPipeError, KeyboardInterrupt, GoneError):
+        return
+    finally:
+        _end(bridge)
+
+
+def _end(bridge):
+    try:
+        bridge.end()
+    except GoneError as error:
+        sys.stderr.write(f"{error}\n")
+
+
+if __name__ == "__main__":
+    main()

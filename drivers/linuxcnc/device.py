@@ -1,0 +1,125 @@
+"""The device: LinuxCNC as Machine, Probe and Thermometer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.clock import Clock
+from drivers.errors import DeviceError, LinkLost
+from drivers.linuxcnc.bridge_link import BridgeLink
+from drivers.linuxcnc.diagnosis import diagnose
+from drivers.linuxcnc.motion import Kind, Motion
+from drivers.linuxcnc.probing import Probing
+from drivers.linuxcnc.session import Session
+from drivers.linuxcnc.settings import LinuxCncSettings
+from drivers.linuxcnc.snapshot import ON
+from drivers.roles import AxisLimits, Finding, MachineStatus, Miss, ProbeStatus, Touch, Vector
+
+
+class LinuxCnc:
+    """Composes motion and probing over one bridge; they exist while the device is open."""
+
+    def __init__(self, settings: LinuxCncSettings, clock: Clock, name: str) -> None:
+        link = BridgeLink(
+            settings.bridge_command,
+            answer_within_s=settings.answer_within_s,
+            watch_s=settings.watch_s,
+            device=name,
+        )
+        self._session = Session(link, clock, settings)
+        self._parts: _Parts | None = None
+
+    def open(self) -> None:
+        """Start the bridge. Homes only where the settings say so, and only joints that do not move for it."""
+        if self._parts is not None:
+            return
+        try:
+            self._session.open()
+            self._home_in_place()
+        except DeviceError:
+            self._session.link.close()
+            raise
+        self._parts = _Parts(self._session)
+
+    def close(self) -> None:
+        """Give back what was changed for the motions, and end the bridge."""
+        parts, self._parts = self._parts, None
+        try:
+            if parts is not None and self._session.link.connected:
+                parts.motion.give_back()
+        finally:
+            self._session.link.close()
+
+    def diagnose(self) -> list[Finding]:
+        return diagnose(self._session)
+
+    def home(self) -> None:
+        """Home all joints as the INI file says: this may move the axes."""
+        self._open.motion.require_idle()
+        self._session.home()
+
+    def limits(self) -> AxisLimits:
+        return self._session.facts.limits
+
+    def status(self) -> MachineStatus:
+        snapshot = self._session.look()
+        return MachineStatus(snapshot.state, self._session.permissions(snapshot), snapshot.fault)
+
+    def position(self) -> Vector:
+        return np.array(self._session.look().position)
+
+    def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
+        kind = Kind.GUARDED if guarded else Kind.POSITIONING
+        self._open.motion.run(kind, [float(value) for value in target_mm], feed_mm_per_s)
+
+    def trace(self, tag: int) -> None:
+        self._open.motion.tag = tag
+
+    def hold(self) -> None:
+        self._session.link.ask("pause")
+
+    def resume(self) -> None:
+        self._session.link.ask("resume")
+
+    def reset(self) -> None:
+        """Switch the machine on again after a fault. CommandRejected in an emergency stop."""
+        self._session.link.ask("on")
+
+    def stop(self) -> None:
+        """Abort, by a new bridge where the old one has gone. Does nothing on a device that is closed."""
+        if self._parts is not None:
+            self._parts.motion.stop()
+
+    def probe_status(self) -> ProbeStatus:
+        return self._open.probing.status()
+
+    def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
+        return self._open.probing.touch_towards(target_mm, feed_mm_per_s)
+
+    def temperatures_c(self) -> Mapping[str, float]:
+        names = self._session.settings.temperatures
+        values = self._session.link.get_all(list(names.values()))
+        return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+    @property
+    def _open(self) -> _Parts:
+        if self._parts is None:
+            raise LinkLost("device is not open", hint="open it first", **self._session.where)
+        return self._parts
+
+    def _home_in_place(self) -> None:
+        if self._session.settings.homing != "absolute-encoders" or not self._session.facts.absolute_encoders:
+            return
+        snapshot = self._session.look()
+        if snapshot.task_state == ON and not snapshot.homed:
+            self._session.home()
+
+
+class _Parts:
+    """What can be built only once LinuxCNC has stated its limits."""
+
+    def __init__(self, session: Session) -> None:
+        self.motion = Motion(session)
+        self.probing = Probing(session, self.motion)

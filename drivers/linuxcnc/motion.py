@@ -1,0 +1,284 @@
+"""One straight motion by MDI, from the command to its end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from drivers.clock import Deadline
+from drivers.errors import (
+    CommandRejected,
+    DeviceError,
+    GuardTripped,
+    LinkError,
+    MotionFault,
+    PermissionMissing,
+)
+from drivers.linuxcnc.session import XYZ, Session
+from drivers.linuxcnc.snapshot import ON, Snapshot, Triple
+from drivers.roles import MotionState, Permission
+from drivers.straight_move import move_duration_s
+
+DURATION_FACTOR = 1.5
+"""A motion may take this many times its predicted duration, plus the margin."""
+LIMIT_TOLERANCE_MM = 1e-6
+REACHED_MM = 1e-4
+"""LinuxCNC ends a motion exactly at its target; a text of six decimals and inches are coarser."""
+REST_POLL_S = 0.01
+PREFIX = "G21 G90 G94 G40"
+OWN_CODES = (20.0, 21.0, 90.0, 91.0, 93.0, 94.0, 95.0)
+"""Modal codes that the prefix changes and that are given back. Radius compensation is left off."""
+TRIPPED = "robe tripped"
+LEAST_OVERRIDE = 0.01
+
+
+class Kind(Enum):
+    POSITIONING = "positioning move"
+    GUARDED = "guarded move"
+    TOUCH = "touch"
+
+
+@dataclass(frozen=True)
+class Ended:
+    """Where a motion began, and the look that showed its end."""
+
+    start: Triple
+    snapshot: Snapshot
+
+
+class Motion:
+    """Starts motions and says how they ended. Whatever exception leaves a wait, the machine is stopped first."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._limits = session.facts.limits
+        self._braking = False
+        self._modal_before: tuple[float, ...] | None = None
+        self._deflecting: Triple | None = None
+        self.tag = 0
+        """Which step the motions belong to; written as a comment behind the line."""
+
+    def run(self, kind: Kind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Ended:
+        """Returns at the target, or for a touch where it tripped or ended; anything else is raised."""
+        target = self._proved(kind, target_mm, feed_mm_per_s)
+        self._await_rest()
+        before = self._session.look()
+        self._require_ready(kind, before, target)
+        if math.dist(before.position, target) < LIMIT_TOLERANCE_MM:
+            return Ended(before.position, replace(before, tripped=False))
+        self._modal_before = self._modal_before or before.modal
+        ended, said = self._carried_out(kind, before, target, feed_mm_per_s)
+        self._deflecting = _difference(target, before.position) if ended.deflected else None
+        self._require_success(kind, ended, target, said)
+        return Ended(before.position, ended)
+
+    def stop(self) -> None:
+        """Abort; does not wait for rest, since it is called where sleeping is not possible."""
+        self._braking = True
+        self._session.link.abort()
+
+    def require_idle(self) -> None:
+        """CommandRejected while something moves or is held."""
+        self._require_at_rest(self._session.look())
+
+    def give_back(self) -> None:
+        """Restore the modal codes that were there before the first motion, and manual mode."""
+        if self._modal_before is None or self._session.look().task_state != ON:
+            return
+        self._await_rest()
+        codes = " ".join(f"G{code:g}" for code in self._modal_before if code in OWN_CODES)
+        self._session.link.ask("mdi", line=codes)
+        self._await_rest(anyway=True)
+        self._session.link.ask("mode", mode="manual")
+        self._modal_before = None
+
+    # ------------------------------------------------------------------ before
+
+    def _proved(self, kind: Kind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
+        x, y, z = (float(value) for value in target_mm)
+        feed_ok = feed_mm_per_s is None or (math.isfinite(feed_mm_per_s) and feed_mm_per_s > 0.0)
+        if not all(map(math.isfinite, (x, y, z))) or not feed_ok:
+            raise self._rejected(f"{kind.value} to ({x}, {y}, {z}) with feed {feed_mm_per_s}: not a motion")
+        for axis, value, low, high in zip(XYZ, (x, y, z), self._limits.lower_mm, self._limits.upper_mm, strict=True):
+            if not low - LIMIT_TOLERANCE_MM <= value <= high + LIMIT_TOLERANCE_MM:
+                raise self._rejected(f"{axis} {value:.3f} mm is outside {low:g} to {high:g} mm")
+        return x, y, z
+
+    def _await_rest(self, *, anyway: bool = False) -> None:
+        """After an abort the axes brake for a moment, in which LinuxCNC would refuse a motion."""
+        if not (self._braking or anyway):
+            return
+        session = self._session
+        deadline = Deadline.after(session.clock, session.settings.motion_margin_s)
+        while session.look().state is MotionState.MOVING:
+            deadline.require("the axes to rest", hint="see LinuxCNC", **session.where)
+            session.clock.sleep(REST_POLL_S)
+        self._braking = False
+
+    def _require_ready(self, kind: Kind, before: Snapshot, target: Triple) -> None:
+        session = self._session
+        missing = [name for name, given in session.permissions(before).items() if not given]
+        if Permission.REFERENCED in missing:
+            raise PermissionMissing(
+                "the joints are not homed", hint="home them at the machine, or see option homing", **session.where
+            )
+        if missing:
+            names = ", ".join(name.value for name in missing)
+            fault = f" ({before.fault})" if before.fault else ""
+            raise PermissionMissing(f"no {kind.value} is permitted; missing: {names}{fault}", **session.where)
+        self._require_at_rest(before)
+        if before.rotation_deg != 0.0:
+            raise self._rejected(
+                f"the work coordinate system is rotated by {before.rotation_deg:g}°", hint="G10 L2 P0 R0"
+            )
+        self._require_free(kind, before, target)
+
+    def _require_at_rest(self, snapshot: Snapshot) -> None:
+        if snapshot.state is not MotionState.IDLE:
+            raise self._rejected(f"LinuxCNC is {snapshot.state.value}", hint="end the program or the hold first")
+
+    def _require_free(self, kind: Kind, before: Snapshot, target: Triple) -> None:
+        """LinuxCNC sees only the edge of the probe's signal: a probe that is deflected guards nothing. It may be led
+        back against the way it came."""
+        if kind is Kind.POSITIONING or not before.deflected:
+            return
+        if kind is Kind.TOUCH:
+            raise self._rejected("the probe is deflected before the touch", hint="back off first")
+        way = np.subtract(target, before.position)
+        if self._deflecting is None or float(way @ np.array(self._deflecting)) >= 0.0:
+            raise self._rejected("the probe is deflected and the move would not lead it back", hint="move it free")
+
+    def _line(self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> str:
+        """Machine positions by G53; G38 knows no G53, so the offsets that act are taken off."""
+        if kind is Kind.TOUCH:
+            target = _difference(target, before.program_offset)
+        place = " ".join(f"{axis}{value:.7f}" for axis, value in zip(XYZ, target, strict=True))
+        word = "G38.3" if kind is Kind.TOUCH else ("G53 G0" if feed_mm_per_s is None else "G53 G1")
+        feed = "" if feed_mm_per_s is None else f" F{60.0 * feed_mm_per_s:.6f}"
+        comment = f" (volcal {self.tag})" if self.tag else ""
+        return f"{PREFIX} {word} {place}{feed}{comment}"
+
+    # ------------------------------------------------------------------ while
+
+    def _carried_out(
+        self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
+    ) -> tuple[Snapshot, tuple[str, ...]]:
+        """The look that shows the end, and all that LinuxCNC has said meanwhile."""
+        try:
+            self._session.link.ask("mdi", line=self._line(kind, before, target, feed_mm_per_s))
+        except LinkError as error:
+            self._stop_because_of(error)
+            raise
+        try:
+            return self._wait(kind, before, target, feed_mm_per_s)
+        except BaseException as error:
+            self._stop_because_of(error)
+            raise
+
+    def _wait(
+        self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
+    ) -> tuple[Snapshot, tuple[str, ...]]:
+        session, clock, settings = self._session, self._session.clock, self._session.settings
+        allowed_s = self._allowed_s(before, target, feed_mm_per_s)
+        deadline = Deadline.after(clock, allowed_s)
+        held: Deadline | None = None
+        said: tuple[str, ...] = ()
+        while True:
+            snapshot = session.look()
+            said += snapshot.errors
+            if not snapshot.under_way or snapshot.task_state != ON:
+                return snapshot, said
+            self._require_still_permitted(kind, snapshot)
+            if snapshot.paused:
+                held = held or Deadline.after(clock, settings.held_at_most_s)
+                self._require_resumed(held)
+                deadline = Deadline.after(clock, allowed_s)
+            else:
+                held = None
+                deadline.require(f"the end of a {kind.value}", hint="see LinuxCNC", **session.where)
+            clock.sleep(settings.poll_interval_s)
+
+    def _allowed_s(self, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> float:
+        override = before.rapid_override if feed_mm_per_s is None else before.feed_override
+        predicted_s = move_duration_s(
+            before.position,
+            target,
+            feed_mm_per_s=feed_mm_per_s,
+            rapid_mm_per_s=self._limits.rapid_mm_per_s,
+            acceleration_mm_per_s2=self._limits.acceleration_mm_per_s2,
+        )
+        return DURATION_FACTOR * predicted_s / max(min(override, 1.0), LEAST_OVERRIDE) + (
+            self._session.settings.motion_margin_s
+        )
+
+    def _require_still_permitted(self, kind: Kind, snapshot: Snapshot) -> None:
+        given = self._session.permissions(snapshot)
+        missing = [name.value for name, present in given.items() if not present]
+        if missing:
+            raise PermissionMissing(
+                f"{kind.value} stopped; missing: {', '.join(missing)}",
+                hint="make the machine ready",
+                **self._session.where,
+            )
+
+    def _require_resumed(self, held: Deadline) -> None:
+        if held.expired:
+            raise MotionFault(
+                f"motion held at the machine for more than {self._session.settings.held_at_most_s:g} s",
+                hint="release the hold and start the run again",
+                **self._session.where,
+            )
+
+    def _stop_because_of(self, error: BaseException) -> None:
+        try:
+            self.stop()
+        except DeviceError as failure:
+            error.add_note(f"the abort after this failed: {failure}")
+
+    # ------------------------------------------------------------------ after
+
+    def _require_success(self, kind: Kind, ended: Snapshot, target: Triple, said: tuple[str, ...]) -> None:
+        where = self._session.where
+        text = "; ".join(said)
+        if ended.task_state != ON:
+            raise MotionFault(
+                f"{kind.value} ended in a fault: {ended.fault}{': ' if text else ''}{text}",
+                hint="clear the cause and switch the machine on",
+                **where,
+            )
+        if ended.abandoned:
+            raise MotionFault(f"the bridge stopped a {kind.value}: nobody had asked after it", **where)
+        if kind is Kind.TOUCH and ended.tripped:
+            return
+        if TRIPPED in text:
+            raise self._guard_tripped(kind, ended)
+        if ended.outcome == "error":
+            raise self._rejected(f"LinuxCNC refused a {kind.value}: {text or 'it gives no reason'}")
+        if math.dist(ended.position, target) > REACHED_MM:
+            raise MotionFault(
+                f"{kind.value} was stopped at the machine{': ' if text else ''}{text}",
+                hint="start the run again",
+                **where,
+            )
+
+    def _guard_tripped(self, kind: Kind, ended: Snapshot) -> MotionFault:
+        """LinuxCNC has stopped and is ready again: the way back is open."""
+        x, y, z = ended.position
+        fault = GuardTripped if kind is Kind.GUARDED else MotionFault
+        return fault(
+            f"probe tripped in a move that was no touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
+            hint="something stands in the way, or mount and artefact are not where the plan has them",
+            **self._session.where,
+        )
+
+    def _rejected(self, text: str, hint: str = "") -> CommandRejected:
+        return CommandRejected(text, hint=hint, **self._session.where)
+
+
+def _difference(minuend: Triple, subtrahend: Triple) -> Triple:
+    x, y, z = (a - b for a, b in zip(minuend, subtrahend, strict=True))
+    return x, y, z

@@ -1,0 +1,14 @@
+"""Entry point `linuxcnc`."""
+
+from __future__ import annotations
+
+from drivers.linuxcnc.device import LinuxCnc
+from drivers.linuxcnc.settings import LinuxCncSettings
+from drivers.registry import DeviceContext, DriverPlugin
+
+
+def create(settings: LinuxCncSettings, context: DeviceContext) -> LinuxCnc:
+    return LinuxCnc(settings, context.clock, context.name)
+
+
+PLUGIN = DriverPlugin("linuxcnc", LinuxCncSettings, create)

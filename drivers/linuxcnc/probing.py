@@ -1,0 +1,77 @@
+"""Touches by G38.3, and what the latched position really means."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.errors import PermissionMissing, ProtocolError
+from drivers.linuxcnc.motion import Ended, Kind, Motion
+from drivers.linuxcnc.session import Session
+from drivers.linuxcnc.snapshot import Snapshot
+from drivers.roles import Miss, ProbeStatus, Touch, Vector
+from drivers.straight_move import along_path, distance_to_segment_mm
+
+
+class Probing:
+    """G38.3 gives no alarm on a miss; what happened is told by `probe_tripped`."""
+
+    def __init__(self, session: Session, motion: Motion) -> None:
+        self._session = session
+        self._motion = motion
+
+    def status(self) -> ProbeStatus:
+        snapshot = self._session.look()
+        loaded, healthy = self._loaded(snapshot), self._session.probe_healthy(snapshot)
+        detail = "" if loaded else f"tool {snapshot.tool} is in the spindle"
+        return ProbeStatus(loaded, healthy, snapshot.deflected, detail if healthy else "not healthy: battery or link")
+
+    def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
+        self._require_usable()
+        target = tuple(float(value) for value in target_mm)
+        ended = self._motion.run(Kind.TOUCH, target, feed_mm_per_s)
+        if not ended.snapshot.tripped:
+            return Miss(ended.snapshot.position)
+        latched = np.array(ended.snapshot.probed)
+        distance_mm = distance_to_segment_mm(latched, np.array(ended.start), np.array(target))
+        if distance_mm > self._session.settings.latch_tolerance_mm:
+            raise ProtocolError(
+                f"latched position {ended.snapshot.probed} is {distance_mm:.3f} mm off the commanded path",
+                hint="does another program use LinuxCNC at the same time?",
+                **self._session.where,
+            )
+        x, y, z = (latched - self._overshoot(ended, target, feed_mm_per_s)).tolist()
+        return Touch((x, y, z))
+
+    def _overshoot(self, ended: Ended, target: Sequence[float], feed_mm_per_s: float) -> Vector:
+        """(3,) mm by which the axes had gone on when the position was latched.
+
+        LinuxCNC latches in the servo cycle that sees the pin, on average half a cycle after the trip, and as much later
+        as the signal is late.
+        """
+        facts, settings = self._session.facts, self._session.settings
+        way = np.subtract(target, ended.start)
+        direction = way / np.linalg.norm(way)
+        gone_mm = math.dist(ended.snapshot.probed, ended.start)
+        shares = np.abs(direction).tolist()
+        speed = min(
+            feed_mm_per_s * ended.snapshot.feed_override,
+            along_path(shares, facts.limits.rapid_mm_per_s),
+            math.sqrt(2.0 * along_path(shares, facts.limits.acceleration_mm_per_s2) * gone_mm),
+        )
+        late_s = settings.latch_cycles * facts.servo_period_s + settings.probe_delay_s
+        return np.asarray(direction * speed * late_s)
+
+    def _require_usable(self) -> None:
+        snapshot = self._session.look()
+        if not (self._loaded(snapshot) and self._session.probe_healthy(snapshot)):
+            raise PermissionMissing(
+                f"no healthy probe in the spindle (tool {snapshot.tool})", hint="load the probe", **self._session.where
+            )
+
+    def _loaded(self, snapshot: Snapshot) -> bool:
+        """True as well where no tool number is known for the probe."""
+        wanted = self._session.settings.probe_tool
+        return wanted is None or snapshot.tool == wanted

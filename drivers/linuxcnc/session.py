@@ -1,0 +1,138 @@
+"""What every part of the driver shares: the bridge, the clock, the settings, and how to look at the machine."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drivers.clock import Clock, Deadline
+from drivers.errors import CommandRejected, ConfigurationError, LinkLost, ProtocolError
+from drivers.linuxcnc.bridge_link import BridgeLink
+from drivers.linuxcnc.settings import LinuxCncSettings
+from drivers.linuxcnc.snapshot import ON, Snapshot, snapshot_of
+from drivers.roles import AxisLimits, Permission
+
+XYZ = "XYZ"
+XYZ_MASK = 0b111
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What LinuxCNC says of itself once: `servo_period_s`, `absolute_encoders` by joint, the rest as in AxisLimits."""
+
+    limits: AxisLimits
+    mm_per_unit: float
+    servo_period_s: float
+    absolute_encoders: bool
+    machine_name: str
+
+
+class Session:
+    """Open while the bridge is. Positions in mm whatever LINEAR_UNITS are."""
+
+    def __init__(self, link: BridgeLink, clock: Clock, settings: LinuxCncSettings) -> None:
+        self.link = link
+        self.clock = clock
+        self.settings = settings
+        self.where = link.where
+        self._facts: Facts | None = None
+        self._pins = settings.pins()
+
+    def open(self) -> None:
+        """LinkLost where LinuxCNC is not there, ConfigurationError for another machine."""
+        self.link.open()
+        self._facts = self._read_facts()
+        wanted = self.settings.machine_name
+        if wanted is not None and self._facts.machine_name != wanted:
+            raise ConfigurationError(
+                f"LinuxCNC runs machine {self._facts.machine_name!r}, not {wanted!r}",
+                hint=f"started from {self.link.hello['ini']}",
+                key="machine_name",
+                **self.where,
+            )
+
+    @property
+    def facts(self) -> Facts:
+        if self._facts is None:
+            raise LinkLost("device is not open", hint="open it first", **self.where)
+        return self._facts
+
+    def look(self) -> Snapshot:
+        return snapshot_of(self.link.ask("status", pins=self._pins), self.facts.mm_per_unit, self.where)
+
+    def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
+        """HAL pins where they are named, LinuxCNC's own state otherwise."""
+        on = snapshot.task_state == ON
+        given = dict.fromkeys(Permission, True) | {
+            Permission.AUTOMATIC: on,
+            Permission.SPINDLE_STOPPED: not snapshot.spindle,
+            Permission.PROGRAM_IDLE: snapshot.mode != "auto" or snapshot.idle,
+            Permission.REFERENCED: snapshot.homed,
+            Permission.NO_FAULT: on,
+        }
+        named = self.settings.permissions.named()
+        for permission, value in zip(named, snapshot.pins, strict=False):
+            given[permission] = bool(value) and given[permission]
+        return given
+
+    def probe_healthy(self, snapshot: Snapshot) -> bool:
+        """True as well where no pin tells."""
+        return self.settings.probe_healthy is None or bool(snapshot.pins[-1])
+
+    def home(self) -> None:
+        """Home all joints by the sequence of the INI file; this may move the axes. Returns when they are."""
+        self.link.ask("home")
+        deadline = Deadline.after(self.clock, self.settings.homing_within_s)
+        said: tuple[str, ...] = ()
+        try:
+            while True:
+                snapshot = self.look()
+                said += snapshot.errors
+                if snapshot.homed and not snapshot.homing:
+                    return
+                if said and not snapshot.homing:
+                    raise CommandRejected(f"homing failed: {'; '.join(said)}", hint="see LinuxCNC", **self.where)
+                deadline.require("the joints to be homed", hint="see LinuxCNC", **self.where)
+                self.clock.sleep(self.settings.poll_interval_s)
+        except BaseException:
+            if self.link.connected:
+                self.link.ask("abort")
+            raise
+
+    def _read_facts(self) -> Facts:
+        hello = self.link.hello
+        if hello["axis_mask"] & XYZ_MASK != XYZ_MASK:
+            raise ConfigurationError("LinuxCNC has no axes X, Y, Z", hint="see [TRAJ]COORDINATES", **self.where)
+        mm = 1.0 / self._number(hello["linear_units"], "linear_units")
+        axes = [(f"AXIS_{name}", key) for name in XYZ for key in ("MAX_VELOCITY", "MAX_ACCELERATION")]
+        encoders = [(f"JOINT_{number}", "HOME_ABSOLUTE_ENCODER") for number in range(hello["joints"])]
+        single = [("EMCMOT", "SERVO_PERIOD"), ("EMC", "MACHINE"), ("TRAJ", "MAX_LINEAR_VELOCITY")]
+        told = self.link.ask("ini", keys=[*axes, *encoders, *single])["values"]
+        values = dict(zip([*axes, *encoders, *single], told, strict=True))
+        dynamics = [self._number(values[key], f"[{key[0]}]{key[1]}") * mm for key in axes]
+        fastest = values["TRAJ", "MAX_LINEAR_VELOCITY"]
+        cap = math.inf if fastest is None else self._number(fastest, "[TRAJ]MAX_LINEAR_VELOCITY") * mm
+        limits = hello["limits"]
+        vx, ax, vy, ay, vz, az = dynamics
+        return Facts(
+            limits=AxisLimits(
+                lower_mm=(limits[0][0] * mm, limits[1][0] * mm, limits[2][0] * mm),
+                upper_mm=(limits[0][1] * mm, limits[1][1] * mm, limits[2][1] * mm),
+                rapid_mm_per_s=(min(vx, cap), min(vy, cap), min(vz, cap)),
+                acceleration_mm_per_s2=(ax, ay, az),
+            ),
+            mm_per_unit=mm,
+            servo_period_s=1e-9 * self._number(values["EMCMOT", "SERVO_PERIOD"], "[EMCMOT]SERVO_PERIOD"),
+            absolute_encoders=all(values[key] == "2" for key in encoders),
+            machine_name=values["EMC", "MACHINE"] or "",
+        )
+
+    def _number(self, told: object, place: str) -> float:
+        """A positive number of the INI file or the status."""
+        try:
+            value = float(str(told).split("#")[0])
+        except ValueError:
+            value = math.nan
+        if not 0.0 < value < math.inf:
+            raise ProtocolError(f"LinuxCNC states {place} as {told!r}", hint="see its INI file", **self.where)
+        return value

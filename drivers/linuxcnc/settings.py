@@ -1,0 +1,66 @@
+"""What a user states about a LinuxCNC machine; limits, units and periods are read from LinuxCNC itself."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.roles import Permission
+
+PinName = Annotated[str, Field(min_length=1, max_length=47, pattern=r"^[A-Za-z0-9_.:-]+$")]
+"""HAL names have at most 47 characters."""
+Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
+
+
+class PermissionPins(BaseModel):
+    """HAL bits that are true while the machine may be moved; without one LinuxCNC's own state decides, or nothing."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    automatic: PinName | None = Field(default=None, description="without it: the machine is on")
+    doors_closed: PinName | None = Field(default=None, description="without it: taken as given")
+    spindle_stopped: PinName | None = Field(default=None, description="without it: no spindle of LinuxCNC is on")
+    consent: PinName | None = Field(default=None, description="without it: taken as given")
+
+    def named(self) -> dict[Permission, str]:
+        """Those that are wired."""
+        return {Permission[name.upper()]: pin for name, pin in self if pin is not None}
+
+
+class LinuxCncSettings(BaseModel):
+    """Settings of driver `linuxcnc`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    bridge_command: tuple[str, ...] = Field(
+        default=("/usr/bin/python3",),
+        min_length=1,
+        description="the Python that has the modules linuxcnc and hal, with whatever must stand before it",
+    )
+    machine_name: str | None = Field(default=None, description="[EMC]MACHINE of the right machine; another is refused")
+    answer_within_s: Annotated[float, Field(gt=0.0, le=60.0)] = 3.0
+    watch_s: float = Field(default=2.0, ge=0.0, le=60.0, description="silence after which the bridge stops a motion")
+
+    poll_interval_s: float = Field(default=0.02, gt=0.0, le=0.5, description="between two looks at a motion")
+    motion_margin_s: Seconds = Field(default=5.0, description="beyond 1.5 times the predicted duration")
+    held_at_most_s: Seconds = Field(default=600.0, description="how long a hold at the machine is waited for")
+    homing: Literal["refuse", "absolute-encoders"] = Field(
+        default="refuse", description="absolute-encoders: home on opening where that moves nothing"
+    )
+    homing_within_s: Seconds = 120.0
+
+    permissions: PermissionPins = PermissionPins()
+    probe_tool: int | None = Field(default=None, ge=0, description="number of the probe in the tool table")
+    probe_healthy: PinName | None = Field(default=None, description="HAL bit: battery and link of the probe")
+    latch_cycles: float = Field(
+        default=0.5, ge=0.0, le=10.0, description="servo cycles from the trip to the latched position, on average"
+    )
+    probe_delay_s: float = Field(default=0.0, ge=0.0, le=0.1, description="of the probe's signal, as by a debounce")
+    latch_tolerance_mm: float = Field(default=1.0, gt=0.0, description="of a latched position from the path")
+    temperatures: dict[str, PinName] = Field(default_factory=dict, description="name → HAL float in °C")
+
+    def pins(self) -> tuple[str, ...]:
+        """HAL names that belong to every look at the machine."""
+        healthy = () if self.probe_healthy is None else (self.probe_healthy,)
+        return (*self.permissions.named().values(), *healthy)

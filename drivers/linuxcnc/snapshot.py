@@ -1,0 +1,114 @@
+"""One look at LinuxCNC, in mm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from drivers.errors import ProtocolError
+from drivers.linuxcnc.pins import PinValue
+from drivers.roles import MotionState
+
+Triple = tuple[float, float, float]
+
+ON = "on"
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """`position` and `probed` are machine positions without external offsets; `program_offset` is what a programmed
+    position lacks to them. `errors` is what LinuxCNC has said since the look before."""
+
+    position: Triple
+    probed: Triple
+    tripped: bool
+    deflected: bool
+    task_state: str
+    mode: str
+    outcome: Literal["done", "exec", "error"]
+    idle: bool
+    paused: bool
+    in_position: bool
+    homed: bool
+    homing: bool
+    joint_faults: tuple[int, ...]
+    on_limit: tuple[int, ...]
+    spindle: bool
+    tool: int
+    program_offset: Triple
+    rotation_deg: float
+    modal: tuple[float, ...]
+    feed_override: float
+    rapid_override: float
+    abandoned: bool
+    errors: tuple[str, ...]
+    monotonic_s: float
+    pins: tuple[PinValue, ...]
+
+    @property
+    def under_way(self) -> bool:
+        return self.outcome == "exec" or not self.idle
+
+    @property
+    def state(self) -> MotionState:
+        if self.task_state != ON:
+            return MotionState.FAULT
+        if self.paused:
+            return MotionState.HELD
+        return MotionState.MOVING if self.under_way or self.homing or not self.in_position else MotionState.IDLE
+
+    @property
+    def fault(self) -> str:
+        """Why the machine is not on; empty while it is."""
+        if self.task_state == ON:
+            return ""
+        text = "emergency stop" if self.task_state == "estop" else "machine is off"
+        for joints, trouble in ((self.joint_faults, "drive fault"), (self.on_limit, "limit switch")):
+            if joints:
+                text += f", {trouble} of joint {', '.join(map(str, joints))}"
+        return text
+
+
+def snapshot_of(told: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
+    """From the bridge's answer to `status`. ProtocolError where something is missing."""
+    try:
+        offset = told["eoffset"]
+        return Snapshot(
+            position=_without(told["position"], offset, mm_per_unit),
+            probed=_without(told["probed"], offset, mm_per_unit),
+            deflected=told["probe"],
+            outcome=told["state"],
+            joint_faults=tuple(told["joint_faults"]),
+            on_limit=tuple(told["on_limit"]),
+            program_offset=_without(told["program_offset"], (0.0, 0.0, 0.0), mm_per_unit),
+            modal=tuple(told["modal"]),
+            errors=tuple(told["errors"]),
+            pins=tuple(told["pins"]),
+            **{name: told[name] for name in _AS_TOLD},
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ProtocolError(f"the bridge's status cannot be read: {error!r}", **where) from error
+
+
+_AS_TOLD = (
+    "tripped",
+    "task_state",
+    "mode",
+    "idle",
+    "paused",
+    "in_position",
+    "homed",
+    "homing",
+    "spindle",
+    "tool",
+    "rotation_deg",
+    "feed_override",
+    "rapid_override",
+    "abandoned",
+    "monotonic_s",
+)
+
+
+def _without(values: Any, offset: Any, mm_per_unit: float) -> Triple:
+    x, y, z = ((value - part) * mm_per_unit for value, part in zip(values, offset, strict=True))
+    return x, y, z

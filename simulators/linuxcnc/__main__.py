@@ -1,0 +1,76 @@
+"""`python -m simulators.linuxcnc`: a stock LinuxCNC with a simulated machine around it, until standard input ends.
+
+The first line on standard output is one JSON object: `pid`, by which others enter the namespaces, and where the control
+channel and the CAN bus are inside them.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import FrameType
+
+import click
+
+from drivers.errors import VolcalError
+from simulators.linuxcnc.machine import LinuxCncMachine, build
+from simulators.linuxcnc.namespaces import first_child, unshared, why_not
+from simulators.linuxcnc.work import prepare
+from simulators.scenario import read_scenario
+
+PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.option("--scenario", type=PATH, required=True, help="What is simulated (TOML).")
+@click.option("--configuration", type=PATH, required=True, help="Directory of the INI and HAL files.")
+@click.option("--components", type=PATH, required=True, help="Directory of the components beside the driver.")
+@click.option("--work", type=PATH, required=True, help="Directory for everything that is made.")
+@click.option("--ini", default="machine.ini", show_default=True)
+@click.option("--speed", type=click.FloatRange(0.1, 100.0), default=1.0, show_default=True, help="Times real time.")
+@click.option("--inside", is_flag=True, hidden=True)
+def run(
+    *, scenario: Path, configuration: Path, components: Path, work: Path, ini: str, speed: float, inside: bool
+) -> None:
+    """Compile, start, switch on and home it; then serve."""
+    try:
+        if inside:
+            _serve(scenario, work.resolve(), ini, speed)
+            return
+        reason = why_not()
+        if reason:
+            raise click.ClickException(f"LinuxCNC cannot run here: {reason}")
+        prepare(configuration, components, work.resolve())
+        build(components.resolve(), work.resolve() / "build")
+    except VolcalError as error:
+        raise click.ClickException(str(error)) from None
+    raise SystemExit(_in_namespaces(sys.argv[1:]))
+
+
+def _in_namespaces(arguments: list[str]) -> int:
+    """The same program again, in namespaces; its ready line gets the process id by which they are entered."""
+    command = unshared([sys.executable, "-m", "simulators.linuxcnc", *arguments, "--inside"])
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603  our own program
+        assert process.stdout is not None  # noqa: S101  asked for above
+        line = process.stdout.readline()
+        if line:
+            click.echo(json.dumps({"pid": first_child(process.pid)} | json.loads(line)))
+        return process.wait()
+
+
+def _serve(scenario: Path, work: Path, ini: str, speed: float) -> None:
+    def end(number: int, _: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)
+    with LinuxCncMachine(read_scenario(scenario.resolve()), work, ini, speed=speed) as machine:
+        click.echo(json.dumps(machine.ready_line()))
+        while sys.stdin.buffer.read(4096):
+            pass  # what is said there has no meaning; only that it ends
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,140 @@
+component volcal_plant "A machine with errors, and balls for its probe to touch, in front of a real LinuxCNC";
+description """
+Where the stylus tip of a deviated machine is when its motors stand where LinuxCNC sends them, and whether the probe
+has tripped on one of the balls. Everything that is simulated comes from a file that another process writes
+(*simulators/linuxcnc/memory.py* says how it is laid out) and that both map into memory.
+Add the function to the servo thread after motion-controller: what it finds is read in the next cycle, together with
+the position that it belongs to.
+Parameter of the module: *path*, of that file.""";
+pin in float motor-#[3] "joint.N.motor-pos-cmd, mm";
+pin out bit probe "to motion.probe-input";
+pin out bit ready "the file is there and sound";
+pin out float temperature-#[3] "artefact, machine, ambient; degrees Celsius";
+pin out float tip-position-#[3] "workpiece frame, mm";
+pin out u32 trips "so many times the probe has tripped";
+pin out u32 overrun "so many times the tip was pressed further than the probe yields";
+option singleton yes;
+option extra_setup yes;
+option extra_cleanup yes;
+function _ fp "where the tip is, and whether the probe has tripped";
+license "GPL";
+author "volcal";
+;;
+
+#include <fcntl.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+#include "volcal_plant.h"
+
+static char *path = "";
+RTAPI_MP_STRING(path, "file that holds what is simulated");
+
+static plant_memory *memory;
+static size_t mapped;
+static plant_scene scene; /* the last that was read whole */
+static double before[3], lag[3], scatter[3], travelled, tip_before[3];
+static int begun, touching = -1, over, tripped;
+static rtapi_u32 motions, touches, trip_count, overrun_count;
+static int was_moving[3];
+
+EXTRA_SETUP() {
+    struct stat told;
+    (void)__comp_inst; (void)prefix; (void)extra_arg;
+    int file = open(path, O_RDWR | O_CLOEXEC);
+    if (file < 0 || fstat(file, &told) < 0) {
+        rtapi_print_msg(RTAPI_MSG_ERR, "volcal_plant: %s cannot be read\n", path);
+        return -ENOENT;
+    }
+    mapped = (size_t)told.st_size;
+    void *where = mmap(NULL, mapped, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+    close(file);
+    if (where == MAP_FAILED) return -ENOMEM;
+    memory = where;
+    if (mapped < sizeof(plant_memory) || memory->magic != PLANT_MAGIC || plant_bytes(memory) > mapped) {
+        rtapi_print_msg(RTAPI_MSG_ERR, "volcal_plant: %s holds no plant\n", path);
+        munmap(where, mapped);
+        memory = NULL;
+        return -EINVAL;
+    }
+    return 0;
+}
+
+EXTRA_CLEANUP() {
+    if (memory) munmap(memory, mapped);
+}
+
+/* Half of the backlash behind the drive, once the drive has gone that far, and a scatter for each motion. */
+static void follow(const double *motor) {
+    for (int a = 0; a < 3; a++) {
+        double step = begun ? motor[a] - before[a] : 0.0, half = 0.5 * scene.backlash_mm[a];
+        lag[a] = fmin(fmax(lag[a] - step, -half), half);
+        if (step != 0.0 && !was_moving[a]) scatter[a] = scene.scatter_mm * plant_normal(scene.seed, 1 + a, motions++);
+        was_moving[a] = step != 0.0;
+        before[a] = motor[a];
+    }
+    begun = 1;
+}
+
+/* The ball that the tip overlaps, nearest first; -1: none. */
+static int overlapped(const double *tip, double *depth) {
+    int found = -1;
+    *depth = 0.0;
+    for (int n = 0; n < (int)scene.balls && n < PLANT_BALLS; n++) {
+        double inside = scene.reach_mm - plant_distance(tip, scene.ball_mm[n]);
+        if (inside > *depth) *depth = inside, found = n;
+    }
+    return found;
+}
+
+/* Way of the tip from contact to trip, for the direction in which it goes; the probe points along +Y. */
+static double pretravel(const double *way, double length) {
+    double x = way[0] / length, z = way[2] / length;
+    return scene.pretravel_mm + scene.lobing_mm * hypot(x, z) * cos(3.0 * atan2(z, x)) +
+           scene.touch_sigma_mm * plant_normal(scene.seed, 0, touches);
+}
+
+/* Part of this cycle's way that lies inside the ball. */
+static double share_inside(const double *tip, int ball) {
+    double outside = plant_distance(tip_before, scene.ball_mm[ball]) - scene.reach_mm;
+    double inside = scene.reach_mm - plant_distance(tip, scene.ball_mm[ball]);
+    return outside > 0.0 ? inside / (inside + outside) : 1.0;
+}
+
+/* Trips once for each time that a ball is met; the seats close again when the tip is free. */
+static void feel(const double *tip, const double *way, double length) {
+    double depth;
+    int ball = overlapped(tip, &depth);
+    if (ball < 0) {
+        touches += touching >= 0 ? 1 : 0;
+        touching = -1, travelled = 0.0, over = 0, tripped = 0;
+        return;
+    }
+    travelled += length * (ball == touching ? 1.0 : share_inside(tip, ball));
+    touching = ball;
+    if (!tripped && length > 0.0 && travelled >= pretravel(way, length)) tripped = 1, trip_count++;
+    if (!over && depth > scene.overtravel_mm) over = 1, overrun_count++;
+}
+
+FUNCTION(_) {
+    double bare[3], deviation[3], tip[3], way[3];
+    ready = memory && plant_read_scene(memory, &scene);
+    if (!ready) return;
+    for (int a = 0; a < 3; a++) bare[a] = motor(a);
+    int first = !begun;
+    follow(bare);
+    plant_deviation(memory, bare, deviation);
+    for (int a = 0; a < 3; a++) {
+        tip[a] = bare[a] + scene.tool_mm[a] + deviation[a] + scene.drift_mm[a] + lag[a] + scatter[a];
+        way[a] = first ? 0.0 : tip[a] - tip_before[a];
+        temperature(a) = scene.temperature_c[a];
+        tip_position(a) = tip[a];
+    }
+    feel(tip, way, sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]));
+    probe = tripped, trips = trip_count, overrun = overrun_count;
+    memcpy(tip_before, tip, sizeof tip);
+    plant_trace(memory, tip);
+}

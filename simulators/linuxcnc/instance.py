@@ -1,0 +1,117 @@
+"""A stock LinuxCNC, started, switched on, homed and stopped, without a screen."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from drivers.clock import Deadline, RealClock
+from drivers.errors import ConfigurationError, LinkLost
+from simulators.linuxcnc.namespaces import HOME
+
+RSH_PORT = 5007
+UP_WITHIN_S = 30.0
+DONE_WITHIN_S = 20.0
+POLL_S = 0.05
+NOBODY = "65534"
+JOINTS = 3
+
+
+class LinuxCncInstance:
+    """A context. `speed` is seconds of the controller per second of the wall; `directory` holds INI and HAL files and
+    gets the log; `programs` is looked through first for what HAL files load."""
+
+    def __init__(self, directory: Path, ini: str, *, speed: float, programs: Path) -> None:
+        self._directory = directory
+        self._ini = directory / ini
+        self._speed = speed
+        self._programs = programs
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        command = ["linuxcnc", str(self._ini)]
+        if self._speed != 1.0:
+            command = ["faketime", "-f", f"+0 x{self._speed:g}", *command]
+        with self.log.open("wb") as log:
+            self._process = subprocess.Popen(  # noqa: S603  programs of the distribution
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, cwd=self._directory, env=self._environment()
+            )
+        try:
+            self._make_ready()
+        except BaseException:
+            self._kill()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            with self._said("shutdown"):
+                if self._process is not None:
+                    self._process.wait(DONE_WITHIN_S)
+        except (OSError, subprocess.TimeoutExpired):
+            self._kill()
+
+    @property
+    def log(self) -> Path:
+        return self._directory / "linuxcnc.log"
+
+    def _environment(self) -> dict[str, str]:
+        path = f"{self._programs}:{os.environ.get('PATH', '')}"
+        fifo = "/tmp/rtapi_fifo"  # noqa: S108  of the namespace
+        return os.environ | {"HOME": HOME, "PATH": path, "RTAPI_UID": NOBODY, "RTAPI_FIFO_PATH": fifo}
+
+    def _make_ready(self) -> None:
+        """Wait for the display's server, release the e-stop, switch on, home."""
+        deadline = Deadline.after(RealClock(), UP_WITHIN_S)
+        while not self._homed():
+            if self._process is not None and self._process.poll() is not None:
+                said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+                raise ConfigurationError(
+                    f"LinuxCNC did not start: {said[-1] if said else 'it said nothing'}", file=str(self.log)
+                )
+            deadline.require("LinuxCNC to be homed", hint=f"see {self.log}")
+            deadline.clock.sleep(POLL_S)
+
+    def _homed(self) -> bool:
+        """Ask for what is missing, and whether nothing is."""
+        try:
+            told = self._ask("get joint_homed", "get machine")
+            if told.count(" YES") < JOINTS:
+                self._ask("set estop off", "set machine on", "set mode manual", "set home -1", "get machine")
+                return False
+        except OSError:
+            return False
+        return "MACHINE ON" in told
+
+    def _ask(self, *lines: str) -> str:
+        """Commands to linuxcncrsh, the last of them `get machine`, and everything that it answers until that."""
+        with self._said(*lines) as link:
+            answer = ""
+            while "MACHINE O" not in answer or not answer.endswith("\n"):
+                chunk = link.recv(4096)
+                if not chunk:
+                    break
+                answer += chunk.decode(errors="replace").upper()
+        return answer
+
+    def _said(self, *lines: str) -> socket.socket:
+        text = "".join(f"{line}\r\n" for line in ("hello EMC volcal 1.0", "set enable EMCTOO", *lines))
+        link = socket.create_connection(("127.0.0.1", RSH_PORT), timeout=DONE_WITHIN_S)
+        link.sendall(text.encode())
+        return link
+
+    def _kill(self) -> None:
+        if self._process is None or self._process.poll() is not None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(DONE_WITHIN_S)
+        except subprocess.TimeoutExpired as late:
+            self._process.kill()
+            raise LinkLost("LinuxCNC does not end", file=str(self.log)) from late

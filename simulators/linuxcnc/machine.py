@@ -1,0 +1,102 @@
+"""LinuxCNC and the plant around it as one machine: inside its namespaces, with CAN drives and a control channel."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from drivers.clock import RealClock, ScaledClock
+from drivers.errors import ConfigurationError
+from simulators.linuxcnc.instance import LinuxCncInstance
+from simulators.linuxcnc.namespaces import make_private
+from simulators.linuxcnc.plant import Plant
+from simulators.scenario import Scenario
+from simulators.wire.can_channel import CanChannel, open_channel
+from simulators.wire.can_drive import DriveConfig, drive_node
+from simulators.wire.can_server import CanServer
+from simulators.wire.control import ControlServer
+from simulators.wire.machine_on_wires import AXES, COUNTS_PER_DEGREE
+from simulators.wire.shared_world import SharedWorld
+from simulators.wire.time_server import Ticker
+
+OWN_COMPONENTS: Final = Path(__file__).resolve().parent / "components"
+CAN: Final = "socketcand:127.0.0.1:0"
+BUILD_WITHIN_S: Final = 120.0
+
+
+def build(components: Path, out: Path) -> list[Path]:
+    """Compile the plant's component and those beside the driver; what LinuxCNC loads. ConfigurationError."""
+    out.mkdir(parents=True, exist_ok=True)
+    for source in OWN_COMPONENTS.iterdir():
+        shutil.copy(source, out)
+    _compiled(["halcompile", "--compile", "volcal_plant.comp"], out)
+    _compiled(["make", "--no-print-directory", "-C", str(components), f"OUT={out}"], out)
+    return sorted(out.glob("*.so"))
+
+
+def _compiled(command: list[str], directory: Path) -> None:
+    done = subprocess.run(  # noqa: S603  programs of the distribution
+        command, cwd=directory, capture_output=True, text=True, timeout=BUILD_WITHIN_S, check=False
+    )
+    if done.returncode != 0:
+        raise ConfigurationError(
+            f"a component cannot be compiled: {done.stderr.strip()[-400:]}", hint="see package linuxcnc-uspace-dev"
+        )
+
+
+class LinuxCncMachine:
+    """A context, once and inside namespaces of its own. `work` holds configuration and components, and gets the rest."""
+
+    def __init__(self, scenario: Scenario, work: Path, ini: str, *, speed: float) -> None:
+        self._work = work
+        self._speed = speed
+        self._ini = ini
+        self._scenario = scenario
+        self._undo = ExitStack()
+        self._can: CanChannel | None = None
+
+    def __enter__(self) -> Self:
+        with ExitStack() as undo:
+            make_private(self._work, sorted((self._work / "build").glob("*.so")))
+            self._plant = Plant(self._scenario, self._work / "plant.bin")
+            for server in self._servers():
+                undo.callback(server.close)
+                server.start()
+            undo.enter_context(
+                LinuxCncInstance(self._work, self._ini, speed=self._speed, programs=self._work / "build")
+            )
+            self._undo = undo.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._undo.close()
+
+    def _servers(self) -> list[ControlServer | CanServer | Ticker]:
+        shared = SharedWorld(self._plant.world)
+        shared.subscribe(self._plant.moved_to)
+        self._control = ControlServer(shared, ("127.0.0.1", 0))
+        self._can = open_channel(CAN)
+        nodes = [
+            drive_node(DriveConfig(number, axis, COUNTS_PER_DEGREE), mount)[0]
+            for mount in self._plant.world.mounts.values()
+            for number, axis in enumerate(AXES, start=1)
+        ]
+        can = CanServer(self._can.bus, nodes, shared.lock)
+        shared.subscribe(can.advance)
+        clock = RealClock() if self._speed == 1.0 else ScaledClock(self._speed)
+        return [self._control, can, Ticker(shared, clock)]
+
+    def ready_line(self) -> dict[str, Any]:
+        """Where everything listens, inside these namespaces."""
+        host, port = self._control.address
+        return {
+            "control": {"host": host, "port": port},
+            "can": self._can.agent_settings if self._can is not None else None,
+            "log": str(self._work / "linuxcnc.log"),
+        }

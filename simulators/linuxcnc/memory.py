@@ -1,0 +1,112 @@
+"""The file through which the plant's process and the servo thread of LinuxCNC share what is simulated.
+
+Laid out as `components/volcal_plant.h` says: everything 8 bytes, little-endian.
+"""
+
+from __future__ import annotations
+
+import mmap
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from twin.arrays import Array
+
+MAGIC = 0x31746E616C507656
+BALLS = 32
+TRACE = 8192
+
+_SCENE = np.dtype(
+    [
+        ("balls", "<f8"),
+        ("seed", "<f8"),
+        ("reach_mm", "<f8"),
+        ("overtravel_mm", "<f8"),
+        ("pretravel_mm", "<f8"),
+        ("lobing_mm", "<f8"),
+        ("touch_sigma_mm", "<f8"),
+        ("scatter_mm", "<f8"),
+        ("backlash_mm", "<f8", 3),
+        ("tool_mm", "<f8", 3),
+        ("drift_mm", "<f8", 3),
+        ("temperature_c", "<f8", 3),
+        ("ball_mm", "<f8", (BALLS, 3)),
+    ]
+)
+_HEAD = np.dtype(
+    [
+        ("magic", "<u8"),
+        ("sequence", "<u8"),
+        ("scene", _SCENE),
+        ("traced", "<u8"),
+        ("trace_mm", "<f8", (TRACE, 3)),
+        ("nodes", "<u8", 3),
+        ("origin_mm", "<f8", 3),
+        ("step_mm", "<f8", 3),
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class DeviationGrid:
+    """`deviation_mm`, (nx, ny, nz, 3), on the bare axis positions origin + index * step."""
+
+    origin_mm: Array
+    step_mm: Array
+    deviation_mm: Array
+
+
+@dataclass(frozen=True)
+class ProbeNature:
+    """How the probe and the axes behave; `reach_mm`: of the centres of tip and ball at contact."""
+
+    seed: int
+    reach_mm: float
+    overtravel_mm: float
+    pretravel_mm: float
+    lobing_mm: float
+    touch_sigma_mm: float
+    scatter_mm: float
+    backlash_mm: tuple[float, float, float]
+    tool_mm: tuple[float, float, float]
+
+
+class PlantMemory:
+    """Written here, read by the servo thread; `close` leaves the file."""
+
+    def __init__(self, path: Path, grid: DeviationGrid, nature: ProbeNature) -> None:
+        size = _HEAD.itemsize + grid.deviation_mm.size * 8
+        with path.open("wb+") as file:
+            file.truncate(size)
+            self._map = mmap.mmap(file.fileno(), size)
+        path.chmod(0o666)  # rtapi_app runs under another user
+        self._head = np.frombuffer(self._map, _HEAD, 1)[0:1]
+        self._scene = self._head["scene"]
+        values = np.frombuffer(self._map, "<f8", grid.deviation_mm.size, _HEAD.itemsize)
+        values[:] = grid.deviation_mm.ravel()
+        self._head["nodes"] = grid.deviation_mm.shape[:3]
+        self._head["origin_mm"], self._head["step_mm"] = grid.origin_mm, grid.step_mm
+        for name, value in vars(nature).items():
+            self._scene[name] = value
+        self._head["magic"] = MAGIC
+        self._read = 0
+
+    def show(self, balls_mm: Array, *, drift_mm: tuple[float, float, float], temperatures_c: list[float]) -> None:
+        """From now on these balls (n, 3), workpiece frame, stand there."""
+        if len(balls_mm) > BALLS:
+            raise ConfigurationError(f"{len(balls_mm)} balls; the plant holds {BALLS}", key="artefacts")
+        self._head["sequence"] += 1
+        self._scene["balls"] = len(balls_mm)
+        self._scene["ball_mm"][0, : len(balls_mm)] = balls_mm
+        self._scene["drift_mm"] = drift_mm
+        self._scene["temperature_c"] = temperatures_c
+        self._head["sequence"] += 1
+
+    def traced(self) -> Array:
+        """(n, 3): where the tip has been since it was asked last, the last place before included."""
+        written = int(self._head["traced"][0])
+        first = max(self._read - 1, written - TRACE + 1, 0)
+        self._read = written
+        return np.array(self._head["trace_mm"][0][np.arange(first, written) % TRACE])

@@ -1,0 +1,114 @@
+"""The world around LinuxCNC: true machine, artefact and mount as in every simulation, put before the servo thread.
+
+The controller inside the simulated world is not used: LinuxCNC moves the axes, and a realtime component says when the
+probe trips. Collisions are looked for along the way that the tip has gone.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from simulators.linuxcnc.memory import DeviationGrid, PlantMemory, ProbeNature
+from simulators.scenario import Scenario
+from simulators.world.noise import generator
+from simulators.world.thermal import AMBIENT, ARTEFACT, MACHINE
+from simulators.world.workpiece import Standing
+from simulators.world.world import Collision, World
+from twin.arrays import Array
+from twin.bodies import TIP
+from twin.geometry import Point, point
+from twin.true_machine import TrueMachine
+
+GRID_STEP_MM = 25.0
+STEM = "stem"
+NEAR_MM = 2.0
+"""A stem may touch the ball that the tip is about to touch or leaves: it yields together with the tip."""
+
+
+class Plant:
+    """`moved_to` is called after each advance of the world's time."""
+
+    def __init__(self, scenario: Scenario, file: Path) -> None:
+        self.world = World(scenario)
+        settings = scenario.settings
+        tool = point(scenario.machine.tool(settings.tool))
+        self._reach_mm = self.world.table.ball_radius_mm + settings.probe.tip_radius_mm
+        self._overtravel_mm = settings.trigger.overtravel_mm
+        nature = ProbeNature(
+            seed=int(generator(settings.seed, "linuxcnc plant").integers(2**20)),
+            reach_mm=self._reach_mm,
+            overtravel_mm=self._overtravel_mm,
+            pretravel_mm=1e-3 * settings.trigger.pretravel_um,
+            lobing_mm=1e-3 * settings.trigger.lobing_um,
+            touch_sigma_mm=1e-3 * settings.trigger.touch_sigma_um,
+            scatter_mm=1e-3 * settings.axes.repeatability_um,
+            backlash_mm=_in_mm(settings.axes.backlash_of_axes_um),
+            tool_mm=tool,
+        )
+        self.memory = PlantMemory(file, _sampled(self.world.truth.machine, scenario), nature)
+        self._shown: Standing | None = None
+        self._tip: Point | None = None
+        self._colliding: set[tuple[str, str]] = set()
+        self.moved_to(0.0)
+
+    def moved_to(self, now_s: float) -> None:
+        """Show what stands there now, and look for collisions on the way gone since."""
+        standing = self.world.table.standing(now_s)
+        way = self.memory.traced()
+        if standing is not self._shown:
+            self._show(standing)
+            if self._tip is not None:
+                self._look(standing, self._tip, self._tip)
+        for start, end in zip(way[:-1].tolist(), way[1:].tolist(), strict=True):
+            self._look(standing, point(start), point(end))
+            self._tip = point(end)
+
+    def _show(self, standing: Standing) -> None:
+        told = self.world.controller.temperatures()
+        self.memory.show(
+            np.array(standing.balls).reshape(-1, 3),
+            drift_mm=(0.0, 0.0, 0.0),
+            temperatures_c=[told[ARTEFACT], told[MACHINE], told[AMBIENT]],
+        )
+        self._shown = standing
+
+    def _look(self, standing: Standing, start: Point, end: Point) -> None:
+        """Record a collision when it begins; as long as it lasts it is one."""
+        near = {
+            (STEM, name)
+            for name, ball in zip(standing.ball_names, standing.balls, strict=True)
+            if min(math.dist(start, ball), math.dist(end, ball)) < self._reach_mm + NEAR_MM
+        }
+        hit = standing.scene.first_hit(start, end, ignored=standing.meant | near)
+        now = {(hit.moving, hit.obstacle)} if hit is not None else set()
+        now |= {
+            (TIP, name)
+            for name, ball in zip(standing.ball_names, standing.balls, strict=True)
+            if math.dist(end, ball) < self._reach_mm - self._overtravel_mm
+        }
+        for moving, obstacle in sorted(now - self._colliding):
+            self.world.collisions.append(Collision(self.world.now, moving, obstacle))
+        self._colliding = now
+
+
+def _sampled(machine: TrueMachine, scenario: Scenario) -> DeviationGrid:
+    """The machine's deviation on a grid so fine that between its nodes the truth is off by less than 0.1 µm."""
+    low, high = np.array(scenario.machine.limits, dtype=np.float64).T
+    cells = np.maximum(np.ceil((high - low) / GRID_STEP_MM), 1).astype(int)
+    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, cells, strict=True)]
+    layers = [_layer(machine, x, axes[1], axes[2]) for x in axes[0]]
+    return DeviationGrid(low, (high - low) / cells, np.array(layers))
+
+
+def _layer(machine: TrueMachine, x: float, ys: Array, zs: Array) -> Array:
+    y, z = np.meshgrid(ys, zs, indexing="ij")
+    places = np.stack([np.full(y.size, x), y.ravel(), z.ravel()], axis=1)
+    return machine.deviation(places).reshape(*y.shape, 3)
+
+
+def _in_mm(values_um: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = values_um
+    return 1e-3 * x, 1e-3 * y, 1e-3 * z
