@@ -62,7 +62,6 @@ class Conversation:
         self._told: list[Message | Setting] = []
         self.restarts = 0
         self.alarm: int | None = None
-        self.unlocked = False
         self.probe_results: list[ProbeResult] = []
 
     # ------------------------------------------------------------------ open
@@ -73,7 +72,6 @@ class Conversation:
         self._pending.clear()
         self._told.clear()
         self.probe_results.clear()
-        self.alarm, self.unlocked = None, False
         report = self._first_report()
         if report.state not in ("Hold", "Door", "Home"):  # there it would be answered much later, if at all
             self._synchronise()
@@ -257,8 +255,6 @@ class Conversation:
             case Welcome():
                 self.restarts += 1
                 self._pending.clear()
-            case Message("MSG", text):
-                self.unlocked = self.unlocked or "Unlocked" in text
             case Message() | Setting():
                 self._told.append(line)
             case _:

@@ -7,18 +7,19 @@ program that was not corrected runs uncorrected.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-
-import numpy as np
 
 from drivers.errors import ChecksumMismatch, ReadBackMismatch, StoreError
 from drivers.roles import Activation, StoreLimits, TableImage
-from drivers.serial_cnc.bank_files import BankFiles, table_crc32
+from drivers.serial_cnc.bank_files import BankFiles
 from drivers.serial_cnc.correction import Correction
 from drivers.serial_cnc.settings import BankSettings
+from drivers.tables.objections import form_objection, stage_objection
+from drivers.tables.text import counts_crc32
 
 BANKS = (1, 2)
+STEEPEST = 0.1
+"""So that taking a correction out of a latch converges: each step gains a digit at least."""
 
 
 class BankStore:
@@ -44,7 +45,6 @@ class BankStore:
 
     def open(self) -> None:
         """Take up the bank that acted last. StoreError where its table is not the one that was activated."""
-        self._files.require_writable()
         bank, crc = self._files.active()
         self._active, self.correction = bank, Correction(self._proved(bank, crc) if bank else None)
 
@@ -61,7 +61,7 @@ class BankStore:
         self._require_known(bank)
         if bank == self._active:
             raise self._error(f"bank {bank} is active and cannot be written", hint="stage into another bank")
-        objection = self._objection(table)
+        objection = stage_objection(self.limits, table) or form_objection(table, STEEPEST)
         if objection:
             raise self._error(objection)
         self._files.write(bank, table)
@@ -83,7 +83,7 @@ class BankStore:
             if table is None:
                 raise self._error(f"bank {bank} holds no table", hint="stage it first")
         self._require_rest()
-        self._files.set_active(bank, table_crc32(table) if table is not None else 0)
+        self._files.set_active(bank, counts_crc32(table.counts) if table is not None else 0)
         self._active, self.correction = bank, Correction(table)
 
     def _proved(self, bank: int, crc: int) -> TableImage:
@@ -91,28 +91,15 @@ class BankStore:
             raise self._error(f"bank {bank} is recorded as active, and there is none")
         table = self._files.read(bank)
         if table is None:
-            raise self._error(f"bank {bank} is active and its file is gone", hint="restore it, or remove active.json")
-        if table_crc32(table) != crc:
+            raise self._error(f"bank {bank} is active and its file is gone", hint="restore it, or remove the file 'active'")
+        if counts_crc32(table.counts) != crc:
             raise ChecksumMismatch(
-                f"bank {bank} is active with CRC-32 {crc:08x}, its file has {table_crc32(table):08x}",
-                hint="the file was exchanged behind the driver's back; restore it, or remove active.json",
+                f"bank {bank} is active with CRC-32 {crc:08x}, its file has {counts_crc32(table.counts):08x}",
+                hint="the file was exchanged behind the driver's back; restore it, or remove the file 'active'",
                 bank=bank,
                 **self._where,
             )
         return table
-
-    def _objection(self, table: TableImage) -> str:
-        limits = self.limits
-        if any(have > most for have, most in zip(table.shape, limits.max_nodes, strict=True)) or (
-            math.prod(table.shape) > limits.max_total_nodes
-        ):
-            return f"grid {table.shape} exceeds {limits.max_nodes} nodes, or {limits.max_total_nodes} in all"
-        if not math.isclose(table.resolution_mm, limits.resolution_mm, rel_tol=1e-9):
-            return f"one count of the table is {table.resolution_mm} mm, the store's {limits.resolution_mm} mm"
-        largest_mm = float(np.max(np.abs(table.counts.astype(np.int64)), initial=0)) * table.resolution_mm
-        if largest_mm > limits.max_correction_mm * (1.0 + 1e-9):
-            return f"correction of {largest_mm} mm exceeds the largest, {limits.max_correction_mm} mm"
-        return ""
 
     def _require_known(self, bank: int) -> None:
         if bank not in BANKS:

@@ -1,0 +1,180 @@
+"""The device: Machine, Probe and CompensationStore behind a GRBL, and Thermometer by what a person has read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.clock import Clock
+from drivers.errors import CommandRejected, ConfigurationError, DeviceError, LinkLost
+from drivers.links.serial_port import SerialAddress, SerialPort
+from drivers.registry import DeviceContext
+from drivers.roles import (
+    AxisLimits,
+    Finding,
+    MachineStatus,
+    Miss,
+    MotionState,
+    ProbeStatus,
+    StoreLimits,
+    TableImage,
+    Touch,
+    Vector,
+)
+from drivers.serial_cnc.bank_files import BankFiles
+from drivers.serial_cnc.control import Control
+from drivers.serial_cnc.controller_settings import ControllerSettings
+from drivers.serial_cnc.conversation import Conversation
+from drivers.serial_cnc.diagnosis import diagnose
+from drivers.serial_cnc.frames import Frames
+from drivers.serial_cnc.identity import read_identity
+from drivers.serial_cnc.motion import Motion
+from drivers.serial_cnc.probing import Probing
+from drivers.serial_cnc.settings import SerialCncSettings
+from drivers.serial_cnc.store import BankStore
+from drivers.serial_cnc.watch import Watch
+
+
+class SerialCnc:
+    """Composes the parts over one conversation; those that need the controller's settings exist while it is open."""
+
+    def __init__(self, settings: SerialCncSettings, context: DeviceContext) -> None:
+        address = SerialAddress(settings.port, settings.baud)
+        self._settings = settings
+        self._clock = context.clock
+        self._conversation = Conversation(SerialPort(address, device=context.name), settings)
+        self._where = self._conversation.where
+        directory = context.base_path / settings.banks.directory
+        self._store = BankStore(settings.banks, BankFiles(directory, self._where), self._where, self._require_rest)
+        self._directory = directory
+        self._parts: _Parts | None = None
+
+    def open(self) -> None:
+        try:
+            self._store.open()
+            self._conversation.open()
+            identity = read_identity(self._conversation)
+            fatal = identity.settings.fatal()
+            if fatal:
+                raise ConfigurationError(fatal, hint="`volcal doctor` lists every setting that matters", **self._where)
+            watch = Watch(self._conversation, identity.settings, by_hand=self._settings.referenced_by_hand)
+            watch.take_offset(identity.parameters, identity.modes)
+            watch.look()
+        except BaseException:
+            self._conversation.close()
+            raise
+        self._parts = _Parts(self._conversation, identity.settings, watch, self._store, self._clock)
+
+    def close(self) -> None:
+        parts, self._parts = self._parts, None
+        try:
+            if parts is not None and self._conversation.line.connected:
+                parts.control.finish()
+        finally:
+            self._conversation.close()
+
+    def diagnose(self) -> list[Finding]:
+        return diagnose(self._conversation, self._settings, self._store, self._directory)
+
+    def limits(self) -> AxisLimits:
+        return self._open.frames.limits
+
+    def status(self) -> MachineStatus:
+        look = self._open.control.look()
+        return MachineStatus(look.state, look.permissions, look.fault)
+
+    def position(self) -> Vector:
+        parts = self._open
+        return parts.frames.displayed(parts.control.look().position_mm)
+
+    def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
+        parts, target = self._open, np.asarray(target_mm, dtype=np.float64)
+        parts.frames.require_reachable(target, feed_mm_per_s)
+        if guarded:
+            parts.probing.guarded(target, feed_mm_per_s)
+        else:
+            parts.motion.straight(target, feed_mm_per_s)
+
+    def hold(self) -> None:
+        self._open.control.hold()
+
+    def resume(self) -> None:
+        self._open.control.resume()
+
+    def reset(self) -> None:
+        self._open.control.reset()
+
+    def stop(self) -> None:
+        """Does nothing on a device that is closed; a port that was lost is opened again for it."""
+        if self._parts is None:
+            return
+        if not self._conversation.line.connected:
+            self._conversation.open()
+        self._parts.control.stop()
+
+    def probe_status(self) -> ProbeStatus:
+        """The controller has one input for the probe: nothing tells whether it is loaded or its battery is full."""
+        return ProbeStatus(loaded=True, healthy=True, deflected=self._open.control.look().deflected)
+
+    def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
+        parts, target = self._open, np.asarray(target_mm, dtype=np.float64)
+        parts.frames.require_reachable(target, feed_mm_per_s)
+        return parts.probing.touch_towards(target, feed_mm_per_s)
+
+    def store_limits(self) -> StoreLimits:
+        return self._store.limits
+
+    def active_bank(self) -> int:
+        return self._store.active_bank()
+
+    def pending_bank(self) -> int | None:
+        """An activation acts at once."""
+        return None
+
+    def read_table(self, bank: int) -> TableImage | None:
+        return self._store.read_table(bank)
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        self._store.stage(bank, table)
+
+    def activate(self, bank: int) -> None:
+        self._store.activate(bank)
+
+    def temperatures_c(self) -> Mapping[str, float]:
+        """What a person has read and written into the settings."""
+        if not self._settings.stated_temperatures_c:
+            raise DeviceError(
+                "this controller has no thermometer and no temperature is stated",
+                hint="give the role to another device, or write stated_temperatures_c",
+                **self._where,
+            )
+        return dict(self._settings.stated_temperatures_c)
+
+    def _require_rest(self) -> None:
+        if self._parts is not None and self._parts.control.look().state is MotionState.MOVING:
+            raise CommandRejected("a compensation cannot change during a motion", **self._where)
+
+    @property
+    def _open(self) -> _Parts:
+        if self._parts is None:
+            raise LinkLost("device is not open", hint="open it first", **self._where)
+        return self._parts
+
+
+class _Parts:
+    """What can be built only once the controller has told its settings."""
+
+    def __init__(
+        self,
+        conversation: Conversation,
+        told: ControllerSettings,
+        watch: Watch,
+        store: BankStore,
+        clock: Clock,
+    ) -> None:
+        zero = conversation.settings.axis_zero_mm
+        self.control = Control(conversation, watch, clock)
+        self.frames = Frames(told.limits(zero), zero, store, conversation.where)
+        self.motion = Motion(conversation, watch, self.control, self.frames, clock)
+        self.probing = Probing(conversation, watch, self.motion, self.frames)

@@ -1,0 +1,93 @@
+"""Self-diagnosis for `volcal doctor`: reads only, moves nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+
+from drivers.clock import wall_seconds
+from drivers.errors import DeviceError
+from drivers.roles import Finding
+from drivers.serial_cnc.conversation import Conversation
+from drivers.serial_cnc.identity import read_identity
+from drivers.serial_cnc.settings import SerialCncSettings
+from drivers.serial_cnc.store import BankStore
+from drivers.serial_cnc.watch import Watch
+
+LATENCY_READS = 20
+SLOW_ROUND_TRIP_S = 0.1
+"""A quarter of the poll interval."""
+
+
+def diagnose(
+    conversation: Conversation, settings: SerialCncSettings, store: BankStore, directory: Path
+) -> list[Finding]:
+    """Findings in the order in which a person would look; an error ends the list as a finding of its own."""
+    findings: list[Finding] = []
+    opened_here = not conversation.line.connected
+    try:
+        if opened_here:
+            conversation.open()
+        findings.extend(_findings(conversation, settings))
+    except DeviceError as error:
+        findings.append(Finding("link", ok=False, text=str(error)))
+    finally:
+        if opened_here:
+            conversation.close()
+    findings.append(_tables(store, directory, look=opened_here))
+    return findings
+
+
+def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterator[Finding]:
+    yield _latency(conversation)
+    identity = read_identity(conversation)
+    told = identity.settings
+    yield Finding("link", ok=True, text=f"{conversation.where['link']}, version {told.version}")
+    yield from told.findings(referenced_by_hand=settings.referenced_by_hand)
+    if told.fatal():
+        return
+    limits = told.limits(settings.axis_zero_mm)
+    travel = ", ".join(
+        f"{axis} {low:g} … {high:g} mm" for axis, low, high in zip("XYZ", limits.lower_mm, limits.upper_mm, strict=True)
+    )
+    yield Finding("travel", ok=True, text=travel)
+    watch = Watch(conversation, told, by_hand=settings.referenced_by_hand)
+    watch.take_offset(identity.parameters, identity.modes)
+    look = watch.look()
+    yield Finding("state", ok=not look.fault, text=look.word + (f": {look.fault}" if look.fault else ""))
+    yield Finding("permissions", ok=not look.missing, text=f"missing: {look.missing}" if look.missing else "all given")
+    text = "deflected: touching something, or $6 is wrong" if look.deflected else "free; the controller tells no more"
+    yield Finding("probe", ok=not look.deflected, text=text)
+    offset = ", ".join(f"{value:.3f}" for value in watch.work_offset().tolist())
+    yield Finding("work offset", ok=True, text=f"{offset} mm")
+    share = look.feed_share
+    yield Finding("overrides", ok=share == 1.0, text=f"feed {100 * share:.0f} %")
+    stated = settings.stated_temperatures_c
+    if stated:
+        named = ", ".join(f"{name} {value:g} °C" for name, value in stated.items())
+        yield Finding("temperatures", ok=True, text=f"stated, not measured: {named}")
+
+
+def _latency(conversation: Conversation) -> Finding:
+    times_s: list[float] = []
+    for _ in range(LATENCY_READS):
+        start_s = wall_seconds()
+        conversation.report()
+        times_s.append(wall_seconds() - start_s)
+    text = f"median {median(times_s) * 1e3:.2f} ms, worst {max(times_s) * 1e3:.2f} ms"
+    return Finding("latency", ok=median(times_s) <= SLOW_ROUND_TRIP_S, text=text)
+
+
+def _tables(store: BankStore, directory: Path, *, look: bool) -> Finding:
+    """The controller has no tables, and must not seem to have any."""
+    try:
+        if look and directory.exists():
+            store.open()
+    except DeviceError as error:
+        return Finding("tables", ok=False, text=str(error))
+    text = (
+        f"none in the controller; files in {directory}, active {store.active_bank()}: the driver corrects what it "
+        "commands, part programs act corrected only after `volcal gcode correct`"
+    )
+    return Finding("tables", ok=True, text=text)

@@ -1,0 +1,52 @@
+"""From displayed axis positions to machine coordinates and back.
+
+displayed + correction = sent; sent + axis zero = machine coordinates (``MPos``); machine - work offset = work.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.errors import CommandRejected
+from drivers.roles import AxisLimits, Vector
+from drivers.serial_cnc.store import BankStore
+
+LIMIT_TOLERANCE_MM = 1e-6
+
+
+class Frames:
+    """`axis_zero_mm`: machine coordinates at which the axes of the machine file read 0."""
+
+    def __init__(
+        self, limits: AxisLimits, axis_zero_mm: tuple[float, float, float], store: BankStore, where: Mapping[str, str]
+    ) -> None:
+        self.limits = limits
+        self._lower, self._upper = np.array(limits.lower_mm), np.array(limits.upper_mm)
+        self._zero = np.array(axis_zero_mm)
+        self._store = store
+        self._where = where
+
+    def machine(self, displayed_mm: Vector) -> Vector:
+        """Never beyond the travel: at its very end a correction outwards is left out."""
+        sent = np.clip(self._store.correction.applied(displayed_mm), self._lower, self._upper)
+        result: Vector = sent + self._zero
+        return result
+
+    def displayed(self, machine_mm: Vector) -> Vector:
+        return self._store.correction.taken_out(machine_mm - self._zero)
+
+    def require_reachable(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
+        """CommandRejected for what is no motion, or outside the travel."""
+        if not np.all(np.isfinite(target_mm)) or not (feed_mm_per_s is None or 0.0 < feed_mm_per_s < math.inf):
+            raise CommandRejected(f"to {target_mm} with feed {feed_mm_per_s}: not a motion", **self._where)
+        for axis, value, low, high in zip("XYZ", target_mm.tolist(), self._lower, self._upper, strict=True):
+            if not low - LIMIT_TOLERANCE_MM <= value <= high + LIMIT_TOLERANCE_MM:
+                raise CommandRejected(
+                    f"{axis} {value:.3f} mm is outside the travel, {low:g} to {high:g} mm",
+                    hint="the travel is that of $130 to $132, moved by axis_zero_mm",
+                    axis=axis,
+                    **self._where,
+                )

@@ -1,0 +1,39 @@
+"""What a controller tells of itself before anything is asked of it: build, settings, offsets, modes. Reads only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.errors import CommandRejected, ProtocolError
+from drivers.serial_cnc.controller_settings import ControllerSettings
+from drivers.serial_cnc.conversation import Conversation
+from drivers.serial_cnc.lines import Message
+
+
+@dataclass(frozen=True)
+class Identity:
+    """`parameters`: the lines of ``$#``; `modes`: the words of ``$G``."""
+
+    settings: ControllerSettings
+    parameters: list[Message]
+    modes: str
+
+
+def read_identity(conversation: Conversation) -> Identity:
+    """Raises CommandRejected where something else runs on the controller, ProtocolError where it is no GRBL."""
+    report = conversation.report()
+    if report.state not in ("Idle", "Alarm"):
+        raise CommandRejected(
+            f"the controller is in state {report.state}: it tells its settings only while idle",
+            hint="end, resume or reset what runs there, then start again",
+            **conversation.where,
+        )
+    told = conversation.ask("$I")
+    if not any(isinstance(line, Message) and line.kind == "VER" for line in told):
+        raise ProtocolError("no version in the answer to $I", hint="GRBL 1.1 or grblHAL is needed", **conversation.where)
+    settings = ControllerSettings.of([*told, *conversation.ask("$$")])
+    parameters = [line for line in conversation.ask("$#") if isinstance(line, Message)]
+    modes = [line.text for line in conversation.ask("$G") if isinstance(line, Message) and line.kind == "GC"]
+    if not modes:
+        raise ProtocolError("no modes in the answer to $G", hint="GRBL 1.1 or grblHAL is needed", **conversation.where)
+    return Identity(settings, parameters, modes[0])

@@ -1,0 +1,144 @@
+"""Probe cycles: touches, guarded moves, and the way off what the probe rests on.
+
+G38.3 ends where the probe trips or where it was sent, without an alarm; G38.5 the same for a probe that comes free.
+Their targets are work coordinates, since G53 does not go with them; their results are machine coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import CommandRejected, GuardTripped, MotionFault, ProtocolError
+from drivers.roles import Miss, Touch, Vector
+from drivers.serial_cnc.conversation import Conversation
+from drivers.serial_cnc.frames import Frames
+from drivers.serial_cnc.lines import ProbeResult
+from drivers.serial_cnc.motion import PREAMBLE, Motion, Order, axis_words, feed_word
+from drivers.serial_cnc.watch import Look, Watch
+from drivers.straight_move import along_path, distance_to_segment_mm
+
+UNTIL_CONTACT, UNTIL_FREE = "G38.3", "G38.5"
+SHORTEST_MM = 5e-4
+"""A probe cycle of no length is an error for the controller (33)."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A probe cycle: its result, and the report after it."""
+
+    result: ProbeResult
+    look: Look
+
+
+class Probing:
+    """A latch is believed only when it is the only one, and lies on the path of its touch."""
+
+    def __init__(self, conversation: Conversation, watch: Watch, motion: Motion, frames: Frames) -> None:
+        self._conversation = conversation
+        self._watch = watch
+        self._motion = motion
+        self._frames = frames
+        self._settings = conversation.settings
+        self._pressed: Vector | None = None
+
+    def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
+        look = self._motion.ready()
+        if look.deflected:
+            raise CommandRejected(
+                "the probe is deflected before the touch", hint="back off first", **self._motion.where
+            )
+        goal = self._frames.machine(target_mm)
+        if _distance(look.position_mm, goal) < SHORTEST_MM:
+            return Miss(_triple(self._frames.displayed(look.position_mm)))
+        ended = self._cycle(UNTIL_CONTACT, "touch", look.position_mm, goal, feed_mm_per_s)
+        position = _triple(self._frames.displayed(np.array(ended.result.position)))
+        return Touch(position) if ended.result.tripped else Miss(position)
+
+    def guarded(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
+        """A move that stops when the probe trips. A deflected probe is led off first, never further on."""
+        look = self._motion.ready()
+        goal = self._frames.machine(target_mm)
+        if look.deflected:
+            look = self._led_off(look, goal, feed_mm_per_s)
+        start = look.position_mm
+        if _distance(start, goal) < SHORTEST_MM or look.deflected:
+            return
+        ended = self._cycle(UNTIL_CONTACT, "guarded move", start, goal, self._feed(start, goal, feed_mm_per_s))
+        if ended.result.tripped:
+            x, y, z = self._frames.displayed(np.array(ended.result.position)).tolist()
+            raise GuardTripped(
+                f"probe tripped in a move that was no touch, at X {x:.3f} Y {y:.3f} Z {z:.3f}",
+                hint="something stands in the way, or mount and artefact are not where the plan has them",
+                **self._motion.where,
+            )
+
+    def _led_off(self, look: Look, goal: Vector, feed_mm_per_s: float | None) -> Look:
+        """Towards the goal until the probe comes free; MotionFault where it does not within `free_within_mm`."""
+        start, way = look.position_mm, goal - look.position_mm
+        length = float(np.linalg.norm(way))
+        if length < SHORTEST_MM:
+            return look
+        if self._pressed is not None and float(way @ self._pressed) > 0.0:
+            raise CommandRejected(
+                "the probe is deflected and the move would press on", hint="move it free", **self._motion.where
+            )
+        share = min(1.0, self._settings.free_within_mm / length)
+        near = start + share * way
+        ended = self._cycle(UNTIL_FREE, "way off", start, near, self._feed(start, near, feed_mm_per_s))
+        if ended.result.tripped:
+            self._pressed = None
+        elif share < 1.0:
+            raise MotionFault(
+                f"the probe is still deflected after {self._settings.free_within_mm:g} mm",
+                hint="look at the stylus and at the probe's wiring ($6), and move it free by hand",
+                **self._motion.where,
+            )
+        return ended.look
+
+    def _cycle(self, code: str, what: str, start: Vector, goal: Vector, feed_mm_per_s: float) -> Ended:
+        work = goal - self._watch.work_offset()
+        line = f"{PREAMBLE}{code}{axis_words(work)}{feed_word(feed_mm_per_s)}"
+        order = Order(line, what, goal, feed_mm_per_s, self._settings.touch_poll_interval_s, barrier=False)
+        look = self._motion.carry_out(order, start)
+        results = self._conversation.probe_results
+        if len(results) != 1:
+            raise self._error(f"{what} ended with {len(results)} probe results, not one")
+        result = results[0]
+        if result.tripped:
+            self._require_on_path(result, start, goal)
+            if code == UNTIL_CONTACT:
+                self._pressed = (goal - start) / _distance(goal, start)
+        else:
+            self._motion.require_at(goal, look, what)
+            if _distance(np.array(result.position), look.position_mm) > self._settings.position_tolerance_mm:
+                raise self._error(f"{what} has missed, and its result is not where the axes are")
+        return Ended(result, look)
+
+    def _require_on_path(self, result: ProbeResult, start: Vector, goal: Vector) -> None:
+        off_mm = distance_to_segment_mm(np.array(result.position), start, goal)
+        allowed_mm = self._settings.latch_tolerance_mm
+        if off_mm > allowed_mm:
+            raise self._error(f"latched position is {off_mm:.3f} mm off the commanded path (allowed {allowed_mm:g} mm)")
+
+    def _feed(self, start: Vector, goal: Vector, feed_mm_per_s: float | None) -> float:
+        """A probe cycle needs a feed; the rapid one of a move is what its axes can do along it."""
+        if feed_mm_per_s is not None:
+            return feed_mm_per_s
+        shares = (np.abs(goal - start) / _distance(goal, start)).tolist()
+        return along_path(shares, self._frames.limits.rapid_mm_per_s)
+
+    def _error(self, text: str) -> ProtocolError:
+        return ProtocolError(
+            text, hint="a line was lost or came twice: check cable, shield and baud", **self._motion.where
+        )
+
+
+def _distance(one: Vector, other: Vector) -> float:
+    return float(np.linalg.norm(one - other))
+
+
+def _triple(position: Vector) -> tuple[float, float, float]:
+    x, y, z = position.tolist()
+    return x, y, z

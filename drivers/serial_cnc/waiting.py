@@ -1,0 +1,59 @@
+"""How long a motion will take, and how often to look while it does."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.clock import Clock, Deadline
+from drivers.roles import AxisLimits, Vector
+from drivers.serial_cnc.settings import SerialCncSettings
+from drivers.straight_move import move_duration_s
+
+DURATION_FACTOR = 1.5
+"""A motion may take this many times its predicted duration (look-ahead, junctions), plus the margin."""
+COARSEST_FINE_S = 0.1
+JUST_AFTER_S = 0.001
+"""A look aimed at the very end would come too early half the time."""
+
+
+class Prediction:
+    def __init__(self, limits: AxisLimits) -> None:
+        self._limits = limits
+
+    def of(self, start_mm: Vector, goal_mm: Vector, feed_mm_per_s: float | None, feed_share: float) -> float:
+        """Seconds; `feed_share`: the feed override."""
+        return move_duration_s(
+            start_mm.tolist(),
+            goal_mm.tolist(),
+            feed_mm_per_s=None if feed_mm_per_s is None else feed_mm_per_s * feed_share,
+            rapid_mm_per_s=self._limits.rapid_mm_per_s,
+            acceleration_mm_per_s2=self._limits.acceleration_mm_per_s2,
+        )
+
+
+class Pace:
+    """Coarse looks until the predicted end, then fine ones that grow coarser again."""
+
+    def __init__(self, clock: Clock, settings: SerialCncSettings, predicted_s: float, slice_s: float) -> None:
+        self._clock = clock
+        self._slice_s = slice_s
+        self._allowed_s = DURATION_FACTOR * predicted_s + settings.motion_margin_s
+        self._end_s = clock.now() + predicted_s + JUST_AFTER_S
+        self._fine_s = settings.fine_poll_interval_s
+        self.deadline = Deadline.after(clock, self._allowed_s)
+
+    @property
+    def fine(self) -> bool:
+        """Whether the predicted end has passed."""
+        return self._clock.now() >= self._end_s
+
+    def begin_anew(self) -> None:
+        """Time spent held does not count."""
+        self.deadline = Deadline.after(self._clock, self._allowed_s)
+
+    def pause_s(self) -> float:
+        left_s = self._end_s - self._clock.now()
+        if left_s > self._fine_s:
+            return left_s / math.ceil(left_s / self._slice_s)
+        pause_s, self._fine_s = self._fine_s, min(1.5 * self._fine_s, COARSEST_FINE_S, self._slice_s)
+        return pause_s

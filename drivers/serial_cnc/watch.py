@@ -1,0 +1,182 @@
+"""What the reports tell together: fields that come only now and then are kept until they come again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import LinkTimeout, ProtocolError
+from drivers.roles import MotionState, Permission, Vector
+from drivers.serial_cnc.codes import NEEDS_RESET, POSITION_KEPT, alarm_text
+from drivers.serial_cnc.controller_settings import ControllerSettings
+from drivers.serial_cnc.conversation import Conversation
+from drivers.serial_cnc.lines import Message, StatusReport, Triple
+
+REPORTS_UNTIL_OFFSET = 40
+"""GRBL tells its work offset in every tenth or thirtieth report, and in the first one after a reset."""
+NO_PART_PROGRAM = frozenset({"Idle", "Alarm", "Check", "Sleep", "Door"})
+NOT_AUTOMATIC = frozenset({"Check", "Sleep", "Jog", "Home", "Tool"})
+
+
+@dataclass(frozen=True)
+class Look:
+    """One report, and what was known besides. `position_mm`: machine coordinates, (3,)."""
+
+    word: str
+    state: MotionState
+    position_mm: Vector
+    deflected: bool
+    permissions: Mapping[Permission, bool]
+    alarm: int | None
+    feed_share: float
+    """Feed override as a factor."""
+
+    @property
+    def fault(self) -> str:
+        return alarm_text(self.alarm) if self.state is MotionState.FAULT else ""
+
+    @property
+    def missing(self) -> str:
+        return ", ".join(name.value for name, given in self.permissions.items() if not given)
+
+
+class Watch:
+    """Owns what is remembered of the controller while the device is open."""
+
+    def __init__(self, conversation: Conversation, settings: ControllerSettings, *, by_hand: bool) -> None:
+        self._conversation = conversation
+        self._settings = settings
+        self._homing_known = settings.homes or by_hand
+        self._restarts = conversation.restarts
+        self._offset: Triple | None = None
+        self._overrides = (100, 100)
+        self._spindle_turns = False
+        self._homed: bool | None = None
+        self._alarm: int | None = None
+        self._in_alarm = False
+        self.ours_moves = False
+        """Whether what moves is a motion of this driver."""
+        self.position_lost = False
+
+    def take_offset(self, told: list[Message], modes: str) -> None:
+        """The work offset out of the answers to ``$#`` and ``$G``."""
+        offsets = {message.kind: message for message in told}
+        system = next((word for word in modes.split() if word in ("G54", "G55", "G56", "G57", "G58", "G59")), None)
+        if system is None or system not in offsets or "G92" not in offsets:
+            return  # told differently; it will come with a report
+        length = float(offsets["TLO"].text.split(",")[-1]) if "TLO" in offsets else 0.0
+        x, y, z = (a + b for a, b in zip(offsets[system].triple(), offsets["G92"].triple(), strict=True))
+        self._offset = (x, y, z + length)
+
+    def look(self) -> Look:
+        """Ask for a report. A critical alarm silences the controller until it is reset, which moves nothing."""
+        conversation = self._conversation
+        try:
+            report = None if conversation.alarm in NEEDS_RESET else conversation.report()
+        except LinkTimeout:
+            if conversation.alarm not in NEEDS_RESET:
+                raise
+            report = None
+        if report is None:
+            alarm = conversation.alarm
+            self._note_restart(expected=True)
+            conversation.reset()
+            self._note_restart(expected=True)
+            report = conversation.report()
+            self._alarm = conversation.alarm if conversation.alarm is not None else alarm
+        return self._taken(report)
+
+    def expect_restart(self) -> None:
+        """Called after a reset of our own: what it wipes out is forgotten, the position is kept."""
+        self._note_restart(expected=True)
+
+    def work_offset(self) -> Vector:
+        """(3,): machine = work + this. Asks until it has been told."""
+        for _ in range(REPORTS_UNTIL_OFFSET):
+            if self._offset is not None:
+                return np.array(self._offset)
+            self.look()
+        raise ProtocolError(
+            f"no work offset (WCO) in {REPORTS_UNTIL_OFFSET} reports",
+            hint="switch it on in the report mask $10",
+            **self._conversation.where,
+        )
+
+    def _taken(self, report: StatusReport) -> Look:
+        self._note_restart(expected=False)
+        self._note_fields(report)
+        self._note_alarm(report)
+        position = report.triple("MPos")
+        if position is None:
+            raise ProtocolError(
+                "the controller reports work positions (WPos)", hint="add 1 to $10", **self._conversation.where
+            )
+        pins = report.fields.get("Pn", "")
+        return Look(
+            word=report.state if report.substate is None else f"{report.state}:{report.substate}",
+            state=_motion_state(report),
+            position_mm=np.array(position),
+            deflected="P" in pins,
+            permissions=self._permissions(report, pins),
+            alarm=self._alarm,
+            feed_share=max(self._overrides[0], 1) / 100.0,
+        )
+
+    def _note_restart(self, *, expected: bool) -> None:
+        if self._conversation.restarts == self._restarts:
+            return
+        self._restarts = self._conversation.restarts
+        self._offset, self._overrides, self._spindle_turns = None, (100, 100), False
+        if not expected and not self._settings.homes:
+            self.position_lost = True  # switched off and on, it counts from wherever it stands
+
+    def _note_fields(self, report: StatusReport) -> None:
+        self._offset = report.triple("WCO") or self._offset
+        fields = report.fields
+        if "Ov" in fields:
+            feed, rapid, *_ = (int(part) for part in fields["Ov"].split(","))
+            self._overrides = (feed, rapid)
+            self._spindle_turns = bool(set("SC") & set(fields.get("A", "")))
+        if "FS" in fields:
+            self._spindle_turns = self._spindle_turns or float(fields["FS"].split(",")[1]) > 0.0
+        if "H" in fields:
+            self._homed = fields["H"].startswith("1")
+
+    def _note_alarm(self, report: StatusReport) -> None:
+        if report.state != "Alarm":
+            self._conversation.forget_alarm()
+            self._alarm, self._in_alarm = None, False
+            return
+        told = self._conversation.alarm
+        if told is None and not self._in_alarm:
+            told = report.substate if report.substate else self._alarm
+        self._alarm = told if told is not None else self._alarm
+        self._in_alarm = True
+        if self._alarm not in POSITION_KEPT:
+            self.position_lost = True
+
+    def _permissions(self, report: StatusReport, pins: str) -> dict[Permission, bool]:
+        state = report.state
+        referenced = self._homing_known and not self.position_lost and self._homed is not False
+        return {
+            Permission.AUTOMATIC: state not in NOT_AUTOMATIC,
+            Permission.DOORS_CLOSED: state != "Door" and "D" not in pins,
+            Permission.SPINDLE_STOPPED: not self._spindle_turns,
+            Permission.PROGRAM_IDLE: state in NO_PART_PROGRAM or self.ours_moves,
+            Permission.REFERENCED: referenced,
+            Permission.NO_FAULT: state != "Alarm",
+            Permission.CONSENT: True,
+        }
+
+
+def _motion_state(report: StatusReport) -> MotionState:
+    match report.state, report.substate:
+        case ("Run" | "Jog" | "Home", _) | ("Hold", 1) | ("Door", 2 | 3):
+            return MotionState.MOVING
+        case ("Hold" | "Door" | "Tool", _):
+            return MotionState.HELD
+        case ("Alarm", _):
+            return MotionState.FAULT
+    return MotionState.IDLE
