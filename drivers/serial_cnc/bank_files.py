@@ -1,4 +1,4 @@
-"""Compensation tables as files: one for each bank, one that says which bank acts. A power cut leaves each old or new."""
+"""Tables as files: one for each bank, and one that says which bank acts. A power cut leaves each of them old or new."""
 
 from __future__ import annotations
 

@@ -114,7 +114,9 @@ class ControllerSettings:
         yield Finding("homing", ok=homes, text=text + (" (referenced by hand)" if referenced_by_hand else ""))
         soft = bool(self.values[SOFT_LIMITS])
         yield Finding(
-            "soft limits", ok=soft, text="on" if soft else "$20=0: nothing in the controller guards the travel; set $20=1"
+            "soft limits",
+            ok=soft,
+            text="on" if soft else "$20=0: nothing in the controller guards the travel; set $20=1",
         )
         yield self._steps()
         yield self._idle()

@@ -32,7 +32,7 @@ QUERY, HOLD, RESUME, SOFT_RESET, CANCEL_JOG = b"?", b"!", b"~", b"\x18", b"\x85"
 """Real-time characters: not part of the stream, no end of line, no answer of their own."""
 
 SYNCHRONISE = "="
-"""No controller knows such a line, so it is refused and does nothing, and spoils what an earlier user left half-sent."""
+"""No controller knows such a line: it is refused, does nothing, and spoils what an earlier user has left half-sent."""
 BOOT_QUERY_EVERY_S = 0.25
 LATE_WITHIN_S = 0.02
 
@@ -177,9 +177,7 @@ class Conversation:
         restarts = self.restarts
         while not ticket.answered:
             if self.restarts != restarts:
-                raise ProtocolError(
-                    f"the controller has restarted instead of answering {ticket.line!r}", **self.where
-                )
+                raise ProtocolError(f"the controller has restarted instead of answering {ticket.line!r}", **self.where)
             if not self._read_one(give_up_s):
                 raise LinkTimeout(
                     f"no answer to {ticket.line!r} within {self.settings.answer_within_s:g} s", **self.where
@@ -189,7 +187,9 @@ class Conversation:
         error = ticket.answer.error if ticket.answer is not None else None
         if error is None:
             return
-        hint = "clear the alarm: home the machine, or $X where its position is certain" if error in LOCKED_ERRORS else ""
+        hint = (
+            "clear the alarm: home the machine, or $X where its position is certain" if error in LOCKED_ERRORS else ""
+        )
         raise CommandRejected(
             f"the controller refused {ticket.line!r}: {error_text(error)}", hint=hint, error=error, **self.where
         )

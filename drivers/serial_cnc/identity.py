@@ -30,7 +30,9 @@ def read_identity(conversation: Conversation) -> Identity:
         )
     told = conversation.ask("$I")
     if not any(isinstance(line, Message) and line.kind == "VER" for line in told):
-        raise ProtocolError("no version in the answer to $I", hint="GRBL 1.1 or grblHAL is needed", **conversation.where)
+        raise ProtocolError(
+            "no version in the answer to $I", hint="GRBL 1.1 or grblHAL is needed", **conversation.where
+        )
     settings = ControllerSettings.of([*told, *conversation.ask("$$")])
     parameters = [line for line in conversation.ask("$#") if isinstance(line, Message)]
     modes = [line.text for line in conversation.ask("$G") if isinstance(line, Message) and line.kind == "GC"]

@@ -28,7 +28,9 @@ class SerialCncSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    port: str = Field(min_length=1, description="as /dev/serial/by-id/…, which stays the same when another is plugged in")
+    port: str = Field(
+        min_length=1, description="as /dev/serial/by-id/…, which stays the same when another is plugged in"
+    )
     baud: int = Field(default=115200, ge=1200, le=4_000_000)
     dialect: Literal["grbl"] = Field(default="grbl", description="GRBL 1.1 and grblHAL")
     axis_zero_mm: Triple = Field(

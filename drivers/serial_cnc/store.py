@@ -91,7 +91,9 @@ class BankStore:
             raise self._error(f"bank {bank} is recorded as active, and there is none")
         table = self._files.read(bank)
         if table is None:
-            raise self._error(f"bank {bank} is active and its file is gone", hint="restore it, or remove the file 'active'")
+            raise self._error(
+                f"bank {bank} is active and its file is gone", hint="restore it, or remove the file 'active'"
+            )
         if counts_crc32(table.counts) != crc:
             raise ChecksumMismatch(
                 f"bank {bank} is active with CRC-32 {crc:08x}, its file has {counts_crc32(table.counts):08x}",

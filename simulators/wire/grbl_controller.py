@@ -255,9 +255,7 @@ class GrblController:
             self._alarm(NOT_READY)
             return None
         latches = axes.latches
-        self._begin(
-            PlannedMove(target_mm, self._parser.modes.feed_mm_per_min), touching=towards, leaving=not towards
-        )
+        self._begin(PlannedMove(target_mm, self._parser.modes.feed_mm_per_min), touching=towards, leaving=not towards)
         yield self._at_rest
         found = axes.latch_after(latches) if towards else axes.left_at_mm
         if found is not None:
