@@ -10,8 +10,23 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is first imported; see agent/cli/main.py
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
 settings.load_profile("check" if os.environ.get("CI") else "desk")
+
+NOT_HERE = "NOT EXERCISED HERE"
+"""How the reason of a skip begins where this computer lacks what a test needs: said aloud at the end, and counted."""
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    reasons = [str(report.longrepr[2]) for report in terminalreporter.stats.get("skipped", ())]
+    loud = [reason for reason in reasons if NOT_HERE in reason]
+    if loud:
+        terminalreporter.section(f"{NOT_HERE}: {len(loud)}", sep="!", red=True, bold=True)
+        for reason in sorted(set(loud)):
+            terminalreporter.write_line(
+                f"{loud.count(reason)} x {reason.partition(NOT_HERE)[2].lstrip(': ')}", red=True
+            )

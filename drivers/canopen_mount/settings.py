@@ -127,6 +127,8 @@ class CanopenMountSettings(_Strict):
     def _consistent(self) -> Self:
         if self.azimuth.node_id == self.elevation.node_id:
             raise ValueError(f"azimuth and elevation both have node id {self.azimuth.node_id}")
+        if self.interface == "slcan" and not {"bitrate", "btr"} & set(self.options):
+            raise ValueError("slcan opens its channel only after a bit rate was set: state options.bitrate")
         if self.heartbeat_ms and self.heartbeat_timeout_s < 2e-3 * self.heartbeat_ms:
             raise ValueError(
                 f"heartbeat_timeout_s {self.heartbeat_timeout_s} is less than two of {self.heartbeat_ms} ms"

@@ -110,6 +110,7 @@ class SlcanBus(slcanBus):
             self._claim = undo.enter_context(_claimed(channel.partition("@")[0]))
             super().__init__(channel, **options)
             undo.pop_all()
+        self.serialPortOrig.write_timeout = SEND_WITHIN_S
         self._hear_out_the_opening()
 
     def _hear_out_the_opening(self) -> None:

@@ -14,6 +14,7 @@ from simulators.wire.can_drive import VENDOR_AND_PRODUCT, DriveConfig, drive_nod
 from simulators.wire.can_parameters import FactorGroup
 from simulators.wire.can_server import CanServer
 from simulators.wire.control import ControlServer
+from simulators.wire.grbl_port import GrblPort
 from simulators.wire.modbus_controller import ModbusController
 from simulators.wire.modbus_numbers import Float64Numbers, NumberFormat
 from simulators.wire.modbus_rtu import LineSettings, ModbusRtuController
@@ -43,6 +44,8 @@ class Links:
     speed: float | None = None
     numbers: NumberFormat = field(default_factory=Float64Numbers)
     modbus_rtu: LineSettings | None = None
+    serial: str | None = None
+    """GRBL on a pseudo-terminal besides: the path of a link to it, or ``any``."""
 
 
 class MachineOnWires:
@@ -56,7 +59,7 @@ class MachineOnWires:
         self._shared = SharedWorld(self.world)
         self._can: CanChannel | None = None
         self._servers: list[
-            ModbusController | ModbusRtuController | ControlServer | TimeServer | Ticker | CanServer
+            ModbusController | ModbusRtuController | ControlServer | GrblPort | TimeServer | Ticker | CanServer
         ] = []
         with ExitStack() as undo:
             undo.callback(self.close)
@@ -66,6 +69,9 @@ class MachineOnWires:
             self._servers.append(self.control)
             if links.can is not None:
                 self._servers.append(self._open_can(links.can))
+            self.serial = GrblPort(self._shared, links.serial) if links.serial is not None else None
+            if self.serial is not None:
+                self._servers.append(self.serial)
             self.time = TimeServer(self._shared, links.time) if links.speed is None else None
             self._servers.append(self.time or Ticker(self._shared, _clock(links.speed)))
             undo.pop_all()
@@ -109,6 +115,7 @@ class MachineOnWires:
             "can": self._can.agent_settings if self._can is not None else None,
             "can_nodes": nodes[0] if self._can is not None else {},
             "can_mounts": {str(number): pair for number, pair in enumerate(nodes, 1)} if self._can is not None else {},
+            "serial": self.serial.agent_settings if self.serial is not None else None,
             "stations": [list(place) for place in settings.stations_mm],
             "standing_at": settings.standing_at,
         }

@@ -100,9 +100,8 @@ def over_rtu() -> AbstractContextManager[Played]:
 
 @contextmanager
 def on_wires(**links: Any) -> Iterator[Played]:
-    machine = MachineOnWires(
-        read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, can=f"virtual:contract-{next(channels)}", **links)
-    )
+    links = {"can": f"virtual:contract-{next(channels)}", **links}
+    machine = MachineOnWires(read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, **links))
     machine.start()
     assert machine.time is not None
     clock = LockstepClock(*machine.time.address)
