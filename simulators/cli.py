@@ -87,6 +87,7 @@ def _number(text: str, value: str, forms: str, largest: float) -> float:
     metavar="PATH|any[@BAUD,8P1]",
     help="On a pseudo-terminal instead of TCP; PATH is linked to it.",
 )
+@click.option("--serial", metavar="PATH|any", help="GRBL on a pseudo-terminal besides; PATH is linked to it.")
 @click.option("--can", metavar="CHANNEL", help="socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH …")
 @click.option(
     "--control", callback=_address, metavar="HOST:PORT", default="127.0.0.1:0", show_default=True, help="JSON lines."
@@ -121,6 +122,7 @@ def simulate(
     config: Path,
     modbus: tuple[str, int],
     modbus_rtu: LineSettings | None,
+    serial: str | None,
     can: str | None,
     control: tuple[str, int],
     clock: float | None,
@@ -135,7 +137,14 @@ def simulate(
     if not structlog.is_configured():
         _log_to_stderr()
     links = Links(
-        modbus=modbus, control=control, can=can, time=time_, speed=clock, numbers=numbers, modbus_rtu=modbus_rtu
+        modbus=modbus,
+        control=control,
+        can=can,
+        time=time_,
+        speed=clock,
+        numbers=numbers,
+        modbus_rtu=modbus_rtu,
+        serial=serial,
     )
     try:
         machine = MachineOnWires(read_scenario(config), links)

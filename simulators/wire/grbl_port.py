@@ -40,9 +40,10 @@ class GrblPort:
         self.close = self.line.close
 
     @property
-    def agent_settings(self) -> dict[str, str | int]:
-        """The keys of a serial device's settings."""
-        return {"port": self.line.place, "baud": BAUD}
+    def agent_settings(self) -> dict[str, object]:
+        """The keys of a serial device's settings. Where the axes read 0 GRBL, homed at their upper ends, reads less."""
+        upper = self._shared.world.controller.limits().upper_mm
+        return {"port": self.line.place, "baud": BAUD, "axis_zero_mm": [-value for value in upper]}
 
     def _received(self, data: bytes) -> None:
         with self._shared.lock:
