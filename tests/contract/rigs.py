@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ TOOL = np.array([0.0, 250.0, 0.0])
 REACH = 15.5
 """Radius of the ball and of the tip together."""
 ANY = ("127.0.0.1", 0)
+MORE_OPTIONS: dict[str, dict[str, Any]] = {"serial": {"stated_temperatures_c": {"artefact": 20.0}}}
 channels = itertools.count()
 
 
@@ -61,6 +63,8 @@ class Played:
     clock: Clock
     interrupt: Interrupt
     world: World
+    resolution_mm: float = 1e-5
+    """To which positions travel on the link."""
 
     def ball(self, number: int) -> np.ndarray:
         """(3,): axis positions at which the tip of this perfect machine would be in the middle of the ball."""
@@ -98,8 +102,13 @@ def over_rtu() -> AbstractContextManager[Played]:
     return on_wires(modbus_rtu=LineSettings())
 
 
+def over_serial() -> AbstractContextManager[Played]:
+    """GRBL on a pseudo-terminal: whole steps of a micrometre, tables in files, a stated temperature."""
+    return on_wires("serial", 1.1e-3, serial="any")
+
+
 @contextmanager
-def on_wires(**links: Any) -> Iterator[Played]:
+def on_wires(cnc_link: str = "modbus", resolution_mm: float = 1e-5, **links: Any) -> Iterator[Played]:
     links = {"can": f"virtual:contract-{next(channels)}", **links}
     machine = MachineOnWires(read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, **links))
     machine.start()
@@ -109,22 +118,25 @@ def on_wires(**links: Any) -> Iterator[Played]:
     watched = WatchedClock(clock, interrupt.check)
     ready = machine.ready_line()
     devices = {
-        "cnc": ("modbus-cnc", ready["modbus"]),
+        "cnc": (f"{cnc_link}-cnc", {**ready[cnc_link], **MORE_OPTIONS.get(cnc_link, {})}),
         "mount": ("canopen-mount", {**ready["can"], **drives(ready["can_nodes"])}),
         "operator": ("simulated-operator", ready["control"]),
     }
     opened: dict[str, Any] = {}
+    files = TemporaryDirectory()
     try:
         for name, (driver, options) in devices.items():
-            opened[name] = create_device(driver, options, DeviceContext(name, watched, Path()))
+            opened[name] = create_device(driver, options, DeviceContext(name, watched, Path(files.name)))
             opened[name].open()
         cnc = opened["cnc"]
-        yield Played(cnc, cnc, opened["mount"], cnc, cnc, opened["operator"], watched, interrupt, machine.world)
+        roles = (cnc, cnc, opened["mount"], cnc, cnc, opened["operator"])
+        yield Played(*roles, watched, interrupt, machine.world, resolution_mm)
     finally:
         for device in reversed(opened.values()):
             device.close()
         clock.close()
         machine.close()
+        files.cleanup()
 
 
 def drives(nodes: dict[str, int]) -> dict[str, Any]:

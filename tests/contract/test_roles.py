@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from rigs import REACH, Played, StoppedError, in_process, on_wires, over_rtu
+from rigs import REACH, Played, StoppedError, in_process, on_wires, over_rtu, over_serial
 
 from drivers.errors import CommandRejected, DeviceError, GuardTripped, StoreError
 from drivers.roles import (
@@ -26,7 +26,9 @@ from drivers.roles import (
 )
 
 
-@pytest.fixture(params=[in_process, on_wires, over_rtu], ids=["in-process", "on-wires", "over-rtu"])
+@pytest.fixture(
+    params=[in_process, on_wires, over_rtu, over_serial], ids=["in-process", "on-wires", "over-rtu", "over-serial"]
+)
 def played(request: pytest.FixtureRequest) -> Iterator[Played]:
     with request.param() as rig:
         yield rig
@@ -101,7 +103,7 @@ class TestProbe:
         centre = played.before(5)
         touch = played.probe.touch_towards(centre, feed_mm_per_s=5.0)
         assert isinstance(touch, Touch)
-        assert touch.position_mm == pytest.approx(tuple(centre - [0.0, REACH, 0.0]), abs=1e-5)
+        assert touch.position_mm == pytest.approx(tuple(centre - [0.0, REACH, 0.0]), abs=played.resolution_mm)
         assert played.machine.position()[1] > touch.position_mm[1] + 1e-3
         assert played.probe.probe_status().deflected
 
@@ -110,7 +112,7 @@ class TestProbe:
         target = centre - [0.0, 20.0, 0.0]
         miss = played.probe.touch_towards(target, feed_mm_per_s=5.0)
         assert isinstance(miss, Miss)
-        assert miss.position_mm == pytest.approx(tuple(target), abs=1e-6)
+        assert miss.position_mm == pytest.approx(tuple(target), abs=played.resolution_mm)
         assert not played.probe.probe_status().deflected
 
     def test_second_touch_has_its_own_latch(self, played: Played) -> None:
