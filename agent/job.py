@@ -64,7 +64,7 @@ class Job:
         covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
         return Procedure({self.settings.tool: self.layout}, covariance)
 
-    @property
+    @cached_property
     def measuring(self) -> MeasuringOrder:
         """The set, and at the verified stations the held-out positions as they are before."""
         both = (*self.positions, *self.held_out)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -46,23 +47,9 @@ class DriverPlugin:
     several_mounts: bool = False
 
 
-def installed_plugins() -> dict[str, DriverPlugin]:
-    """Every plugin that is installed, by name. Raises ConfigurationError for one that cannot be loaded."""
-    plugins: dict[str, DriverPlugin] = {}
-    for entry in entry_points(group=GROUP):
-        try:
-            plugin = entry.load()
-        except ImportError as error:
-            raise ConfigurationError(
-                f"driver plugin {entry.name!r} cannot be imported: {error}",
-                hint=f"reinstall the package that provides it ({entry.value})",
-            ) from error
-        if not isinstance(plugin, DriverPlugin):
-            raise ConfigurationError(
-                f"entry point {entry.name!r} is not a DriverPlugin", hint=f"it points at {entry.value}"
-            )
-        plugins[entry.name] = plugin
-    return plugins
+def installed_plugins() -> list[str]:
+    """Names of the plugins that are installed, in alphabetical order; none of them is loaded."""
+    return sorted(entry.name for entry in _entries())
 
 
 def create_device(driver: str, options: Mapping[str, object], context: DeviceContext) -> Device:
@@ -83,14 +70,30 @@ def has_several_mounts(driver: str, name: str) -> bool:
 
 
 def _plugin(driver: str, name: str) -> DriverPlugin:
-    plugins = installed_plugins()
-    if driver not in plugins:
+    """Only the one that is asked for is loaded: another that is broken, or heavy, is no concern of this machine."""
+    named = [entry for entry in _entries() if entry.name == driver]
+    if not named:
         raise ConfigurationError(
             f"unknown driver {driver!r}",
             key=f"devices.{name}.driver",
-            hint=f"installed drivers: {', '.join(sorted(plugins))}",
+            hint=f"installed drivers: {', '.join(installed_plugins())}",
         )
-    return plugins[driver]
+    try:
+        plugin = named[0].load()
+    except (ImportError, AttributeError) as error:
+        raise ConfigurationError(
+            f"driver plugin {driver!r} cannot be imported: {error}",
+            hint=f"reinstall the package that provides it ({named[0].value})",
+        ) from error
+    if not isinstance(plugin, DriverPlugin):
+        raise ConfigurationError(f"entry point {driver!r} is not a DriverPlugin", hint=f"it points at {named[0].value}")
+    return plugin
+
+
+@lru_cache(maxsize=1)
+def _entries() -> tuple[EntryPoint, ...]:
+    """What was installed when this process first asked."""
+    return tuple(entry_points(group=GROUP))
 
 
 def _validated(plugin: DriverPlugin, options: Mapping[str, object], name: str) -> BaseModel:

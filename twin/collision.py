@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,17 +27,18 @@ class Hit:
 class Scene:
     """Moving bodies (relative to the tip centre) among standing ones; build anew when those move.
 
-    Boxes around the bodies are kept as (6, moving, 1) and (6, 1, standing), lower and negated upper bounds, so
-    that "they meet" is one comparison.
+    Kept is by how much the box around each moving body falls short of that around each standing one, (6, pairs) for
+    the three lower and the three upper bounds, so that "they meet" is one comparison.
     """
 
     def __init__(self, moving: Sequence[Body], obstacles: Sequence[Body]) -> None:
         self.moving = tuple(moving)
         self.obstacles = tuple(obstacles)
         lower, upper = _bounds(self.moving)
-        self._moving_bounds = np.concatenate((lower, -upper), axis=1).T[:, :, None].copy()
+        own = np.concatenate((lower, -upper), axis=1).T
         lower, upper = _bounds(self.obstacles)
-        self._bounds = np.concatenate((upper, -lower), axis=1).T[:, None, :].copy()
+        theirs = np.concatenate((upper, -lower), axis=1).T
+        self._short = (theirs[:, None, :] - own[:, :, None]).reshape(6, -1)
 
     def first_hit(
         self,
@@ -94,13 +95,22 @@ class Scene:
                 smallest = min(smallest, separation(body.shape.moved(tip), obstacle.shape)[0])
         return smallest
 
-    def near(self, start: Point, end: Point, clearance_mm: float = 0.0) -> Iterator[tuple[int, int]]:
+    def near(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
         """Indices (moving, obstacle) of the pairs whose surrounding boxes, swept along the move, meet."""
-        travel = [min(s, e) - clearance_mm for s, e in zip(start, end, strict=True)]
-        travel += [-max(s, e) - clearance_mm for s, e in zip(start, end, strict=True)]
-        meet = self._moving_bounds + np.array(travel)[:, None, None] <= self._bounds
-        moving, obstacles = np.logical_and.reduce(meet, axis=0).nonzero()
-        return zip(moving.tolist(), obstacles.tolist(), strict=True)
+        (x0, y0, z0), (x1, y1, z1) = start, end
+        travel = np.array(
+            (
+                (min(x0, x1) - clearance_mm,),
+                (min(y0, y1) - clearance_mm,),
+                (min(z0, z1) - clearance_mm,),
+                (-max(x0, x1) - clearance_mm,),
+                (-max(y0, y1) - clearance_mm,),
+                (-max(z0, z1) - clearance_mm,),
+            )
+        )
+        meet = np.logical_and.reduce(travel <= self._short, axis=0)
+        count = len(self.obstacles)
+        return [divmod(pair, count) for pair in meet.nonzero()[0].tolist()]
 
 
 def _bounds(bodies: Sequence[Body]) -> tuple[Array, Array]:

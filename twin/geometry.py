@@ -74,8 +74,8 @@ def sphere(centre: Point, radius: float) -> Capsule:
 
 def point(values: Iterable[float]) -> Point:
     """Three plain floats from an array, a list or a generator."""
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+    x, y, z = values
+    return float(x), float(y), float(z)
 
 
 def added(p: Point, q: Point) -> Point:
