@@ -50,6 +50,7 @@ class Result:
     material: Material
     exported: Exported
     loss: Loss
+    table_crc32: str
 
     def as_json(self) -> dict[str, Any]:
         """What `--json` prints; `export.json` in the folder says the same."""
@@ -58,7 +59,7 @@ class Result:
         return {
             "format": self.request.format,
             "table": self.material.origin,
-            "table_crc32": checksum(format_table(table)),
+            "table_crc32": self.table_crc32,
             "estimate": None if self.material.estimate_file is None else str(self.material.estimate_file),
             "points": list(points),
             "largest_um": round(1e3 * float(np.abs(table.corrections).max()), 3),
@@ -98,7 +99,8 @@ def export_table(material: Material, request: Request) -> Result:
         require_same_machine(whole)
         table = whole.table if request.points is None else resampled(whole.table, request.points)
         exported = WRITERS[request.format](Source(table, whole.identified), request.choices)
-        result = Result(request, material, exported, loss(whole, exported.correction))
+        found = loss(whole, exported.correction)
+    result = Result(request, material, exported, found, checksum(format_table(material.table)))
     write_all_atomically(request.out, _contents(result))
     return result
 
