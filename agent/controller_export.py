@@ -13,9 +13,10 @@ import numpy as np
 
 from agent.files import read_text, translated, write_all_atomically
 from drivers.errors import InputError
+from twin.arrays import Array
 from twin.controllers.export import Choices, Exported, Identified, Source
 from twin.controllers.grids import Shape, require_small, resampled
-from twin.controllers.loss import Loss, loss, require_same_machine
+from twin.controllers.loss import Loss, loss, require_same_machine, telling_point
 from twin.controllers.registry import WRITERS
 from twin.formats.estimate_file import parse_estimate
 from twin.formats.table_file import checksum, format_table, parse_table
@@ -46,10 +47,13 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Result:
+    """`check`: where most is added, and how much, in mm."""
+
     request: Request
     material: Material
     exported: Exported
     loss: Loss
+    check: tuple[Array, Array]
     table_crc32: str
 
     def as_json(self) -> dict[str, Any]:
@@ -73,6 +77,8 @@ class Result:
             "ve_reduced_raw_um": round(found.reduced.raw_um, 3),
             "kept_percent": round(100.0 * found.kept_share, 1),
             "unknown_um": None if found.unknown_mm is None else round(1e3 * found.unknown_mm, 3),
+            "check_at_mm": [round(value, 3) for value in self.check[0].tolist()],
+            "check_moves_um": [round(1e3 * value, 1) + 0.0 for value in self.check[1].tolist()],
             "lost": list(self.exported.lost),
             "facts": dict(self.exported.facts),
             "files": [str(self.request.out / name) for name in self.exported.files],
@@ -99,8 +105,8 @@ def export_table(material: Material, request: Request) -> Result:
         require_same_machine(whole)
         table = whole.table if request.points is None else resampled(whole.table, request.points)
         exported = WRITERS[request.format](Source(table, whole.identified), request.choices)
-        found = loss(whole, exported.correction)
-    result = Result(request, material, exported, found, checksum(format_table(material.table)))
+        found, check = loss(whole, exported.correction), telling_point(table, exported.correction)
+    result = Result(request, material, exported, found, check, checksum(format_table(material.table)))
     write_all_atomically(request.out, _contents(result))
     return result
 

@@ -153,7 +153,7 @@ def _write_neutral(table: CompensationTable, out: Path) -> None:
 
 
 def _show(result: Result) -> None:
-    found, console = result.loss, Console(highlight=False, soft_wrap=True)
+    found, said, console = result.loss, result.as_json(), Console(highlight=False, soft_wrap=True)
     table = Table(title=f"{result.material.origin} for {result.request.format}", title_justify="left")
     table.add_column("volumetric error")
     table.add_column("aligned", justify="right")
@@ -167,6 +167,8 @@ def _show(result: Result) -> None:
     )
     if found.unknown_mm is not None:
         console.print(f"What the estimate does not know adds {1e3 * found.unknown_mm:.2f} µm to each (as squares).")
+    at, moves = (", ".join(f"{value:g}" for value in said[key]) for key in ("check_at_mm", "check_moves_um"))
+    console.print(f"To check the sign: at {at} mm, switching it on must move X, Y, Z by {moves} µm.")
     for text in result.exported.lost:
         console.print(f"lost: {text}", markup=False)
     for name, fact in result.exported.facts.items():

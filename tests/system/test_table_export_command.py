@@ -54,6 +54,7 @@ def test_every_format_from_the_folder_of_a_run(name: str, identified: tuple, tmp
     assert said["kept_percent"] <= 100.1
     assert said["unknown_um"] > 0.0
     assert said["lost"]
+    assert max(map(abs, said["check_moves_um"])) > 2.0
     written = sorted(str(path) for path in (tmp_path / "out").iterdir())
     assert written == sorted([*said["files"], str(tmp_path / "out" / "export.json")])
     record = json.loads((tmp_path / "out" / "export.json").read_text())
@@ -64,7 +65,15 @@ def test_every_format_from_the_folder_of_a_run(name: str, identified: tuple, tmp
 def test_the_figures_are_shown(identified: tuple, tmp_path: Path) -> None:
     done = export(identified[0], tmp_path / "out", "heidenhain-com")
     assert done.exit_code == 0
-    for text in ("before", "with the whole table", "as written", "lost: rotation", "CONFIG.CMA", "as estimated"):
+    for text in (
+        "before",
+        "with the whole table",
+        "as written",
+        "lost: rotation",
+        "CONFIG.CMA",
+        "as estimated",
+        "To check the sign",
+    ):
         assert text in done.output
     assert "OPPOSITE" not in done.output
 

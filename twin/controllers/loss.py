@@ -56,6 +56,17 @@ def loss(source: Source, correction: Correction) -> Loss:
     )
 
 
+def telling_point(table: CompensationTable, correction: Correction) -> tuple[Array, Array]:
+    """The node (3,) mm where most is added, and what is added there (3,) mm.
+
+    Switching the compensation on must move the axes by that: it shows on the machine whether the sign is right.
+    """
+    nodes = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+    added = correction(nodes)
+    place = int(np.argmax(np.einsum("ij,ij->i", added, added)))
+    return nodes[place], added[place]
+
+
 def require_same_machine(source: Source) -> None:
     """DataError where the table was not built from the estimate: another machine, tool, or night."""
     identified, table = source.identified, source.table

@@ -20,7 +20,7 @@ from twin.volumetric import evaluation_grid, volumetric_error
 CASE_STUDY = load_machine(Path(__file__).parents[4] / "config" / "machines" / "case-study.toml")
 RANGES = CASE_STUDY.model.ranges_mm
 TOOL = CASE_STUDY.tool("probe")
-GRID = evaluation_grid(RANGES, (13, 8, 8))
+GRID = evaluation_grid(RANGES, (9, 6, 6))
 
 
 @cache

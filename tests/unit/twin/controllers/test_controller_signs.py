@@ -13,6 +13,7 @@ from estimated_machine import GRID, known, left_of_estimate_um, left_um, moving_
 
 from twin.controllers.export import Choices, Exported, Source
 from twin.controllers.grids import resampled
+from twin.controllers.loss import telling_point
 from twin.controllers.registry import WRITERS
 
 SEEDS = (1, 2, 3)
@@ -85,3 +86,11 @@ def test_the_second_bank_of_a_heidenhain_control_is_the_active_line() -> None:
     one = exported("heidenhain-com", known(1), bank="B")
     assert sorted(one.files) == ["CONFIG.CMA", "VOLCALB_X.COM", "VOLCALB_Y.COM", "VOLCALB_Z.COM"]
     assert np.abs(RULES["heidenhain-com"](one.files)(GRID) - one.correction(GRID)).max() < 5e-6
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_where_the_sign_is_to_be_checked_the_controller_moves_as_said_and_farthest(name: str) -> None:
+    one = exported(name, known(3))
+    place, moves = telling_point(known(3).table, one.correction)
+    assert RULES[name](one.files)(place[None, :])[0] == pytest.approx(moves, abs=5e-6)
+    assert np.linalg.norm(one.correction(GRID), axis=1).max() <= np.linalg.norm(moves) + 1e-4
