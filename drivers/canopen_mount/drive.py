@@ -56,6 +56,8 @@ class Drive:
         self._tolerated = tolerated_emergencies
         self._mode: int | None = None
         self._target = 0
+        self._way = 0
+        self._found_as_left = True
         self._soft_limits: SoftLimits | None = None
         self._limit_told = False
         self._homed = settings.homing is None
@@ -111,21 +113,26 @@ class Drive:
         self.node.start()
         self._mode = None
         self._prepared = True
+        self._found_as_left = True
         self._watch.arm()
 
     def enable(self) -> None:
-        """Climb the state table to *operation enabled*. A fault found on the way is reset once."""
+        """Climb the state table to *operation enabled*, after a stop where the drive is found enabled at first. A fault
+        found on the way is reset once."""
         if not self._prepared:
             self.prepare()
         for _ in range(CLIMB_STEPS):
             state = self.state()
             self.check()  # what came before that answer is known now
             if state is DriveState.OPERATION_ENABLED:
-                return
-            if state is DriveState.FAULT:
+                if not self._found_as_left:
+                    return
+                self.quick_stop()  # whoever left it enabled may have left it turning
+            elif state is DriveState.FAULT:
                 self._reset_fault()
             else:
                 self._take(CLIMB[state])
+            self._found_as_left = False
         raise MotionFault(
             "the drive does not reach operation enabled", hint="check its enable inputs", **self.node.where
         )
@@ -142,7 +149,8 @@ class Drive:
         self._enter_profile_position()
         self._limit_told = False
         self._target = self._scale.counts(angle_deg)
-        start_deg = self.angle_deg()
+        start = self.node.read(objects.POSITION)
+        self._way = (self._target > start) - (self._target < start)
         self.node.write(objects.TARGET_POSITION, self._target)
         self.node.write(objects.CONTROLWORD, states.NEW_SET_POINT)
         self._await(
@@ -152,7 +160,9 @@ class Drive:
         )
         self.node.write(objects.CONTROLWORD, states.ENABLE_OPERATION)
         return turn_duration_s(
-            angle_deg - start_deg, self.settings.speed_deg_per_s, self.settings.acceleration_deg_per_s2
+            angle_deg - self._scale.angle_deg(start),
+            self.settings.speed_deg_per_s,
+            self.settings.acceleration_deg_per_s2,
         )
 
     def turn_ended(self) -> bool:
@@ -161,7 +171,7 @@ class Drive:
 
     def hindrance(self) -> str:
         """What the drive tells of a target that it does not reach."""
-        return hindrance(self.node, self._scale, self._target)
+        return hindrance(self.node, self._scale, self._target, self._way)
 
     def start_homing(self, homing: HomingSettings) -> None:
         self._homed = False
@@ -252,7 +262,7 @@ class Drive:
 
     def _judge_limit(self) -> None:
         """Bit 11 may also tell of a limited current; it is the end of a turn where something bars the way."""
-        if bars := barrier(self.node, self._target):
+        if bars := barrier(self.node, self._target, self._way):
             raise MotionFault(
                 f"stopped at a limit (statusword bit 11): {bars}",
                 hint="check the limits of the drive and of the settings, the zero of the encoder, and the switches",

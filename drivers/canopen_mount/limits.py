@@ -37,9 +37,8 @@ def active_switches(node: DriveNode) -> dict[int, str]:
     return {way: name for way, name in SWITCHES.items() if inputs & (1 if way < 0 else 2)}
 
 
-def barrier(node: DriveNode, target: int) -> str:
-    """What bars the way to `target` counts; empty when nothing that the drive tells does."""
-    way = 1 if target > node.read(objects.POSITION) else -1
+def barrier(node: DriveNode, target: int, way: int) -> str:
+    """What bars the way to `target` counts; `way`: 1 upwards, -1 downwards. Empty when nothing that is told does."""
     switch = active_switches(node).get(way)
     if switch is not None:
         return f"the {switch} is active (0x60FD)"
@@ -49,10 +48,10 @@ def barrier(node: DriveNode, target: int) -> str:
     return ""
 
 
-def hindrance(node: DriveNode, scale: AxisScale, target: int) -> str:
+def hindrance(node: DriveNode, scale: AxisScale, target: int, way: int) -> str:
     """What the drive tells of a target that it does not reach."""
     told = [f"at {scale.angle_deg(node.read(objects.POSITION)):.4f} of {scale.angle_deg(target):.4f} degrees"]
-    if bars := barrier(node, target):
+    if bars := barrier(node, target, way):
         told.append(bars)
     distance = node.read_optional(objects.FOLLOWING_DISTANCE)
     if distance is not None:

@@ -19,7 +19,7 @@ from drivers.links.can_bus import CanNetworks
 from simulators.wire.can_channel import CanChannel, multicast_works, open_channel
 from simulators.wire.can_drive import DriveConfig, drive_node
 from simulators.wire.can_server import CanServer
-from simulators.wire.socketcand_server import SocketcandServerBus
+from simulators.wire.socketcand_server import SocketcandServerBus, format_frame
 
 
 class StillAxes:
@@ -183,7 +183,11 @@ def test_drive_behind_a_channel(spec: str) -> None:
     assert drive_read(open_channel(spec)) == bytes.fromhex("DC 05 00 00")
 
 
-needs_multicast = pytest.mark.skipif(not multicast_works(), reason="no multicast on this computer")
+needs_multicast = pytest.mark.skipif(
+    not multicast_works(), reason="NOT EXERCISED HERE: CAN over multicast in one process: this network has none"
+)
+    not multicast_works(), reason="NOT EXERCISED HERE: CAN over multicast in one process: this network has none"
+)
 
 
 @needs_multicast
@@ -261,6 +265,34 @@ def test_server_that_goes_away_is_noticed() -> None:
     with pytest.raises(LinkLost, match="closed the connection"):
         link.check()
     link.close()
+
+
+@pytest.mark.parametrize("spec", ["socketcand:127.0.0.1:0", "virtual:bus-off"])
+def test_bus_off_ends_receiving(spec: str) -> None:
+    """An error frame of class 0x40 (linux/can/error.h), where the adapter passes such on."""
+    channel = open_channel(spec)
+    with pumped(channel.bus):
+        link = CanNetworks().acquire(CanAddress.of(channel.interface, channel.channel, channel.options))
+        link.check()
+        channel.bus.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+        receiver = link._shared.receiver
+        receiver.join(5.0)
+        with pytest.raises(LinkLost, match="off the bus"):
+            link.check()
+        link.close()
+
+
+def test_error_frame_in_the_words_of_socketcand() -> None:
+    message = can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8))
+    assert format_frame(message, 12.5) == "< error 00000040 12.500000 >"
+
+
+def test_interface_that_the_kernel_has_not() -> None:
+    """True on every kernel: on one without CAN for another reason than on one with it."""
+    with pytest.raises(ConfigurationError, match="socketcan:nocan7 cannot be opened"):
+        open_channel("socketcan:nocan7")
+    with pytest.raises(LinkLost, match=r"cannot open the CAN bus.*link socketcan:nocan7.*ip link"):
+        CanNetworks().acquire(CanAddress.of("socketcan", "nocan7", {}))
 
 
 def test_network_is_shared_and_counted() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from simulators.wire.can_drive import DriveConfig, ServoDrive, drive_node
 from simulators.wire.can_node import CanopenNode
+from simulators.wire.can_parameters import FactorGroup
 
 
 class Axes:
@@ -235,3 +236,87 @@ def test_silent_node_says_nothing(bench: Bench) -> None:
     assert bench.ask("40 41 60 00 00 00 00 00") == []
     assert bench.node.advance(100.0) == []
     assert bench.node.boot() == []
+
+
+def with_factors(resolution: int, gear: int, feed: int, polarity: int = 0) -> Bench:
+    """1000 increments a degree of the mount, whatever the factors say."""
+    bench = Bench()
+    factors = FactorGroup((resolution, 1), (gear, 1), (feed, 1), polarity)
+    bench.node, bench.drive = drive_node(DriveConfig(5, "azimuth", 1000.0, factors=factors), bench.axes)
+    return bench
+
+
+def test_factor_group_makes_the_unit_of_position() -> None:
+    """10000 increments a turn, gear 36, a turn of the shaft is 3600 units: a tenth of a degree each."""
+    bench = with_factors(10_000, 36, 3600)
+    assert bench.ask("40 8F 60 01 00 00 00 00") == [(0x585, bytes.fromhex("43 8F 60 01 10 27 00 00"))]
+    assert bench.ask("40 91 60 00 00 00 00 00") == [(0x585, bytes.fromhex("4F 91 60 00 02 00 00 00"))]
+    bench.axes.position = 12.3
+    assert bench.ask("40 64 60 00 00 00 00 00") == [(0x585, bytes.fromhex("43 64 60 00 7B 00 00 00"))]
+    bench.enable()
+    bench.ask("2F 60 60 00 01 00 00 00")
+    bench.ask("23 81 60 00 64 00 00 00")  # 100 units/s: 10 degrees/s
+    bench.ask("23 7A 60 00 84 03 00 00")  # 900 units
+    bench.control(0x003F)
+    assert bench.axes.commands == [("azimuth", pytest.approx(90.0), pytest.approx(10.0))]
+
+
+def test_polarity_bit_7_turns_the_position() -> None:
+    bench = with_factors(10_000, 36, 360_000, polarity=0x80)
+    bench.axes.position = 1.0
+    assert bench.ask("40 64 60 00 00 00 00 00") == [(0x585, bytes.fromhex("43 64 60 00 18 FC FF FF"))]
+
+
+def test_a_factor_of_zero_is_refused() -> None:
+    bench = with_factors(10_000, 36, 3600)
+    assert bench.ask("23 91 60 02 00 00 00 00") == [(0x585, bytes.fromhex("80 91 60 02 30 00 09 06"))]
+
+
+def test_drive_without_a_factor_group_says_so(bench: Bench) -> None:
+    assert bench.ask("40 8F 60 01 00 00 00 00") == [(0x585, bytes.fromhex("80 8F 60 01 00 00 02 06"))]
+
+
+def test_software_limit_clips_the_way_and_shows_in_bit_11(bench: Bench) -> None:
+    bench.enable()
+    bench.ask("2F 60 60 00 01 00 00 00")
+    bench.ask("23 7D 60 01 00 00 00 00")
+    bench.ask("23 7D 60 02 D0 07 00 00")  # 0 ... 2000 counts
+    bench.ask("23 7A 60 00 B8 0B 00 00")  # 3000 counts
+    bench.control(0x003F)
+    assert [angle for _, angle, _ in bench.axes.commands] == [2.0]
+    assert bench.status() == 0x1A37  # acknowledged, internal limit active
+    bench.axes.arrive()
+    assert bench.status() == 0x1A37, "the target is not reached"
+
+
+def test_limit_switch_stops_the_way_there_and_not_the_way_back(bench: Bench) -> None:
+    bench.enable()
+    bench.ask("2F 60 60 00 01 00 00 00")
+    bench.ask("23 7A 60 00 B8 0B 00 00")
+    bench.control(0x003F)
+    bench.drive.press_limit_switch(1)
+    assert bench.axes.target is None
+    assert bench.ask("40 FD 60 00 00 00 00 00")[0][1][4] & 0x03 == 0x02
+    assert bench.status() == 0x1A37
+    bench.control(0x000F)
+    bench.ask("23 7A 60 00 18 FC FF FF")
+    bench.control(0x003F)
+    assert bench.axes.target == -1.0
+
+
+def test_homing_without_its_switch_is_a_homing_error(bench: Bench) -> None:
+    bench.axes.position = 12.5
+    bench.drive.lose_home_switch()
+    bench.enable()
+    bench.ask("2F 60 60 00 06 00 00 00")
+    bench.ask("2F 98 60 00 01 00 00 00")
+    bench.control(0x001F)
+    bench.axes.arrive()
+    assert bench.status() == 0x2637  # homing error, at rest, not attained
+
+
+def test_strings_and_the_monitored_heartbeat(bench: Bench) -> None:
+    assert bench.ask("40 0A 10 00 00 00 00 00") == [(0x585, bytes.fromhex("41 0A 10 00 06 00 00 00"))]
+    assert bench.ask("60 00 00 00 00 00 00 00") == [(0x585, b"\x03volcal\x00")]
+    assert bench.ask("23 16 10 01 F4 01 7F 00") == [(0x585, bytes.fromhex("60 16 10 01 00 00 00 00"))]
+    assert bench.ask("40 16 10 01 00 00 00 00") == [(0x585, bytes.fromhex("43 16 10 01 F4 01 7F 00"))]
