@@ -186,8 +186,6 @@ def test_drive_behind_a_channel(spec: str) -> None:
 needs_multicast = pytest.mark.skipif(
     not multicast_works(), reason="NOT EXERCISED HERE: CAN over multicast in one process: this network has none"
 )
-    not multicast_works(), reason="NOT EXERCISED HERE: CAN over multicast in one process: this network has none"
-)
 
 
 @needs_multicast
