@@ -111,7 +111,7 @@ class LiveStore:
         subject = "compensation"
         try:
             self._require_alive()
-        except (StoreError, DeadlineExpired) as error:
+        except StoreError as error:
             return [Finding(subject, ok=False, text=str(error))]
         fault = int(self._get("acting-fault"))
         bank, crc = int(self._get("acting-bank")), int(self._get("acting-crc"))
@@ -151,7 +151,13 @@ class LiveStore:
 
     def _require_alive(self) -> None:
         beat = self._get("beat")
-        self._await(lambda: self._get("beat") != beat, "the loader volcal_tables, which does not run any more")
+        try:
+            self._await(lambda: self._get("beat") != beat, "the loader to beat")
+        except DeadlineExpired as silent:
+            raise self._banks.error(
+                "the loader volcal_tables does not run any more; what acts goes on and cannot be changed",
+                hint="restart LinuxCNC",
+            ) from silent
 
     def _await(self, reached: Callable[[], bool], awaited: str) -> None:
         deadline = Deadline.after(self._clock, self._within_s)

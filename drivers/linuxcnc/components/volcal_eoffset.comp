@@ -1,10 +1,9 @@
 component volcal_eoffset "Volumetric compensation by external offsets";
 description """
-Looks a compensation table up at the commanded position of X, Y, Z (without the offset itself) and asks motion for
-that offset. The tables come from *volcal_tables*. While the machine is off or not homed, *clear* is held and the
+Looks a compensation table up at the commanded position of X, Y, Z and asks motion for that offset. The tables come from *volcal_tables*. While the machine is off or not homed, *clear* is held and the
 counts are zero; from the instant it is on, the offset comes in again, no faster than *jump-rate*.
 Add the function to the servo thread after motion-controller.""";
-pin in float position-#[3] "axis.L.pos-cmd, mm";
+pin in float position-#[3] "axis.L.pos-cmd, mm; LinuxCNC shows it without the offset";
 pin in float offset-#[3] "axis.L.eoffset, mm";
 pin in bit machine-on "motion.motion-enabled";
 pin in bit homed "motion.is-all-homed";
@@ -22,7 +21,7 @@ pin out u32 fault "0: none; 1: no shared memory; 2: the chosen bank is empty; 3:
 pin out bit faulted "fault is not 0";
 pin out float age "seconds since the present bank acts alone";
 param rw float jump_rate = 0.5 "mm/s: fastest shift by switching banks or the machine on";
-param rw float tolerance = 0.0002 "mm: how far the offset may be off while settled";
+param rw float tolerance = 0.0001 "mm: how far the offset may be off while settled";
 option singleton yes;
 option extra_setup yes;
 option extra_cleanup yes;
@@ -57,7 +56,7 @@ static double arriving(int on, double rate, double dt) {
 FUNCTION(_) {
     int on = machine_on && homed;
     double where[3], wanted[3], share, worst = 0.0;
-    for (int a = 0; a < 3; a++) where[a] = position(a) - offset(a);
+    for (int a = 0; a < 3; a++) where[a] = position(a);
     volcal_step(&table_acting, bank, jump_rate, fperiod);
     share = arriving(on, jump_rate, fperiod);
     volcal_correction(&table_acting, where, wanted);
