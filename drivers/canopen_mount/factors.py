@@ -49,6 +49,9 @@ def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
     shaft = (settings.gear_motor_revolutions, settings.gear_shaft_revolutions)
     if units.unit_code is not None:
         yield Factor("SI unit position", (objects.POSITION_UNIT,), (units.unit_code,), "units.unit_code")
+    if units.velocity_unit_code is not None:
+        code = (units.velocity_unit_code,)
+        yield Factor("SI unit velocity", (objects.VELOCITY_UNIT,), code, "units.velocity_unit_code")
     if "encoder" in units.compared:
         per_turn = settings.encoder_counts_per_revolution
         yield Factor("position encoder resolution", turns, (per_turn, 1), "encoder_counts_per_revolution")
@@ -73,7 +76,7 @@ def prove_factors(node: DriveNode, settings: AxisSettings) -> None:
     for factor in expected_factors(settings):
         found = read_factor(node, factor)
         if found is not None and not factor.agrees(found) and settings.units.write:
-            _log.warning("factor written", object=str(factor), former=_ratio(found), **node.where)
+            _log.warning("factor written", object=str(factor), former=_told(factor, found), **node.where)
             for entry, value in zip(factor.entries, factor.values, strict=True):
                 node.write(entry, value)
             found = read_factor(node, factor)
@@ -87,18 +90,22 @@ def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
     if found is None:
         return True, f"{factor}: the drive has no such object, not compared"
     if factor.agrees(found):
-        return True, f"{factor} {_ratio(found)}, as configured"
-    return False, f"{factor} is {_ratio(found)} in the drive, {_ratio(factor.values)} in the settings ({factor.key})"
+        return True, f"{factor} {_told(factor, found)}, as configured"
+    return (
+        False,
+        f"{factor} is {_told(factor, found)} in the drive, {_told(factor, factor.values)} in the settings ({factor.key})",
+    )
 
 
 def _mismatch(factor: Factor, found: tuple[int, ...]) -> ConfigurationError:
     return ConfigurationError(
-        f"{factor} is {_ratio(found)} in the drive and {_ratio(factor.values)} in the settings",
+        f"{factor} is {_told(factor, found)} in the drive and {_told(factor, factor.values)} in the settings",
         key=factor.key,
         object=f"0x{factor.entries[0].index:04X}",
         hint="a turn would end at another angle: correct the one that is wrong, or let units.write set the drive",
     )
 
 
-def _ratio(values: tuple[int, ...]) -> str:
-    return " : ".join(str(value) for value in values)
+def _told(factor: Factor, values: tuple[int, ...]) -> str:
+    """Ratios as numbers, what is a code or a pattern of bits in hexadecimal."""
+    return f"0x{values[0]:X}" if len(factor.entries) == 1 else " : ".join(str(value) for value in values)

@@ -65,6 +65,7 @@ HOMING_SEARCH_SPEED = DriveObject(0x6099, 1, "I", "homing speed, search for swit
 HOMING_LATCH_SPEED = DriveObject(0x6099, 2, "I", "homing speed, search for zero")
 HOMING_ACCELERATION = DriveObject(0x609A, 0, "I", "homing acceleration")
 POSITION_UNIT = DriveObject(0x60A8, 0, "I", "SI unit position")
+VELOCITY_UNIT = DriveObject(0x60A9, 0, "I", "SI unit velocity")
 FOLLOWING_DISTANCE = DriveObject(0x60F4, 0, "i", "following error actual value")
 DIGITAL_INPUTS = DriveObject(0x60FD, 0, "I", "digital inputs")
 SUPPORTED_MODES = DriveObject(0x6502, 0, "I", "supported drive modes")

@@ -42,6 +42,9 @@ class UnitSettings(_Strict):
     )
     polarity: int = Field(default=0, ge=0, le=255, description="expected 0x607E; bit 7 reverses positions")
     unit_code: int | None = Field(default=None, ge=0, lt=2**32, description="expected 0x60A8, where the drive has it")
+    velocity_unit_code: int | None = Field(
+        default=None, ge=0, lt=2**32, description="expected 0x60A9: speeds are sent in position units per second"
+    )
     write: bool = Field(default=False, description="write what differs when the mount opens, instead of refusing")
 
     @property

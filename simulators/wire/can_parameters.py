@@ -38,12 +38,13 @@ _ALWAYS: dict[Key, tuple[str, int]] = {
 
 @dataclass(frozen=True)
 class FactorGroup:
-    """The power-on values of 0x608F, 0x6091, 0x6092 (each a pair) and 0x607E."""
+    """The power-on values of 0x608F, 0x6091, 0x6092 (each a pair), 0x607E, and of 0x60A8 and 0x60A9 (SI units)."""
 
     resolution: tuple[int, int]
     gear: tuple[int, int]
     feed: tuple[int, int]
     polarity: int = 0
+    unit_codes: tuple[int, int] = (0, 0)
 
     @classmethod
     def in_increments(cls, increments: int, gear: int) -> FactorGroup:
@@ -53,7 +54,8 @@ class FactorGroup:
     def entries(self) -> dict[Key, tuple[str, int]]:
         pairs = {0x608F: self.resolution, 0x6091: self.gear, 0x6092: self.feed}
         kept = {(index, place): ("I", pair[place - 1]) for index, pair in pairs.items() for place in (1, 2)}
-        return {**kept, POLARITY: ("B", self.polarity)}
+        codes = dict(zip(((0x60A8, 0), (0x60A9, 0)), (("I", code) for code in self.unit_codes), strict=True))
+        return {**kept, **codes, POLARITY: ("B", self.polarity)}
 
 
 class Parameters:

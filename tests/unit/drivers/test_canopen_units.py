@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
-from canopen_rig import axis_settings, rig
+from canopen_rig import LinearAxes, axis_settings, rig
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from test_canopen_mount import OBJECTS, write_eds
 
-from drivers.canopen_mount.settings import AxisSettings
+from drivers.canopen_mount.mount import CanopenMount
+from drivers.canopen_mount.settings import AxisSettings, CanopenMountSettings
+from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError
+from drivers.links.can_bus import CanNetworks
+from drivers.registry import DeviceContext
 from drivers.roles import Orientation
+from simulators.wire.can_drive import DriveConfig, drive_node
 from simulators.wire.can_parameters import FEED, GEAR, POLARITY, RESOLUTION, FactorGroup, Parameters
+from simulators.wire.can_server import CanServer
 
 IN_THOUSANDTHS = {"position": "feed", "feed_per_revolution": 360_000}
 """The gear is in the drive, and a unit is a thousandth of a degree of the mount."""
@@ -63,7 +71,7 @@ def test_factors_as_the_profile_defines_them(increments: int, gear: int, feed: i
             "0x608F position encoder resolution is 4000 : 1 in the drive and 10000 : 1",
             "encoder_counts",
         ),
-        (POLARITY, 0x80, "0x607E polarity is 128 in the drive and 0", "units.polarity"),
+        (POLARITY, 0x80, "0x607E polarity is 0x80 in the drive and 0x0", "units.polarity"),
     ],
 )
 def test_other_factors_end_the_opening(key: tuple[int, int], value: int, words: str, setting: str) -> None:
@@ -117,6 +125,49 @@ def test_reversed_polarity_turns_the_count_and_the_direction_turns_it_back() -> 
         bench.mount.open()
         assert bench.mount.orient_to(20.0, 0.0) == Orientation(20.0, 0.0)
         assert bench.axes.position_deg("azimuth") == pytest.approx(20.0)
+
+
+def test_unit_codes_are_compared_where_they_are_stated() -> None:
+    """A drive that takes its speeds in turns a minute (0x00B44700) turns at another speed than asked for."""
+    units = {**IN_THOUSANDTHS, "unit_code": 0xFD41_0000, "velocity_unit_code": 0xFD41_0300}
+    with rig(opened=False, azimuth={"units": units}) as bench:
+        bench.azimuth.parameters[0x60A8, 0] = 0xFD41_0000
+        bench.azimuth.parameters[0x60A9, 0] = 0x00B4_4700
+        words = "0x60A9 SI unit velocity is 0xB44700 in the drive and 0xFD410300 in the settings"
+        with pytest.raises(ConfigurationError, match=words):
+            bench.mount.open()
+        bench.azimuth.parameters[0x60A9, 0] = 0xFD41_0300
+        bench.mount.open()
+        assert bench.mount.orient_to(1.0, 1.0) == Orientation(1.0, 1.0)
+
+
+NANOTEC = (0x26C, 7, 1, 1)
+EXAMPLE = Path(__file__).parents[3] / "config" / "examples" / "nanotec-n5-mount.toml"
+
+
+def test_example_turns_drives_that_are_set_as_its_page_says() -> None:
+    """Simulated drives with the factors of the page: thousandths of a degree of the mount, gear 100:1 in the drive."""
+    options = tomllib.loads(EXAMPLE.read_text())["devices"]["mount"]["options"]
+    stated = CanopenMountSettings.model_validate(options)
+    assert (stated.azimuth.scale.counts(1.0), stated.elevation.scale.counts(1.0)) == (1000, 1000)
+    axes, clock, channel = LinearAxes(), VirtualClock(), "example"
+    factors = FactorGroup((2000, 1), (100, 1), (360_000, 1), unit_codes=(0xFD41_0000, 0xFD41_0300))
+    stages = ((stated.azimuth.node_id, "azimuth"), (stated.elevation.node_id, "elevation"))
+    drives = [DriveConfig(node, name, 2000 * 100 / 360, identity=NANOTEC, factors=factors) for node, name in stages]
+    nodes = [drive_node(drive, axes)[0] for drive in drives]
+    clock.subscribe(axes.advance)
+    virtual = stated.model_copy(update={"interface": "virtual", "channel": channel, "options": {}})
+    mount = CanopenMount(virtual, DeviceContext("mount", clock, EXAMPLE.parent), CanNetworks())
+    with CanServer(can.Bus(interface="virtual", channel=channel), nodes) as server:
+        clock.subscribe(server.advance)
+        mount.open()
+        mount.home()
+        reached = mount.orient_to(30.0, -12.0)
+        mount.close()
+    assert (reached.azimuth_deg, reached.elevation_deg) == pytest.approx((30.0, -12.0), abs=1e-3)
+    assert axes.position_deg("azimuth") == pytest.approx(30.0)
+    assert axes.position_deg("elevation") == pytest.approx(-12.0)
+    assert [command[2] for command in axes.commands[-2:]] == pytest.approx([stated.azimuth.speed_deg_per_s] * 2)
 
 
 def test_drive_without_factors_is_not_asked_to_have_them() -> None:
