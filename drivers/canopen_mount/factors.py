@@ -91,10 +91,8 @@ def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
         return True, f"{factor}: the drive has no such object, not compared"
     if factor.agrees(found):
         return True, f"{factor} {_told(factor, found)}, as configured"
-    return (
-        False,
-        f"{factor} is {_told(factor, found)} in the drive, {_told(factor, factor.values)} in the settings ({factor.key})",
-    )
+    stated = _told(factor, factor.values)
+    return False, f"{factor} is {_told(factor, found)} in the drive, {stated} in the settings ({factor.key})"
 
 
 def _mismatch(factor: Factor, found: tuple[int, ...]) -> ConfigurationError:
