@@ -1,0 +1,260 @@
+"""Corrected part programs, run by an interpreter of its own: what holds for every program and every table."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plain_gcode import PlainController, dense, ends, far, path
+from scipy.interpolate import RegularGridInterpolator
+
+from twin.gcode.correction import correct_program
+from twin.gcode.setup import CorrectionOptions, PartSetup
+from twin.table import Anchor, CompensationTable
+
+NODES = (np.array([0.0, 90.0, 200.0, 350.0, 500.0]), np.array([0.0, 130.0, 300.0]), np.array([0.0, 70.0, 150.0, 250.0]))
+WORK = {"G54": (60.0, 50.0, 40.0), "G55": (61.5, 48.25, 43.0), "G59.1": (70.0, 60.0, 50.0)}
+TOOLS = {1: (0.0, 0.0, 12.5), 2: (1.0, -2.0, 30.0)}
+REFERENCES = {"G28": (20.0, 10.0, 200.0), "G30": (30.0, 20.0, 180.0)}
+START = (100.0, 100.0, 100.0)
+STEP = 1e-4
+STEP_INCH = 1e-5 * 25.4
+TO_START = "G21 G90 G0 X40 Y50 Z60\n"  # START, as G54 says it: the axes then stand at the corrected place
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def table_of(seed: int | None, size_mm: float = 0.03) -> CompensationTable:
+    """A rough table: neighbouring nodes know nothing of each other. None: all zero."""
+    shape = tuple(len(nodes) for nodes in NODES)
+    values = np.zeros((*shape, 3))
+    if seed is not None:
+        values = size_mm * np.random.default_rng(seed).uniform(-1.0, 1.0, values.shape)
+    return CompensationTable(*NODES, values, np.zeros(3), Anchor([0.0, 0.0, 0.0]), np.zeros(shape, dtype=bool))
+
+
+def added(table: CompensationTable, points: np.ndarray) -> np.ndarray:
+    """Points with the correction added, by scipy's trilinear interpolation."""
+    return points + RegularGridInterpolator(table.nodes, table.corrections)(points)
+
+
+def corrected(text: str, table: CompensationTable, chord_mm: float = 0.005, **more: object) -> str:
+    setup = PartSetup(WORK, REFERENCES, TOOLS, **{"start": START, **more})
+    parts: list[str] = []
+    correct_program(text.splitlines(True), table, setup, CorrectionOptions(chord_mm), parts.append)
+    return "".join(parts)
+
+
+def controller(start: tuple = START) -> PlainController:
+    references = {int(name[1:]): point for name, point in REFERENCES.items()}
+    return PlainController(start, work=dict(WORK), tools=dict(TOOLS), references=references)
+
+
+@st.composite
+def programs(draw: st.DrawFn) -> str:
+    """Blocks of every kind in any order; every block has its number; positions stay within the table.
+
+    What is drawn is an axis position to go to; the word that says so is worked out here from the modes in effect.
+    """
+    lines, here = [], list(START)
+    unit, absolute, centres, plane, system, machine_tool, g92 = 1.0, True, False, 17, "G54", (0.0, 0.0, 0.0), [0.0] * 3
+    position = st.tuples(st.floats(40, 460), st.floats(40, 260), st.floats(40, 210))
+
+    def word(axis: int, value: float, kind: str) -> str:
+        zero = WORK[system][axis] + g92[axis] + machine_tool[axis]
+        base = {"machine": 0.0, "here": here[axis], "zero": zero}[kind]
+        text = f"{(value - base) / unit:.3f}"
+        here[axis] = base + float(text) * unit
+        return "XYZ"[axis] + text
+
+    def kind() -> str:
+        return "zero" if absolute else "here"
+
+    for number in range(10, 10 * draw(st.integers(3, 14)), 10):
+        what = draw(st.sampled_from("line line line arc mode system tool datum machine reference radius".split()))
+        goal = draw(position)
+        axes = sorted(draw(st.sets(st.integers(0, 2), min_size=1)))
+        if what == "mode":
+            mode = draw(st.sampled_from("G90 G91 G20 G21 G17 G18 G19 G90.1 G91.1".split()))
+            absolute = {"G90": True, "G91": False}.get(mode, absolute)
+            unit = {"G20": 25.4, "G21": 1.0}.get(mode, unit)
+            centres = {"G90.1": True, "G91.1": False}.get(mode, centres)
+            plane = int(mode[1:]) if mode in ("G17", "G18", "G19") else plane
+            lines.append(f"N{number} {mode}")
+        elif what == "system":
+            system = draw(st.sampled_from(sorted(WORK)))
+            lines.append(f"N{number} {system}")
+        elif what == "tool":
+            tool = draw(st.sampled_from([0, 1, 2]))
+            machine_tool = TOOLS.get(tool, (0.0, 0.0, 0.0))
+            lines.append(f"N{number} G43 H{tool}" if tool else f"N{number} G49")
+        elif what == "datum":
+            values = {axis: round(draw(st.floats(-2.0, 2.0)), 3) for axis in axes}
+            for axis, value in values.items():
+                g92[axis] = here[axis] - value * unit - WORK[system][axis] - machine_tool[axis]
+            lines.append(f"N{number} G92 " + " ".join(f"{'XYZ'[axis]}{value:.3f}" for axis, value in values.items()))
+        elif what == "reference":
+            code = draw(st.sampled_from(["G28", "G30"]))
+            lines.append(f"N{number} {code} " + " ".join(word(axis, goal[axis], kind()) for axis in axes))
+            for axis in axes:
+                here[axis] = REFERENCES[code][axis]
+        elif what == "machine" and absolute:
+            lines.append(f"N{number} G53 G0 " + " ".join(word(axis, goal[axis], "machine") for axis in axes))
+        elif what in ("arc", "radius"):
+            a, b, c = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}[plane]
+            size = min(min(here[k] - 5.0, (495.0, 295.0, 245.0)[k] - here[k]) for k in (a, b)) / 2.5
+            if size < 1.0:
+                continue
+            angle = draw(st.floats(-math.pi, math.pi))
+            offset = [round(size * math.cos(angle) / unit, 3), round(size * math.sin(angle) / unit, 3)]
+            zero = [WORK[system][k] + g92[k] + machine_tool[k] for k in range(3)]
+            turn = draw(st.sampled_from([0.0, 0.4, 1.9, 3.0, -0.8, -2.5]))
+            middle = complex(here[a] + offset[0] * unit, here[b] + offset[1] * unit)
+            goal2 = middle + (complex(here[a], here[b]) - middle) * complex(math.cos(turn), math.sin(turn))
+            base = [here[k] if centres is False else zero[k] for k in (a, b)]
+            said = [(middle.real - base[0]) / unit, (middle.imag - base[1]) / unit]
+            words = [f"{'IJK'[a]}{said[0]:.7f}", f"{'IJK'[b]}{said[1]:.7f}"]
+            if turn:
+                for k, value in ((a, goal2.real), (b, goal2.imag)):
+                    reach = here[k] if not absolute else zero[k]
+                    text = f"{(value - reach) / unit:.7f}"
+                    here[k] = reach + float(text) * unit
+                    words.append("XYZ"[k] + text)
+            if draw(st.booleans()):
+                words.append(word(c, goal[c], kind()))
+            lines.append(f"N{number} G{draw(st.sampled_from([2, 3]))} " + " ".join(words) + " F300")
+        else:
+            code = draw(st.sampled_from(["G0", "G1"]))
+            lines.append(f"N{number} {code} " + " ".join(word(axis, goal[axis], kind()) for axis in axes))
+    return "\n".join(lines) + "\n"
+
+
+@settings(max_examples=25, deadline=None)
+@given(programs(), seeds)
+def test_after_every_block_the_axes_stand_where_the_table_says(text, seed):
+    """At the corrected position, to half a step of the words, but at a reference point: nothing accumulates."""
+    table = table_of(seed)
+    meant, reached = controller(), controller()
+    meant.run(text)
+    reached.run(corrected(text, table))
+    wanted, found = ends(meant.strokes), ends(reached.strokes)
+    assert set(wanted) == set(found)
+    at_reference = [False] * 3
+    for stroke in meant.strokes:
+        if " G28 " in stroke.block or " G30 " in stroke.block:
+            at_reference = [named or letter in stroke.block for named, letter in zip(at_reference, "XYZ", strict=True)]
+            difference = np.abs(found[stroke.number] - wanted[stroke.number])[at_reference]
+            assert difference.max() < 1e-9
+            continue
+        at_reference = [False] * 3
+        apart = found[stroke.number] - added(table, wanted[stroke.number][None])[0]
+        assert np.abs(apart).max() < 0.51 * STEP_INCH, stroke.block
+
+
+@settings(max_examples=25, deadline=None)
+@given(programs())
+def test_a_table_of_zeros_changes_no_path(text):
+    chord = 0.005
+    meant, reached = controller(), controller()
+    meant.run(text)
+    reached.run(corrected(text, table_of(None), chord))
+    if meant.strokes:
+        assert far(path(meant.strokes), path(reached.strokes)) <= chord + STEP_INCH
+        assert far(path(reached.strokes), path(meant.strokes)) <= chord + STEP_INCH
+    for wanted, found in zip(ends(meant.strokes).values(), ends(reached.strokes).values(), strict=True):
+        assert found == pytest.approx(wanted, abs=STEP_INCH)
+
+
+lines = st.lists(st.tuples(st.floats(-40, 380), st.floats(-40, 200), st.floats(-30, 150)), min_size=2, max_size=6)
+
+
+def straight(points: list[tuple], incremental: bool) -> str:
+    text, here = f"{TO_START}G1 F500\n", np.array(START) - WORK["G54"]
+    for number, point in enumerate(np.round(points, 3)):
+        said = point - here if incremental else point
+        text += f"N{number} {'G91' if incremental else 'G90'} X{said[0]:.3f} Y{said[1]:.3f} Z{said[2]:.3f}\n"
+        here = point
+    return text
+
+
+@settings(max_examples=25, deadline=None)
+@given(lines, seeds)
+def test_incremental_words_say_what_absolute_ones_say(points, seed):
+    table = table_of(seed)
+    first = controller().run(corrected(straight(points, incremental=False), table))
+    second = controller().run(corrected(straight(points, incremental=True), table))
+    assert len(first) == len(second)
+    assert path(second) == pytest.approx(path(first), abs=1.01 * STEP)
+
+
+def cut(text: str) -> np.ndarray:
+    """Where the axes are sent after the first move, which goes to the corrected start."""
+    return path(controller().run(text)[1:])
+
+
+def corrected_curve(text: str, table: CompensationTable) -> np.ndarray:
+    """The corrected path after the first move, every 0.2 mm or so."""
+    plain = controller()
+    plain.arc_step = 0.002
+    strokes = plain.run(text)[1:]
+    return added(table, np.concatenate([dense(stroke.points, 0.2) for stroke in strokes]))
+
+
+@settings(max_examples=20, deadline=None)
+@given(lines, seeds, st.sampled_from([0.0005, 0.002, 0.01]))
+def test_straight_pieces_stay_within_the_chord_error(points, seed, chord):
+    """Against the corrected curve sampled densely, both ways; nodes of the table differ by up to 60 µm."""
+    table = table_of(seed)
+    text = straight(points, incremental=False)
+    written = cut(corrected(text, table, chord))
+    curve = corrected_curve(text, table)
+    assert far(curve, written) <= chord
+    assert far(dense(written, 0.3), curve) <= chord + 1e-5
+
+
+@st.composite
+def arcs(draw: st.DrawFn) -> tuple[str, str]:
+    """The same arc or helix by its centre and by its radius."""
+    plane, code = draw(st.sampled_from([17, 18, 19])), draw(st.sampled_from([2, 3]))
+    a, b, c = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}[plane]
+    radius, angle = draw(st.floats(2.0, 35.0)), draw(st.floats(-math.pi, math.pi))
+    sweep = draw(st.floats(0.1, 6.1).filter(lambda value: abs(value - math.pi) > 0.05)) * (1 if code == 3 else -1)
+    start = np.array(START) - WORK["G54"]
+    middle = complex(start[a], start[b]) - radius * complex(math.cos(angle), math.sin(angle))
+    end = middle + radius * complex(math.cos(angle + sweep), math.sin(angle + sweep))
+    rise = draw(st.sampled_from([0.0, 12.0, -7.0]))
+    words = f"G{plane} G{code} {'XYZ'[a]}{end.real:.9f} {'XYZ'[b]}{end.imag:.9f} {'XYZ'[c]}{start[c] + rise:.9f}"
+    words = TO_START + words
+    by_centre = f"{words} {'IJK'[a]}{middle.real - start[a]:.9f} {'IJK'[b]}{middle.imag - start[b]:.9f} F100\n"
+    by_radius = f"{words} R{math.copysign(radius, math.pi - abs(sweep)):.9f} F100\n"
+    return by_centre, by_radius
+
+
+@settings(max_examples=25, deadline=None)
+@given(arcs(), seeds, st.sampled_from([0.001, 0.005]))
+def test_arcs_stay_within_the_chord_error_and_are_the_same_by_centre_and_radius(texts, seed, chord):
+    table = table_of(seed)
+    by_centre, by_radius = (cut(corrected(text, table, chord)) for text in texts)
+    curve = corrected_curve(texts[0], table)
+    assert far(curve, by_centre) <= chord + 2e-7
+    assert far(dense(by_centre, 0.3), curve) <= chord + 1e-5
+    assert by_radius.shape == by_centre.shape
+    assert by_radius == pytest.approx(by_centre, abs=1.01 * STEP)
+
+
+@settings(max_examples=20, deadline=None)
+@given(lines, seeds, st.lists(st.floats(0.05, 20.0), min_size=6, max_size=6))
+def test_inverse_time_is_shared_among_the_pieces(points, seed, feeds):
+    text = "G21 G90 G93\n"
+    for number, (point, feed) in enumerate(zip(points, feeds, strict=False)):
+        text += f"N{number} G1 X{point[0]:.3f} Y{point[1]:.3f} Z{point[2]:.3f} F{feed:.4f}\n"
+    minutes: dict[int, float] = {}
+    number = 0
+    for stroke in controller().run(corrected(text, table_of(seed), 0.002)):
+        number = stroke.number if stroke.number is not None else number
+        minutes[number] = minutes.get(number, 0.0) + stroke.minutes
+    for number, feed in zip(range(len(points)), feeds, strict=False):
+        assert minutes[number] == pytest.approx(1.0 / round(feed, 4), rel=1e-5)
