@@ -66,6 +66,7 @@ class Result:
             "table_crc32": self.table_crc32,
             "estimate": None if self.material.estimate_file is None else str(self.material.estimate_file),
             "points": list(points),
+            "tool_offset_mm": table.tool_offset.tolist(),
             "largest_um": round(1e3 * float(np.abs(table.corrections).max()), 3),
             "extrapolated_percent": round(100.0 * float(np.mean(table.extrapolated)), 1),
             "opposite_sign": self.request.choices.opposite_sign,

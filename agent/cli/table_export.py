@@ -169,6 +169,11 @@ def _show(result: Result) -> None:
         console.print(f"What the estimate does not know adds {1e3 * found.unknown_mm:.2f} µm to each (as squares).")
     at, moves = (", ".join(f"{value:g}" for value in said[key]) for key in ("check_at_mm", "check_moves_um"))
     console.print(f"To check the sign: at {at} mm, switching it on must move X, Y, Z by {moves} µm.")
+    tool = ", ".join(f"{value:g}" for value in said["tool_offset_mm"])
+    outside = (
+        f"; {said['extrapolated_percent']:g} % of its nodes were not measured" if said["extrapolated_percent"] else ""
+    )
+    console.print(f"The table holds for the tool offset {tool} mm{outside}.")
     for text in result.exported.lost:
         console.print(f"lost: {text}", markup=False)
     for name, fact in result.exported.facts.items():
