@@ -206,6 +206,9 @@ class Controller:
         return np.array([self.get(f"axis.{a}.pos-cmd") for a in AXES])
 
     def ready(self) -> None:
+        """On and homed."""
+        if self.get("motion.motion-enabled") and self.get("motion.is-all-homed"):
+            return
         assert self("on") and self("home"), self.log()
 
     def at(self, *position_mm: float) -> None:

@@ -1,0 +1,132 @@
+"""Tables as text: every bit comes back, and nothing that was cut or changed is taken for a table."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from drivers.errors import ChecksumMismatch, StoreError
+from drivers.roles import Activation, StoreLimits, TableImage
+from drivers.tables.files import read_whole, write_whole
+from drivers.tables.objections import form_objection, stage_objection
+from drivers.tables.text import table_of, text_of
+
+numbers = st.floats(-1e6, 1e6, allow_nan=False)
+steps = st.floats(1e-3, 1e5)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> TableImage:
+    shape = draw(st.tuples(st.integers(1, 4), st.integers(1, 4), st.integers(1, 4)))
+    counts = draw(arrays(np.int32, (*shape, 3)))
+    origin = draw(st.tuples(numbers, numbers, numbers))
+    step = draw(st.tuples(steps, steps, steps))
+    return TableImage(origin, step, draw(st.floats(1e-7, 1e-2)), counts)
+
+
+@given(tables())
+def test_every_bit_comes_back(table: TableImage) -> None:
+    assert table_of(text_of(table)).same_as(table)
+
+
+@given(tables(), st.data())
+def test_cut_text_is_no_table(table: TableImage, data: st.DataObject) -> None:
+    text = text_of(table)
+    with pytest.raises(StoreError):
+        table_of(text[: data.draw(st.integers(0, len(text) - 1))])
+
+
+@given(tables(), st.data())
+def test_changed_byte_is_noticed(table: TableImage, data: st.DataObject) -> None:
+    text = text_of(table)
+    at = data.draw(st.integers(0, len(text) - 1))
+    other = data.draw(st.characters(min_codepoint=0, max_codepoint=255).filter(lambda c: c != text[at]))
+    with pytest.raises(StoreError):
+        table_of(text[:at] + other + text[at + 1 :], file="bank1.table")
+
+
+def signed(body: str) -> str:
+    """`body` with a right last line: wrong in itself, not damaged."""
+    return f"{body}file_crc32 {zlib.crc32(body.encode()):08X}\n"
+
+
+GOOD = text_of(TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((1, 1, 2, 3), dtype=np.int32)))
+BODY = GOOD[: GOOD.index("file_crc32")]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        BODY.replace("table 1", "table 2"),
+        BODY.replace("nodes 1 1 2", "nodes 1 1 3"),
+        BODY.replace("nodes 1 1 2", "nodes 1 1"),
+        BODY.replace("origin_mm 0.0", "origin_mm zero"),
+        BODY + "0 0 0\n",
+        BODY.replace("0 0 0\n", "0 0 9999999999\n", 1),
+        BODY.replace("0 0 0\n", "0 0 x\n", 1),
+        BODY.replace("0 0 0\n0 0 0\n", "0 0 0 0 0 0\n"),
+    ],
+)
+def test_text_that_makes_no_sense_is_no_table(body: str) -> None:
+    with pytest.raises(StoreError) as caught:
+        table_of(signed(body), file="bank1.table")
+    assert caught.value.where["file"] == "bank1.table"
+    assert caught.value.hint
+
+
+def test_changed_text_is_a_checksum_mismatch() -> None:
+    with pytest.raises(ChecksumMismatch):
+        table_of(GOOD.replace("step_mm 1.0", "step_mm 2.0"))
+
+
+LIMITS = StoreLimits((1, 2), (4, 4, 4), 32, 1e-4, 0.1, Activation.IMMEDIATE)
+
+
+def image(counts: np.ndarray, step: float = 10.0, resolution: float = 1e-4) -> TableImage:
+    return TableImage((0.0, 0.0, 0.0), (step, step, step), resolution, counts.astype(np.int32))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        (image(np.zeros((5, 1, 1, 3))), "exceeds"),
+        (image(np.zeros((4, 4, 4, 3))), "exceeds"),
+        (image(np.zeros((2, 2, 2, 3)), resolution=1e-3), "one count"),
+        (image(np.full((2, 2, 2, 3), -1001)), "largest"),
+        (image(np.full((2, 2, 2, 3), 1000)), ""),
+    ],
+)
+def test_what_a_store_cannot_take(table: TableImage, said: str) -> None:
+    objection = stage_objection(LIMITS, table)
+    assert said in objection
+    assert bool(objection) == bool(said)
+
+
+def test_what_is_no_grid() -> None:
+    steep = np.zeros((2, 2, 2, 3))
+    steep[1] = 1000
+    assert form_objection(image(steep), 0.01) == ""
+    assert "along X" in form_objection(image(steep), 0.0099)
+    assert "no nodes" in form_objection(image(np.zeros((0, 2, 2, 3))), 1.0)
+    for step in (0.0, -1.0, float("nan"), float("inf")):
+        assert "no grid" in form_objection(image(np.zeros((2, 2, 2, 3)), step=step), 1.0)
+
+
+def test_file_is_whole_or_not_there(tmp_path: Path) -> None:
+    file = tmp_path / "bank1.table"
+    assert read_whole(file) is None
+    write_whole(file, "first")
+    with pytest.raises(StoreError, match="cannot write"):
+        write_whole(tmp_path / "nowhere" / "bank1.table", "second")
+    (tmp_path / "bank1.table.part").mkdir()
+    with pytest.raises(StoreError, match="cannot write"):
+        write_whole(file, "second")
+    assert read_whole(file) == "first"
+    with pytest.raises(StoreError, match="cannot read"):
+        read_whole(tmp_path)
