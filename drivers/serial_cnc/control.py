@@ -11,6 +11,8 @@ from drivers.serial_cnc.watch import Look, Watch
 
 CLOSE_WITHIN_S = 1.0
 CLOSE_POLL_S = 0.05
+DOOR_CLOSED_AGAIN = "Door:0"
+"""The controller waits to resume."""
 
 
 class Control:
@@ -41,9 +43,7 @@ class Control:
         look = self._watch.look()
         if self._stopping and look.state is not MotionState.MOVING:
             if look.state is not MotionState.FAULT:
-                self._conversation.reset()
-                self._watch.expect_restart()
-                look = self._watch.look()
+                look = self._forget_motion()
             self._stopping = self._watch.ours_moves = False
         return look
 
@@ -77,8 +77,12 @@ class Control:
         return look
 
     def reset(self) -> None:
-        """Unlock after an alarm that has kept the position. CommandRejected where homing is needed."""
+        """Unlock after an alarm that has kept the position, or after a door that is closed again. CommandRejected where
+        homing is needed."""
         look = self.look()
+        if look.word == DOOR_CLOSED_AGAIN:
+            self._forget_motion()
+            return
         if look.state is not MotionState.FAULT:
             return
         if look.alarm not in POSITION_KEPT:
@@ -88,6 +92,12 @@ class Control:
                 **self._conversation.where,
             )
         self.unlock()
+
+    def _forget_motion(self) -> Look:
+        """A soft reset of axes that rest: what was planned is gone, the position stays."""
+        self._conversation.reset()
+        self._watch.expect_restart()
+        return self._watch.look()
 
     def unlock(self) -> None:
         self._conversation.ask("$X")

@@ -80,14 +80,14 @@ class Motion:
         """Send and wait for the end; the report after it."""
         conversation = self._conversation
         conversation.probe_results.clear()
-        restarts = conversation.restarts
+        surprises = self._watch.surprises
         self._watch.ours_moves = True
         try:
             ticket = conversation.send(order.line)
             if order.barrier:
                 self._await_planned(ticket)
                 ticket = conversation.send(BARRIER)
-            look = self._await_end(ticket, order, start_mm, restarts)
+            look = self._await_end(ticket, order, start_mm, surprises)
         except BaseException as error:
             if not isinstance(error, CommandRejected):
                 self._stop_because_of(error)
@@ -117,14 +117,14 @@ class Motion:
             raise
         self._conversation.require_accepted(ticket)
 
-    def _await_end(self, ticket: Ticket, order: Order, start_mm: Vector, restarts: int) -> Look:
+    def _await_end(self, ticket: Ticket, order: Order, start_mm: Vector, surprises: int) -> Look:
         look = self._watch.look()
         predicted_s = Prediction(self._frames.limits).of(start_mm, order.goal_mm, order.feed_mm_per_s, look.feed_share)
         pace = Pace(self._clock, self._settings, predicted_s, order.slice_s)
         held: Deadline | None = None
         idle = 0
         while True:
-            self._require_same(restarts, order.what)
+            self._require_same(surprises, order.what)
             self._require_sound(look, order.what)
             if ticket.answered:
                 return look
@@ -140,8 +140,8 @@ class Motion:
             self._clock.sleep(pace.pause_s())
             look = self._watch.look()
 
-    def _require_same(self, restarts: int, what: str) -> None:
-        if self._conversation.restarts == restarts:
+    def _require_same(self, surprises: int, what: str) -> None:
+        if self._watch.surprises == surprises:
             return
         self._watch.position_lost = True
         raise MotionFault(

@@ -59,6 +59,8 @@ class Watch:
         self.ours_moves = False
         """Whether what moves is a motion of this driver."""
         self.position_lost = False
+        self.surprises = 0
+        """Restarts that nobody here has asked for."""
 
     def take_offset(self, told: list[Message], modes: str) -> None:
         """The work offset out of the answers to ``$#`` and ``$G``."""
@@ -129,7 +131,10 @@ class Watch:
             return
         self._restarts = self._conversation.restarts
         self._offset, self._overrides, self._spindle_turns = None, (100, 100), False
-        if not expected and not self._settings.homes:
+        if expected:
+            return
+        self.surprises += 1
+        if not self._settings.homes:
             self.position_lost = True  # switched off and on, it counts from wherever it stands
 
     def _note_fields(self, report: StatusReport) -> None:
@@ -162,7 +167,7 @@ class Watch:
         referenced = self._homing_known and not self.position_lost and self._homed is not False
         return {
             Permission.AUTOMATIC: state not in NOT_AUTOMATIC,
-            Permission.DOORS_CLOSED: state != "Door" and "D" not in pins,
+            Permission.DOORS_CLOSED: (state != "Door" or report.substate == 0) and "D" not in pins,
             Permission.SPINDLE_STOPPED: not self._spindle_turns,
             Permission.PROGRAM_IDLE: state in NO_PART_PROGRAM or self.ours_moves,
             Permission.REFERENCED: referenced,

@@ -1,0 +1,111 @@
+"""The driver on a real pseudo-terminal, GRBL simulated at its other end, in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.clock import VirtualClock
+from drivers.errors import DeviceError
+from drivers.registry import DeviceContext
+from drivers.serial_cnc.device import SerialCnc
+from drivers.serial_cnc.plugin import PLUGIN
+from simulators.scenario import read_scenario
+from simulators.wire.grbl_port import GrblPort
+from simulators.wire.grbl_settings import GrblSettings
+from simulators.wire.shared_world import SharedWorld
+from simulators.world.world import World
+
+SCENARIO = Path(__file__).resolve().parents[3] / "config" / "simulators" / "case-study.toml"
+TOOL = np.array([0.0, 250.0, 0.0])
+
+
+@dataclass
+class Line:
+    """What a bad cable does to whole lines on their way to the driver: the first function that takes one, changes it."""
+
+    port: GrblPort
+    on_line: Callable[[bytes], bytes] | None = None
+    said: list[bytes] = field(default_factory=list)
+
+    def distort(self, data: bytes) -> bytes:
+        self.said.append(data)
+        return data if self.on_line is None else self.on_line(data)
+
+    def once(self, starts: bytes, change: Callable[[bytes], bytes]) -> None:
+        """Change the next line that begins so."""
+
+        def changed(line: bytes) -> bytes:
+            if not line.startswith(starts):
+                return line
+            self.on_line = None
+            return change(line)
+
+        self.on_line = changed
+
+    def dead(self) -> None:
+        self.on_line = lambda _: b""
+
+
+@dataclass
+class Rig:
+    device: SerialCnc
+    world: World
+    port: GrblPort
+    shared: SharedWorld[World]
+    clock: VirtualClock
+    line: Line
+
+    def at(self, instant_s: float, action: Callable[[], None]) -> None:
+        """Once, when machine time has come to `instant_s`."""
+        done: list[bool] = []
+
+        def check(now_s: float) -> None:
+            if now_s >= instant_s and not done:
+                done.append(True)
+                action()
+
+        self.clock.subscribe(check)
+
+    def type(self, data: bytes) -> None:
+        """As if it had come over the line: another user, a button."""
+        with self.shared.lock:
+            self.port.controller.received(data)
+
+    def ball(self, number: int) -> np.ndarray:
+        return np.array(self.world.workpiece.standing(self.world.now).balls[number]) - TOOL
+
+    def before(self, number: int = 5, distance_mm: float = 25.0) -> np.ndarray:
+        centre = self.ball(number)
+        self.device.move_to(np.array([centre[0], 0.0, centre[2]]), feed_mm_per_s=None, guarded=True)
+        self.device.move_to(centre - [0.0, distance_mm, 0.0], feed_mm_per_s=None, guarded=True)
+        return centre
+
+
+@contextmanager
+def rig(base: Path, *, settings: dict[int, float] | None = None, homed: bool = True, **options: Any) -> Iterator[Rig]:
+    """Not open yet. `settings`: `$` values that differ."""
+    world = World(read_scenario(SCENARIO).made_ideal())
+    shared = SharedWorld(world)
+    told = GrblSettings(world.controller.limits())
+    told.change(settings or {})
+    port = GrblPort(shared, settings=told, homed=homed)
+    line = Line(port)
+    port.line.distort = line.distort
+    port.start()
+    clock = VirtualClock()
+    clock.subscribe(shared.advance_to)
+    values = {**port.agent_settings, "answer_within_s": 0.3, "boot_within_s": 0.6, **options}
+    device = PLUGIN.create(PLUGIN.settings.model_validate(values), DeviceContext("cnc", clock, base))
+    assert isinstance(device, SerialCnc)
+    try:
+        yield Rig(device, world, port, shared, clock, line)
+    finally:
+        with suppress(DeviceError):  # a dead peer cannot say that its axes rest
+            device.close()
+        port.close()
