@@ -27,7 +27,7 @@ TOOL = np.array([0.0, 250.0, 0.0])
 
 @dataclass
 class Line:
-    """What a bad cable does to whole lines on their way to the driver: the first function that takes one, changes it."""
+    """What a bad cable does to whole lines on their way to the driver: `on_line` changes each."""
 
     port: GrblPort
     on_line: Callable[[bytes], bytes] | None = None

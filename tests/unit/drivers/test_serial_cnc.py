@@ -307,8 +307,8 @@ class TestProbing:
         grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
         here = grbl.device.position()
         with pytest.raises((GuardTripped, CommandRejected)):
-            grbl.device.move_to(here + [0.0, 0.001, 0.0], feed_mm_per_s=5.0, guarded=True)
-        grbl.device.move_to(here - [0.0, 10.0, 0.0], feed_mm_per_s=5.0, guarded=True)
+            grbl.device.move_to(here + np.array([0.0, 0.001, 0.0]), feed_mm_per_s=5.0, guarded=True)
+        grbl.device.move_to(here - np.array([0.0, 10.0, 0.0]), feed_mm_per_s=5.0, guarded=True)
         assert not grbl.device.probe_status().deflected
 
 

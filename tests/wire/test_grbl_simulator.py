@@ -1,0 +1,277 @@
+"""The simulated GRBL against the documents of GRBL 1.1 (gnea/grbl, doc/markdown): transcripts byte by byte."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+from pathlib import Path
+
+import pytest
+
+from drivers.errors import ConfigurationError
+from drivers.roles import Permission
+from simulators.scenario import read_scenario
+from simulators.wire.grbl_controller import GrblController
+from simulators.wire.grbl_settings import GrblSettings
+from simulators.wire.pty_port import PseudoTerminal
+from simulators.wire.shared_world import SharedWorld
+from simulators.world.world import World
+
+SCENARIO = Path(__file__).resolve().parents[2] / "config" / "simulators" / "case-study.toml"
+BANNER = ["", "Grbl 1.1h ['$' for help]"]
+LOCKED = "[MSG:'$H'|'$X' to unlock]"
+
+
+class Terminal:
+    """Types bytes, sees lines, moves time."""
+
+    def __init__(self, *, homed: bool = True, **settings: float) -> None:
+        self.world = World(read_scenario(SCENARIO).made_ideal())
+        self._shared = SharedWorld(self.world)
+        self._said = b""
+        told = GrblSettings(self.world.controller.limits())
+        told.change({int(name[1:]): value for name, value in settings.items()})
+        self.grbl = GrblController(
+            self.world.controller, lambda: self._shared.now, self._hear, settings=told, homed=homed
+        )
+        self._shared.subscribe(self.grbl.moved_to, wakes_at=self.grbl.wakes_at)
+
+    def _hear(self, data: bytes) -> None:
+        self._said += data
+
+    def type(self, data: bytes) -> list[str]:
+        self.grbl.received(data)
+        return self.heard()
+
+    def heard(self) -> list[str]:
+        said, self._said = self._said, b""
+        assert not said or said.endswith(b"\r\n")
+        return said.decode("ascii").split("\r\n")[:-1]
+
+    def wait(self, seconds: float) -> list[str]:
+        self._shared.advance_to(self._shared.now + seconds)
+        return self.heard()
+
+
+@pytest.fixture
+def grbl() -> Terminal:
+    return Terminal()
+
+
+def test_one_answer_for_each_line_also_for_an_empty_one(grbl: Terminal) -> None:
+    assert grbl.type(b"\n") == ["ok"]
+    assert grbl.type(b"\r\n") == ["ok", "ok"]  # both characters end a line
+    assert grbl.type(b"G9") == []
+    assert grbl.type(b"0\n") == ["ok"]
+    assert grbl.type(b"(comment) g 90 ; and more\n") == ["ok"]
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        (b"=", 1), (b"G", 2), (b"G1.2.3", 1), (b"$Q", 3), (b"$130=-1", 4), (b"$0=1", 6), (b"G99", 20), (b"G2X1", 20),
+        (b"G0G1X-1", 21), (b"G1X-1", 22), (b"G1X-1X-2F100", 25), (b"G38.3F100", 26), (b"N0", 27), (b"G4", 28),
+        (b"G53G80X-1", 30), (b"G80X-1", 31), (b"G38.3X-4000F100", 33), (b"P1", 36), (b"G43.1X1", 37),
+        (b"G" + b"1" * 80, 11), (b"$999=1", 3), (b"$13=abc", 2),
+    ],
+)  # fmt: skip
+def test_each_error_has_its_number(grbl: Terminal, line: bytes, code: int) -> None:
+    assert grbl.type(line + b"\n") == [f"error:{code}"]
+    assert grbl.type(b"?")[0].startswith("<Idle|")
+
+
+def test_offset_comes_first_after_a_reset_overrides_next_then_seldom(grbl: Terminal) -> None:
+    reports = [grbl.type(b"?")[0] for _ in range(25)]
+    assert reports[0] == "<Idle|MPos:-4000.000,-1300.000,-1500.000|FS:0,0|WCO:0.000,0.000,0.000>"
+    assert "Ov:100,100,100" in reports[1]
+    assert [number for number, text in enumerate(reports) if "WCO" in text] == [0, 10, 20]
+    assert all(not ("WCO" in text and "Ov:" in text) for text in reports)
+    grbl.type(b"G92X0\n")
+    assert "WCO:-4000.000,0.000,0.000" in grbl.type(b"?")[0]
+
+
+def test_offsets_are_those_of_the_parameters(grbl: Terminal) -> None:
+    grbl.type(b"G10L2P1X-10Y-20Z-30\nG43.1Z5\n")
+    lines = grbl.type(b"$#\n")
+    assert lines[0] == "[G54:-10.000,-20.000,-30.000]"
+    assert [line for line in lines if line.startswith("[TLO")] == ["[TLO:5.000]"]
+    assert lines[-2:] == ["[PRB:0.000,0.000,0.000:0]", "ok"]
+    assert "WCO:-10.000,-20.000,-25.000" in grbl.type(b"?")[0]
+
+
+def test_settings_are_listed_as_the_documents_do(grbl: Terminal) -> None:
+    lines = grbl.type(b"$$\n")
+    assert lines[-1] == "ok"
+    assert {"$10=1", "$13=0", "$100=1000.000", "$110=20000.000", "$120=500.000", "$130=4000.000"} <= set(lines)
+    assert all(re.fullmatch(r"\$\d+=\d+(\.\d{3})?", line) for line in lines[:-1])
+
+
+def test_ok_to_a_motion_means_queued_and_a_dwell_is_the_barrier(grbl: Terminal) -> None:
+    assert grbl.type(b"G53G1X-3900F6000\nG4P0\n") == ["ok"]
+    assert grbl.type(b"?")[0].startswith("<Run|MPos:-4000.000")
+    assert grbl.wait(0.9) == []
+    assert grbl.wait(1.0) == ["ok"]
+    assert grbl.type(b"?")[0].startswith("<Idle|MPos:-3900.000")
+
+
+def test_planner_takes_fifteen_blocks_and_then_lines_wait_in_the_receive_buffer(grbl: Terminal) -> None:
+    grbl.type(b"G90G94F600\n")
+    for number in range(30):
+        heard = grbl.type(b"G53G1X%d\n" % (-3999 + number))
+        assert heard == (["ok"] if number < 16 else [])
+    grbl.type(b"$10=3\n")
+    heard = grbl.type(b"?")[0]
+    assert heard.startswith("<Run|")
+    assert grbl.wait(0.5) == ["ok"] or grbl.wait(5.0)
+
+
+def test_receive_buffer_of_128_bytes_loses_what_does_not_fit(grbl: Terminal) -> None:
+    grbl.type(b"G53G1X-3990F600\nG4P0\n")
+    grbl.type(b"G90\n" * 31)  # 124 bytes, 127 fit
+    grbl.type(b"G90\n")
+    heard = grbl.wait(5.0)
+    assert heard == ["ok"] * 32  # the barrier, and 31 of 32 lines; three bytes of the last are still there
+    assert grbl.type(b"\n") == ["ok"]
+
+
+def test_buffer_report_counts_what_is_free() -> None:
+    grbl = Terminal(_10=3.0)
+    assert "|Bf:15,128|" in grbl.type(b"?")[0]
+    grbl.type(b"G53G1X-3990F600\nG4P0\nG90\n")
+    assert "|Bf:14,124|" in grbl.type(b"?")[0]
+
+
+def test_missed_g38_3_has_no_alarm_and_tells_its_end(grbl: Terminal) -> None:
+    assert grbl.type(b"G38.3X-3990F600\n") == []
+    assert grbl.wait(5.0) == ["[PRB:-3990.000,-1300.000,-1500.000:0]", "ok"]
+    assert grbl.type(b"?")[0].startswith("<Idle|")
+
+
+def test_missed_g38_2_is_alarm_5_then_the_old_result_then_ok_then_locked(grbl: Terminal) -> None:
+    grbl.type(b"G38.3X-3990F600\n")
+    grbl.wait(5.0)
+    grbl.type(b"G38.2X-3980F600\n")
+    assert grbl.wait(5.0) == ["ALARM:5", "[PRB:-3990.000,-1300.000,-1500.000:0]", "ok"]
+    assert grbl.type(b"G0X-1\n") == ["error:9"]
+    assert grbl.type(b"$X\n") == ["[MSG:Caution: Unlocked]", "ok"]
+    assert grbl.type(b"?")[0].startswith("<Idle|")
+
+
+def test_probe_in_the_wrong_state_is_alarm_4_without_a_result() -> None:
+    grbl = Terminal(_6=1.0)
+    assert "|Pn:P" in grbl.type(b"?")[0]
+    assert grbl.type(b"G38.3X-3990F600\n") == ["ALARM:4", "ok"]
+    assert grbl.type(b"?")[0].startswith("<Alarm|")
+
+
+def test_feed_hold_brakes_then_waits_and_takes_no_line(grbl: Terminal) -> None:
+    grbl.type(b"G53G1X-3000F6000\n")
+    grbl.wait(2.0)
+    assert grbl.type(b"!?")[0].startswith("<Hold:1|")
+    grbl.wait(1.0)
+    assert grbl.type(b"?")[0].startswith("<Hold:0|")
+    assert grbl.type(b"$G\n") == []
+    assert grbl.type(b"~")[0].startswith("[GC:G1 G54 G17 G21 G90 G94 M5 M9 T0 F6000 S0]")
+    grbl.wait(20.0)
+    assert grbl.type(b"?")[0].startswith("<Idle|MPos:-3000.000")
+
+
+def test_reset_in_motion_is_alarm_3_banner_and_lock(grbl: Terminal) -> None:
+    grbl.type(b"G53G1X-3000F6000\n")
+    grbl.wait(2.0)
+    assert grbl.type(b"\x18") == ["ALARM:3", *BANNER, LOCKED]
+    assert grbl.type(b"G0X-1\n") == ["error:9"]
+
+
+def test_reset_while_braking_is_alarm_3_too_and_at_rest_is_none(grbl: Terminal) -> None:
+    grbl.type(b"G53G1X-3000F6000\n")
+    grbl.wait(2.0)
+    assert grbl.type(b"!\x18")[0] == "ALARM:3"
+    grbl.wait(2.0)
+    grbl.type(b"$X\n")
+    grbl.type(b"G53G1X-3000F6000\n")
+    grbl.wait(2.0)
+    grbl.type(b"!")
+    grbl.wait(1.0)
+    assert grbl.type(b"\x18") == BANNER
+    assert grbl.type(b"?")[0].startswith("<Idle|")
+
+
+def test_line_that_a_reset_breaks_off_is_answered_before_the_banner(grbl: Terminal) -> None:
+    grbl.type(b"G38.3X-3000F600\n")
+    grbl.wait(1.0)
+    assert grbl.type(b"\x18") == ["ALARM:3", "ok", *BANNER, LOCKED]
+
+
+def test_soft_limit_silences_the_controller_until_a_reset(grbl: Terminal) -> None:
+    assert grbl.type(b"G53G0X1\n") == ["ALARM:2", "[MSG:Reset to continue]"]
+    assert grbl.type(b"?$X\n") == []
+    assert grbl.type(b"\x18") == ["ok", *BANNER, LOCKED]
+    assert grbl.type(b"$X\n") == ["[MSG:Caution: Unlocked]", "ok"]
+
+
+def test_switched_on_it_is_locked_until_it_has_homed() -> None:
+    grbl = Terminal(homed=False)
+    assert grbl.type(b"G0X-1\n") == ["error:9"]
+    assert grbl.type(b"$H\n") == []
+    assert grbl.type(b"?") == []  # no reports while homing
+    assert grbl.wait(1000.0) == ["ok"]
+    assert grbl.type(b"?")[0].startswith("<Idle|MPos:-1.000,-1.000,-1.000")
+
+
+def test_door_holds_and_waits_for_cycle_start(grbl: Terminal) -> None:
+    grbl.type(b"G53G1X-3000F6000\n")
+    grbl.wait(2.0)
+    grbl.world.controller.given[Permission.DOORS_CLOSED] = False
+    assert grbl.wait(0.01) == ["[MSG:Check Door]"]
+    assert grbl.type(b"?")[0].startswith("<Door:2|")
+    grbl.wait(2.0)
+    report = grbl.type(b"~?")[0]
+    assert report.startswith("<Door:1|")
+    assert "|Pn:D" in report
+    grbl.world.controller.given[Permission.DOORS_CLOSED] = True
+    assert grbl.type(b"?")[0].startswith("<Door:0|")
+    assert grbl.type(b"~?")[0].startswith("<Run|")
+
+
+def test_settings_that_need_each_other(grbl: Terminal) -> None:
+    assert grbl.type(b"$22=0\n$20=1\n") == ["ok", "error:10"]
+    assert grbl.type(b"$H\n") == ["error:5"]
+
+
+def test_some_commands_only_while_idle(grbl: Terminal) -> None:
+    grbl.type(b"G53G1X-3990F600\n")
+    assert grbl.type(b"$$\n$#\n$I\n$H\n") == ["error:8"] * 4
+    assert grbl.type(b"$G\n")[-1] == "ok"
+
+
+class TestPseudoTerminal:
+    def test_link_is_made_and_taken_away(self, tmp_path: Path) -> None:
+        heard: list[bytes] = []
+        link = tmp_path / "tty"
+        line = PseudoTerminal("test", heard.append, str(link))
+        line.start()
+        there = os.open(link, os.O_RDWR | os.O_NOCTTY)
+        line.send(b"raw \x00\x03\x11\x13\xff\r\n")
+        assert select.select([there], [], [], 5.0)[0]
+        assert os.read(there, 100) == b"raw \x00\x03\x11\x13\xff\r\n"
+        os.close(there)
+        line.close()
+        assert not link.is_symlink()
+
+    def test_link_that_cannot_be_made(self, tmp_path: Path) -> None:
+        with pytest.raises(ConfigurationError, match="no link"):
+            PseudoTerminal("test", lambda _: None, str(tmp_path / "none" / "tty"))
+
+    def test_file_in_its_place_is_left_alone(self, tmp_path: Path) -> None:
+        (tmp_path / "tty").write_text("mine")
+        with pytest.raises(ConfigurationError):
+            PseudoTerminal("test", lambda _: None, str(tmp_path / "tty"))
+        assert (tmp_path / "tty").read_text() == "mine"
+
+    def test_bytes_nobody_reads_are_lost_and_block_nobody(self) -> None:
+        line = PseudoTerminal("test", lambda _: None)
+        for _ in range(100):
+            line.send(b"x" * 4000)
+        line.close()
