@@ -11,6 +11,13 @@ import pytest
 from namespaces import KERNEL_CAN, MULTICAST, inside, kernel_can_missing, missing
 from test_demo_command import bad_machine, short_settings
 
+from agent.cli.demo import connect
+from agent.cli.doctor import examine
+from agent.job import load_settings
+from agent.settings import Settings
+from agent.simulator_process import SimulatorProcess
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 ANNOUNCED = "NOT EXERCISED HERE"
 PATIENCE_S = 170.0
 COARSE = "\n[table]\nstep_mm = [1000.0, 650.0, 750.0]\n"
@@ -56,3 +63,23 @@ def test_short_run_over_kernel_can(tmp_path: Path) -> None:
     if absent := kernel_can_missing():
         pytest.skip(f"{ANNOUNCED}: CAN through the kernel (socketcan, vcan): {absent}")
     proved(calibrated(tmp_path, "socketcan:vcan0", KERNEL_CAN), "CAN socketcan vcan0")
+
+
+def test_doctor_over_a_serial_adapter_lists_what_is_wrong_and_the_other_mount(tmp_path: Path) -> None:
+    """Two mounts on one bus: the second has the number of another encoder and an exchanged drive in its settings."""
+    settings = load_settings(CONFIG / "two-mounts.toml")
+    with SimulatorProcess(
+        CONFIG / "simulators" / "two-mounts.toml", can=f"slcan:{tmp_path / 'can'}", log=tmp_path / "simulator.log"
+    ) as simulator:
+        document = connect(settings, simulator.ready, tmp_path).model_dump(mode="json")
+        document["devices"]["mount-1"]["options"]["azimuth"]["serial_number"] = 1
+        document["devices"]["mount-2"]["options"]["azimuth"]["encoder_counts_per_revolution"] = 65536
+        document["devices"]["mount-2"]["options"]["elevation"]["serial_number"] = 3
+        findings = examine(Settings.model_validate(document), CONFIG)
+    assert [line.text for line in findings["mount-1"] if not line.ok] == []
+    assert findings["mount-1"][0].text == "the adapter reports no error"
+    bad = [line.text for line in findings["mount-2"] if not line.ok]
+    assert "is 131072 : 1 in the drive and 65536 : 1 in the settings" in bad[0], "why it was not opened"
+    assert "0x608F position encoder resolution is 131072 : 1 in the drive, 65536 : 1 in the settings" in bad[1]
+    assert "0x1018:04 serial number is 0x4, expected 0x3" in bad[2]
+    assert len(bad) == 3
