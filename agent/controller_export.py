@@ -27,11 +27,15 @@ RECORD = "export.json"
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """`origin`: where the table comes from, for people. `estimate_file` None: the table speaks for itself."""
+    """`origin`: where the table comes from, for people. `estimate_file` None: the table speaks for itself.
+
+    `resolution_mm`: of the counts that a controller kept it in, 0 for a file.
+    """
 
     table: CompensationTable
     origin: str
     estimate_file: Path | None
+    resolution_mm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ def export_table(material: Material, request: Request) -> Result:
     with translated(InputError, file=material.origin):
         whole = Source(material.table, _identified(material.estimate_file))
         require_small(whole.table, 1e-3 * request.largest_um)
-        require_same_machine(whole)
+        require_same_machine(whole, material.resolution_mm)
         table = whole.table if request.points is None else resampled(whole.table, request.points)
         exported = WRITERS[request.format](Source(table, whole.identified), request.choices)
         found, check = loss(whole, exported.correction), telling_point(table, exported.correction)

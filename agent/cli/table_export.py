@@ -144,7 +144,7 @@ def _from_bank(config: Path, bank: int | None, estimate: Path | None) -> Materia
         image = rig.store.read_table(chosen) if chosen else None
         if image is None:
             raise InputError(f"bank {chosen} holds no table", hint="`volcal table show` lists the banks", key="--bank")
-        return Material(table_of(image, job.tool_offset_mm), f"bank {chosen}", estimate)
+        return Material(table_of(image, job.tool_offset_mm), f"bank {chosen}", estimate, image.resolution_mm)
 
 
 def _write_neutral(table: CompensationTable, out: Path) -> None:

@@ -185,7 +185,7 @@ def test_a_bank_of_the_controller(
 ) -> None:
     run, machine = identified
     texts = [(run / part).read_text() for part in ("table.csv", "table.json")]
-    limits = StoreLimits((1, 2), (100, 100, 100), 10**6, 1e-4, 1.0, Activation.IMMEDIATE)
+    limits = StoreLimits((1, 2), (100, 100, 100), 10**6, 1e-3 if name else 1e-4, 1.0, Activation.IMMEDIATE)
     image = image_of(parse_table(*texts, "table", "side"), limits)
     store = SimpleNamespace(active_bank=lambda: 2, read_table=lambda bank: image if bank == 2 else None)
 

@@ -16,8 +16,7 @@ from twin.chain import AXES
 from twin.controllers.counting import Counts, Unit, counted_from, smallest_unit
 from twin.controllers.export import Choices, Exported, Facts, Source
 from twin.controllers.grids import even_steps, reference_nodes, reference_point, require_points
-from twin.controllers.linuxcnc_comp import diagonal
-from twin.controllers.reduction import own_axis, sum_of_profiles
+from twin.controllers.reduction import own_axis, sum_of_own
 
 MOST_POINTS = 128
 LARGEST_INCREMENT = 7
@@ -47,7 +46,7 @@ def export(source: Source, choices: Choices) -> Exported:
     }
 
     def correction(axis_positions: Array) -> Array:
-        return sum_of_profiles(diagonal(written), axis_positions)
+        return sum_of_own(written, axis_positions)
 
     facts: Facts = {"magnification": unit.magnification, "counted_from_mm": counted_from(reference)}
     return Exported(files, correction, LOST, facts)

@@ -11,7 +11,7 @@ from twin.arrays import Array
 from twin.chain import AXES
 from twin.controllers.export import Choices, Exported, Source
 from twin.controllers.grids import reference_point, require_points
-from twin.controllers.reduction import Profile, own_axis, rounded, sum_of_profiles
+from twin.controllers.reduction import Profile, own_axis, rounded, sum_of_own
 
 MOST_ROWS = 256
 _DECIMALS = 7
@@ -33,17 +33,9 @@ def export(source: Source, choices: Choices) -> Exported:
     )
 
     def correction(axis_positions: Array) -> Array:
-        return sum_of_profiles(diagonal(profiles), axis_positions)
+        return sum_of_own(profiles, axis_positions)
 
     return Exported(files, correction, LOST, {"rows_x": len(table.x), "rows_y": len(table.y), "rows_z": len(table.z)})
-
-
-def diagonal(profiles: list[Profile]) -> tuple[tuple[Profile, ...], ...]:
-    """Own-axis profiles as `[input][output]`, the others zero."""
-    return tuple(
-        tuple(one if one.axis == output else Profile(one.axis, one.nodes, 0.0 * one.values) for output in range(3))
-        for one in profiles
-    )
 
 
 def _rows(profile: Profile, sign: int) -> str:

@@ -15,7 +15,7 @@ from twin.table import CompensationTable
 from twin.volumetric import QuadraticForm, Volumetric, evaluation_grid, rms, volumetric_error
 
 FOREIGN_MM = 3e-4
-"""Rms that table and estimate may differ by, but for a rigid motion: steps of a controller's counts, no more."""
+"""Rms that table and estimate may differ by, but for a rigid motion, beside the rounding of the table."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,11 @@ def telling_point(table: CompensationTable, correction: Correction) -> tuple[Arr
     return nodes[place], added[place]
 
 
-def require_same_machine(source: Source) -> None:
-    """DataError where the table was not built from the estimate: another machine, tool, or night."""
+def require_same_machine(source: Source, resolution_mm: float = 0.0) -> None:
+    """DataError where the table was not built from the estimate: another machine, tool, or night.
+
+    `resolution_mm`: of the numbers that the table was kept in; rounding is half of it rms over three axes.
+    """
     identified, table = source.identified, source.table
     if identified is None:
         return
@@ -78,7 +81,7 @@ def require_same_machine(source: Source) -> None:
             message = f"the table from {nodes[0]:g} to {nodes[-1]:g} mm leaves the range of the estimate's machine"
             raise DataError(message, hint=hint, axis=axis)
     apart = rms(rigid_difference(source)[1])
-    if apart > FOREIGN_MM:
+    if apart > FOREIGN_MM + resolution_mm:
         message = (
             f"table and estimate differ by {1e3 * apart:.2f} µm rms: they are not of the same machine, tool or night"
         )

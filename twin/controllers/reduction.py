@@ -7,6 +7,7 @@ motions of the workspace are means and main effects: what is best before a rigid
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,6 +89,14 @@ def summed(kept: tuple[Term, ...], axis_positions: Array) -> Array:
     total = np.zeros_like(axis_positions)
     for term in kept:
         total[:, term.output] += term.at(axis_positions)
+    return total
+
+
+def sum_of_own(profiles: Sequence[Profile], axis_positions: Array) -> Array:
+    """(n, 3) mm of `own_axis` profiles at axis positions (n, 3)."""
+    total = np.zeros_like(axis_positions)
+    for profile in profiles:
+        total[:, profile.axis] += profile.at(axis_positions)
     return total
 
 

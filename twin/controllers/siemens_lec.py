@@ -11,8 +11,7 @@ from twin.arrays import Array
 from twin.chain import AXES
 from twin.controllers.export import Choices, Exported, Source
 from twin.controllers.grids import even_steps, reference_point, require_points
-from twin.controllers.linuxcnc_comp import diagonal
-from twin.controllers.reduction import Profile, own_axis, rounded, sum_of_profiles
+from twin.controllers.reduction import Profile, own_axis, rounded, sum_of_own
 
 USUAL_NAMES = ("X1", "Y1", "Z1")
 MOST_POINTS = 5000
@@ -34,7 +33,7 @@ def export(source: Source, choices: Choices) -> Exported:
     facts = {f"MD38000_at_least_{name}": len(table.nodes[axis]) for axis, name in enumerate(names)}
 
     def correction(axis_positions: Array) -> Array:
-        return sum_of_profiles(diagonal(profiles), axis_positions)
+        return sum_of_own(profiles, axis_positions)
 
     return Exported(files, correction, LOST, facts)
 
