@@ -58,6 +58,7 @@ class Drive:
         self._target = 0
         self._way = 0
         self._found_as_left = True
+        self._enabled_here = False
         self._soft_limits: SoftLimits | None = None
         self._limit_told = False
         self._homed = settings.homing is None
@@ -121,6 +122,7 @@ class Drive:
         found on the way is reset once."""
         if not self._prepared:
             self.prepare()
+        self._enabled_here = True
         for _ in range(CLIMB_STEPS):
             state = self.state()
             self.check()  # what came before that answer is known now
@@ -200,8 +202,11 @@ class Drive:
         raise MotionFault("the drive ignores the quick stop", hint="use the emergency stop", **self.node.where)
 
     def release(self) -> None:
-        """Take the power off the motor; its brake or gear holds the mount."""
-        self.node.write(objects.CONTROLWORD, states.DISABLE_VOLTAGE)
+        """Take the power off the motor; its brake or gear holds the mount. A drive that was not enabled from here is
+        left alone: whoever only looks must not stop what another process moves."""
+        if self._enabled_here:
+            self._enabled_here = False
+            self.node.write(objects.CONTROLWORD, states.DISABLE_VOLTAGE)
 
     def fault_text(self) -> str:
         """What 0x603F says, for a diagnosis."""

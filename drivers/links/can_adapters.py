@@ -227,7 +227,10 @@ def _naming_the_link(address: CanAddress) -> Iterator[None]:
 def _hint(address: CanAddress) -> str:
     match address.interface:
         case "slcan":
-            return "check that the adapter is plugged in, the name of its serial port, and that nobody else has it open"
+            return (
+                "check that the adapter is plugged in, the name of its serial port, that this user may open it (group"
+                " dialout) and that nobody else has it open"
+            )
         case "udp_multicast":
             return "check that the network interface is up and has multicast and a route for 224.0.0.0/4"
         case "socketcand":

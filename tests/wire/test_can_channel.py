@@ -12,6 +12,7 @@ from contextlib import contextmanager
 import can
 import canopen
 import pytest
+from can_listening import listening
 
 from drivers.errors import ConfigurationError, LinkLost
 from drivers.links.can_adapters import CanAddress
@@ -38,24 +39,9 @@ class StillAxes:
 
 @contextmanager
 def pumped(bus: can.BusABC) -> Iterator[list[can.Message]]:
-    """Somebody is in `recv`, as a CAN server always is."""
-    received: list[can.Message] = []
-    stopping = threading.Event()
-
-    def pump() -> None:
-        while not stopping.is_set():
-            message = bus.recv(0.02)
-            if message is not None:
-                received.append(message)
-
-    thread = threading.Thread(target=pump)
-    thread.start()
-    try:
+    """Somebody listens, as a CAN server always does; then the bus ends."""
+    with bus, listening(bus) as received:
         yield received
-    finally:
-        stopping.set()
-        thread.join(5.0)
-        bus.shutdown()
 
 
 class RawClient:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ import can
 import canopen
 import pytest
 import serial
+from can_listening import listening
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -123,27 +123,6 @@ def test_any_text_is_a_frame_or_refused(text: str) -> None:
         except ValueError:
             return
         assert format_frame(frame).decode("ascii") == text
-
-
-@contextmanager
-def listening(bus: can.BusABC) -> Iterator[list[can.Message]]:
-    """What a bus hears, taken in as the receiving thread of a link does."""
-    heard: list[can.Message] = []
-    ending = threading.Event()
-
-    def listen() -> None:
-        while not ending.is_set():
-            message = bus.recv(0.02)
-            if message is not None:
-                heard.append(message)
-
-    thread = threading.Thread(target=listen)
-    thread.start()
-    try:
-        yield heard
-    finally:
-        ending.set()
-        thread.join(5.0)
 
 
 def until(reached: Callable[[], bool]) -> None:

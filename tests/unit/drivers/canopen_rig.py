@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import can
 
@@ -24,6 +25,9 @@ from simulators.wire.can_server import CanServer
 
 COUNTS_PER_DEGREE = 10_000 * 36 / 360
 """10000 counts per motor turn, 36 motor turns per turn of the mount: 1000 counts per degree."""
+
+CYCLE_S = 0.02
+"""Of the threads that receive: a rig is closed as soon as they have ended."""
 
 _channels = itertools.count()
 
@@ -135,7 +139,12 @@ def rig(
         }
     )
     mount = CanopenMount(stated, DeviceContext("mount", clock, Path()), networks)
-    with server, sniffer:
+    with (
+        patch("drivers.links.can_bus.RECEIVE_CYCLE_S", CYCLE_S),
+        patch("simulators.wire.can_server.RECEIVE_CYCLE_S", CYCLE_S),
+        server,
+        sniffer,
+    ):
         try:
             if opened:
                 mount.open()

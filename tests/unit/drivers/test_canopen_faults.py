@@ -10,10 +10,12 @@ import can
 import pytest
 from canopen_rig import Rig, rig
 
+from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.plugin import PLUGIN
 from drivers.canopen_mount.settings import CanopenMountSettings
 from drivers.errors import CommandRejected, DeadlineExpired, DeviceError, LinkLost, MotionFault, ProtocolError
-from drivers.registry import check_options
+from drivers.links.can_bus import CanNetworks
+from drivers.registry import DeviceContext, check_options
 from drivers.roles import Orientation
 from simulators.wire.can_drive import State
 
@@ -214,3 +216,14 @@ def test_claims_of_two_mounts_on_one_bus(tmp_path: Path) -> None:
     assert set(first) & set(check_options("canopen-mount", mount(3, 2), "mount-2"))
     elsewhere = mount(1, 2, channel="/dev/ttyACM1")
     assert not set(first) & set(PLUGIN.claims(CanopenMountSettings.model_validate(elsewhere)))
+
+
+def test_who_only_looks_does_not_take_the_power_off_what_another_process_turns() -> None:
+    with rig() as bench:
+        bench.mount.orient_to(1.0, 1.0)
+        looking = CanopenMount(bench.settings, DeviceContext("doctor", bench.clock, Path()), CanNetworks())
+        looking.open()
+        assert all(finding.ok for finding in looking.diagnose())
+        looking.close()
+        assert bench.azimuth.state is State.ENABLED
+        assert bench.elevation.state is State.ENABLED
