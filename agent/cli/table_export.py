@@ -26,17 +26,19 @@ from twin.table import CompensationTable
 
 PATH = click.Path(path_type=Path)
 _KNOWN_BY: Mapping[str, tuple[str, ...]] = {
+    "reference_mm": ("linuxcnc-comp", "siemens-lec", "siemens-cec", "heidenhain-com", "fanuc-pitch", "fanuc-3d"),
     "axis_names": ("siemens-lec", "siemens-cec", "heidenhain-com"),
     "encoder": ("siemens-lec",),
     "first_table": ("siemens-cec",),
     "most_tables": ("siemens-cec",),
+    "products": ("siemens-cec",),
     "detection_unit_um": ("fanuc-pitch", "fanuc-3d"),
     "magnification": ("fanuc-pitch", "fanuc-3d"),
     "bank_letter": ("heidenhain-com",),
 }
 """Which formats know an option; the others are refused, so that nobody believes it was heeded."""
 
-_OPTION = {"axis_names": "--axes", "most_tables": "--tables", "bank_letter": "--cma-bank"}
+_OPTION = {"axis_names": "--axes", "most_tables": "--tables", "products": "--no-products", "bank_letter": "--cma-bank"}
 
 
 def _points(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int, int, int] | None:
@@ -83,6 +85,7 @@ def _names(_: click.Context, __: click.Parameter, text: str | None) -> tuple[str
 @click.option("--encoder", type=click.IntRange(0, 1), help="Siemens LEC: measuring system, 0 or 1.")
 @click.option("--first-table", type=click.IntRange(min=0), help="Siemens CEC: index of the first table.")
 @click.option("--tables", "most_tables", type=click.IntRange(min=1), help="Siemens CEC: so many at most [default: 62].")
+@click.option("--no-products", "products", flag_value=False, default=None, type=bool, help="Siemens CEC: no factors.")
 @click.option("--detection-unit-um", type=click.FloatRange(min=0.0, min_open=True), help="Fanuc: [default: 1].")
 @click.option("--magnification", type=click.IntRange(1, 100), help="Fanuc: [default: the smallest that fits].")
 @click.option("--cma-bank", "bank_letter", type=click.Choice(["A", "B"]), help="HEIDENHAIN: active line [default: A].")
@@ -97,7 +100,6 @@ def export(
     format_name: str | None,
     out: Path,
     points: tuple[int, int, int] | None,
-    reference_mm: tuple[float, float, float] | None,
     largest_um: float,
     opposite_sign: bool,
     as_json: bool,
@@ -113,12 +115,12 @@ def export(
     chosen = _chosen(format_name, of_controllers)
     material = _from_bank(config, bank, estimate) if table_path is None else table_in_files(table_path, estimate)
     if format_name is None:
-        if points or reference_mm or opposite_sign or as_json:
-            raise click.UsageError("--points, --reference-mm, --opposite-sign and --json need --format")
+        if points or opposite_sign or as_json:
+            raise click.UsageError("--points, --opposite-sign and --json need --format")
         _write_neutral(material.table, out)
         click.echo(f"{material.origin} → {out}")
         return
-    choices = Choices(reference_mm=reference_mm, opposite_sign=opposite_sign, **chosen)
+    choices = Choices(opposite_sign=opposite_sign, **chosen)
     result = export_table(material, Request(format_name, out, points, largest_um, choices))
     if as_json:
         click.echo(json.dumps(result.as_json()))

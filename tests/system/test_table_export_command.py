@@ -154,6 +154,8 @@ class TestWrongInput:
         ("more", "text"),
         [
             (["--encoder", "1"], "--encoder is of the formats siemens-lec"),
+            (["--no-products"], "--no-products is of the formats siemens-cec"),
+            (["--reference-mm", "0,0,0"], "--reference-mm is of the formats linuxcnc-comp"),
             (["--axes", "A,B,C"], "--axes is of the formats"),
             (["--axes", "X,X,Z"], "three different names"),
             (["--points", "41"], "points along X, Y and Z"),

@@ -49,6 +49,7 @@ class Choices:
     encoder: int = 0
     first_table: int = 0
     most_tables: int = 62
+    products: bool = True
     detection_unit_um: float = 1.0
     magnification: int | None = None
     bank: Literal["A", "B"] = "A"

@@ -65,7 +65,7 @@ def cross_axis(table: CompensationTable, reference: Array) -> tuple[tuple[Profil
     )
 
 
-def terms(table: CompensationTable, most_tables: int, reference: Array) -> tuple[Term, ...]:
+def terms(table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True) -> tuple[Term, ...]:
     """Main effects and products of the interactions, those first that remove most for each table they take.
 
     What is worth less than `LEAST_RMS_MM` is left out, and what no longer fits into `most_tables`. Interactions are cut
@@ -73,9 +73,9 @@ def terms(table: CompensationTable, most_tables: int, reference: Array) -> tuple
     reference point (3,) on every axis that a main effect moves.
     """
     found = [_as_term(_main_effect(table, source, output), output) for source in range(3) for output in range(3)]
-    found += [
-        term for first, second in _PAIRS for output in range(3) for term in _products(table, first, second, output)
-    ]
+    if products:
+        for first, second in _PAIRS:
+            found += [term for output in range(3) for term in _products(table, first, second, output)]
     chosen, used = [], 0
     for term in sorted(found, key=lambda each: -(each.rms_mm**2) / each.tables):
         if term.rms_mm >= LEAST_RMS_MM and used + term.tables <= most_tables:

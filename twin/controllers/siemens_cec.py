@@ -30,9 +30,9 @@ def export(source: Source, choices: Choices) -> Exported:
     if choices.most_tables < 1:
         raise DataError("no table is allowed", hint="Say with --tables how many the controller has")
     steps = even_steps(table)
-    kept = tuple(
-        _as_written(one) for one in terms(table, choices.most_tables, reference_point(table, choices.reference_mm))
-    )
+    reference = reference_point(table, choices.reference_mm)
+    chosen = terms(table, choices.most_tables, reference, products=choices.products)
+    kept = tuple(_as_written(one) for one in chosen)
     if not kept:
         raise DataError("the table corrects less than this format would carry", hint="There is nothing to compensate")
 

@@ -161,3 +161,12 @@ def test_fewer_tables_keep_less() -> None:
     assert shares == sorted(shares)
     assert shares[0] < 0.7
     assert shares[-1] > 0.97
+
+
+def test_without_products_cross_tables_are_what_a_heidenhain_control_has() -> None:
+    """But for its steps of 0.1 µm, and what is worth less than a table."""
+    source = known(1)
+    one = WRITERS["siemens-cec"](source, Choices(products=False))
+    assert "MULT_BY_TABLE[0]=0" in one.files["NC_CEC.INI"]
+    assert one.facts["tables"] <= 9
+    assert kept("siemens-cec", source, products=False) == pytest.approx(kept("heidenhain-com", source), abs=0.01)
