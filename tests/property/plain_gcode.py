@@ -7,6 +7,7 @@ centre, and what comes out is where the controller sends the axes, densely.
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -234,7 +235,7 @@ def far(points: np.ndarray, polyline: np.ndarray) -> float:
 def dense(points: np.ndarray, step: float) -> np.ndarray:
     """Points on a polyline (n, 3), at most `step` apart."""
     pieces = [points[:1]]
-    for first, last in zip(points[:-1], points[1:], strict=True):
+    for first, last in itertools.pairwise(points):
         count = max(1, math.ceil(float(np.linalg.norm(last - first)) / step))
         pieces.append(first + np.linspace(0.0, 1.0, count + 1)[1:, None] * (last - first))
     return np.concatenate(pieces)

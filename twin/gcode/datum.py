@@ -117,10 +117,9 @@ def set_tool_length(block: Block, modal: Modal) -> None:
     modal.tool_offset = _triple(lengths)
 
 
-def move_from_nowhere(block: Block, machine: bool, modal: Modal, writer: Writer) -> None:
-    """A rapid move while not all axes have a known position: kept as it is, and what it tells is noted."""
+def move_from_nowhere(block: Block, end: Triple, machine: bool, modal: Modal, writer: Writer) -> None:
+    """A rapid move after which not all axes have a known position: kept as it is, and what it tells is noted."""
     writer.settle()
-    end = targets(block, modal, machine)
     frame = (*NO_OFFSET, True) if machine else modal.frame
     for axis in named_axes(block):
         way = block.values[AXIS_LETTERS[axis]] * modal.unit_mm

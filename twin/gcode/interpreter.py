@@ -6,6 +6,7 @@ length, coordinate system, distance mode, then what uses the axis words, then st
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from twin.gcode import datum
@@ -165,22 +166,30 @@ class Interpreter:
             block.refuse("G53 is for G0 or G1 with G90")
         if motion not in _ARCS and not _ARC.isdisjoint(block.values):
             block.refuse(f"I, J, K and R belong to arcs, and G{motion // 10} is in effect")
-        if not self._placed:
-            self._move_from_nowhere(block, machine, motion)
-            return
         end = datum.targets(block, modal, machine)
+        if not self._placed and not self._begin_from_nowhere(block, end, machine, motion):
+            return
         arc = self._arc(block, end, motion) if motion in _ARCS else None
         self._writer.move(self._as_move(block, machine, motion), end, MACHINE_FRAME if machine else modal.frame, arc)
         modal.position = list(end)
         self._coded = False
 
-    def _move_from_nowhere(self, block: Block, machine: bool, motion: int) -> None:
+    def _begin_from_nowhere(self, block: Block, end: Triple, machine: bool, motion: int) -> bool:
+        """Whether a move that begins nobody knows where can be corrected: one that tells where all axes end.
+
+        Another rapid move is kept as it is.
+        """
         if motion != 0:
             message = "it is not known where the axes are before this block"
             block.refuse(message, "Begin with G0 moves that name X, Y and Z, or say it: --start X,Y,Z")
-        datum.move_from_nowhere(block, machine, self.modal, self._writer)
-        self._placed = self.modal.is_placed
         self._coded = True
+        self._placed = not any(map(math.isnan, end))
+        if self._placed:
+            self._writer.settle()
+            self._writer.stand(end, self._writer.position, self.modal.unit_mm)
+        else:
+            datum.move_from_nowhere(block, end, machine, self.modal, self._writer)
+        return self._placed
 
     def _arc(self, block: Block, end: Triple, motion: int) -> Arc:
         modal = self.modal

@@ -168,8 +168,8 @@ class Writer:
         outside = found.beyond_mm > _OUTSIDE_MM
         if outside.any():
             if self.options.outside == "refuse":
-                place = int(np.argmax(outside))
-                move = moves[int(rows[place])]
+                row = rows[np.argmax(outside)]
+                move, place = moves[int(row)], int(np.argmax(np.where(rows == row, found.beyond_mm, -np.inf)))
                 raise refusal(move.line, move.text, self._where_outside(points[place]), _OUTSIDE_HINT)
             counts.outside += int(outside.sum())
             counts.outside_mm = max(counts.outside_mm, float(found.beyond_mm.max()))
