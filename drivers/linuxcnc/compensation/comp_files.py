@@ -64,7 +64,10 @@ class CompFileStore:
         part = own_axis_part(table)
         self._require_acceptable(part)
         folder = self._banks.directory / f"bank{bank}"
-        folder.mkdir(exist_ok=True)
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise self._banks.error(f"cannot make {folder}: {error.strerror}") from error
         self._banks.write(bank, table)
         for name, text in _files(bank, table).items():
             write_whole(folder / name, text)
