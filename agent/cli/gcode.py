@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -140,7 +141,7 @@ def correct(
     options = CorrectionOptions(max_chord_error, decimals, outside, divide_rapids, keep)
     name = f"table {crc}, tool offset {_joined(table)}"
     if out is None:
-        counts = correct_to(click.get_binary_stream("stdout"), part, table, name, setup, options)
+        counts = correct_to(sys.stdout.buffer, part, table, name, setup, options)
     else:
         counts = correct_file(part, out, table, name, setup, options)
     if as_json:
