@@ -40,17 +40,22 @@ class BankReader:
         return table_of(descriptor, data), descriptor
 
     def _read_block(self, bank: int, number: int) -> bytes:
-        """240 bytes of the read window, once it shows `bank` and `number`."""
+        """240 bytes of the read window, once it shows `bank` and `number`.
+
+        Until the controller's program has looked at the selector the window still answers the former one, so that it
+        may say for a moment that there is no such block.
+        """
         blocks, clock = self._session.settings.blocks, self._session.clock
         wanted = bank.to_bytes(2, "big") + number.to_bytes(2, "big")
         deadline = Deadline.after(clock, self._session.settings.table_within_s)
+        seen_by_then = Deadline.after(clock, self._session.settings.acknowledge_within_s)
         while True:
             window = self._session.link.exchange(
                 blocks.read_selector, wanted, blocks.read_window, READ_WINDOW_REGISTERS, idempotent=True
             )
             if window[:4] == wanted:
                 return window[4:]
-            if int.from_bytes(window[2:4], "big") == NO_BLOCK:
+            if int.from_bytes(window[2:4], "big") == NO_BLOCK and seen_by_then.expired:
                 raise self._protocol_error(f"controller has no block {number} of bank {bank}")
             deadline.require(f"block {number} of bank {bank} in the read window", **self._session.where)
             clock.sleep(self._session.settings.fine_poll_interval_s)

@@ -30,6 +30,13 @@ from drivers.roles import (
     Vector,
 )
 
+SHORTEST_TRAVEL_MM, LONGEST_TRAVEL_MM = 1.0, 1e6
+SLOWEST = 0.1
+"""mm/s and mm/s²."""
+
+FINEST_MM = 1e-9
+"""With these bounds a float64 in the wrong word or byte order is told: it is a number below 1e-300 or a huge one."""
+
 
 class ModbusCnc:
     """Composes motion, probing and store over one shared session; they exist while the device is open."""
@@ -129,12 +136,13 @@ class ModbusCnc:
         return self._parts
 
     def _require_sound(self, limits: Limits) -> None:
-        numbers = (*limits.lower, *limits.upper, limits.resolution, limits.max_correction)
+        travels = [high - low for low, high in zip(limits.lower, limits.upper, strict=True)]
+        numbers = (*limits.lower, *limits.upper, *limits.rapid, *limits.acceleration)
         sound = (
-            all(map(math.isfinite, numbers))
-            and all(low < high for low, high in zip(limits.lower, limits.upper, strict=True))
-            and all(0.0 < value < math.inf for value in (*limits.rapid, *limits.acceleration))
-            and (limits.banks == 0 or limits.resolution > 0.0)
+            all(map(math.isfinite, (*numbers, limits.resolution, limits.max_correction)))
+            and all(SHORTEST_TRAVEL_MM <= travel <= LONGEST_TRAVEL_MM for travel in travels)
+            and min(*limits.rapid, *limits.acceleration) >= SLOWEST
+            and (limits.banks == 0 or limits.resolution >= FINEST_MM)
             and limits.activation in ACTIVATIONS
         )
         if not sound:
