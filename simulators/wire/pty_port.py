@@ -63,6 +63,8 @@ class PseudoTerminal:
         """What does not fit is lost."""
         if self.distort is not None:
             data = self.distort(data)
+        if self._closed:
+            return
         with contextlib.suppress(OSError):  # nobody reads, or it is closed: a line without a listener
             os.write(self._ours, data)
 
@@ -72,6 +74,12 @@ class PseudoTerminal:
             return os.write(self._ours, data)
         except BlockingIOError:
             return 0
+
+    def pump(self) -> None:
+        """Take what has come, instead of a thread: for one who is called as machine time passes."""
+        with contextlib.suppress(BlockingIOError):
+            if not self._closed:
+                self._received(os.read(self._ours, RECEIVE_BYTES))
 
     def close(self) -> None:
         if self._closed:

@@ -1,0 +1,133 @@
+r"""A tape: ``%``, blocks of words each ended by LF, ``%``.
+
+::
+
+    %
+    N00010Q1P00000001                     parameter 10, bits
+    N01320Q1A1M4000.0A2M1300.0            parameter 1320 of each axis, metric
+    %
+
+Source: FANUC B-63950EN/02 (30i parameter manual), chapter 3, "Inputting and outputting parameters through the
+reader/puncher interface"; B-63330EN/03 (15i) for the form without Q.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal
+
+MARK = "%"
+END_OF_BLOCK = "\n"
+_WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
+_COMMENT = re.compile(r"\([^()\n]*\)")
+BITS = re.compile(r"[01]{8}")
+
+
+class TapeError(ValueError):
+    """A text that is no tape; says in which block."""
+
+
+@dataclass(frozen=True)
+class Word:
+    """A letter and its number as it was written: leading zeros mean something in bit parameters."""
+
+    letter: str
+    text: str
+
+    def same_as(self, other: Word) -> bool:
+        """Eight binary digits digit by digit, other numbers by their value."""
+        if self.letter != other.letter:
+            return False
+        if BITS.fullmatch(self.text) or BITS.fullmatch(other.text):
+            return self.text == other.text
+        return Decimal(self.text) == Decimal(other.text)
+
+    def __str__(self) -> str:
+        return f"{self.letter}{self.text}"
+
+
+Block = tuple[Word, ...]
+
+
+@dataclass(frozen=True)
+class Tape:
+    """The blocks between the two marks."""
+
+    blocks: tuple[Block, ...]
+
+    def text(self) -> str:
+        lines = ("".join(map(str, block)) for block in self.blocks)
+        return END_OF_BLOCK.join((MARK, *lines, MARK)) + END_OF_BLOCK
+
+
+def parse_tape(text: str) -> Tape:
+    """What stands before the first mark (a label) and after the second one is left out. Raises TapeError."""
+    first, second = text.find(MARK), text.find(MARK, text.find(MARK) + 1)
+    if first < 0 or second < 0:
+        raise TapeError(f"a tape begins and ends with {MARK}; there are {text.count(MARK)}")
+    blocks = []
+    lines = text[first + 1 : second].split(END_OF_BLOCK)
+    for number, line in enumerate(lines, start=1):
+        if line.strip("; "):
+            blocks.append(_block(line, number))
+    return Tape(tuple(blocks))
+
+
+def _block(line: str, number: int) -> Block:
+    bare = _COMMENT.sub("", line).rstrip("; ")
+    words = []
+    at = 0
+    while at < len(bare):
+        match = _WORD.match(bare, at)
+        if match is None:
+            raise TapeError(f"block {number} is no row of words: {line!r}")
+        words.append(Word(match[1], match[2]))
+        at = match.end()
+    return tuple(words)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A parameter that reads back as something else; `found` is None where it is missing."""
+
+    number: int
+    place: str
+    wanted: Word
+    found: Word | None
+
+    def __str__(self) -> str:
+        where = f"N{self.number}{self.place}"
+        return f"{where}: wrote {self.wanted}, " + ("not there" if self.found is None else f"reads {self.found}")
+
+
+def differences(wanted: Tape, found: Tape) -> list[Difference]:
+    """Every value of `wanted` that `found` has not, or not so. What `found` has besides is no difference. TapeError
+    for a block that is no parameter."""
+    there = dict(_values(found.blocks))
+    found_differences = []
+    for (number, place), word in _values(wanted.blocks):
+        other = there.get((number, place))
+        if other is None or not word.same_as(other):
+            found_differences.append(Difference(number, place, word, other))
+    return found_differences
+
+
+def _values(blocks: Iterable[Block]) -> Iterable[tuple[tuple[int, str], Word]]:
+    """(parameter, axis or spindle) and its value. A second value of the same one is told apart by its count."""
+    for block in blocks:
+        number: int | None = None
+        place = ""
+        for word in block:
+            match word.letter:
+                case "N":
+                    number = int(Decimal(word.text))
+                case "A" | "S":
+                    place = f"{word.letter}{int(Decimal(word.text))}"
+                case "Q" | "O" | "G":
+                    pass
+                case _ if number is None:
+                    raise TapeError(f"a value without a parameter: {''.join(map(str, block))}")
+                case _:
+                    yield (number, place), word

@@ -1,0 +1,65 @@
+"""Characters as a tape has them: ISO code, seven bits and even parity in the eighth, and the four device controls.
+
+With its parity DC3 is 0x93, so the handshake of an ordinary serial driver (0x13) does not see it: it is done here.
+
+Source: FANUC B-63503EN/02 (Series 0i connection manual, hardware), 5.3 "RS-232-C interface": one parity bit among
+eight, DC1 to DC4, two stop bits; ISO 646 for the characters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+IGNORED = frozenset({0x00, 0x0D, 0x7F, 0x20})
+"""Blank tape, carriage return, a punched-out character, space: they mean nothing on a tape."""
+
+
+class Control(IntEnum):
+    """Without their parity bit."""
+
+    READER_START = 0x11
+    PUNCH_ON = 0x12
+    READER_STOP = 0x13
+    PUNCH_OFF = 0x14
+
+
+_CONTROLS = {control.value: control for control in Control}
+
+
+@dataclass(frozen=True)
+class ParityFault:
+    """A character whose holes are odd in number."""
+
+    byte: int
+
+
+Character = str | Control | ParityFault
+
+
+def punched(byte: int) -> int:
+    """Seven bits with even parity in the eighth."""
+    return byte | (byte.bit_count() & 1) << 7
+
+
+def encode(text: str) -> bytes:
+    """ASCII text to a tape's characters. Raises UnicodeEncodeError for what is no ASCII."""
+    return bytes(punched(byte) for byte in text.encode("ascii"))
+
+
+def encode_control(control: Control) -> bytes:
+    return bytes((punched(control),))
+
+
+def decode(data: bytes) -> list[Character]:
+    """One entry for each byte that means something."""
+    characters: list[Character] = []
+    for byte in data:
+        seven = byte & 0x7F
+        if punched(seven) != byte:
+            characters.append(ParityFault(byte))
+        elif seven in _CONTROLS:
+            characters.append(_CONTROLS[seven])
+        elif seven not in IGNORED:
+            characters.append(chr(seven))
+    return characters

@@ -1,0 +1,164 @@
+"""A controller that punches and reads its parameters in tape format, written from its maker's manuals.
+
+It takes characters at the pace of its line, out of a small memory: nearly full it sends DC3, nearly empty DC1 again.
+Everything happens as machine time passes; `press_read` and `press_punch` are the operator's keys.
+
+Source: FANUC B-63503EN/02 (Series 0i connection manual), 5.3: DC1 starts and DC3 stops a reader, DC2 switches a punch
+on and DC4 off, one parity bit (even) among eight; B-63950EN/02, chapter 3: parameters as ``N ... P ...;``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from enum import Enum
+from typing import Final
+
+from simulators.wire.pty_port import PseudoTerminal
+
+DC1, DC2, DC3, DC4 = 0x11, 0x12, 0x93, 0x14
+"""With their parity holes: DC3 has three of seven, so it gets the eighth."""
+LINE_FEED: Final = 0x0A
+PERCENT: Final = 0xA5
+BITS: Final = 11
+OVERRUN: Final = 10
+"""Characters that may still come after a DC3."""
+_PARAMETER: Final = re.compile(r"N(\d+)(?:Q\d)?((?:[AS]\d+)?[PMI][+-]?[\d.]+(?:[AS]\d+[PMI][+-]?[\d.]+)*)")
+
+
+class Mode(Enum):
+    READY = "ready"
+    READING = "reading"
+    PUNCHING = "punching"
+    ALARM = "alarm"
+
+
+def holes(character: str) -> int:
+    code = ord(character)
+    return code | 0x80 if bin(code).count("1") % 2 else code
+
+
+class TapeCnc:
+    """`parameters`: number -> what stands behind it, as ``P00001100`` or ``A1P10A2P20``."""
+
+    def __init__(
+        self, parameters: dict[int, str], *, baud: int = 4800, memory: int = 128, writable: bool = True
+    ) -> None:
+        self.parameters = dict(parameters)
+        self.line = PseudoTerminal("tape", self._received)
+        self.mode = Mode.READY
+        self.alarm = ""
+        self.overrun = 0
+        self.never_starts_again = False
+        self.wrong: dict[int, str] = {}
+        """Parameters that it stores as something else, as one that a ladder guards."""
+        self._writable = writable
+        self._per_s = baud / BITS
+        self._memory = memory
+        self._now_s = 0.0
+        self._waiting: deque[int] = deque()
+        self._going_out: deque[int] = deque()
+        self._stopped_at: int | None = None
+        self._punch_held = False
+        self._came = 0
+        self._block = ""
+        self._marks = 0
+        self._share = 0.0
+
+    def press_read(self) -> None:
+        self.mode, self._block, self._marks, self._came = Mode.READING, "", 0, 0
+        self._waiting.clear()
+        self._stopped_at = None
+        self._send(DC1)
+
+    def press_punch(self, leader: str = "") -> None:
+        """`leader`: what is readable for people at the beginning of a tape."""
+        self.mode = Mode.PUNCHING
+        blocks = [f"N{number:05d}Q1{values}" for number, values in sorted(self.parameters.items())]
+        text = leader + "%\n" + "\n".join(blocks) + "\n%\n"
+        self._going_out = deque([DC2, 0, 0, *(holes(character) for character in text), DC4])
+
+    def press_reset(self) -> None:
+        """What was under way is broken off."""
+        self.mode = Mode.READY
+        self._going_out.clear()
+
+    def moved_to(self, now_s: float) -> None:
+        """The line goes on for as many characters as there is time for."""
+        self.line.pump()
+        self._share += (now_s - self._now_s) * self._per_s
+        self._now_s = now_s
+        while self._share >= 1.0:
+            self._share -= 1.0
+            self._take_one()
+            self._punch_one()
+
+    # ------------------------------------------------------------------ reading
+
+    def _received(self, data: bytes) -> None:
+        for byte in data:
+            if byte in (DC1, DC3) and self.mode is Mode.PUNCHING:
+                self._punch_held = byte == DC3
+            elif self.mode is Mode.READING:
+                self._store(byte)
+
+    def _store(self, byte: int) -> None:
+        self._came += 1
+        if self._stopped_at is not None:
+            self.overrun = max(self.overrun, self._came - self._stopped_at)
+        self._waiting.append(byte)
+        if self._stopped_at is None and len(self._waiting) > self._memory // 2:
+            self._stopped_at = self._came
+            self._send(DC3)
+
+    def _take_one(self) -> None:
+        if self.mode is not Mode.READING or not self._waiting:
+            return
+        self._character(self._waiting.popleft())
+        empty = len(self._waiting) < self._memory // 8
+        if self._stopped_at is not None and empty and not self.never_starts_again and self.mode is Mode.READING:
+            self._stopped_at = None
+            self._send(DC1)
+
+    def _character(self, byte: int) -> None:
+        if bin(byte).count("1") % 2:
+            self._fail("parity")
+        elif byte == PERCENT:
+            self._marks += 1
+            if self._marks == 2:
+                self.mode = Mode.READY
+                self._send(DC3)
+        elif byte == LINE_FEED:
+            self._end_block()
+        elif self._marks == 1:
+            self._block += chr(byte & 0x7F)
+
+    def _end_block(self) -> None:
+        block, self._block = self._block, ""
+        if not block:
+            return
+        match = _PARAMETER.fullmatch(block)
+        if match is None:
+            self._fail(f"format of {block}")
+        elif not self._writable:
+            self._fail("parameters are write-protected")
+        else:
+            number = int(match[1])
+            self.parameters[number] = self.wrong.get(number, match[2])
+
+    def _fail(self, text: str) -> None:
+        """It stops the reader and waits for a person."""
+        self.mode, self.alarm = Mode.ALARM, text
+        self._send(DC3)
+
+    # ------------------------------------------------------------------ punching
+
+    def _punch_one(self) -> None:
+        if self._punch_held or not self._going_out:
+            return
+        self._send(self._going_out.popleft())
+        if not self._going_out:
+            self.mode = Mode.READY
+
+    def _send(self, byte: int) -> None:
+        self.line.send(bytes((byte,)))
