@@ -1,0 +1,71 @@
+"""`linuxcnc-comp` files in a stock LinuxCNC that really runs: its motors go as the export says, and that is better."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from compensation_rig import built, machine, running, why_not
+
+from twin.chain import parse_chain
+from twin.controllers import linuxcnc_comp
+from twin.controllers.export import Choices, Source
+from twin.error_model import ErrorModel
+from twin.family import family_from_amplitudes
+from twin.machine_model import exact_deviation
+from twin.table import Anchor, build_table, regular_nodes
+from twin.volumetric import evaluation_grid, volumetric_error
+
+pytestmark = pytest.mark.skipif(why_not() != "", reason=why_not() or "-")
+
+RANGES = ((0.0, 800.0), (0.0, 400.0), (0.0, 320.0))
+TOOL = np.array([0.0, 0.0, -150.0])
+AMPLITUDES = {
+    "positioning_um": [9.0, 6.0, 4.0, 2.0, 1.0],
+    "straightness_um": [2.0, 1.0, 0.8, 0.6],
+    "rotation_urad": [4.0, 2.0, 1.0, 0.8, 0.6],
+    "squareness_urad": 4.0,
+    "cross_displacement_um": 1.0,
+    "cross_rotation_urad": 1.0,
+}
+
+
+def test_a_running_linuxcnc_takes_the_machines_errors_out(tmp_path: Path) -> None:
+    """The truth has orders 7 and a wave that no series follows; the table knows orders up to 4 of it."""
+    chain = parse_chain("tool-Z-Y-X-bed-workpiece")
+    true = ErrorModel.uniform(chain, RANGES, 7, ())
+    real = family_from_amplitudes(true, AMPLITUDES).draw(np.random.default_rng(11), 1)[0]
+    model = ErrorModel.uniform(chain, RANGES, 4, ())
+    parameters = np.array([real[true.index(name)] for name in model.names])
+    nodes = regular_nodes(RANGES, (40.0, 40.0, 40.0))
+    table = build_table(model, parameters, nodes, TOOL, Anchor(np.zeros(3)), evaluation_grid(RANGES, (2, 2, 2)))
+    exported = linuxcnc_comp.export(Source(table), Choices())
+
+    def deviation(points: np.ndarray) -> np.ndarray:
+        wave = 5e-4 * np.sin(points[:, [1, 2, 0]] / 45.0)
+        return exact_deviation(true, points, TOOL, real) + wave
+
+    grid = evaluation_grid(((7.0, 793.0), (7.0, 393.0), (7.0, 313.0)), (4, 2, 2))
+    added = added_by_linuxcnc(tmp_path, exported.files, grid)
+    assert added == pytest.approx(exported.correction(grid), abs=1e-6)
+    bare = volumetric_error(grid + TOOL, deviation(grid)).aligned_um
+    left = volumetric_error(grid + TOOL, added + deviation(grid + added)).aligned_um
+    worse = volumetric_error(grid + TOOL, deviation(grid - added) - added).aligned_um
+    assert left < 0.6 * bare < bare < worse
+
+
+def added_by_linuxcnc(folder: Path, files: dict[str, str], points: np.ndarray) -> np.ndarray:
+    """(n, 3) mm between motors and joints once at rest at axis positions (n, 3)."""
+    (folder / "build").mkdir()
+    work = machine(folder / "work", built(folder / "build"), "comp-files")
+    acting = (work / "tables" / "acting").resolve()
+    for letter in "xyz":
+        (acting / f"{letter}.comp").write_text(files[f"{letter}.comp"])
+    added = []
+    with running(work) as controller:
+        controller.ready()
+        for point in points.tolist():
+            controller.at(*point)
+            added.append(controller.motor() - np.array([controller.get(f"joint.{n}.pos-cmd") for n in range(3)]))
+    return np.array(added)
