@@ -188,6 +188,14 @@ def test_a_table_of_zeros_changes_no_path(text):
         assert found == pytest.approx(wanted, abs=STEP_INCH)
 
 
+@settings(max_examples=40, deadline=None)
+@given(programs(), seeds)
+def test_the_short_way_for_plain_lines_writes_what_the_long_one_does(text, seed):
+    """Small letters go the long way."""
+    table = table_of(seed)
+    assert corrected(text.lower(), table).upper() == corrected(text, table)
+
+
 lines = st.lists(st.tuples(st.floats(-40, 380), st.floats(-40, 200), st.floats(-30, 150)), min_size=2, max_size=6)
 
 

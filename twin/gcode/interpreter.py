@@ -15,7 +15,7 @@ from twin.gcode.codes import FIRST, MOTIONS, PROGRAM_END, STOPS, TOOL_CHANGE, ch
 from twin.gcode.lines import Move
 from twin.gcode.modal import MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, Modal
 from twin.gcode.setup import NO_OFFSET, CorrectionOptions, PartSetup, Triple
-from twin.gcode.words import Block, code_number, is_program_number, read_block
+from twin.gcode.words import Block, code_number, is_program_number, read_block, read_plain
 from twin.gcode.writing import Writer
 
 MARK = "volcal gcode correct"
@@ -26,6 +26,7 @@ _ARC = frozenset("IJKR")
 _GEOMETRY = _AXES | _ARC
 _PASSABLE = frozenset("NSF")
 _ARCS = (20, 30)
+_LINEAR = (0, 10)
 _REFERENCES = {280: "G28", 300: "G30"}
 _DATUM = frozenset((920, 921, 922, 923))
 _WRITTEN = {0: "G0", 10: "G1", 20: "G1", 30: "G1"}
@@ -45,11 +46,15 @@ class Interpreter:
         self._begun = False
         self._placed = self.modal.is_placed
         self._coded = True
+        self._flowing = False
 
     def feed(self, line: int, text: str) -> None:
         """One line without its end. FormatError for what cannot be corrected."""
+        if self._flowing and self._plain_move(line, text):
+            return
         if text.lstrip().startswith("%"):
             self.modal.ended = self._begun
+            self._flowing = False
             self._writer.keep(text)
             return
         block = read_block(text, line)
@@ -66,6 +71,45 @@ class Interpreter:
         else:
             self._writer.keep(text)
 
+    @property
+    def _may_flow(self) -> bool:
+        """Whether a line of N, G0 or G1, X, Y, Z and F alone is nothing but a move to be corrected."""
+        modal = self.modal
+        known = self._placed and modal.offset is not None and not modal.ended
+        return known and modal.motion in _LINEAR and not modal.inverse_time and not self._heading
+
+    def _plain_move(self, line: int, text: str) -> bool:
+        """Take such a line the short way; False where it is another."""
+        words = read_plain(text)
+        if words is None:
+            return False
+        number, code, x, y, z, feed = words
+        if x is None and y is None and z is None:
+            return False
+        modal = self.modal
+        unit, position = modal.unit_mm, modal.position
+        base = modal.offset if modal.absolute else position
+        if base is None:
+            return False
+        mask, coded = 0, self._coded
+        if code is not None:
+            modal.motion, coded = (10 if code == "1" else 0), True
+        end_x, end_y, end_z = position
+        if x is not None:
+            mask, end_x = 1, float(x) * unit + base[0]
+        if y is not None:
+            mask, end_y = mask | 2, float(y) * unit + base[1]
+        if z is not None:
+            mask, end_z = mask | 4, float(z) * unit + base[2]
+        head = f"N{number} " if number else ""
+        tail = f" F{feed}" if feed else ""
+        written = "G1" if modal.motion else "G0"
+        move = Move(line, text, written, coded, False, mask, head, tail, "", 0.0, "")
+        self._writer.move(move, (end_x, end_y, end_z), modal.frame, None)
+        modal.position = [end_x, end_y, end_z]
+        self._coded = False
+        return True
+
     def _block(self, block: Block) -> None:
         modal = self.modal
         self._begun = True
@@ -80,6 +124,7 @@ class Interpreter:
         self._act(block)
         if block.m:
             modal.ended = any(code in PROGRAM_END for code in block.m)
+        self._flowing = self._may_flow
 
     def _set_modes(self, block: Block) -> None:
         """All but motion, in the order in which a controller obeys."""

@@ -15,6 +15,10 @@ from typing import NoReturn
 from twin.errors import FormatError
 
 _WORD = re.compile(r"([A-Z])[ \t]*([-+]?(?:\d+\.?\d*|\.\d+))|([^ \t])")
+_NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+))"
+_PLAIN = re.compile(
+    r"(?:N(\d+) ?)?(?:G0?([01]) ?)?" + "".join(f"(?:{letter}{_NUMBER} ?)?" for letter in "XYZ") + f"(?:F{_NUMBER})?$"
+)
 _COMMENT = re.compile(r"\([^()]*\)|;.*")
 _PROGRAM_NUMBER = re.compile(r"O\d+$")
 _COMPUTED = re.compile(r"[#\[\]=<>]")
@@ -74,6 +78,15 @@ def read_block(text: str, line: int) -> Block:
         else:
             values[letter] = float(number)
     return block
+
+
+def read_plain(text: str) -> tuple[str | None, ...] | None:
+    """Texts of N, G (0 or 1), X, Y, Z, F of a line that has nothing else, in this order, each at most once.
+
+    Nine lines of ten are so in a program from a CAM system, and one match reads them. None for any other line.
+    """
+    found = _PLAIN.match(text)
+    return found.groups() if found else None
 
 
 @lru_cache(maxsize=1024)
