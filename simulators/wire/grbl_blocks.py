@@ -7,6 +7,7 @@ Source: gnea/grbl, doc/markdown/commands.md and doc/csv/error_codes_en_US.csv.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -22,7 +23,7 @@ Triple = tuple[float, float, float]
 ORIGIN: Triple = (0.0, 0.0, 0.0)
 
 _WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))?")
-_GROUPS: Final = {
+_GROUPS: Final[dict[str, set[float]]] = {
     "motion": {0, 1, 38.2, 38.3, 38.4, 38.5, 80},
     "plane": {17, 18, 19},
     "distance": {90, 91},
@@ -243,8 +244,8 @@ class Parser:
         return modes
 
 
-def _replaced(offset: Triple, given: dict[str, float], value: object) -> Triple:
-    new = [value(i, given[a]) if a in given else offset[i] for i, a in enumerate(AXES)]  # type: ignore[operator]
+def _replaced(offset: Triple, given: dict[str, float], value: Callable[[int, float], float]) -> Triple:
+    new = [value(i, given[a]) if a in given else offset[i] for i, a in enumerate(AXES)]
     return new[0], new[1], new[2]
 
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Generator, Iterable
 from enum import Enum
 from typing import Final
 
-from simulators.wire import grbl_reports as say
+from simulators.wire import grbl_reports as reports
 from simulators.wire.grbl_axes import GrblAxes, PlannedMove
 from simulators.wire.grbl_blocks import PROBING, Block, BlockError, Offsets, Parser, Triple
 from simulators.wire.grbl_physics import GrblPhysics
@@ -70,7 +70,7 @@ class GrblController:
         self._now = now
         self._send = send
         self._axes = GrblAxes(physics, self.settings, now)
-        self._reporter = say.StatusReporter(self.settings)
+        self._reporter = reports.StatusReporter(self.settings)
         self._parser = Parser(Offsets())
         self._probed: tuple[Triple, bool] = ((0.0, 0.0, 0.0), False)
         self.state = State.IDLE if homed or not self.settings.flag(22) else State.ALARM
@@ -119,7 +119,7 @@ class GrblController:
 
     def open_door(self) -> None:
         if self.state in (State.IDLE, State.RUN, State.HOLD):
-            self.say(say.CHECK_DOOR)
+            self.say(reports.CHECK_DOOR)
             self._suspend(State.DOOR)
 
     def cycle_start(self) -> None:
@@ -139,20 +139,19 @@ class GrblController:
             self.say("ok")  # the line that is broken off is answered before everything begins anew
         self.state = State.ALARM if self.state is State.ALARM else State.IDLE
         self._restart()
-        self.say("")
-        self.say(say.WELCOME)
-        if self.state is State.ALARM:
-            self.say(say.LOCKED)
+        self._welcome()
 
     def reboot(self) -> None:
         """Power comes back: position lost, locked until it is homed, if it can home."""
         self._axes.break_off()
         self.state = State.ALARM if self.settings.flag(22) else State.IDLE
         self._restart()
-        self.say("")
-        self.say(say.WELCOME)
+        self._welcome()
+
+    def _welcome(self) -> None:
+        self._say_all(("", reports.WELCOME))
         if self.state is State.ALARM:
-            self.say(say.LOCKED)
+            self.say(reports.LOCKED)
 
     def nothing(self) -> None:
         """Cancels a jog; nothing here jogs."""
@@ -243,7 +242,7 @@ class GrblController:
             self._planned_mm = block.target_mm
         if block.program_end:
             yield self._synchronised
-            self.say(say.PROGRAM_END)
+            self.say(reports.PROGRAM_END)
         return None
 
     def _probe(self, motion: float, target_mm: Triple) -> Program:
@@ -265,7 +264,7 @@ class GrblController:
         else:
             self._alarm(NO_CONTACT)
         self._planned_mm = axes.position()
-        self.say(say.probe_message(*self._probed, inches=self.settings.flag(13)))
+        self.say(reports.probe_message(*self._probed, inches=self.settings.flag(13)))
         return None
 
     # ------------------------------------------------------------------ `$` commands
@@ -273,9 +272,9 @@ class GrblController:
     def _system(self, line: str) -> Program:
         match line:
             case "$":
-                self.say(say.HELP)
+                self.say(reports.HELP)
             case "$G":
-                self.say(say.parser_state(self._parser.modes))
+                self.say(reports.parser_state(self._parser.modes))
             case "$X":
                 return self._unlock()
             case "$$":
@@ -286,8 +285,8 @@ class GrblController:
                 return NOT_IDLE
             case "$#":
                 inches = self.settings.flag(13)
-                self._say_all(say.parameters(self.offsets, self._parser.modes, inches=inches))
-                self.say(say.probe_message(*self._probed, inches=inches))
+                self._say_all(reports.parameters(self.offsets, self._parser.modes, inches=inches))
+                self.say(reports.probe_message(*self._probed, inches=inches))
             case "$I":
                 self._say_all(("[VER:1.1h.20190830:volcal simulated machine]", "[OPT:VL,15,128]"))
             case "$N":
@@ -306,7 +305,7 @@ class GrblController:
         if self._axes.door_open:
             return DOOR_OPEN
         if self.state is State.ALARM:
-            self.say(say.UNLOCKED)
+            self.say(reports.UNLOCKED)
             self.state = State.IDLE
             self._axes.clear_fault()
         return None
@@ -377,14 +376,14 @@ class GrblController:
         self.say(f"ALARM:{code}")
         if code in CRITICAL:
             self._critical = True
-            self.say(say.RESET_TO_CONTINUE)
+            self.say(reports.RESET_TO_CONTINUE)
 
     # ------------------------------------------------------------------ what it tells
 
-    def _snapshot(self) -> say.Snapshot:
+    def _snapshot(self) -> reports.Snapshot:
         modes, axes = self._parser.modes, self._axes
         spindle = {3: "S", 4: "C"}.get(int(modes.spindle), "")
-        return say.Snapshot(
+        return reports.Snapshot(
             state=self._state_shown(),
             moving=axes.moving,
             position_mm=axes.position(),
@@ -402,7 +401,7 @@ class GrblController:
             return f"Hold:{int(self._axes.moving)}"
         if self.state is State.DOOR:
             return "Door:2" if self._axes.moving else f"Door:{int(self._axes.door_open)}"
-        return self.state.value
+        return str(self.state.value)
 
 
 def _never() -> bool:

@@ -20,7 +20,6 @@ from drivers.serial_cnc.lines import (
     parse_line,
 )
 
-
 MODES = "G0 G54 G17 G21 G90 G94 M0 M5 M9 T0 F0. S0."
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.clock import VirtualClock
+from drivers.clock import Clock, VirtualClock
 from drivers.errors import DeviceError
 from drivers.registry import DeviceContext
 from drivers.serial_cnc.device import SerialCnc
@@ -88,8 +88,15 @@ class Rig:
 
 
 @contextmanager
-def rig(base: Path, *, settings: dict[int, float] | None = None, homed: bool = True, **options: Any) -> Iterator[Rig]:
-    """Not open yet. `settings`: `$` values that differ."""
+def rig(
+    base: Path,
+    *,
+    settings: dict[int, float] | None = None,
+    homed: bool = True,
+    clock: Clock | None = None,
+    **options: Any,
+) -> Iterator[Rig]:
+    """Not open yet. `settings`: `$` values that differ; `clock`: instead of a virtual one."""
     world = World(read_scenario(SCENARIO).made_ideal())
     shared = SharedWorld(world)
     told = GrblSettings(world.controller.limits())
@@ -98,13 +105,13 @@ def rig(base: Path, *, settings: dict[int, float] | None = None, homed: bool = T
     line = Line(port)
     port.line.distort = line.distort
     port.start()
-    clock = VirtualClock()
-    clock.subscribe(shared.advance_to)
+    virtual = VirtualClock()
+    virtual.subscribe(shared.advance_to)
     values = {**port.agent_settings, "answer_within_s": 0.3, "boot_within_s": 0.6, **options}
-    device = PLUGIN.create(PLUGIN.settings.model_validate(values), DeviceContext("cnc", clock, base))
+    device = PLUGIN.create(PLUGIN.settings.model_validate(values), DeviceContext("cnc", clock or virtual, base))
     assert isinstance(device, SerialCnc)
     try:
-        yield Rig(device, world, port, shared, clock, line)
+        yield Rig(device, world, port, shared, virtual, line)
     finally:
         with suppress(DeviceError):  # a dead peer cannot say that its axes rest
             device.close()

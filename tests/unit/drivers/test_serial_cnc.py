@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from serial_rig import Rig, rig
 
+from drivers.clock import ScaledClock
 from drivers.errors import (
     CommandRejected,
     ConfigurationError,
@@ -21,6 +22,7 @@ from drivers.errors import (
     ProtocolError,
 )
 from drivers.roles import MotionState, Permission, Touch
+from simulators.wire.time_server import Ticker
 
 FAR = np.array([1000.0, 0.0, 0.0])
 
@@ -251,6 +253,25 @@ class TestTheControllerIntervenes:
             with pytest.raises(CommandRejected, match="state Run"):
                 grbl.device.open()
             assert grbl.world.controller.motion is MotionState.MOVING
+
+
+class TestAClockThatRunsByItself:
+    def test_moves_touches_and_stops(self, tmp_path: Path) -> None:
+        """Nothing here may lean on time standing still while somebody thinks."""
+        clock = ScaledClock(40.0)
+        with rig(tmp_path, clock=clock) as grbl:
+            ticker = Ticker(grbl.shared, clock)
+            ticker.start()
+            grbl.device.open()
+            centre = grbl.before()
+            touch = grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
+            assert isinstance(touch, Touch)
+            assert touch.position_mm[1] == pytest.approx(centre[1] - 15.5, abs=1.1e-3)
+            grbl.device.move_to(centre - np.array([0.0, 25.0, 0.0]), feed_mm_per_s=None, guarded=True)
+            grbl.device.stop()
+            grbl.device.move_to(np.array([centre[0], 0.0, 750.0]), feed_mm_per_s=200.0, guarded=True)
+            assert not grbl.device.status().missing
+            ticker.close()
 
 
 class TestProbing:
