@@ -17,9 +17,9 @@ from simulators.linuxcnc.plant import Plant
 from simulators.scenario import Scenario
 from simulators.wire.can_channel import CanChannel, open_channel
 from simulators.wire.can_drive import DriveConfig, drive_node
+from simulators.wire.can_mounts import AXES, COUNTS_PER_DEGREE
 from simulators.wire.can_server import CanServer
 from simulators.wire.control import ControlServer
-from simulators.wire.machine_on_wires import AXES, COUNTS_PER_DEGREE
 from simulators.wire.shared_world import SharedWorld
 from simulators.wire.time_server import Ticker
 

@@ -44,7 +44,8 @@ class MountAxes(Protocol):
 
     def moving(self, axis: str) -> bool: ...
 
-    def halt(self) -> None: ...
+    def halt(self, axis: str | None = None) -> None:
+        """One axis brakes, or both."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ class ServoDrive:
         self._clipped = False
         self._homing_attained = False
         self._halted = False
-        self._axes.halt()
+        self._axes.halt(self._config.axis)
 
     @property
     def state(self) -> State:
@@ -130,8 +131,10 @@ class ServoDrive:
         self._stop_motion()
 
     def jam(self, *, jammed: bool = True) -> None:
-        """Commands are accepted and the axis does not move."""
+        """Commands are accepted and the axis does not move, and no longer does if it did."""
         self._jammed = jammed
+        if jammed and self._underway:
+            self._axes.halt(self._config.axis)
 
     def deviate(self, *, deviating: bool = True) -> None:
         """Statusword bit 13, following or homing error, in a drive that is set not to trip on it."""
@@ -323,7 +326,7 @@ class ServoDrive:
     def _stop_at_switch(self) -> None:
         """The goal stays: it is not reached."""
         if self._underway and self._barred():
-            self._axes.halt()
+            self._axes.halt(self._config.axis)
 
     def _at_goal(self) -> bool:
         window = max(1.0, POSITION_WINDOW_DEG * abs(self._units_per_degree))
@@ -332,7 +335,7 @@ class ServoDrive:
     def _stop_motion(self) -> None:
         self._underway = False
         self._buffered = None
-        self._axes.halt()
+        self._axes.halt(self._config.axis)
 
     def _settle(self) -> None:
         """Take the transitions that are due by themselves."""

@@ -19,6 +19,12 @@ from simulators.wire.shared_world import MovedByTime, SharedWorld
 from simulators.wire.tcp_server import TcpServer, serve_lines
 
 Answer = dict[str, Any]
+FailDrive = Callable[[int, str], None]
+"""Node and fault; raises InputError for what there is not."""
+
+KEYS = {"place_artefact": ("station",), "drive": ("node", "fault")}
+"""What a request takes besides `do`."""
+
 log = structlog.get_logger()
 
 
@@ -78,13 +84,17 @@ class WorldInSight(MovedByTime, Protocol):
 class ControlServer:
     """Serves any number of clients on `address`."""
 
-    def __init__(self, shared: SharedWorld[WorldInSight], address: tuple[str, int]) -> None:
+    def __init__(
+        self, shared: SharedWorld[WorldInSight], address: tuple[str, int], fail_drive: FailDrive | None = None
+    ) -> None:
         self._shared = shared
+        self._fail_drive = fail_drive
         self._actions: dict[str, Callable[[Answer], Answer]] = {
             "place_artefact": self._place_artefact,
             "truth": self._truth,
             "collisions": self._collisions,
             "status": self._status,
+            "drive": self._drive,
         }
         self._server = TcpServer("control", address, self._serve)
         self.address = self._server.address
@@ -108,7 +118,7 @@ class ControlServer:
         name = request.get("do")
         if not isinstance(name, str) or name not in self._actions:
             raise InputError(f"unknown request {name!r}", key="do", hint=f"one of {', '.join(self._actions)}")
-        unknown = sorted(set(request) - {"do", "station" if name == "place_artefact" else "do"})
+        unknown = sorted(set(request) - {"do", *KEYS.get(name, ())})
         if unknown:
             raise InputError(f"unknown key {unknown[0]!r} in a request to {name}", key=unknown[0])
         return self._actions[name]
@@ -120,6 +130,17 @@ class ControlServer:
         self._shared.world.place_artefact(station)
         log.info("artefact placed", station=station, machine_time_s=self._shared.now)
         return {"done": "place_artefact", "station": station}
+
+    def _drive(self, request: Answer) -> Answer:
+        """A drive of a mount fails, or is well again."""
+        node, fault = request.get("node"), request.get("fault")
+        if not isinstance(node, int) or isinstance(node, bool) or not isinstance(fault, str):
+            raise InputError(f"node must be a whole number and fault a word, got {node!r} and {fault!r}", key="node")
+        if self._fail_drive is None:
+            raise InputError("this simulator has no drives", key="do")
+        self._fail_drive(node, fault)
+        log.info("drive fault", node=node, fault=fault, machine_time_s=self._shared.now)
+        return {"done": "drive", "node": node, "fault": fault}
 
     def _truth(self, _: Answer) -> Answer:
         """True volumetric error, µm: bare, with the bank now active, with each bank that holds a table."""

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 from drivers.clock import RealClock, ScaledClock
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, InputError
 from simulators.scenario import Scenario
-from simulators.wire.can_channel import CanChannel, open_channel
-from simulators.wire.can_drive import VENDOR_AND_PRODUCT, DriveConfig, drive_node
-from simulators.wire.can_parameters import FactorGroup
-from simulators.wire.can_server import CanServer
+from simulators.wire.can_mounts import CanMounts, drives_of
 from simulators.wire.control import ControlServer
 from simulators.wire.grbl_port import GrblPort
 from simulators.wire.modbus_controller import ModbusController
@@ -21,13 +18,6 @@ from simulators.wire.modbus_rtu import LineSettings, ModbusRtuController
 from simulators.wire.shared_world import SharedWorld
 from simulators.wire.time_server import Ticker, TimeServer
 from simulators.world.world import World
-
-ENCODER_INCREMENTS: Final = 131072
-GEAR: Final = 100
-COUNTS_PER_DEGREE: Final = ENCODER_INCREMENTS * GEAR / 360
-"""17-bit encoder on the motor, gear 100:1."""
-
-AXES: Final = ("azimuth", "elevation")
 
 Address = tuple[str, int]
 
@@ -57,18 +47,20 @@ class MachineOnWires:
     def __init__(self, scenario: Scenario, links: Links) -> None:
         self.world = World(scenario)
         self._shared = SharedWorld(self.world)
-        self._can: CanChannel | None = None
+        self._can: CanMounts | None = None
         self._servers: list[
-            ModbusController | ModbusRtuController | ControlServer | GrblPort | TimeServer | Ticker | CanServer
+            ModbusController | ModbusRtuController | ControlServer | GrblPort | TimeServer | Ticker | CanMounts
         ] = []
         with ExitStack() as undo:
             undo.callback(self.close)
             self.modbus = self._controller(links)
             self._servers.append(self.modbus)
-            self.control = ControlServer(self._shared, links.control)
+            self.control = ControlServer(self._shared, links.control, self._fail_drive)
             self._servers.append(self.control)
             if links.can is not None:
-                self._servers.append(self._open_can(links.can))
+                self._can = CanMounts(links.can, tuple(self.world.mounts.values()), self._shared.lock)
+                self._servers.append(self._can)
+                self._shared.subscribe(self._can.advance)
             self.serial = GrblPort(self._shared, links.serial) if links.serial is not None else None
             if self.serial is not None:
                 self._servers.append(self.serial)
@@ -82,17 +74,10 @@ class MachineOnWires:
         clock = None if links.speed is None else _clock(links.speed)
         return ModbusRtuController(self._shared, links.modbus_rtu, links.numbers, clock)
 
-    def _open_can(self, spec: str) -> CanServer:
-        self._can = open_channel(spec)
-        mounts = self.world.mounts.values()
-        nodes = [
-            drive_node(config, mount)[0]
-            for drives, mount in zip(_drives(len(mounts)), mounts, strict=True)
-            for config in drives
-        ]
-        server = CanServer(self._can.bus, nodes, self._shared.lock)
-        self._shared.subscribe(server.advance)
-        return server
+    def _fail_drive(self, node_id: int, fault: str) -> None:
+        if self._can is None:
+            raise InputError("no mount is on a CAN bus here", hint="start the simulator with --can")
+        self._can.fail(node_id, fault)
 
     def start(self) -> None:
         for server in self._servers:
@@ -107,7 +92,7 @@ class MachineOnWires:
         """What the other side must know: addresses as they are, stations, and the drives on the bus: of the first mount
         and of all, by their number, which is that of the station where each has its own."""
         settings = self.world.scenario.settings
-        nodes = [{drive.axis: drive.node_id for drive in drives} for drives in _drives(len(self.world.mounts))]
+        nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drives_of(len(self.world.mounts))]
         return {
             "modbus": self.modbus.agent_settings,
             "control": _place(self.control.address),
@@ -119,19 +104,6 @@ class MachineOnWires:
             "stations": [list(place) for place in settings.stations_mm],
             "standing_at": settings.standing_at,
         }
-
-
-def _drives(mounts: int) -> list[tuple[DriveConfig, ...]]:
-    """Nodes 1 and 2 for the first mount, 3 and 4 for the second, and so on."""
-    return [
-        tuple(_drive(2 * number + place, axis) for place, axis in enumerate(AXES, start=1)) for number in range(mounts)
-    ]
-
-
-def _drive(node_id: int, axis: str) -> DriveConfig:
-    """Its serial number is its node id: no two are alike."""
-    factors = FactorGroup.in_increments(ENCODER_INCREMENTS, GEAR)
-    return DriveConfig(node_id, axis, COUNTS_PER_DEGREE, identity=(*VENDOR_AND_PRODUCT, 1, node_id), factors=factors)
 
 
 def _clock(speed: float | None) -> RealClock | ScaledClock:

@@ -99,9 +99,10 @@ class MountPhysics:
         """When both axes stand, if nothing intervenes; now where they do."""
         return max((self.turn_ends_s(axis) or self.now_s) for axis in self._axes)
 
-    def halt(self) -> None:
-        for axis in self._axes.values():
-            axis.halt(self.now_s)
+    def halt(self, axis: str | None = None) -> None:
+        """One axis brakes, or both."""
+        for name in (axis,) if axis is not None else tuple(self._axes):
+            self._axes[name].halt(self.now_s)
         self._on_turn()
 
     def angles_deg(self, instant_s: float | None = None) -> tuple[float, float]:

@@ -33,7 +33,7 @@ class StillAxes:
     def moving(self, axis: str) -> bool:
         return False
 
-    def halt(self) -> None:
+    def halt(self, axis: str | None = None) -> None:
         return None
 
 

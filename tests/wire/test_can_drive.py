@@ -32,7 +32,7 @@ class Axes:
     def moving(self, axis: str) -> bool:
         return self.target is not None
 
-    def halt(self) -> None:
+    def halt(self, axis: str | None = None) -> None:
         self.target = None
 
     def arrive(self) -> None:

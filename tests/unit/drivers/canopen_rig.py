@@ -59,10 +59,11 @@ class LinearAxes:
     def moving(self, axis: str) -> bool:
         return axis in self.turns and self.now < self.turns[axis][1]
 
-    def halt(self) -> None:
-        for axis in list(self.turns):
-            self.at[axis] = self.position_deg(axis)
-            del self.turns[axis]
+    def halt(self, axis: str | None = None) -> None:
+        for name in list(self.turns):
+            if axis in (None, name):
+                self.at[name] = self.position_deg(name)
+                del self.turns[name]
 
     def advance(self, now_s: float) -> None:
         self.now = now_s
