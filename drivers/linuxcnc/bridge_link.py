@@ -41,6 +41,7 @@ class BridgeLink:
         self.where = {"device": device, "link": "linuxcnc bridge"}
         self._bridge: _Bridge | None = None
         self._buffered = b""
+        self._silent = False
         self._number = 0
         self._lock = threading.RLock()
         self.hello: Answer = {}
@@ -76,7 +77,9 @@ class BridgeLink:
             if self._bridge is None:
                 return
             process, complaints = self._bridge
-            self._bridge, self._buffered = None, b""
+            if self._silent:
+                process.kill()
+            self._bridge, self._buffered, self._silent = None, b"", False
             for stream in (process.stdin, process.stdout):
                 if stream is not None:
                     _close(stream)
@@ -99,9 +102,9 @@ class BridgeLink:
         raise self._refusal(answer)
 
     def abort(self) -> None:
-        """Stop whatever moves, by a new bridge where the old one has gone."""
+        """Stop whatever moves, by a new bridge where the old one has gone or does not answer."""
         with self._lock:
-            if not self.connected:
+            if self._silent or not self.connected:
                 self.open()
             self.ask("abort")
 
@@ -155,6 +158,7 @@ class BridgeLink:
         ends_s = wall_seconds() + self._within_s
         while True:
             answer = self._parsed(self._line(ends_s))
+            self._silent = False
             if answer.get("id") == number:
                 if number == 0 and "error" in answer:
                     raise self._refusal(answer)
@@ -168,6 +172,7 @@ class BridgeLink:
             while b"\n" not in self._buffered:
                 left_s = ends_s - wall_seconds()
                 if left_s <= 0.0 or not readable.select(left_s):
+                    self._silent = True
                     raise LinkTimeout(f"no answer within {self._within_s:g} s", hint="see LinuxCNC", **self.where)
                 chunk = bridge.process.stdout.read1(65536)  # type: ignore[attr-defined]  a BufferedReader
                 if not chunk:

@@ -1,4 +1,4 @@
-"""The device: LinuxCNC as Machine, Probe and Thermometer."""
+"""The device: LinuxCNC as Machine, Probe, CompensationStore and Thermometer."""
 
 from __future__ import annotations
 
@@ -6,29 +6,41 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from drivers.clock import Clock
-from drivers.errors import DeviceError, LinkLost
+from drivers.errors import ConfigurationError, DeviceError, LinkLost
 from drivers.linuxcnc.bridge_link import BridgeLink
+from drivers.linuxcnc.compensation import LinuxCncStore, store_of
 from drivers.linuxcnc.diagnosis import diagnose
 from drivers.linuxcnc.motion import Kind, Motion
 from drivers.linuxcnc.probing import Probing
 from drivers.linuxcnc.session import Session
 from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.linuxcnc.snapshot import ON
-from drivers.roles import AxisLimits, Finding, MachineStatus, Miss, ProbeStatus, Touch, Vector
+from drivers.registry import DeviceContext
+from drivers.roles import (
+    AxisLimits,
+    Finding,
+    MachineStatus,
+    Miss,
+    ProbeStatus,
+    StoreLimits,
+    TableImage,
+    Touch,
+    Vector,
+)
 
 
 class LinuxCnc:
-    """Composes motion and probing over one bridge; they exist while the device is open."""
+    """Composes motion, probing and store over one bridge; they exist while the device is open."""
 
-    def __init__(self, settings: LinuxCncSettings, clock: Clock, name: str) -> None:
+    def __init__(self, settings: LinuxCncSettings, context: DeviceContext) -> None:
         link = BridgeLink(
             settings.bridge_command,
             answer_within_s=settings.answer_within_s,
             watch_s=settings.watch_s,
-            device=name,
+            device=context.name,
         )
-        self._session = Session(link, clock, settings)
+        self._session = Session(link, context.clock, settings)
+        self._store = _store(settings, link, context)
         self._parts: _Parts | None = None
 
     def open(self) -> None:
@@ -53,7 +65,7 @@ class LinuxCnc:
             self._session.link.close()
 
     def diagnose(self) -> list[Finding]:
-        return diagnose(self._session)
+        return diagnose(self._session, self._store)
 
     def home(self) -> None:
         """Home all joints as the INI file says: this may move the axes."""
@@ -98,6 +110,24 @@ class LinuxCnc:
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
         return self._open.probing.touch_towards(target_mm, feed_mm_per_s)
 
+    def store_limits(self) -> StoreLimits:
+        return self._tables.store_limits()
+
+    def active_bank(self) -> int:
+        return self._tables.active_bank()
+
+    def pending_bank(self) -> int | None:
+        return self._tables.pending_bank()
+
+    def read_table(self, bank: int) -> TableImage | None:
+        return self._tables.read_table(bank)
+
+    def stage(self, bank: int, table: TableImage) -> None:
+        self._tables.stage(bank, table)
+
+    def activate(self, bank: int) -> None:
+        self._tables.activate(bank)
+
     def temperatures_c(self) -> Mapping[str, float]:
         names = self._session.settings.temperatures
         values = self._session.link.get_all(list(names.values()))
@@ -109,12 +139,29 @@ class LinuxCnc:
             raise LinkLost("device is not open", hint="open it first", **self._session.where)
         return self._parts
 
+    @property
+    def _tables(self) -> LinuxCncStore:
+        if self._store is None:
+            raise ConfigurationError(
+                "this LinuxCNC keeps no compensation tables",
+                hint="set compensation.way and compensation.directory",
+                key="compensation",
+                **self._session.where,
+            )
+        return self._store
+
     def _home_in_place(self) -> None:
         if self._session.settings.homing != "absolute-encoders" or not self._session.facts.absolute_encoders:
             return
         snapshot = self._session.look()
         if snapshot.task_state == ON and not snapshot.homed:
             self._session.home()
+
+
+def _store(settings: LinuxCncSettings, link: BridgeLink, context: DeviceContext) -> LinuxCncStore | None:
+    if settings.compensation is None:
+        return None
+    return store_of(settings.compensation, link, context.clock, base_path=context.base_path, device=context.name)
 
 
 class _Parts:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from drivers.clock import wall_seconds
 from drivers.errors import DeviceError
+from drivers.linuxcnc.compensation import LinuxCncStore
 from drivers.linuxcnc.session import XYZ, Session
 from drivers.linuxcnc.snapshot import Snapshot
 from drivers.roles import Finding
@@ -20,7 +21,7 @@ LATCH_MM_PER_S = 5.0
 """Usual speed of a touch, 300 mm/min, at which the latch is judged."""
 
 
-def diagnose(session: Session) -> list[Finding]:
+def diagnose(session: Session, store: LinuxCncStore | None) -> list[Finding]:
     """Findings in the order in which a person would look; an error ends the list as a finding of its own."""
     findings: list[Finding] = []
     opened_here = not session.link.connected
@@ -28,6 +29,7 @@ def diagnose(session: Session) -> list[Finding]:
         if opened_here:
             session.open()
         findings.extend(_findings(session))
+        findings.extend(_tables(store))
     except DeviceError as error:
         findings.append(Finding("bridge", ok=False, text=str(error)))
     finally:
@@ -49,6 +51,12 @@ def _findings(session: Session) -> Iterator[Finding]:
     yield from _overrides(first)
     yield from _ini(session)
     yield _temperatures(session)
+
+
+def _tables(store: LinuxCncStore | None) -> list[Finding]:
+    if store is None:
+        return [Finding("tables", ok=True, text="no compensation configured: another device must be the store")]
+    return store.diagnose()
 
 
 def _latency(session: Session, first: Snapshot) -> Finding:
@@ -115,15 +123,15 @@ def _ini(session: Session) -> Iterator[Finding]:
     yield Finding(
         "[DISPLAY]MAX_FEED_OVERRIDE",
         ok=override is None or _number(override) <= 1.0,
-        text=f"{override}: a touch may be faster than it was qualified" if override else "not set",
+        text=f"{override}: up to so many times the feed asked for" if override else "not set",
     )
     period_s = session.facts.servo_period_s
     spread_um = 1e3 * LATCH_MM_PER_S * period_s
     yield Finding(
         "[EMCMOT]SERVO_PERIOD",
         ok=period_s <= LONGEST_PERIOD_S,
-        text=f"{period_s * 1e3:g} ms: touches at {LATCH_MM_PER_S:g} mm/s latch up to {spread_um:.1f} µm late; half of it "
-        f"is taken off, ±{0.5 * spread_um:.1f} µm stay",
+        text=f"{period_s * 1e3:g} ms: touches at {LATCH_MM_PER_S:g} mm/s latch up to {spread_um:.1f} µm late; half is taken "
+        f"off, ±{0.5 * spread_um:.1f} µm stay",
     )
     yield from _homing(values)
     ratios = [values[f"[AXIS_{axis}]OFFSET_AV_RATIO"] for axis in XYZ]

@@ -191,7 +191,7 @@ class Motion:
             snapshot = session.look()
             said += snapshot.errors
             if not snapshot.under_way or snapshot.task_state != ON:
-                return snapshot, said
+                return snapshot, said + self._said_late(snapshot, said)
             self._require_still_permitted(kind, snapshot)
             if snapshot.paused:
                 held = held or Deadline.after(clock, settings.held_at_most_s)
@@ -201,6 +201,13 @@ class Motion:
                 held = None
                 deadline.require(f"the end of a {kind.value}", hint="see LinuxCNC", **session.where)
             clock.sleep(settings.poll_interval_s)
+
+    def _said_late(self, ended: Snapshot, said: tuple[str, ...]) -> tuple[str, ...]:
+        """The reason of an error may come a cycle after it."""
+        if ended.outcome != "error" or said:
+            return ()
+        self._session.clock.sleep(self._session.settings.poll_interval_s)
+        return self._session.look().errors
 
     def _allowed_s(self, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> float:
         override = before.rapid_override if feed_mm_per_s is None else before.feed_override
@@ -257,7 +264,10 @@ class Motion:
         if TRIPPED in text:
             raise self._guard_tripped(kind, ended)
         if ended.outcome == "error":
-            raise self._rejected(f"LinuxCNC refused a {kind.value}: {text or 'it gives no reason'}")
+            raise self._rejected(
+                f"LinuxCNC refused a {kind.value}: {text or 'it gives no reason'}",
+                hint="" if text else "motion did not answer its task in time? See [EMCMOT]COMM_TIMEOUT",
+            )
         if math.dist(ended.position, target) > REACHED_MM:
             raise MotionFault(
                 f"{kind.value} was stopped at the machine{': ' if text else ''}{text}",

@@ -8,7 +8,7 @@ from drivers.registry import DeviceContext, DriverPlugin
 
 
 def create(settings: LinuxCncSettings, context: DeviceContext) -> LinuxCnc:
-    return LinuxCnc(settings, context.clock, context.name)
+    return LinuxCnc(settings, context)
 
 
 PLUGIN = DriverPlugin("linuxcnc", LinuxCncSettings, create)

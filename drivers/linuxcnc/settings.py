@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.linuxcnc.compensation.settings import CompensationSettings
 from drivers.roles import Permission
 
 PinName = Annotated[str, Field(min_length=1, max_length=47, pattern=r"^[A-Za-z0-9_.:-]+$")]
@@ -58,6 +59,7 @@ class LinuxCncSettings(BaseModel):
     )
     probe_delay_s: float = Field(default=0.0, ge=0.0, le=0.1, description="of the probe's signal, as by a debounce")
     latch_tolerance_mm: float = Field(default=1.0, gt=0.0, description="of a latched position from the path")
+    compensation: CompensationSettings | None = Field(default=None, description="none: the device is no store")
     temperatures: dict[str, PinName] = Field(default_factory=dict, description="name → HAL float in °C")
 
     def pins(self) -> tuple[str, ...]:

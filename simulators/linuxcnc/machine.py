@@ -24,7 +24,9 @@ from simulators.wire.shared_world import SharedWorld
 from simulators.wire.time_server import Ticker
 
 OWN_COMPONENTS: Final = Path(__file__).resolve().parent / "components"
-CAN: Final = "socketcand:127.0.0.1:0"
+CAN: Final = "socketcand:127.0.0.1:29536"
+CONTROL: Final = ("127.0.0.1", 5022)
+"""As config/linuxcnc/volcal.toml has them: in a network of their own no port is taken."""
 BUILD_WITHIN_S: Final = 120.0
 
 
@@ -80,7 +82,7 @@ class LinuxCncMachine:
     def _servers(self) -> list[ControlServer | CanServer | Ticker]:
         shared = SharedWorld(self._plant.world)
         shared.subscribe(self._plant.moved_to)
-        self._control = ControlServer(shared, ("127.0.0.1", 0))
+        self._control = ControlServer(shared, CONTROL)
         self._can = open_channel(CAN)
         nodes = [
             drive_node(DriveConfig(number, axis, COUNTS_PER_DEGREE), mount)[0]

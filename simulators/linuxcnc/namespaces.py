@@ -17,7 +17,18 @@ HOME = "/tmp"
 
 def unshared(command: list[str]) -> list[str]:
     """`command` as the first process of namespaces of its own; it ends with the process that starts it."""
-    return ["unshare", *_user(), "--net", "--ipc", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc", *command]
+    return [
+        "unshare",
+        *_user(),
+        "--net",
+        "--ipc",
+        "--mount",
+        "--pid",
+        "--fork",
+        "--kill-child",
+        "--mount-proc",
+        *command,
+    ]
 
 
 def entering(pid: int) -> list[str]:

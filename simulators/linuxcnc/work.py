@@ -12,13 +12,13 @@ TABLES = "tables"
 
 
 def prepare(configuration: Path, components: Path, work: Path) -> None:
-    """Copy INI, HAL and tool files, and the HAL files of the components; make the tables' directory."""
+    """Copy INI, HAL and tool files (not the agent's settings), and the HAL files of the components; make the tables' directory."""
     if not configuration.is_dir():
         raise ConfigurationError("no such directory", file=str(configuration))
     work.mkdir(parents=True, exist_ok=True)
     work.chmod(0o777)  # parts of LinuxCNC run under another user
     for file in (*configuration.iterdir(), *components.glob("*.hal")):
-        if file.is_file():
+        if file.is_file() and file.suffix != ".toml":
             shutil.copy(file, work)
     for name in EMPTY:
         (work / name).touch()

@@ -1,0 +1,203 @@
+"""`make linuxcnc`: a stock LinuxCNC, really running, is calibrated by `volcal calibrate` over bridge and CAN.
+
+Everything runs accelerated, in namespaces of its own. The truth is the plant's: true volumetric error bare and with the
+table that acts in the end, and by how much what LinuxCNC tells the motors differs from that table. Closes with one line
+of JSON; exit code 0 only where the table was accepted and the true error fell.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.clock import ScaledClock, wall_seconds
+from drivers.linuxcnc.bridge_link import BridgeLink
+from drivers.linuxcnc.device import LinuxCnc
+from drivers.linuxcnc.settings import LinuxCncSettings
+from drivers.registry import DeviceContext
+from drivers.roles import TableImage
+from simulators.linuxcnc.namespaces import why_not
+from simulators.linuxcnc.process import LinuxCncProcess
+from simulators.scenario import read_scenario
+from simulators.world.field import TableField
+from simulators.world.world import World
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIGURATION = ROOT / "config" / "linuxcnc"
+SCENARIO = ROOT / "config" / "simulators" / "case-study.toml"
+COMPONENTS = ROOT / "drivers" / "linuxcnc" / "components"
+VOLCAL = Path(sys.executable).parent / "volcal"
+LONGEST_RUN_S = 3600.0
+PLACES = 20
+MOTORS = tuple(f"joint.{number}.motor-pos-cmd" for number in range(3))
+NOT_RUN = 77
+
+
+@dataclass(frozen=True)
+class Trial:
+    """`changes`: what is replaced in the example's settings, `scenario_changes`: in what is simulated; `arguments` go to
+    `volcal calibrate`."""
+
+    work: Path
+    speed: float = 10.0
+    arguments: tuple[str, ...] = ()
+    changes: dict[str, str] = field(default_factory=dict)
+    scenario_changes: dict[str, str] = field(default_factory=dict)
+
+
+def calibrated(trial: Trial) -> dict[str, Any]:
+    """Run it; the outcome of `volcal calibrate` and beside it what only the plant knows."""
+    began_s = wall_seconds()
+    trial.work.mkdir(parents=True, exist_ok=True)
+    scenario = _written(SCENARIO, trial.work / "scenario.toml", trial.scenario_changes)
+    settings = _written(
+        CONFIGURATION / "volcal.toml",
+        trial.work / "volcal.toml",
+        {"factor = 10.0": f"factor = {trial.speed!r}", **trial.changes},
+    )
+    with LinuxCncProcess(
+        scenario=scenario,
+        configuration=CONFIGURATION,
+        components=COMPONENTS,
+        work=trial.work,
+        speed=trial.speed,
+    ) as machine:
+        command = [str(VOLCAL), "calibrate", "--config", str(settings), "--json", *trial.arguments]
+        done = subprocess.run(
+            machine.inside(*command), stdout=subprocess.PIPE, text=True, timeout=LONGEST_RUN_S, check=False
+        )
+        outcome = json.loads(done.stdout) if done.stdout else {"state": "nothing said"}
+        return {
+            "exit_code": done.returncode,
+            "state": outcome["state"],
+            "reason": outcome.get("reason"),
+            "touches": outcome.get("touches"),
+            "balls": outcome.get("balls"),
+            "machine_minutes": outcome.get("machine_minutes"),
+            "estimated_ve_um": outcome.get("estimated_ve_um"),
+            "chi2_normalised": outcome.get("chi2_normalised"),
+            "verification": outcome.get("verification"),
+            "collisions": machine.ask("collisions")["count"],
+            **truth(trial, scenario, machine),
+            "speed": trial.speed,
+            "wall_seconds": round(wall_seconds() - began_s, 1),
+        }
+
+
+def truth(trial: Trial, scenario: Path, machine: LinuxCncProcess) -> dict[str, Any]:
+    """True volumetric error (rigidly aligned) bare and with the table that acts, and whether it acts as it is."""
+    world = World(read_scenario(scenario))
+    options = LinuxCncSettings.model_validate(
+        {
+            "bridge_command": machine.bridge_command,
+            "compensation": {"way": "external-offsets", "directory": str(trial.work / "tables")},
+        }
+    )
+    device = LinuxCnc(options, DeviceContext("cnc", ScaledClock(trial.speed), trial.work))
+    device.open()
+    try:
+        bank = device.active_bank()
+        image = device.read_table(bank) if bank else None
+        worst_um = acted_otherwise_um(device, machine, image)
+        latency = next(finding.text for finding in device.diagnose() if finding.subject == "latency")
+    finally:
+        device.close()
+    if image is not None:
+        world.controller.write_bank(bank, image)
+    before_um, after_um = (world.truth.true_volumetric_error(which)[1] for which in (0, bank))
+    return {
+        "table_bank": bank,
+        "true_ve_before_um": round(before_um, 3),
+        "true_ve_after_um": round(after_um, 3),
+        "applied_worst_um": round(worst_um, 4),
+        "latency": latency,
+    }
+
+
+def acted_otherwise_um(device: LinuxCnc, machine: LinuxCncProcess, image: TableImage | None) -> float:
+    """Largest difference between what the motors were told beyond the position displayed, and the table, at random
+    places at the ends of the travel in Y and Z where no artefact stands."""
+    table = None if image is None else TableField(image)
+    limits = device.limits()
+    rng = np.random.default_rng(5)
+    worst = 0.0
+    link = BridgeLink(machine.bridge_command, answer_within_s=5.0, watch_s=0.0, device="motors")
+    link.open()
+    try:
+        for x in rng.uniform(limits.lower_mm[0], limits.upper_mm[0], PLACES):
+            place = np.array([x, limits.lower_mm[1], rng.uniform(limits.lower_mm[2], limits.upper_mm[2])])
+            device.move_to(place, feed_mm_per_s=None, guarded=True)
+            motors = np.array(link.get_all(MOTORS), dtype=np.float64)
+            asked = np.zeros(3) if table is None else table.at_many(place[None])[0]
+            worst = max(worst, float(np.abs(motors - place - asked).max()))
+    finally:
+        link.close()
+    return 1e3 * worst
+
+
+def _written(example: Path, path: Path, changes: dict[str, str]) -> Path:
+    """An example's file elsewhere: its paths made absolute, and changed."""
+    text = example.read_text(encoding="utf-8").replace('"../', f'"{example.parent.parent}/')
+    for old, new in changes.items():
+        if old not in text:
+            raise ValueError(f"no {old!r} in {example}")
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+SHORT_CHANGES = {
+    # one touch a ball point, at the feed at which it is also found
+    "touch_stages = 2": "touch_stages = 1",
+    "touch_feed_mm_per_min = 60.0": "touch_feed_mm_per_min = 120.0",
+    "stations = [1, 4]": "stations = [1]\npositions_deg = [[30.0, 30.0]]",
+    "[probe_check]": "[reversal]\nenabled = false\n\n[probe_check]",
+}
+"""What makes the run short enough for every change of the source."""
+SHORT_SCENARIO = {"[truth]": "[truth]\nscale = 3.0"}
+"""From a few positions at one end of the travel only part of the error is found; this machine has enough of it."""
+
+
+def short(work: Path, speed: float) -> Trial:
+    """One station, few positions."""
+    positions = str(CONFIGURATION / "few-positions.csv")
+    arguments = ("--stations", "1", "--position-set", positions)
+    return Trial(work, speed, arguments, SHORT_CHANGES, SHORT_SCENARIO)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--speed", type=float, default=10.0, help="times real time")
+    parser.add_argument("--short", action="store_true", help="one station, few positions")
+    parser.add_argument("--position-set", help="as volcal calibrate takes it")
+    parser.add_argument("--stations", help="as volcal calibrate takes it")
+    parser.add_argument("--work", type=Path, help="kept; without it a temporary directory")
+    options = parser.parse_args()
+    reason = why_not()
+    if reason:
+        print(json.dumps({"not_run": reason}))
+        raise SystemExit(NOT_RUN)
+    with tempfile.TemporaryDirectory(prefix="volcal-linuxcnc-") as temporary:
+        work = (options.work or Path(temporary) / "work").resolve()
+        trial = short(work, options.speed) if options.short else Trial(work, options.speed, arguments=_wanted(options))
+        result = calibrated(trial)
+    print(json.dumps(result))
+    proved = result["exit_code"] == 0 and result["true_ve_after_um"] < result["true_ve_before_um"]
+    raise SystemExit(0 if proved else 1)
+
+
+def _wanted(options: argparse.Namespace) -> tuple[str, ...]:
+    named = {"--position-set": options.position_set, "--stations": options.stations}
+    return tuple(word for name, value in named.items() if value for word in (name, value))
+
+
+if __name__ == "__main__":
+    main()

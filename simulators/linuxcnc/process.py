@@ -1,0 +1,84 @@
+"""`python -m simulators.linuxcnc` as a process of its own, for tests and benchmarks outside its namespaces."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.errors import LinkLost
+from simulators.linuxcnc.namespaces import entering
+
+END_WITHIN_S = 30.0
+ANSWER_WITHIN_S = 60.0
+_ASK = "import socket, sys; s = socket.create_connection((sys.argv[1], int(sys.argv[2])), 30); " + (
+    "s.sendall(sys.argv[3].encode() + b'\\n'); print(s.makefile().readline())"
+)
+"""Run in the network of the namespaces, where the control channel listens."""
+
+
+class LinuxCncProcess:
+    """A context: LinuxCNC and the plant around it run inside, and never outlive it."""
+
+    def __init__(self, *, scenario: Path, configuration: Path, components: Path, work: Path, speed: float) -> None:
+        self.work = work
+        self._arguments = [
+            *("--scenario", str(scenario), "--configuration", str(configuration), "--components", str(components)),
+            *("--work", str(work), "--speed", f"{speed:g}"),
+        ]
+        self._process: subprocess.Popen[str] | None = None
+        self.ready: dict[str, Any] = {}
+
+    def __enter__(self) -> Self:
+        command = [sys.executable, "-m", "simulators.linuxcnc", *self._arguments]
+        self._process = subprocess.Popen(  # noqa: S603  our own program
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert self._process.stdout is not None  # noqa: S101  asked for above
+        line = self._process.stdout.readline()
+        if not line:
+            self.__exit__(None, None, None)
+            raise LinkLost("LinuxCNC did not start", hint="it says why above", file=str(self.work / "linuxcnc.log"))
+        self.ready = json.loads(line)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        process = self._process
+        if process is None:
+            return
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                stream.close()
+        try:
+            process.wait(END_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def inside(self, *command: str) -> list[str]:
+        """That command, to be run in the namespaces of this LinuxCNC."""
+        return [*entering(self.ready["pid"]), *command]
+
+    @property
+    def bridge_command(self) -> list[str]:
+        """Option `bridge_command` of a driver outside."""
+        return self.inside("/usr/bin/python3")
+
+    def ask(self, request: str) -> dict[str, Any]:
+        """One request of the control channel: ``truth``, ``collisions``, ``status``."""
+        place = self.ready["control"]
+        words = self.inside("/usr/bin/python3", "-c", _ASK, place["host"], str(place["port"]))
+        done = subprocess.run(  # noqa: S603  our own program
+            [*words, json.dumps({"do": request})],
+            capture_output=True,
+            text=True,
+            timeout=ANSWER_WITHIN_S,
+            check=True,
+        )
+        answer: dict[str, Any] = json.loads(done.stdout)
+        return answer
