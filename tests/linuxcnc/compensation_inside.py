@@ -91,6 +91,9 @@ class Inside:
         self.command.abort()
         self.command.wait_complete(2.0)
 
+    def feed(self, override):
+        self.command.feedrate(override)
+
     def joint_mode(self, yes):
         self.command.mode(linuxcnc.MODE_MANUAL)
         self.command.wait_complete(2.0)
