@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -32,7 +32,6 @@ class SerialCncSettings(BaseModel):
         min_length=1, description="as /dev/serial/by-id/…, which stays the same when another is plugged in"
     )
     baud: int = Field(default=115200, ge=1200, le=4_000_000)
-    dialect: Literal["grbl"] = Field(default="grbl", description="GRBL 1.1 and grblHAL")
     axis_zero_mm: Triple = Field(
         default=(0.0, 0.0, 0.0),
         description="machine coordinates (MPos) at which the axes of the machine file read 0",
@@ -40,7 +39,6 @@ class SerialCncSettings(BaseModel):
     referenced_by_hand: bool = Field(
         default=False, description="without homing switches: somebody puts the axes on their marks and answers for it"
     )
-    spindle_is_probe: bool = Field(default=True, description="the probe sits in the spindle: it must not turn")
 
     answer_within_s: Annotated[float, Field(gt=0.0, le=30.0)] = Field(
         default=2.0, description="wall time for an answer that comes at once"
