@@ -40,10 +40,11 @@ class Bending:
     gradient: float
 
     @classmethod
-    def of(cls, table: CompensationTable) -> Bending:
-        """Of a table held constant beyond its border, where the slope jumps to zero."""
+    def of(cls, table: CompensationTable, *, beyond: bool) -> Bending:
+        """Of a table. `beyond`: paths may leave its volume, where it is held constant: the slope jumps to zero."""
         slopes = [_slopes(table.corrections, nodes, axis) for axis, nodes in enumerate(table.nodes)]
-        kinks = [_largest(np.diff(_with_border(slope, axis), axis=axis)) for axis, slope in enumerate(slopes)]
+        acting = [_with_border(slope, axis) if beyond else slope for axis, slope in enumerate(slopes)]
+        kinks = [_largest(np.diff(slope, axis=axis)) for axis, slope in enumerate(acting)]
         mixed = [_largest(_slopes(slopes[i], table.nodes[j], j)) for i, j in _OTHERS]
         return cls(
             planes=table.nodes,

@@ -120,8 +120,8 @@ class Corrected:
     extrapolated: int
 
 
-def corrected(table: CompensationTable, points: Array) -> Corrected:
-    """Points (n, 3) with the table's correction added, which never takes an axis out of the table's volume.
+def corrected(table: CompensationTable, points: Array, *, held: bool) -> Corrected:
+    """Points (n, 3) with the table's correction added. `held`: which takes no axis out of the table's volume.
 
     The volume is the travel as a rule, and a controller stops at a position a µm beyond it.
     """
@@ -129,7 +129,7 @@ def corrected(table: CompensationTable, points: Array) -> Corrected:
     upper = np.array([nodes[-1] for nodes in table.nodes])
     correction = table.at(points)
     wanted = points + correction
-    allowed = np.clip(wanted, np.minimum(lower, points), np.maximum(upper, points))
+    allowed = np.clip(wanted, lower, upper) if held else wanted
     beyond = np.maximum(lower - points, points - upper).max(axis=1)
     return Corrected(
         points=allowed,

@@ -49,7 +49,8 @@ class Writer:
         self.counts = Counts()
         self.newline = "\n"
         self._emit = emit
-        self._bending = Bending.of(table)
+        self._held = options.outside == "refuse"
+        self._bending = Bending.of(table, beyond=not self._held)
         self._limit_mm = _without_rounding(options)
         self._items: list[str | Move] = []
         self._ends: list[Triple] = []
@@ -88,7 +89,7 @@ class Writer:
 
     def corrected_point(self, point: Triple) -> Triple:
         """One corrected axis position, not counted."""
-        x, y, z = corrected(self.table, np.array([point])).points[0].tolist()
+        x, y, z = corrected(self.table, np.array([point]), held=self._held).points[0].tolist()
         return x, y, z
 
     def _flush(self) -> None:
@@ -132,7 +133,7 @@ class Writer:
 
     def _part(self, moves: list[Move], paths: Paths, first: int, pieces: Indices) -> Iterator[list[str]]:
         points, rows, last = paths.points(first, pieces)
-        found = corrected(self.table, points)
+        found = corrected(self.table, points, held=self._held)
         self._check_volume(moves, rows, points, found)
         frames = self._frames[first : first + len(pieces)]
         words = as_words(found.points, frames, rows - first, self.position, self.unit_mm, self.decimals)
