@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from drivers.clock import Clock, LockstepClock, VirtualClock, WatchedClock
+from drivers.contract.rig import ContractRig, Interrupt
 from drivers.registry import DeviceContext, create_device
-from drivers.roles import CompensationStore, Machine, MotionState, Operator, Probe, RotaryMount, Thermometer
+from drivers.roles import CompensationStore, Machine, Operator, Probe, RotaryMount, Thermometer
 from simulators.backend import SimulatedMachineDevice
 from simulators.scenario import read_scenario
 from simulators.wire.machine_on_wires import Links, MachineOnWires
@@ -30,29 +31,12 @@ MORE_OPTIONS: dict[str, dict[str, Any]] = {"serial": {"stated_temperatures_c": {
 channels = itertools.count()
 
 
-class StoppedError(Exception):
-    """What breaks a wait off."""
-
-
 @dataclass
-class Interrupt:
-    """Raises from the clock's sleeps once machine time has come to `at_s`."""
-
-    clock: Clock
-    at_s: float | None = None
-
-    def check(self) -> None:
-        if self.at_s is not None and self.clock.now() >= self.at_s:
-            self.at_s = None
-            raise StoppedError
-
-    def after(self, duration_s: float) -> None:
-        self.at_s = self.clock.now() + duration_s
-
-
-@dataclass
-class Played:
+class Played(ContractRig):
     """Every role of one machine. `world` is only looked at."""
+
+    outside_mm = ((4000.1, 0.0, 0.0), (0.0, -0.1, 0.0), (0.0, 0.0, 1e9))
+    mount_is_free_at_mm = (2900.0, 0.0, 750.0)
 
     machine: Machine
     probe: Probe
@@ -77,12 +61,11 @@ class Played:
         self.machine.move_to(centre - [0.0, distance_mm, 0.0], feed_mm_per_s=None, guarded=True)
         return centre
 
-    def come_to_rest(self) -> None:
-        for _ in range(100):
-            if self.machine.status().state is not MotionState.MOVING:
-                return
-            self.clock.sleep(0.1)
-        raise AssertionError("the machine does not come to rest")
+    def approach(self) -> np.ndarray:
+        return self.before(5)
+
+    def trip_mm(self, target_mm: np.ndarray) -> np.ndarray:
+        return target_mm - [0.0, REACH, 0.0]
 
 
 @contextmanager
@@ -119,7 +102,7 @@ def on_wires(cnc_link: str = "modbus", resolution_mm: float = 1e-5, **links: Any
     ready = machine.ready_line()
     devices = {
         "cnc": (f"{cnc_link}-cnc", {**ready[cnc_link], **MORE_OPTIONS.get(cnc_link, {})}),
-        "mount": ("canopen-mount", {**ready["can"], **drives(ready["can_nodes"])}),
+        "mount": ("canopen-mount", {**ready["can"], **drives(ready["can_nodes"]), "sdo_timeout_s": 2.0}),
         "operator": ("simulated-operator", ready["control"]),
     }
     opened: dict[str, Any] = {}

@@ -1,0 +1,127 @@
+"""The contract of `Machine`, `Probe` and `RotaryMount`. Each test takes the fixture `rig` (a `ContractRig`)."""
+# ruff: noqa: S101  asserting is what these are for
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.contract.rig import ContractRig, StoppedError
+from drivers.errors import CommandRejected, DeviceError, GuardTripped
+from drivers.roles import Machine, Miss, MotionState, Probe, RotaryMount, Touch
+
+SLOW_MM_PER_S = 50.0
+
+
+class MachineContract:
+    def test_plays_the_role(self, rig: ContractRig) -> None:
+        assert isinstance(rig.machine, Machine)
+
+    def test_move_reaches_its_target(self, rig: ContractRig) -> None:
+        rig.go(rig.start_mm)
+        rig.machine.move_to(np.array(rig.free_mm), feed_mm_per_s=SLOW_MM_PER_S, guarded=False)
+        assert rig.machine.position() == pytest.approx(rig.free_mm, abs=rig.resolution_mm)
+        assert rig.machine.status().state is MotionState.IDLE
+
+    def test_target_outside_the_travel_is_rejected_and_nothing_moves(self, rig: ContractRig) -> None:
+        before = rig.machine.position()
+        for target in (*rig.outside_mm, (math.nan, 0.0, 0.0)):
+            with pytest.raises(CommandRejected):
+                rig.go(target)
+            assert np.array_equal(rig.machine.position(), before)
+        rig.go(before)
+
+    @pytest.mark.parametrize("feed", [0.0, -5.0, math.inf, math.nan])
+    def test_feed_that_is_none_is_rejected(self, rig: ContractRig, feed: float) -> None:
+        with pytest.raises(CommandRejected):
+            rig.machine.move_to(np.array(rig.free_mm), feed_mm_per_s=feed, guarded=False)
+
+    def test_guarded_move_into_an_obstacle_is_a_tripped_guard(self, rig: ContractRig) -> None:
+        target = rig.approach()
+        with pytest.raises(GuardTripped):
+            rig.machine.move_to(target, feed_mm_per_s=10.0, guarded=True)
+        assert rig.machine.status().state is not MotionState.MOVING
+        trip_y = rig.trip_mm(target)[1]
+        assert trip_y < rig.machine.position()[1] < trip_y + 6.0
+
+    def test_wait_that_is_broken_off_stops_the_motion(self, rig: ContractRig) -> None:
+        rig.go(rig.start_mm)
+        rig.interrupt.after(2.0)
+        with pytest.raises(StoppedError):
+            target = np.add(rig.start_mm, (1000.0, 0.0, 0.0))
+            rig.machine.move_to(target, feed_mm_per_s=SLOW_MM_PER_S, guarded=False)
+        rig.come_to_rest()
+        stopped = rig.machine.position()
+        assert SLOW_MM_PER_S < stopped[0] - rig.start_mm[0] < 4.0 * SLOW_MM_PER_S
+        rig.clock.sleep(5.0)
+        assert np.array_equal(rig.machine.position(), stopped)
+        rig.go(rig.start_mm)
+
+    def test_stop_at_rest_does_no_harm(self, rig: ContractRig) -> None:
+        rig.machine.stop()
+        rig.machine.stop()
+        rig.go(rig.free_mm)
+        assert rig.machine.position() == pytest.approx(rig.free_mm, abs=rig.resolution_mm)
+
+
+class ProbeContract:
+    def test_plays_the_role(self, rig: ContractRig) -> None:
+        assert isinstance(rig.probe, Probe)
+
+    def test_touch_is_where_the_probe_tripped_not_where_it_stopped(self, rig: ContractRig) -> None:
+        target = rig.approach()
+        touch = rig.probe.touch_towards(target, feed_mm_per_s=5.0)
+        assert isinstance(touch, Touch)
+        assert touch.position_mm == pytest.approx(tuple(rig.trip_mm(target)), abs=max(rig.resolution_mm, 1e-5))
+        assert rig.machine.position()[1] > touch.position_mm[1]
+        assert rig.probe.probe_status().deflected
+
+    def test_miss_is_a_result(self, rig: ContractRig) -> None:
+        rig.approach()
+        short = rig.machine.position() + [0.0, 5.0, 0.0]  # noqa: RUF005  a sum of positions
+        miss = rig.probe.touch_towards(short, feed_mm_per_s=5.0)
+        assert isinstance(miss, Miss)
+        assert miss.position_mm == pytest.approx(tuple(short), abs=max(rig.resolution_mm, 1e-6))
+        assert not rig.probe.probe_status().deflected
+
+    def test_second_touch_has_its_own_latch(self, rig: ContractRig) -> None:
+        target = rig.approach()
+        before = rig.machine.position()
+        first = rig.probe.touch_towards(target, feed_mm_per_s=5.0)
+        rig.machine.move_to(before, feed_mm_per_s=None, guarded=True)
+        second = rig.probe.touch_towards(before + [0.0, 5.0, 0.0], feed_mm_per_s=5.0)  # noqa: RUF005  a sum
+        assert isinstance(first, Touch)
+        assert isinstance(second, Miss)
+
+    def test_deflected_probe_does_not_touch(self, rig: ContractRig) -> None:
+        target = rig.approach()
+        rig.probe.touch_towards(target, feed_mm_per_s=5.0)
+        with pytest.raises(DeviceError, match="deflected"):
+            rig.probe.touch_towards(target, feed_mm_per_s=5.0)
+
+    def test_loaded_healthy_and_free(self, rig: ContractRig) -> None:
+        status = rig.probe.probe_status()
+        assert (status.loaded, status.healthy, status.deflected) == (True, True, False)
+
+
+class RotaryMountContract:
+    def test_plays_the_role(self, rig: ContractRig) -> None:
+        assert isinstance(rig.mount, RotaryMount)
+
+    def test_turn_reaches_its_target(self, rig: ContractRig) -> None:
+        rig.go(rig.mount_is_free_at_mm)
+        reached = rig.mount.orient_to(45.0, -30.0)
+        assert (reached.azimuth_deg, reached.elevation_deg) == pytest.approx((45.0, -30.0), abs=1e-3)
+        assert rig.mount.orientation() == reached
+
+    def test_wait_that_is_broken_off_stops_the_turn(self, rig: ContractRig) -> None:
+        rig.go(rig.mount_is_free_at_mm)
+        rig.interrupt.after(1.5)
+        with pytest.raises(StoppedError):
+            rig.mount.orient_to(90.0, 0.0)
+        rig.clock.sleep(3.0)
+        stopped = rig.mount.orientation()
+        rig.clock.sleep(5.0)
+        assert rig.mount.orientation() == stopped
