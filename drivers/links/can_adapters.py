@@ -37,7 +37,8 @@ ECHOING_INTERFACES = frozenset({"udp_multicast"})
 CONNECT_WITHIN_S = 3.0
 SEND_WITHIN_S = 1.0
 """A serial adapter that takes no bytes for so long is dead."""
-FLAGS_WITHIN_S = 0.3
+FLAGS_WITHIN_S = 1.0
+"""For the answer to a question after its status; some adapters know no such question."""
 
 
 @dataclass(frozen=True)

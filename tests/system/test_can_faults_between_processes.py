@@ -74,7 +74,12 @@ def bench(kind: str, directory: Path) -> Iterator[Bench]:
         ready = simulator.ready
         clock = LockstepClock(ready["time"]["host"], ready["time"]["port"])
         settings = CanopenMountSettings.model_validate(
-            {**ready["can"], "azimuth": {**AXIS, "node_id": 1}, "elevation": {**AXIS, "node_id": 2}}
+            {
+                **ready["can"],
+                "sdo_timeout_s": 1.0,
+                "azimuth": {**AXIS, "node_id": 1},
+                "elevation": {**AXIS, "node_id": 2},
+            }
         )
         due = Due(clock, (ready["control"]["host"], ready["control"]["port"]))
         mount = CanopenMount(settings, DeviceContext("mount", WatchedClock(clock, due.check), directory))
