@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import selectors
 import subprocess
 import tempfile
@@ -127,7 +128,7 @@ class BridgeLink:
     # ------------------------------------------------------------------ bytes
 
     def _started(self) -> _Bridge:
-        complaints = tempfile.TemporaryFile()
+        complaints = tempfile.TemporaryFile()  # noqa: SIM115  closed with the link
         try:
             process = subprocess.Popen(  # noqa: S603  the command is the user's own setting
                 self._command,
@@ -174,7 +175,7 @@ class BridgeLink:
                 if left_s <= 0.0 or not readable.select(left_s):
                     self._silent = True
                     raise LinkTimeout(f"no answer within {self._within_s:g} s", hint="see LinuxCNC", **self.where)
-                chunk = bridge.process.stdout.read1(65536)  # type: ignore[attr-defined]  a BufferedReader
+                chunk = os.read(bridge.process.stdout.fileno(), 65536)
                 if not chunk:
                     raise self._ended()
                 self._buffered += chunk

@@ -130,8 +130,8 @@ def _ini(session: Session) -> Iterator[Finding]:
     yield Finding(
         "[EMCMOT]SERVO_PERIOD",
         ok=period_s <= LONGEST_PERIOD_S,
-        text=f"{period_s * 1e3:g} ms: touches at {LATCH_MM_PER_S:g} mm/s latch up to {spread_um:.1f} µm late; half is taken "
-        f"off, ±{0.5 * spread_um:.1f} µm stay",
+        text=f"{period_s * 1e3:g} ms: touches at {LATCH_MM_PER_S:g} mm/s latch up to {spread_um:.1f} µm late; half is "
+        f"taken off, ±{0.5 * spread_um:.1f} µm stay",
     )
     yield from _homing(values)
     ratios = [values[f"[AXIS_{axis}]OFFSET_AV_RATIO"] for axis in XYZ]

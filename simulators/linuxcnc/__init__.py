@@ -1,1 +1,1 @@
-"""A plant for a real LinuxCNC: the simulated world's machine, balls and mount around a controller that is none of it."""
+"""A plant for a real LinuxCNC: the machine, balls and mount of the simulated world around a controller that is real."""

@@ -51,7 +51,7 @@ def _compiled(command: list[str], directory: Path) -> None:
 
 
 class LinuxCncMachine:
-    """A context, once and inside namespaces of its own. `work` holds configuration and components, and gets the rest."""
+    """A context, once and inside namespaces of its own. `work` holds configuration and components, gets the rest."""
 
     def __init__(self, scenario: Scenario, work: Path, ini: str, *, speed: float) -> None:
         self._work = work

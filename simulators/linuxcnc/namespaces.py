@@ -11,7 +11,7 @@ import subprocess
 from pathlib import Path
 
 MODULES = Path("/usr/lib/linuxcnc/modules")
-HOME = "/tmp"
+HOME = "/tmp"  # noqa: S108  of the namespace
 """LinuxCNC keeps its tool table in a file under HOME: whoever talks to it must have the same."""
 
 
@@ -52,10 +52,11 @@ def why_not() -> str:
 
 
 def make_private(work: Path, modules: list[Path]) -> None:
-    """Called first inside: loopback up, a /dev/shm and a /tmp of our own in which `work` stays where it is, and `modules` beside
-    those that LinuxCNC loads."""
+    """Called first inside: loopback up, a /dev/shm and a /tmp of our own in which `work` stays where it is, and
+    `modules` beside those that LinuxCNC loads."""
     _run("ip", "link", "set", "lo", "up")
-    _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/dev/shm")  # noqa: S108  faketime names things by process id
+    # faketime names what it shares by process ids, which begin again in here
+    _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/dev/shm")  # noqa: S108
     _run("mount", "--bind", str(work), "/mnt")
     _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/tmp")  # noqa: S108
     work.mkdir(parents=True, exist_ok=True)

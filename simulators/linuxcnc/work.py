@@ -12,7 +12,8 @@ TABLES = "tables"
 
 
 def prepare(configuration: Path, components: Path, work: Path) -> None:
-    """Copy INI, HAL and tool files (not the agent's settings), and the HAL files of the components; make the tables' directory."""
+    """Copy INI, HAL and tool files and the HAL files of the components (not the agent's settings); make the tables'
+    directory."""
     if not configuration.is_dir():
         raise ConfigurationError("no such directory", file=str(configuration))
     work.mkdir(parents=True, exist_ok=True)

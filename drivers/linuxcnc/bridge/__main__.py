@@ -10,15 +10,22 @@ is under way and nobody has asked for `watch_s` seconds.
 `error` is `refused` (understood and not done), `unknown` (no such HAL name), `gone` (LinuxCNC does not answer).
 """
 
+from __future__ import annotations
+
 import json
 import os
 import select
 import sys
 import time
+from collections.abc import Callable
+from typing import Any
 
 import hal
 import linuxcnc
 from halpins import HalPins, NoSuchPinError
+
+Fields = Any
+"""A JSON object."""
 
 PROTOCOL = 1
 TASK_STATES = {
@@ -30,7 +37,6 @@ TASK_STATES = {
 MODES = {linuxcnc.MODE_MANUAL: "manual", linuxcnc.MODE_AUTO: "auto", linuxcnc.MODE_MDI: "mdi"}
 STATES = {linuxcnc.RCS_DONE: "done", linuxcnc.RCS_EXEC: "exec", linuxcnc.RCS_ERROR: "error"}
 ERRORS = (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR)
-MODAL_GROUPS = range(17)
 
 
 class RefusedError(Exception):
@@ -44,7 +50,7 @@ class GoneError(Exception):
 class Bridge:
     """`watch_s`: longest silence of the other side while a motion of ours is under way; 0: not watched."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._command = linuxcnc.command()
         self._stat = linuxcnc.stat()
         self._channel = linuxcnc.error_channel()
@@ -53,10 +59,10 @@ class Bridge:
         self._pins = HalPins()
         self._watch_s = 0.0
         self._heard_s = time.monotonic()
-        self._begun = None
+        self._begun: int | None = None
         self._abandoned = False
 
-    def answer(self, request):
+    def answer(self, request: Fields) -> Fields:
         """The fields of the answer to one request."""
         self._heard_s = time.monotonic()
         actions = {
@@ -71,18 +77,18 @@ class Bridge:
             "resume": self._resume,
             "on": self._on,
             "hal_get": lambda r: {"values": [self._pins.get(name) for name in r["names"]]},
-            "hal_set": lambda r: self._pins.set(r["name"], r["value"]) or {},
+            "hal_set": self._hal_set,
         }
         action = actions.get(request.get("do"))
         if action is None:
             raise RefusedError(f"no such request: {request.get('do')!r}")
         return action(request)
 
-    def pause_s(self):
+    def pause_s(self) -> float | None:
         """How long the loop may wait for a request before `watch` must be called."""
         return 0.05 if self._watched() else None
 
-    def watch(self):
+    def watch(self) -> None:
         """Stop a motion of ours that nobody asks after."""
         if self._watched() and time.monotonic() - self._heard_s > self._watch_s:
             self._poll()
@@ -92,20 +98,20 @@ class Bridge:
             self._begun = self._begun if self._stat.paused else None
             self._heard_s = time.monotonic()
 
-    def end(self):
+    def end(self) -> None:
         """The other side has gone: nothing of ours goes on moving."""
         self._poll()
         if self._begun is not None and self._under_way():
             self._command.abort()
 
-    def _watched(self):
+    def _watched(self) -> bool:
         return self._watch_s > 0.0 and self._begun is not None
 
-    def _under_way(self):
+    def _under_way(self) -> bool:
         stat = self._stat
         return stat.state == linuxcnc.RCS_EXEC or stat.interp_state != linuxcnc.INTERP_IDLE or not stat.inpos
 
-    def _poll(self):
+    def _poll(self) -> None:
         try:
             self._stat.poll()
         except (SystemError, linuxcnc.error) as error:
@@ -113,7 +119,7 @@ class Bridge:
 
     # ------------------------------------------------------------------ what it tells
 
-    def _hello(self, request):
+    def _hello(self, request: Fields) -> Fields:
         self._watch_s = float(request.get("watch_s", 0.0))
         self._poll()
         return {
@@ -128,13 +134,13 @@ class Bridge:
             "monotonic_s": time.monotonic(),
         }
 
-    def _ini(self, request):
+    def _ini(self, request: Fields) -> Fields:
         """Values of the INI file as text, null where there is none; the first where there are several."""
         self._poll()
         ini = linuxcnc.ini(self._stat.ini_filename)
         return {"values": [ini.find(section, key) for section, key in request["keys"]]}
 
-    def _status(self, request):
+    def _status(self, request: Fields) -> Fields:
         self._poll()
         stat = self._stat
         if self._begun is not None and not self._under_way():
@@ -174,7 +180,7 @@ class Bridge:
             "monotonic_s": time.monotonic(),
         }
 
-    def _drained(self):
+    def _drained(self) -> list[str]:
         """What LinuxCNC has said since it was asked last."""
         said = []
         for _ in range(100):
@@ -187,7 +193,11 @@ class Bridge:
 
     # ------------------------------------------------------------------ what it does
 
-    def _mdi(self, request):
+    def _hal_set(self, request: Fields) -> Fields:
+        self._pins.set(request["name"], request["value"])
+        return {}
+
+    def _mdi(self, request: Fields) -> Fields:
         """Send one line; the task has it when this answers."""
         self._poll()
         if self._stat.task_state != linuxcnc.STATE_ON:
@@ -202,7 +212,7 @@ class Bridge:
         self._begin()
         return {}
 
-    def _mode(self, request):
+    def _mode(self, request: Fields) -> Fields:
         wanted = {name: number for number, name in MODES.items()}.get(request["mode"])
         if wanted is None:
             raise RefusedError(f"no such mode: {request['mode']!r}")
@@ -212,16 +222,16 @@ class Bridge:
         self._set_mode(wanted)
         return {}
 
-    def _begin(self):
+    def _begin(self) -> None:
         """The command just sent is ours, and the task has taken it."""
         self._begun = serial = self._command.serial
         self._await(lambda stat: stat.echo_serial_number == serial, "take the command")
 
-    def _set_mode(self, mode):
+    def _set_mode(self, mode: int) -> None:
         self._command.mode(mode)
         self._await(lambda stat: stat.task_mode == mode, f"change to mode {MODES[mode]}")
 
-    def _home(self, _request):
+    def _home(self, _request: Fields) -> Fields:
         """Begin to home all joints, in the order of the INI file."""
         self._poll()
         if self._stat.task_state != linuxcnc.STATE_ON:
@@ -232,20 +242,20 @@ class Bridge:
         self._begin()
         return {}
 
-    def _abort(self, _request):
+    def _abort(self, _request: Fields) -> Fields:
         self._begun = None
         self._command.abort()
         return {}
 
-    def _pause(self, _request):
+    def _pause(self, _request: Fields) -> Fields:
         self._command.auto(linuxcnc.AUTO_PAUSE)
         return {}
 
-    def _resume(self, _request):
+    def _resume(self, _request: Fields) -> Fields:
         self._command.auto(linuxcnc.AUTO_RESUME)
         return {}
 
-    def _on(self, _request):
+    def _on(self, _request: Fields) -> Fields:
         """Switch the machine on where only that is missing; an e-stop from outside is never overridden."""
         self._poll()
         if self._stat.task_state == linuxcnc.STATE_ESTOP:
@@ -255,7 +265,7 @@ class Bridge:
             self._await(lambda stat: stat.task_state == linuxcnc.STATE_ON, "switch the machine on")
         return {}
 
-    def _await(self, reached, what):
+    def _await(self, reached: Callable[[Any], bool], what: str) -> None:
         """Short: what the task does in its next cycles or not at all."""
         ends_s = time.monotonic() + 1.0
         while True:
@@ -268,7 +278,7 @@ class Bridge:
             time.sleep(0.002)
 
 
-def answered(bridge, line):
+def answered(bridge: Bridge, line: bytes) -> Fields:
     """The answer to one line; never raises for what was asked."""
     number = None
     try:
@@ -285,7 +295,7 @@ def answered(bridge, line):
         return {"id": number, "error": "refused", "text": f"not a request: {error!r}"}
 
 
-def main():
+def main() -> None:
     replies = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # the C library of LinuxCNC prints where the answers would be
     try:
@@ -312,7 +322,7 @@ def main():
         _end(bridge)
 
 
-def _end(bridge):
+def _end(bridge: Bridge) -> None:
     try:
         bridge.end()
     except GoneError as error:

@@ -1,9 +1,13 @@
 """HAL pins, signals and parameters by name, from the system's Python."""
 
+from __future__ import annotations
+
 import subprocess
+from typing import Union
 
 import hal
 
+Value = Union[bool, int, float]  # noqa: UP007  the distribution may have Python 3.9
 HALCMD_WITHIN_S = 2.0
 
 
@@ -14,30 +18,31 @@ class NoSuchPinError(Exception):
 class HalPins:
     """Needs a component of this process in HAL."""
 
-    def get(self, name):
+    def get(self, name: str) -> Value:
         """bit as bool, s32 and u32 as int, float as float."""
         try:
-            return hal.get_value(name)
+            value: Value = hal.get_value(name)
+            return value
         except (RuntimeError, TypeError) as error:
             raise NoSuchPinError(f"HAL has no pin, signal or parameter {name}") from error
 
-    def values(self, *names):
+    def values(self, *names: str) -> list[Value]:
         return [self.get(name) for name in names]
 
-    def set(self, name, value):
+    def set(self, name: str, value: Value) -> None:
         """A pin that nothing drives (`setp`), or the signal it is linked to where nothing writes that (`sets`)."""
         self.get(name)
         text = str(int(value)) if isinstance(value, bool) else repr(value)
         signal = self._signal(name)
         if signal is not None:
-            return self._sets(signal, text)
+            self._halcmd("-s", "sets", signal, text)
+            return
         try:
             hal.set_p(name, text)
         except (RuntimeError, TypeError) as error:
             raise NoSuchPinError(f"{name} cannot be set to {text}: {error}") from error
-        return None
 
-    def _signal(self, name):
+    def _signal(self, name: str) -> str | None:
         """The signal that pin `name` is linked to, or the signal of that name itself."""
         if any(signal["NAME"] == name for signal in hal.get_info_signals()):
             return name
@@ -47,10 +52,7 @@ class HalPins:
                 return words[6]
         return None
 
-    def _sets(self, signal, text):
-        self._halcmd("-s", "sets", signal, text)
-
-    def _halcmd(self, *words):
+    def _halcmd(self, *words: str) -> str:
         done = subprocess.run(  # noqa: S603  fixed program, no shell
             ["/usr/bin/halcmd", *words], capture_output=True, text=True, timeout=HALCMD_WITHIN_S, check=False
         )
