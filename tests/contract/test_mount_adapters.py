@@ -35,7 +35,7 @@ def _no_interface() -> str:
 
 
 @pytest.fixture(params=[*NEEDS_NOTHING, MULTICAST, KERNEL], ids=lambda channel: channel.partition(":")[0])
-def played(request: pytest.FixtureRequest) -> Iterator[Played]:
+def rig(request: pytest.FixtureRequest) -> Iterator[Played]:
     require(request.param)
-    with on_wires(can=request.param) as rig:
-        yield rig
+    with on_wires(can=request.param) as machine:
+        yield machine
