@@ -91,6 +91,10 @@ class Inside:
         self.command.abort()
         self.command.wait_complete(2.0)
 
+    def gcodes(self):
+        self.status.poll()
+        return list(self.status.gcodes)
+
     def feed(self, override):
         self.command.feedrate(override)
 

@@ -166,6 +166,22 @@ def test_machine_off_and_on_never_jumps_and_corrects_again(fresh: Rig, how: str)
     assert fresh.shift() == pytest.approx(trilinear(ONE, fresh.controller.displayed()[None])[0], abs=REST_MM[fresh.way])
 
 
+def test_offset_cut_off_at_the_end_of_an_axis_is_said_and_comes_back(fresh: Rig) -> None:
+    """LinuxCNC lets no external offset lead beyond a soft limit; kinematics of ours are not asked."""
+    outward = TableImage((0.0, 0.0, 0.0), (1000.0,) * 3, 1e-4, np.full((2, 2, 2, 3), 150, dtype=np.int32))
+    fresh.store.stage(2, outward)
+    fresh.controller.at(800.0, 100.0, 100.0)
+    fresh.store.activate(2)
+    fresh.settle()
+    cut_off = fresh.way == "external-offsets"
+    assert fresh.shift() == pytest.approx([0.0 if cut_off else 0.015, 0.015, 0.015], abs=REST_MM[fresh.way])
+    assert all(finding.ok for finding in fresh.store.diagnose()) is not cut_off
+    fresh.controller.at(790.0, 100.0, 100.0)
+    fresh.settle()
+    assert fresh.shift() == pytest.approx([0.015] * 3, abs=REST_MM[fresh.way])
+    assert all(finding.ok for finding in fresh.store.diagnose())
+
+
 def test_acting_bank_is_written_by_nobody(fresh: Rig) -> None:
     fresh.store.activate(1)
     with pytest.raises(StoreError, match="active"):

@@ -119,6 +119,9 @@ class LiveStore:
         age_s = float(self._get("age"))
         acts = f"bank {bank}, CRC-32 {crc:08X}, loaded {age_s:.0f} s ago, {applied}" if bank else "no table acts"
         findings = [Finding(subject, ok=fault == 0, text=FAULTS.get(fault, acts))]
+        if self._get("limited"):
+            text = "an axis stands at its soft limit, where LinuxCNC cuts the offset off; move it inwards"
+            findings.append(Finding(subject, ok=False, text=text))
         if self._get("table-lost"):
             text = "the table that acted before the restart is lost; nothing is compensated: restore it"
             findings.append(Finding(subject, ok=False, text=text))

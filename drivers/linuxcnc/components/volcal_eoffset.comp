@@ -7,6 +7,7 @@ pin in float position-#[3] "axis.L.pos-cmd, mm; LinuxCNC shows it without the of
 pin in float offset-#[3] "axis.L.eoffset, mm";
 pin in bit machine-on "motion.motion-enabled";
 pin in bit homed "motion.is-all-homed";
+pin in bit limited "motion.eoffset-limited: an axis stands at its end, the offset beyond it is cut off";
 pin in u32 bank "the bank that shall act; 0: none";
 pin out s32 counts-#[3] "axis.L.eoffset-counts";
 pin out bit clear = true "axis.L.eoffset-clear";
@@ -16,7 +17,7 @@ pin out float correction-#[3] "what shall be added to the commanded position, mm
 pin out u32 active-bank "the bank that was chosen last and holds a complete table";
 pin out u32 active-crc "CRC-32 of its table";
 pin out bit acting "the offset is applied: machine on and homed";
-pin out bit settled "acting, no change under way, and the offset is what it shall be";
+pin out bit settled "acting, no change under way, and the offset is what it shall be, or cut off at the end of an axis";
 pin out u32 fault "0: none; 1: no shared memory; 2: the chosen bank is empty; 3: table damaged, last correction held";
 pin out bit faulted "fault is not 0";
 pin out float age "seconds since the present bank acts alone";
@@ -72,7 +73,7 @@ FUNCTION(_) {
     acting = on;
     active_bank = table_acting.now.number;
     active_crc = volcal_active_crc(&table_acting);
-    settled = on && !table_acting.blending && arrival >= 1.0 && worst <= tolerance;
+    settled = on && !table_acting.blending && arrival >= 1.0 && (worst <= tolerance || limited);
     fault = table_acting.trouble;
     faulted = table_acting.trouble != VOLCAL_NO_FAULT;
     age = table_acting.age_s;

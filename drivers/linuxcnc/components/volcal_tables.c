@@ -26,7 +26,7 @@ typedef struct {
     hal_u32_t *arm_bank, *arm_crc, *arm_sequence, *arm_done, *arm_result, *armed_bank, *armed_nonce;
     hal_u32_t *confirm_nonce, *bank;
     hal_u32_t *acting_bank, *acting_crc, *acting_fault;
-    hal_bit_t *acting, *settled;
+    hal_bit_t *acting, *settled, *limited;
     hal_u32_t *bank_state[VOLCAL_BANKS], *bank_crc[VOLCAL_BANKS], *bank_result[VOLCAL_BANKS];
     hal_bit_t *table_lost;
     hal_u32_t *beat;
@@ -71,6 +71,7 @@ static int export_pins(int id) {
 #undef U32
     failed |= hal_pin_bit_newf(HAL_IN, &pins->acting, id, "%s.acting", name);
     failed |= hal_pin_bit_newf(HAL_IN, &pins->settled, id, "%s.settled", name);
+    failed |= hal_pin_bit_newf(HAL_IN, &pins->limited, id, "%s.limited", name);
     failed |= hal_pin_bit_newf(HAL_OUT, &pins->table_lost, id, "%s.table-lost", name);
     failed |= hal_pin_float_newf(HAL_OUT, &pins->age, id, "%s.age", name);
     for (unsigned n = 0; n < VOLCAL_BANKS; n++) {

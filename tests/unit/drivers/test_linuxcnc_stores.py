@@ -27,7 +27,14 @@ class Loader:
             ("load-done", "arm-done", "load-result", "arm-result", "bank", "acting-bank", "acting-crc"), 0
         )
         self.pins |= {"acting-fault": 0, "armed-bank": 0, "armed-nonce": 0, "bank1-state": 0, "bank2-state": 0}
-        self.pins |= {"bank1-crc": 0, "bank2-crc": 0, "settled": True, "acting": True, "table-lost": False}
+        self.pins |= {
+            "bank1-crc": 0,
+            "bank2-crc": 0,
+            "settled": True,
+            "acting": True,
+            "table-lost": False,
+            "limited": False,
+        }
         self.pins |= {"age": 0.0, "beat": 0}
         self.spoilt: dict[str, PinValue] = {}
         self.beats = True
