@@ -73,6 +73,7 @@ class SerialPort:
                 **self.where,
             ) from error
         self._received = b""
+        self._stay_up()
 
     def close(self) -> None:
         port, self._port = self._port, None
@@ -117,6 +118,15 @@ class SerialPort:
             if not data:
                 return None
             self._received += data
+
+    def _stay_up(self) -> None:
+        """Closing must not drop DTR: many boards restart, and forget where they are, when it comes up again."""
+        try:
+            attributes = termios.tcgetattr(self._opened().fileno())
+            attributes[2] &= ~termios.HUPCL
+            termios.tcsetattr(self._opened().fileno(), termios.TCSANOW, attributes)
+        except (OSError, termios.error) as error:
+            raise self._lost(error) from error
 
     def _opened(self) -> serial.Serial:
         if self._port is None:

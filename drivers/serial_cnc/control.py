@@ -6,7 +6,7 @@ from drivers.clock import Clock, Deadline, wall_seconds
 from drivers.errors import CommandRejected, PermissionMissing
 from drivers.roles import MotionState
 from drivers.serial_cnc.codes import POSITION_KEPT
-from drivers.serial_cnc.conversation import HOLD, RESUME, Conversation
+from drivers.serial_cnc.conversation import CANCEL_JOG, HOLD, RESUME, Conversation
 from drivers.serial_cnc.watch import Look, Watch
 
 CLOSE_WITHIN_S = 1.0
@@ -35,7 +35,7 @@ class Control:
     def stop(self) -> None:
         """Does not wait for rest: it is called where sleeping is not possible."""
         self._stopping = True
-        self._conversation.realtime(HOLD)
+        self._conversation.realtime(CANCEL_JOG + HOLD)
         self.look()
 
     def look(self) -> Look:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from statistics import median
 
@@ -40,12 +40,12 @@ def diagnose(
 
 
 def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterator[Finding]:
-    yield _latency(conversation)
     identity = read_identity(conversation)
     told = identity.settings
     yield Finding("link", ok=True, text=f"{conversation.where['link']}, version {told.version}")
     yield from told.findings(referenced_by_hand=settings.referenced_by_hand)
     if told.fatal():
+        yield _latency(conversation.report)
         return
     limits = told.limits(settings.axis_zero_mm)
     travel = ", ".join(
@@ -54,6 +54,7 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
     yield Finding("travel", ok=True, text=travel)
     watch = Watch(conversation, told, by_hand=settings.referenced_by_hand)
     watch.take_offset(identity.parameters, identity.modes)
+    yield _latency(watch.look)  # so many that every field that comes now and then has come
     look = watch.look()
     yield Finding("state", ok=not look.fault, text=look.word + (f": {look.fault}" if look.fault else ""))
     yield Finding("permissions", ok=not look.missing, text=f"missing: {look.missing}" if look.missing else "all given")
@@ -61,19 +62,19 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
     yield Finding("probe", ok=not look.deflected, text=text)
     offset = ", ".join(f"{value:.3f}" for value in watch.work_offset().tolist())
     yield Finding("work offset", ok=True, text=f"{offset} mm")
-    share = look.feed_share
-    yield Finding("overrides", ok=share == 1.0, text=f"feed {100 * share:.0f} %")
+    feed, rapid = look.overrides
+    yield Finding("overrides", ok=(feed, rapid) == (100, 100), text=f"feed {feed} %, rapids {rapid} %")
     stated = settings.stated_temperatures_c
     if stated:
         named = ", ".join(f"{name} {value:g} °C" for name, value in stated.items())
         yield Finding("temperatures", ok=True, text=f"stated, not measured: {named}")
 
 
-def _latency(conversation: Conversation) -> Finding:
+def _latency(look: Callable[[], object]) -> Finding:
     times_s: list[float] = []
     for _ in range(LATENCY_READS):
         start_s = wall_seconds()
-        conversation.report()
+        look()
         times_s.append(wall_seconds() - start_s)
     text = f"median {median(times_s) * 1e3:.2f} ms, worst {max(times_s) * 1e3:.2f} ms"
     return Finding("latency", ok=median(times_s) <= SLOW_ROUND_TRIP_S, text=text)

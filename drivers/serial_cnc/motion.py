@@ -119,7 +119,9 @@ class Motion:
 
     def _await_end(self, ticket: Ticket, order: Order, start_mm: Vector, surprises: int) -> Look:
         look = self._watch.look()
-        predicted_s = Prediction(self._frames.limits).of(start_mm, order.goal_mm, order.feed_mm_per_s, look.feed_share)
+        predicted_s = Prediction(self._frames.limits).of(
+            start_mm, order.goal_mm, order.feed_mm_per_s, look.slowest_share
+        )
         pace = Pace(self._clock, self._settings, predicted_s, order.slice_s)
         held: Deadline | None = None
         idle = 0

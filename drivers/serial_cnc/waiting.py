@@ -20,15 +20,16 @@ class Prediction:
     def __init__(self, limits: AxisLimits) -> None:
         self._limits = limits
 
-    def of(self, start_mm: Vector, goal_mm: Vector, feed_mm_per_s: float | None, feed_share: float) -> float:
-        """Seconds; `feed_share`: the feed override."""
-        return move_duration_s(
+    def of(self, start_mm: Vector, goal_mm: Vector, feed_mm_per_s: float | None, slowest_share: float) -> float:
+        """Seconds; `slowest_share`: what the overrides leave of a speed."""
+        at_full_speed_s = move_duration_s(
             start_mm.tolist(),
             goal_mm.tolist(),
-            feed_mm_per_s=None if feed_mm_per_s is None else feed_mm_per_s * feed_share,
+            feed_mm_per_s=feed_mm_per_s,
             rapid_mm_per_s=self._limits.rapid_mm_per_s,
             acceleration_mm_per_s2=self._limits.acceleration_mm_per_s2,
         )
+        return at_full_speed_s / slowest_share
 
 
 class Pace:

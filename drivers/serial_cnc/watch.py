@@ -30,12 +30,17 @@ class Look:
     deflected: bool
     permissions: Mapping[Permission, bool]
     alarm: int | None
-    feed_share: float
-    """Feed override as a factor."""
+    overrides: tuple[int, int]
+    """Of feed and rapids, percent."""
 
     @property
     def fault(self) -> str:
         return alarm_text(self.alarm) if self.state is MotionState.FAULT else ""
+
+    @property
+    def slowest_share(self) -> float:
+        """By how much at most an override makes motions slower, as a factor up to 1."""
+        return max(min(100, *self.overrides), 1) / 100.0
 
     @property
     def missing(self) -> str:
@@ -123,7 +128,7 @@ class Watch:
             deflected="P" in pins,
             permissions=self._permissions(report, pins),
             alarm=self._alarm,
-            feed_share=max(self._overrides[0], 1) / 100.0,
+            overrides=self._overrides,
         )
 
     def _note_restart(self, *, expected: bool) -> None:

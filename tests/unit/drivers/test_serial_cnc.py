@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import termios
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -69,6 +70,37 @@ class TestFaultsOnTheLine:
         with pytest.raises(ProtocolError, match="garbled"):
             go_far(grbl)
         assert stands_still(grbl)
+
+    def test_late_answer_is_a_timeout_and_not_taken_for_another_ones(self, grbl: Rig) -> None:
+        late: list[bytes] = []
+
+        def keep(line: bytes) -> bytes:
+            late.append(line)
+            return b""
+
+        grbl.line.once(b"ok", keep)
+        with pytest.raises(LinkTimeout, match="no answer to"):
+            go_far(grbl)
+        assert stands_still(grbl)
+        grbl.device.status()
+        grbl.port.line.send(late[0])
+        with pytest.raises(ProtocolError, match="no line waits"):
+            grbl.device.status()
+        go_far(grbl)
+        assert grbl.device.position() == pytest.approx(FAR)
+
+    def test_port_stays_up_when_it_is_closed(self, grbl: Rig) -> None:
+        """Else a board with an automatic reset restarts with each program."""
+        assert not termios.tcgetattr(grbl.port.line._theirs)[2] & termios.HUPCL
+
+    def test_slow_overrides_give_a_motion_more_time(self, grbl: Rig) -> None:
+        grbl.line.on_line = lambda line: line.replace(b"Ov:100,100,100", b"Ov:10,25,100")
+        for _ in range(12):
+            grbl.device.status()
+        go_far(grbl)
+        assert grbl.device.position() == pytest.approx(FAR)
+        wrong = [finding for finding in grbl.device.diagnose() if not finding.ok]
+        assert [finding.text for finding in wrong] == ["feed 10 %, rapids 25 %"]
 
     def test_doubled_answer_is_an_error(self, grbl: Rig) -> None:
         centre = grbl.before()
