@@ -69,6 +69,9 @@ HINTS: dict[str, str] = {
 }
 
 TOOL_CHANGE = 60
+TOOL_NAMED = 610
+"""Says which tool is in the spindle (M61)."""
+
 PROGRAM_END = (20, 300)
 STOPS = frozenset((0, 10, 600, *PROGRAM_END))
 """M codes that act after the motion of their block, on every controller."""
@@ -77,6 +80,7 @@ FIRST = frozenset((30, 40, 70, 80))
 """M codes that act before or with the motion: spindle and coolant on."""
 
 _CALLS = frozenset((960, 970, 980, 990))
+_STATES = frozenset((700, 710, 720, 730))
 _ROTARY = frozenset("ABCUVW")
 
 
@@ -95,6 +99,8 @@ def check_codes(block: Block, kept_g: frozenset[int]) -> None:
     for code in block.m:
         if code in _CALLS:
             block.refuse("subprograms are not followed", "Have the post-processor write one program")
+        if code in _STATES:
+            block.refuse(f"M{code // 10} saves or restores what is in effect, on some controllers")
 
 
 def check_letters(block: Block) -> None:

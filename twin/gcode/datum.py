@@ -57,7 +57,7 @@ def set_datum(block: Block, code: int, modal: Modal, writer: Writer) -> None:
         modal.g92, modal.g92_written = modal.g92_saved
         writer.keep(block.text)
     else:
-        modal.g92_saved = (modal.g92, modal.g92_written) if code == 922 else None
+        modal.g92_saved = (modal.g92_saved or (modal.g92, modal.g92_written)) if code == 922 else None
         modal.g92 = modal.g92_written = NO_OFFSET
         writer.keep(block.text)
     modal.place()

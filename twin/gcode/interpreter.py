@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from twin.gcode import datum
 from twin.gcode.arcs import PLANE_AXES, Arc, read_arc
-from twin.gcode.codes import FIRST, MOTIONS, PROGRAM_END, STOPS, TOOL_CHANGE, check_codes, check_letters
+from twin.gcode.codes import FIRST, MOTIONS, PROGRAM_END, STOPS, TOOL_CHANGE, TOOL_NAMED, check_codes, check_letters
 from twin.gcode.lines import Move
 from twin.gcode.modal import MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, Modal
 from twin.gcode.setup import NO_OFFSET, CorrectionOptions, PartSetup, Triple
@@ -104,7 +104,7 @@ class Interpreter:
         head = f"N{number} " if number else ""
         tail = f" F{feed}" if feed else ""
         written = "G1" if modal.motion else "G0"
-        move = Move(line, text, written, coded, False, mask, head, tail, "", 0.0, "")
+        move = Move(line, text, written, coded, False, mask, head, tail, "", "", 0.0, "")
         self._writer.move(move, (end_x, end_y, end_z), modal.frame, None)
         modal.position = [end_x, end_y, end_z]
         self._coded = False
@@ -133,6 +133,8 @@ class Interpreter:
             modal.tool_called = int(block.values["T"])
         if TOOL_CHANGE in block.m:
             self._change_tool(block)
+        if TOOL_NAMED in block.m:
+            modal.tool_held = None
         if not codes or (len(codes) == 1 and codes[0] in MOTIONS):
             return
         for code in codes:
@@ -274,10 +276,11 @@ class Interpreter:
                 whole = whole if code_number(number) in FIRST else _UNSURE.format(number)
         if timed and inverse <= 0.0:
             block.refuse("with G93 every move needs its F", "Write the F word")
-        if block.comments:
-            tail += f" {block.comments}"
+        comment = f" {block.comments}" if block.comments else ""
         mask = ("X" in values) + 2 * ("Y" in values) + 4 * ("Z" in values)
-        return Move(block.line, block.text, _WRITTEN[motion], coded, machine, mask, head, tail, stop, inverse, whole)
+        return Move(
+            block.line, block.text, _WRITTEN[motion], coded, machine, mask, head, tail, stop, comment, inverse, whole
+        )
 
 
 def _check_deletable(block: Block) -> None:

@@ -12,7 +12,8 @@ class Move(NamedTuple):
     """One block that moves: what is written before and after its axis words.
 
     `code`: G0 or G1 as it is written; `coded`: it stood there. `mask`: bits of the axes that were named. `stop`: words
-    that act after the motion. `inverse`: F of a block with G93, else 0. `whole`: why it must not be divided, or empty.
+    that act after the motion; `comment` ends the line. `inverse`: F of a block with G93, else 0. `whole`: why it must
+    not be divided, or empty.
     """
 
     line: int
@@ -24,6 +25,7 @@ class Move(NamedTuple):
     head: str
     tail: str
     stop: str
+    comment: str
     inverse: float
     whole: str
 
@@ -44,9 +46,9 @@ class Pen:
         words = self._axis_words(values, axes)
         code = self._motion(move, forced=move.coded)
         if not (move.stop or move.inverse):
-            return f"{move.head}{code}{words}{move.tail}"
+            return f"{move.head}{code}{words}{move.tail}{move.comment}"
         feed = f" F{_number(move.inverse)}" if move.inverse else ""
-        return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}"
+        return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}{move.comment}"
 
     def lines(self, move: Move, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
         """The lines of a divided move, one for each piece that moves at the resolution of the words.
@@ -58,10 +60,11 @@ class Pen:
             waiting += 1
             if not bits and place < count:
                 continue
-            head, tail = (move.head, move.tail) if first else ("", "")
+            head, tail, comment = (move.head, move.tail, move.comment) if first else ("", "", "")
+            stop = move.stop if place == count else ""
             code = self._motion(move, forced=first)
             feed = f" F{_number(move.inverse * count / waiting)}" if move.inverse else ""
-            yield f"{head}{code}{self._axis_words(piece, bits)}{feed}{tail}{move.stop if place == count else ''}"
+            yield f"{head}{code}{self._axis_words(piece, bits)}{feed}{tail}{stop}{comment}"
             waiting, first = 0, False
 
     def _axis_words(self, values: Sequence[float], axes: int) -> str:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -120,6 +123,11 @@ class TestKept:
         assert lines[-1].endswith(" M0")
         assert all("M" not in line for line in lines[1:-1])
 
+    def test_a_stop_is_no_part_of_a_comment(self) -> None:
+        assert written("G1 X10 F9 M0 ; wait\n") == ["G1 X10.0100 Z0.0110 F9 M0 ; wait"]
+        lines = written("G3 I10 F9 M0 ; wait\n")
+        assert (lines[0].endswith("F9 ; wait"), lines[-1].endswith(" M0")) == (True, True)
+
     def test_line_ends(self) -> None:
         parts: list[str] = []
         correct_program(["%\r\n", START.replace("\n", "\r\n")], table(), SETUP, CorrectionOptions(0.002), parts.append)
@@ -185,6 +193,8 @@ class TestVolume:
         ("G5 X1 I1 J1 P1 Q1", "spline"),
         ("G65 P9010", "macros"),
         ("M98 P1000", "subprograms"),
+        ("M72", "M72 saves or restores"),
+        ("T1\nM61 Q1\nG43 Z1", "no tool was changed in"),
         ("G123", "G123 is not known here.*--keep G123"),
         ("G1.25 X1", "one decimal"),
         ("G1 X#1", "variables, expressions and O-words"),
@@ -253,3 +263,17 @@ def test_rapid_moves_are_divided_only_if_asked_for() -> None:
 def test_a_chord_error_that_asks_for_too_many_pieces_is_refused() -> None:
     with pytest.raises(FormatError, match="pieces"):
         run(START + "G2 I200 P10000\n", max_chord_error_mm=1e-6, decimals=8)
+
+
+def test_memory_does_not_grow_with_the_program() -> None:
+    """Peak of what Python holds, for some ten stretches against some fifty."""
+
+    def peak(lines: int) -> int:
+        tracemalloc.start()
+        text = (f"G1 X{number % 700}.5 Y{number % 300} F500\n" for number in range(lines))
+        correct_program(itertools.chain([START], text), table(), SETUP, CorrectionOptions(0.002), lambda _: None)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    assert peak(40_000) < 1.1 * peak(10_000)
