@@ -2,60 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Protocol
 
-from drivers.roles import AxisLimits, MotionState, Permission, Vector
+from drivers.roles import AxisLimits, Vector
 from simulators.wire.grbl_settings import STEPS, GrblSettings
+from simulators.wire.modbus_physics import MovingMachine
 
 
-class Latch(Protocol):
-    @property
-    def sequence(self) -> int: ...
-
-    @property
-    def position(self) -> Vector: ...
-
-
-class GrblPhysics(Protocol):
-    """Axes, probe and door."""
-
-    @property
-    def motion(self) -> MotionState: ...
-
-    @property
-    def fault(self) -> str: ...
-
-    @property
-    def latch(self) -> Latch | None: ...
-
-    @property
-    def probe_deflected(self) -> bool: ...
+class GrblPhysics(MovingMachine, Protocol):
+    """A moving machine that also tells when something will happen."""
 
     @property
     def motion_ends_s(self) -> float | None: ...
 
     @property
     def comes_free_s(self) -> float | None: ...
-
-    @property
-    def permissions(self) -> Mapping[Permission, bool]: ...
-
-    def limits(self) -> AxisLimits: ...
-
-    def displayed_position(self) -> Vector: ...
-
-    def begin_move(self, target: Vector, feed_mm_per_s: float | None, guarded: bool) -> None: ...
-
-    def begin_touch(self, target: Vector, feed_mm_per_s: float) -> None: ...
-
-    def hold(self) -> None: ...
-
-    def resume(self) -> None: ...
-
-    def halt(self) -> None: ...
-
-    def reset(self) -> None: ...
 
 
 Triple = tuple[float, float, float]

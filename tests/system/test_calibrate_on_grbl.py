@@ -15,13 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from test_demo_command import bad_machine, short_settings
 
 from drivers.serial_cnc.bank_files import BankFiles
+from drivers.serial_cnc.correction import Correction
 from simulators.scenario import read_scenario
 from simulators.world.world import World
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 VOLCAL = [sys.executable, "-m", "agent.cli.main"]
 LINK = "/tmp/volcal-grbl"  # noqa: S108  the name in the shipped file; it is replaced
 END_WITHIN_S = 15.0
@@ -59,29 +61,16 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
         try:
             ready = json.loads(process.stdout.readline())
             assert ready["serial"]["port"] == str(link)
-            yield Case(scenario, ready, short_settings(directory, ready))
+            yield Case(scenario, ready, short_settings(directory, "grbl.toml", places(ready)))
         finally:
             process.stdin.close()
             process.wait(END_WITHIN_S)
     assert not link.is_symlink()
 
 
-def bad_machine(directory: Path) -> Path:
-    """Four times the errors of the family: something that two positions can already better."""
-    text = (CONFIG / "simulators" / "case-study.toml").read_text()
-    text = text.replace('"../', f'"{CONFIG}/').replace("[truth]", "[truth]\nscale = 4.0")
-    path = directory / "scenario.toml"
-    path.write_text(text)
-    return path
-
-
-def short_settings(directory: Path, ready: dict[str, Any]) -> Path:
-    """The shipped settings with three positions at one station, one of them held out, and the ports there are."""
-    text = (CONFIG / "grbl.toml").read_text()
-    (directory / "two.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n")
-    for former, now in (
-        ('"machines/', f'"{CONFIG}/machines/'),
-        ('"artefacts/', f'"{CONFIG}/artefacts/'),
+def places(ready: dict[str, Any]) -> list[tuple[str, str]]:
+    """What the shipped settings name, and what there is."""
+    return [
         ('"../runs/grbl-banks"', '"banks"'),
         ('"../runs"', '"runs"'),
         (LINK, ready["serial"]["port"]),
@@ -89,16 +78,7 @@ def short_settings(directory: Path, ready: dict[str, Any]) -> Path:
         ("port = 29536", f"port = {ready['can']['options']['port']}"),
         ("port = 5022", f"port = {ready['control']['port']}"),
         ("port = 5021", f"port = {ready['time']['port']}"),
-        ('position_set = "S3"', f'position_set = "{directory / "two.csv"}"\nstations = [1]'),
-        ("[verification]\nstations = [1, 4]", "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
-         "largest_share = 1.0\nlargest_chi2 = 1000.0"),
-        ("[gates]", "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1000.0"),
-    ):  # fmt: skip
-        assert former in text, former
-        text = text.replace(former, now)
-    path = directory / "volcal.toml"
-    path.write_text(text)
-    return path
+    ]
 
 
 def test_the_zero_of_the_axes_is_the_one_shipped(case: Case) -> None:
@@ -130,3 +110,23 @@ def test_the_machine_becomes_better(case: Case) -> None:
     _, before_um = world.truth.true_volumetric_error()
     _, after_um = world.truth.true_volumetric_error(1)
     assert after_um < 0.9 * before_um
+
+
+PART = "G21 G90 G94\nG0 X1000 Y300 Z400\nG1 X1003.5 Y301.25 Z402 F600\nM30\n"
+
+
+def test_a_corrected_program_goes_where_the_verification_was_measured(case: Case) -> None:
+    """The bank that acts in the driver, and the table that `gcode correct` is given, are one and the same."""
+    [table] = (case.settings.parent / "runs").glob("*/table.csv")
+    part = case.settings.parent / "part.nc"
+    part.write_text(PART)
+    command = [*VOLCAL, "gcode", "correct", str(part), "--table", str(table), "--max-chord-error", "2um"]
+    options = ["--work-offset", "G54=0,0,0", "--start", "0,0,0"]
+    ended = subprocess.run([*command, *options], capture_output=True, text=True, timeout=55.0, check=False)
+    assert ended.returncode == 0, ended.stderr
+    moves = re.findall(r"X([-\d.]+) ?Y([-\d.]+) ?Z([-\d.]+)", ended.stdout)
+    bank = case.banks.read(1)
+    assert bank is not None
+    sent = Correction(bank).applied(np.array([1003.5, 301.25, 402.0]))
+    assert np.array(moves[-1], dtype=float) == pytest.approx(sent, abs=2e-4)
+    assert np.linalg.norm(sent - [1003.5, 301.25, 402.0]) > 2e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -18,9 +19,9 @@ KEYS = {
 }  # fmt: skip
 
 
-def short_settings(directory: Path) -> Path:
-    """The shipped settings with three positions at one station, one of them held out."""
-    text = (CONFIG / "case-study.toml").read_text()
+def short_settings(directory: Path, shipped: str = "case-study.toml", more: Sequence[tuple[str, str]] = ()) -> Path:
+    """The shipped settings with three positions at one station, one of them held out; `more` is replaced besides."""
+    text = (CONFIG / shipped).read_text()
     (directory / "two.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n")
     for former, now in (
         ('"machines/', f'"{CONFIG}/machines/'),
@@ -29,6 +30,7 @@ def short_settings(directory: Path) -> Path:
         ("[verification]\nstations = [1, 4]", "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
          "largest_share = 1.0\nlargest_chi2 = 1000.0"),
         ("[gates]", "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1000.0"),
+        *more,
     ):  # fmt: skip
         assert former in text, former
         text = text.replace(former, now)
