@@ -92,7 +92,8 @@ def go_to_reference(block: Block, name: str, modal: Modal, writer: Writer) -> No
     axes = named_axes(block)
     through = targets(block, modal, machine=False) if axes else _triple(modal.position)
     if axes and not any(map(math.isnan, (*through, *modal.position))):
-        writer.keep(with_words(block, _through_words(axes, through, modal, writer)))
+        point = writer.corrected_point(through, block)
+        writer.keep(with_words(block, _through_words(axes, point, modal, writer)))
     else:
         writer.keep(block.text)
     reference = modal.setup.reference_points.get(name)
@@ -103,8 +104,7 @@ def go_to_reference(block: Block, name: str, modal: Modal, writer: Writer) -> No
     writer.stand(_triple(modal.position), writer.position, modal.unit_mm)
 
 
-def _through_words(axes: list[int], through: Triple, modal: Modal, writer: Writer) -> dict[int, str]:
-    point = writer.corrected_point(through)
+def _through_words(axes: list[int], point: Triple, modal: Modal, writer: Writer) -> dict[int, str]:
     base = modal.frame[:3] if modal.absolute else writer.position
     return {axis: f"{(point[axis] - base[axis]) / modal.unit_mm + 0.0:.{writer.decimals}f}" for axis in axes}
 

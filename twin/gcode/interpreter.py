@@ -24,6 +24,8 @@ MARK = "volcal gcode correct"
 _AXES = frozenset("XYZ")
 _ARC = frozenset("IJKR")
 _GEOMETRY = _AXES | _ARC
+_ONCE = frozenset("FSTHD")
+_BLENDING = 640
 _PASSABLE = frozenset("NSF")
 _ARCS = (20, 30)
 _LINEAR = (0, 10)
@@ -32,6 +34,7 @@ _DATUM = frozenset((920, 921, 922, 923))
 _WRITTEN = {0: "G0", 10: "G1", 20: "G1", 30: "G1"}
 _DWELL, _MACHINE, _DYNAMIC_LENGTH, _CANCEL = 40, 530, 431, 800
 _SPECIAL = frozenset((_DWELL, _MACHINE, _DYNAMIC_LENGTH, *_REFERENCES, *_DATUM))
+_UNCLEAR = "it is not known what {} is to do in each piece"
 _UNSURE = "M{} acts before the motion on some controllers and after it on others"
 
 
@@ -269,6 +272,8 @@ class Interpreter:
                 inverse = values["F"]
             elif letter != "M":
                 tail += f" {letter}{number}"
+                if letter not in _ONCE and _BLENDING not in block.g:
+                    whole = _UNCLEAR.format(letter)
             elif code_number(number) in STOPS:
                 stop += f" M{number}"
             else:

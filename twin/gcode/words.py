@@ -52,7 +52,8 @@ class Block:
 
 def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
     """The error for a line that cannot be corrected: names the line and shows it."""
-    shown = text.strip() if len(text.strip()) <= 60 else text.strip()[:57] + "..."
+    shown = "".join(sign if sign.isprintable() else "?" for sign in text.strip()[:61])
+    shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return FormatError(f"{message}: {shown}", hint=hint, line=line)
 
 
@@ -117,4 +118,5 @@ def _refuse_sign(block: Block, code: str, sign: str) -> NoReturn:
         block.refuse("a command to the controller itself ($) may move the machine", "Send it apart from the program")
     if sign == "/":
         block.refuse("a slash stands within the line", "Block delete stands at its beginning")
+    sign = sign if sign.isprintable() else f"the control character {ord(sign)}"
     block.refuse(f"'{sign}' cannot be read as a word with a number")

@@ -20,7 +20,7 @@ from twin.gcode.lines import Move, Pen
 from twin.gcode.modal import MM_PER_INCH, Frame
 from twin.gcode.setup import CorrectionOptions, Triple
 from twin.gcode.stretch import Corrected, Indices, Paths, as_words, corrected
-from twin.gcode.words import refusal
+from twin.gcode.words import Block, refusal
 from twin.table import CompensationTable
 
 _STRETCH_LINES = 4096
@@ -87,9 +87,13 @@ class Writer:
         self._flush()
         self._pen.forget()
 
-    def corrected_point(self, point: Triple) -> Triple:
-        """One corrected axis position, not counted."""
-        x, y, z = corrected(self.table, np.array([point]), held=self._held).points[0].tolist()
+    def corrected_point(self, point: Triple, block: Block) -> Triple:
+        """One corrected axis position, not counted. Refuses `block` where it lies outside the table, unless it may."""
+        points = np.array([point])
+        found = corrected(self.table, points, held=self._held)
+        if self._held and found.beyond_mm[0] > _OUTSIDE_MM:
+            block.refuse(self._where_outside(points[0]), _OUTSIDE_HINT)
+        x, y, z = found.points[0].tolist()
         return x, y, z
 
     def _flush(self) -> None:
