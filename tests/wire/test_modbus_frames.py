@@ -190,6 +190,30 @@ def test_answers_that_the_protocol_does_not_allow(script: Script, text: str) -> 
         link.read(1000, 1)
 
 
+@pytest.mark.parametrize(
+    ("script", "text"),
+    [
+        ([answer(1, f"83 {code:02X}")], rf"exception {code}, {name}.*register 1000, device cnc")
+        for code, name in {1: "illegal function", 2: "illegal register address", 3: "illegal value or count",
+                           4: "device failure", 5: "acknowledge", 7: "negative acknowledge", 8: "memory parity",
+                           10: "gateway path", 11: "gateway target", 200: "unknown"}.items()
+    ],
+    indirect=["script"],
+)  # fmt: skip
+def test_each_exception_is_a_typed_error(script: Script, text: str) -> None:
+    with closing(link_to(script, retries=2)) as link, pytest.raises(ProtocolError, match=text):
+        link.read(1000, 1)
+    assert len(script.requests) == 1
+
+
+@pytest.mark.parametrize(
+    "script", [[answer(1, "03 02 002A")[:6] + b"\x02" + answer(1, "03 02 002A")[7:]]], indirect=True
+)
+def test_another_unit_answering_is_no_answer(script: Script) -> None:
+    with closing(link_to(script)) as link, pytest.raises(LinkTimeout, match="check unit id"):
+        link.read(1000, 1)
+
+
 @pytest.mark.parametrize("script", [[answer(1, "10 0834 0001")]], indirect=True)
 def test_a_write_answered_for_other_registers(script: Script) -> None:
     with closing(link_to(script)) as link, pytest.raises(ProtocolError, match="for other registers"):

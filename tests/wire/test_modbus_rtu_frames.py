@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 
 import pytest
 from rtu_slave import RtuSlave, crc, framed, scripted
@@ -47,6 +48,16 @@ def test_golden_read() -> None:
         assert link.read(0x6B, 3) == VALUE_17
         assert slave.requests == [READ_17]
         assert link.latency.count == 1
+
+
+def test_the_frame_of_the_register_map_is_the_drivers() -> None:
+    page = Path(__file__).parents[2] / "docs" / "reference" / "modbus-register-map.md"
+    golden = bytes.fromhex(page.read_text(encoding="utf-8").split("**H**")[1].split("```")[1])
+    assert golden[:-2] + crc(golden[:-2]) == golden
+    slave = scripted(framed("01 03 8C" + "00" * 140))
+    with linked(slave, unit=1) as link:
+        assert link.read(1000, 70) == bytes(140)
+    assert slave.requests == [golden]
 
 
 def test_golden_write() -> None:

@@ -109,3 +109,47 @@ def test_a_heartbeat_is_judged_only_while_it_is_watched() -> None:
     clock.sleep(0.4)
     with pytest.raises(LinkLost, match=r"stood at 5 for 1\.4 s .*device cnc"):
         heartbeat.observe(5)
+
+
+def test_one_link_and_its_own_timeout() -> None:
+    serial = {"port": "/dev/ttyUSB0"}
+    assert ModbusCncSettings.model_validate({"serial": serial}).timeout_s == 0.25
+    assert ModbusCncSettings.model_validate({"serial": serial, "timeout_s": 1.0}).timeout_s == 1.0
+    assert ModbusCncSettings.model_validate({"host": "cnc"}).timeout_s == 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({}, "one of host"),
+        ({"host": "cnc", "serial": {"port": "/dev/ttyS0"}}, "one of host"),
+        ({"port": 502, "serial": {"port": "/dev/ttyS0"}}, "the serial port is serial.port"),
+        ({"unit": 0, "serial": {"port": "/dev/ttyS0"}}, "1 to 247"),
+        ({"unit": 248, "serial": {"port": "/dev/ttyS0"}}, "1 to 247"),
+        ({"serial": {"port": "/dev/ttyS0", "baud": 300}}, "greater than or equal to 1200"),
+        ({"serial": {"port": "/dev/ttyS0", "parity": "mark"}}, "'even', 'odd' or 'none'"),
+        ({"serial": {"port": "/dev/ttyS0", "stop_bits": 3}}, "less than or equal to 2"),
+        ({"serial": {"port": "/dev/ttyS0", "frame_gap_s": 0.0}}, "greater than 0"),
+        ({"serial": {"baud": 9600}}, "Field required"),
+    ],
+)
+def test_links_that_cannot_be(options: dict[str, object], text: str) -> None:
+    with pytest.raises(ValidationError, match=text):
+        ModbusCncSettings.model_validate(options)
+
+
+@pytest.mark.parametrize(
+    ("words", "bytes_", "hexed"),
+    [
+        ("high-first", "high-first", "0102 fffffffe 3ff8000000000000"),
+        ("low-first", "high-first", "0102 fffeffff 0000000000003ff8"),
+        ("high-first", "low-first", "0102 fffffeff f83f000000000000"),
+        ("low-first", "low-first", "0102 feffffff 000000000000f83f"),
+    ],
+)
+def test_four_orders_of_a_value(words, bytes_, hexed: str) -> None:
+    """258, -2 and 1.5 (3FF8 0000 0000 0000)."""
+    registers = [Register("a", "u16"), Register("b", "i32"), Register("c", "number")]
+    layout = Layout(registers, NumberFormat("float64", 1.0, words, bytes_))
+    assert layout.pack((0x0102, -2, 1.5)) == bytes.fromhex(hexed)
+    assert list(layout.unpack(bytes.fromhex(hexed))) == [0x0102, -2, 1.5]
