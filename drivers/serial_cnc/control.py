@@ -26,6 +26,11 @@ class Control:
         self._clock = clock
         self._stopping = False
 
+    @property
+    def stopping(self) -> bool:
+        """A stop was asked for, and the axes do not rest yet."""
+        return self._stopping
+
     def hold(self) -> None:
         self._conversation.realtime(HOLD)
 

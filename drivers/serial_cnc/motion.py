@@ -128,6 +128,8 @@ class Motion:
         while True:
             self._require_same(surprises, order.what)
             self._require_sound(look, order.what)
+            if self._control.stopping:
+                raise MotionFault(f"the {order.what} was stopped", hint="start the run again", **self.where)
             if ticket.answered:
                 return look
             if look.state is MotionState.HELD:

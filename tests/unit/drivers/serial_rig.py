@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from drivers.errors import DeviceError
 from drivers.registry import DeviceContext
 from drivers.serial_cnc.device import SerialCnc
 from drivers.serial_cnc.plugin import PLUGIN
-from simulators.scenario import read_scenario
+from simulators.scenario import Scenario, read_scenario
 from simulators.wire.grbl_port import GrblPort
 from simulators.wire.grbl_settings import GrblSettings
 from simulators.wire.shared_world import SharedWorld
@@ -87,6 +88,11 @@ class Rig:
         return centre
 
 
+@cache
+def _scenario() -> Scenario:
+    return read_scenario(SCENARIO).made_ideal()
+
+
 @contextmanager
 def rig(
     base: Path,
@@ -97,7 +103,7 @@ def rig(
     **options: Any,
 ) -> Iterator[Rig]:
     """Not open yet. `settings`: `$` values that differ; `clock`: instead of a virtual one."""
-    world = World(read_scenario(SCENARIO).made_ideal())
+    world = World(_scenario())
     shared = SharedWorld(world)
     told = GrblSettings(world.controller.limits())
     told.change(settings or {})
@@ -107,7 +113,7 @@ def rig(
     port.start()
     virtual = VirtualClock()
     virtual.subscribe(shared.advance_to)
-    values = {**port.agent_settings, "answer_within_s": 0.3, "boot_within_s": 0.6, **options}
+    values = {**port.agent_settings, "answer_within_s": 0.9, "boot_within_s": 1.2, **options}
     device = PLUGIN.create(PLUGIN.settings.model_validate(values), DeviceContext("cnc", clock or virtual, base))
     assert isinstance(device, SerialCnc)
     try:

@@ -14,7 +14,6 @@ from drivers.clock import ScaledClock
 from drivers.errors import (
     CommandRejected,
     ConfigurationError,
-    DeviceError,
     GuardTripped,
     LinkLost,
     LinkTimeout,
@@ -243,14 +242,25 @@ class TestTheControllerIntervenes:
 
     def test_stop_keeps_the_position_and_forgets_the_rest(self, grbl: Rig) -> None:
         grbl.at(3.0, grbl.device.stop)
-        with pytest.raises(DeviceError):
+        with pytest.raises(MotionFault, match="move was stopped"):
             go_far(grbl)
+        assert grbl.clock.now() < 4.0
+        grbl.clock.sleep(1.0)
         assert grbl.device.status().state is MotionState.IDLE
         assert not grbl.device.status().missing
         assert 50.0 < grbl.device.position()[0] < 200.0
         grbl.type(b"~")
         assert stands_still(grbl)
         go_far(grbl)
+
+    def test_stop_in_a_touch_leaves_nothing_behind(self, grbl: Rig) -> None:
+        centre = grbl.before()
+        grbl.at(grbl.clock.now() + 0.5, grbl.device.stop)
+        with pytest.raises(MotionFault, match="touch was stopped"):
+            grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
+        grbl.clock.sleep(1.0)
+        assert grbl.device.status().state is MotionState.IDLE
+        assert isinstance(grbl.device.touch_towards(centre, feed_mm_per_s=5.0), Touch)
 
     def test_collision_ends_in_a_fault_that_needs_homing(self, grbl: Rig) -> None:
         centre = grbl.before()
