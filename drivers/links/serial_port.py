@@ -19,22 +19,17 @@ LONGEST_LINE = 4096
 """Bytes without an end of line after which the peer is taken for something else."""
 WRITE_WITHIN_S = 2.0
 
-Parity = Literal["none", "even", "odd"]
-_PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
-
 
 @dataclass(frozen=True)
 class SerialAddress:
-    """Where a serial device is, and how its bytes are framed."""
+    """Where a serial device is, and how its bytes are framed: eight bits, no parity."""
 
     port: str
     baud: int
-    data_bits: Literal[7, 8] = 8
-    parity: Parity = "none"
     stop_bits: Literal[1, 2] = 1
 
     def __str__(self) -> str:
-        return f"serial {self.port} {self.baud} {self.data_bits}{self.parity[0].upper()}{self.stop_bits}"
+        return f"serial {self.port} {self.baud} 8N{self.stop_bits}"
 
 
 class SerialPort:
@@ -59,8 +54,6 @@ class SerialPort:
             self._port = serial.Serial(
                 address.port,
                 address.baud,
-                bytesize=address.data_bits,
-                parity=_PARITY[address.parity],
                 stopbits=address.stop_bits,
                 timeout=0,
                 write_timeout=WRITE_WITHIN_S,

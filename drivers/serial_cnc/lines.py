@@ -37,6 +37,15 @@ class StatusReport:
         """A field of coordinates; GarbledLineError where it has none."""
         return _triple(self.fields[name]) if name in self.fields else None
 
+    def pair(self, name: str) -> tuple[float, float] | None:
+        """The first two numbers of a field; GarbledLineError where it has none."""
+        if name not in self.fields:
+            return None
+        values = _numbers(self.fields[name])
+        if len(values) < 2:
+            raise GarbledLineError(f"not two numbers: {name}:{self.fields[name]}")
+        return values[0], values[1]
+
 
 @dataclass(frozen=True)
 class AlarmRaised:
@@ -60,6 +69,9 @@ class Message:
 
     def triple(self) -> Triple:
         return _triple(self.text)
+
+    def number(self) -> float:
+        return _numbers(self.text)[0]
 
 
 @dataclass(frozen=True)
@@ -136,6 +148,8 @@ def _status(text: str) -> StatusReport:
     if report.triple("MPos") is None and report.triple("WPos") is None:
         raise GarbledLineError(f"status report without a position: {text!r}")
     report.triple("WCO")
+    report.pair("FS")
+    report.pair("Ov")
     return report
 
 
@@ -153,10 +167,17 @@ def _bracketed(text: str) -> ProbeResult | Message:
 
 def _triple(text: str) -> Triple:
     """The first three of three or more numbers (further axes are not ours)."""
+    values = _numbers(text)
+    if len(values) < 3:
+        raise GarbledLineError(f"not coordinates: {text!r}")
+    return values[0], values[1], values[2]
+
+
+def _numbers(text: str) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        raise GarbledLineError(f"not coordinates: {text!r}") from None
-    if len(values) < 3 or not all(map(math.isfinite, values)):
-        raise GarbledLineError(f"not coordinates: {text!r}")
-    return values[0], values[1], values[2]
+        raise GarbledLineError(f"not numbers: {text!r}") from None
+    if not all(map(math.isfinite, values)):
+        raise GarbledLineError(f"not numbers: {text!r}")
+    return values

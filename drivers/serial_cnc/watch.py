@@ -12,10 +12,11 @@ from drivers.roles import MotionState, Permission, Vector
 from drivers.serial_cnc.codes import NEEDS_RESET, POSITION_KEPT, alarm_text
 from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
-from drivers.serial_cnc.lines import Message, StatusReport, Triple
+from drivers.serial_cnc.lines import GarbledLineError, Message, StatusReport, Triple
 
 REPORTS_UNTIL_OFFSET = 40
 """GRBL tells its work offset in every tenth or thirtieth report, and in the first one after a reset."""
+COORDINATE_SYSTEMS = frozenset(f"G{number}" for number in range(54, 60))
 NO_PART_PROGRAM = frozenset({"Idle", "Alarm", "Check", "Sleep", "Door"})
 NOT_AUTOMATIC = frozenset({"Check", "Sleep", "Jog", "Home", "Tool"})
 
@@ -68,14 +69,15 @@ class Watch:
         """Restarts that nobody here has asked for."""
 
     def take_offset(self, told: list[Message], modes: str) -> None:
-        """The work offset out of the answers to ``$#`` and ``$G``."""
+        """The work offset out of the answers to ``$#`` and ``$G``. Told in another form, it will come with a report."""
         offsets = {message.kind: message for message in told}
-        system = next((word for word in modes.split() if word in ("G54", "G55", "G56", "G57", "G58", "G59")), None)
-        if system is None or system not in offsets or "G92" not in offsets:
-            return  # told differently; it will come with a report
-        length = float(offsets["TLO"].text.split(",")[-1]) if "TLO" in offsets else 0.0
-        x, y, z = (a + b for a, b in zip(offsets[system].triple(), offsets["G92"].triple(), strict=True))
-        self._offset = (x, y, z + length)
+        system = next((word for word in modes.split() if word in COORDINATE_SYSTEMS), None)
+        try:
+            parts = [offsets[str(system)].triple(), offsets["G92"].triple(), _tool_offset(offsets["TLO"])]
+        except (KeyError, GarbledLineError):
+            return
+        x, y, z = (sum(values) for values in zip(*parts, strict=True))
+        self._offset = (x, y, z)
 
     def look(self) -> Look:
         """Ask for a report. A critical alarm silences the controller until it is reset, which moves nothing."""
@@ -145,12 +147,12 @@ class Watch:
     def _note_fields(self, report: StatusReport) -> None:
         self._offset = report.triple("WCO") or self._offset
         fields = report.fields
-        if "Ov" in fields:
-            feed, rapid, *_ = (int(part) for part in fields["Ov"].split(","))
-            self._overrides = (feed, rapid)
+        overrides, speeds = report.pair("Ov"), report.pair("FS")
+        if overrides is not None:
+            self._overrides = (round(overrides[0]), round(overrides[1]))
             self._spindle_turns = bool(set("SC") & set(fields.get("A", "")))
-        if "FS" in fields:
-            self._spindle_turns = self._spindle_turns or float(fields["FS"].split(",")[1]) > 0.0
+        if speeds is not None:
+            self._spindle_turns = self._spindle_turns or speeds[1] > 0.0
         if "H" in fields:
             self._homed = fields["H"].startswith("1")
 
@@ -190,3 +192,8 @@ def _motion_state(report: StatusReport) -> MotionState:
         case ("Alarm", _):
             return MotionState.FAULT
     return MotionState.IDLE
+
+
+def _tool_offset(message: Message) -> Triple:
+    """GRBL tells a length, along Z; grblHAL all three."""
+    return message.triple() if "," in message.text else (0.0, 0.0, message.number())

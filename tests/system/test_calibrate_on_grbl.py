@@ -17,10 +17,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_demo_command import bad_machine, short_settings
+from click.testing import CliRunner
+from test_demo_command import CONFIG, bad_machine, short_settings
 
 from drivers.serial_cnc.bank_files import BankFiles
 from drivers.serial_cnc.correction import Correction
+from simulators.cli import simulate
 from simulators.scenario import read_scenario
 from simulators.world.world import World
 
@@ -79,6 +81,14 @@ def places(ready: dict[str, Any]) -> list[tuple[str, str]]:
         ("port = 5022", f"port = {ready['control']['port']}"),
         ("port = 5021", f"port = {ready['time']['port']}"),
     ]
+
+
+def test_link_that_cannot_be_made_is_one_clear_line(tmp_path: Path) -> None:
+    scenario = CONFIG / "simulators" / "case-study.toml"
+    link = tmp_path / "absent" / "tty"
+    ended = CliRunner().invoke(simulate, ["--config", str(scenario), "--serial", str(link)])
+    assert (ended.exit_code, ended.stdout) == (2, "")
+    assert "no link to the pseudo-terminal" in ended.stderr
 
 
 def test_the_zero_of_the_axes_is_the_one_shipped(case: Case) -> None:

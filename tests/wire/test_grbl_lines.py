@@ -67,7 +67,8 @@ def test_status_report_with_every_field() -> None:
     "line",
     [b"", b"k", b"o", b"okok", b"error:", b"error:x", b"ALARM:", b"<Idle", b"<Idle|MPos:1.0,2.0>", b"<Idle>",
      b"<Idle|MPos:1,2,nan>", b"<Sleeping|MPos:0,0,0>", b"<Idle|MPos:0,0,0|WCO:1,2>", b"<Idle|MPos:0,0,0|FS>",
-     b"<Idle|MPos:0,0,0|MPos:0,0,0>", b"[PRB:1.000,2.000:1]", b"[PRB:1.000,2.000,3.000]", b"[PRB:1,2,3:2]", b"[]",
+     b"<Idle|MPos:0,0,0|MPos:0,0,0>", b"<Idle|MPos:0,0,0|FS:0>", b"<Idle|MPos:0,0,0|Ov:1x0,100,100>",
+     b"[PRB:1.000,2.000:1]", b"[PRB:1.000,2.000,3.000]", b"[PRB:1,2,3:2]", b"[]",
      b"Grbl", b"\xff\xfe", b"$=1", b"MPos:0.000,0.000,0.000>"],
 )  # fmt: skip
 def test_cut_and_garbled_lines_are_no_lines(line: bytes) -> None:
