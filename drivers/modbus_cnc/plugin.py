@@ -11,4 +11,9 @@ def create(settings: ModbusCncSettings, context: DeviceContext) -> ModbusCnc:
     return ModbusCnc(settings, context.clock, context.name)
 
 
-PLUGIN = DriverPlugin("modbus-cnc", ModbusCncSettings, create)
+def claims(settings: ModbusCncSettings) -> dict[str, str]:
+    """A serial line has one master."""
+    return {f"serial port {settings.serial.port}": "serial.port"} if settings.serial is not None else {}
+
+
+PLUGIN = DriverPlugin("modbus-cnc", ModbusCncSettings, create, claims)

@@ -153,3 +153,9 @@ def test_four_orders_of_a_value(words, bytes_, hexed: str) -> None:
     layout = Layout(registers, NumberFormat("float64", 1.0, words, bytes_))
     assert layout.pack((0x0102, -2, 1.5)) == bytes.fromhex(hexed)
     assert list(layout.unpack(bytes.fromhex(hexed))) == [0x0102, -2, 1.5]
+
+
+def test_a_serial_line_has_one_master() -> None:
+    serial = ModbusCncSettings.model_validate({"serial": {"port": "/dev/ttyS1"}})
+    assert PLUGIN.claims(serial) == {"serial port /dev/ttyS1": "serial.port"}
+    assert PLUGIN.claims(ModbusCncSettings(host="cnc")) == {}
