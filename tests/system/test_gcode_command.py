@@ -7,15 +7,26 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, HiddenMachine, ball_file
 from scipy.interpolate import RegularGridInterpolator
+
+from agent.cli.main import main
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "property"))
 
 from plain_gcode import PlainController, dense, far, path
+
+
+class Done(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
+
 
 CHORD_MM = 0.002
 WORK = (1500.0, 500.0, 600.0)
@@ -49,11 +60,13 @@ N210 M30
 """
 
 
-def volcal(*arguments: str | Path, check: bool = True) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "agent.cli.main", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=55, check=False)
-    assert not check or done.returncode == 0, done.stderr
-    return done
+def volcal(*arguments: str | Path, check: bool = True) -> Done:
+    """The command in this process; `test_as_a_process` has one of its own."""
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert not check or result.exit_code == 0, result.stderr
+    return Done(result.exit_code, result.stdout, result.stderr)
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +83,16 @@ def given(table: Path) -> list[str | Path]:
     triples = {"--work-offset": f"G54={WORK}", "--tool": f"1={TOOL}", "--reference": f"G28={HOME}"}
     said = [part for name, text in triples.items() for part in (name, text.replace("(", "").replace(")", ""))]
     return ["--table", table, "--max-chord-error", "2um", *said]
+
+
+def test_as_a_process(identified: tuple, tmp_path: Path) -> None:
+    (tmp_path / "part.nc").write_text(PART)
+    (tmp_path / "bad.nc").write_text(PART.replace("N80 Y500", "N80 G42 Y500"))
+    for part, code in (("part.nc", 0), ("bad.nc", 2)):
+        command = [sys.executable, "-m", "agent.cli.main", "gcode", "correct", str(tmp_path / part)]
+        done = subprocess.run([*command, *map(str, given(identified[1]))], capture_output=True, timeout=55, check=False)
+        assert (done.returncode, bool(done.stdout)) == (code, code == 0), done.stderr
+        assert (b"line 10" in done.stderr, b"Traceback" in done.stderr) == (code == 2, False)
 
 
 def executed(text: str) -> np.ndarray:
