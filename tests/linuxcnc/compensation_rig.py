@@ -29,7 +29,7 @@ set -e
 mount --bind {work} /mnt
 mount -t tmpfs tmpfs /tmp
 mkdir /tmp/modules
-for module in /usr/lib/linuxcnc/modules/*.so /mnt/build/*.so; do cp $module /tmp/modules; done
+cp /usr/lib/linuxcnc/modules/*.so /mnt/build/*.so /tmp/modules
 mount --bind /tmp/modules /usr/lib/linuxcnc/modules
 ip link set lo up
 chmod 777 /tmp
@@ -212,8 +212,10 @@ class Controller:
         assert self("on") and self("home"), self.log()
 
     def at(self, *position_mm: float) -> None:
+        """At rest there; trims and offsets follow with speeds of their own and come a moment later."""
         x, y, z = position_mm
         assert self("mdi", f"G53 G0 X{x} Y{y} Z{z}"), self.log()
+        assert self("mdi", "G4 P0.05"), self.log()
 
     def start_sampling(self, count: int) -> None:
         self("start_sampling", count, "/mnt/samples.txt")

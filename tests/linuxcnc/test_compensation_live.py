@@ -98,7 +98,6 @@ def test_motors_stand_where_commanded_plus_table(fresh: Rig) -> None:
     fresh.store.activate(1)
     for place in places:
         fresh.controller.at(*place)
-        fresh.settle()
         assert fresh.controller.displayed() == pytest.approx(place, abs=1e-9)
         assert fresh.shift() == pytest.approx(expected(ONE, place)[0], abs=REST_MM[fresh.way])
     fresh.store.activate(0)
@@ -110,7 +109,6 @@ def test_path_is_the_line_once_the_table_is_taken_out(fresh: Rig) -> None:
     start, end = np.array([0.5, 399.0, 5.0]), np.array([760.0, 40.0, 280.0])
     fresh.store.activate(1)
     fresh.controller.at(*start)
-    fresh.settle()
     fresh.controller.start_sampling(2200)
     assert fresh.controller("mdi", "G53 G1 F30000 X760 Y40 Z280")
     motor = fresh.controller.samples()[:, :3]
@@ -177,7 +175,6 @@ def test_offset_cut_off_at_the_end_of_an_axis_is_said_and_comes_back(fresh: Rig)
     assert fresh.shift() == pytest.approx([0.0 if cut_off else 0.015, 0.015, 0.015], abs=REST_MM[fresh.way])
     assert all(finding.ok for finding in fresh.store.diagnose()) is not cut_off
     fresh.controller.at(790.0, 100.0, 100.0)
-    fresh.settle()
     assert fresh.shift() == pytest.approx([0.015] * 3, abs=REST_MM[fresh.way])
     assert all(finding.ok for finding in fresh.store.diagnose())
 
@@ -277,7 +274,6 @@ def test_what_acted_acts_again_after_the_power_was_cut(fresh: Rig) -> None:
     (tables / "active-bank.part").write_text("volcal-act")
     fresh.start()
     fresh.controller.at(*PLACE)
-    fresh.settle()
     assert fresh.store.active_bank() == 1
     assert fresh.store.read_table(2) is None
     assert fresh.shift() == pytest.approx(expected(ONE, PLACE)[0], abs=REST_MM[fresh.way])
@@ -287,7 +283,6 @@ def without_loader(rig: Rig) -> None:
     """What acts goes on and cannot be changed, and that is said."""
     rig.controller("run", "pkill", "-KILL", "-x", "volcal_tables")
     rig.controller.at(*PLACE)
-    rig.controller("mdi", "G4 P0.03")
     assert rig.shift() == pytest.approx(expected(ONE, PLACE)[0], abs=REST_MM[rig.way])
     settings = CompensationSettings.model_validate({"way": rig.way, "directory": "tables", "within_s": 0.3})
     store = store_of(settings, rig.controller, RealClock(), base_path=rig.work, device="linuxcnc")
