@@ -64,7 +64,7 @@ class BridgeLink:
             try:
                 self._answer(0)
                 self.hello = self.ask("hello", watch_s=self._watch_s)
-            except DeviceError:
+            except BaseException:
                 self.close()
                 raise
             if self.hello.get("protocol") != PROTOCOL:

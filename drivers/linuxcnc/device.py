@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, DeviceError, LinkLost
+from drivers.errors import ConfigurationError, LinkLost
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.compensation import LinuxCncStore, store_of
 from drivers.linuxcnc.diagnosis import diagnose
@@ -50,7 +50,7 @@ class LinuxCnc:
         try:
             self._session.open()
             self._home_in_place()
-        except DeviceError:
+        except BaseException:
             self._session.link.close()
             raise
         self._parts = _Parts(self._session)
@@ -66,6 +66,11 @@ class LinuxCnc:
 
     def diagnose(self) -> list[Finding]:
         return diagnose(self._session, self._store)
+
+    @property
+    def bridge_pid(self) -> int | None:
+        """Of the bridge process; None while there is none."""
+        return self._session.link.pid
 
     def home(self) -> None:
         """Home all joints as the INI file says: this may move the axes."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from drivers.clock import wall_seconds
-from drivers.errors import DeviceError
+from drivers.errors import VolcalError
 from drivers.linuxcnc.compensation import LinuxCncStore
 from drivers.linuxcnc.session import XYZ, Session
 from drivers.linuxcnc.snapshot import Snapshot
@@ -30,7 +30,7 @@ def diagnose(session: Session, store: LinuxCncStore | None) -> list[Finding]:
             session.open()
         findings.extend(_findings(session))
         findings.extend(_tables(store))
-    except DeviceError as error:
+    except VolcalError as error:
         findings.append(Finding("bridge", ok=False, text=str(error)))
     finally:
         if opened_here:

@@ -20,7 +20,7 @@ from drivers.errors import (
 )
 from drivers.linuxcnc.session import XYZ, Session
 from drivers.linuxcnc.snapshot import ON, Snapshot, Triple
-from drivers.roles import MotionState, Permission
+from drivers.roles import MotionState, Permission, Vector
 from drivers.straight_move import move_duration_s
 
 DURATION_FACTOR = 1.5
@@ -34,6 +34,9 @@ OWN_CODES = (20.0, 21.0, 90.0, 91.0, 93.0, 94.0, 95.0)
 """Modal codes that the prefix changes and that are given back. Radius compensation is left off."""
 TRIPPED = "robe tripped"
 LEAST_OVERRIDE = 0.01
+FREE_WITHIN_MM = 2.0
+"""Less than any probe yields."""
+FREEING_MM_PER_S = 2.0
 
 
 class Kind(Enum):
@@ -58,7 +61,7 @@ class Motion:
         self._limits = session.facts.limits
         self._braking = False
         self._modal_before: tuple[float, ...] | None = None
-        self._deflecting: Triple | None = None
+        self._came: Triple | None = None  # the way of the last motion that began with the probe free
         self.tag = 0
         """Which step the motions belong to; written as a comment behind the line."""
 
@@ -67,13 +70,12 @@ class Motion:
         target = self._proved(kind, target_mm, feed_mm_per_s)
         self._await_rest()
         before = self._session.look()
-        self._require_ready(kind, before, target)
+        self._require_ready(kind, before)
+        before = self._freed(kind, before, target)
         if math.dist(before.position, target) < LIMIT_TOLERANCE_MM:
             return Ended(before.position, replace(before, tripped=False))
         self._modal_before = self._modal_before or before.modal
-        ended, said = self._carried_out(kind, before, target, feed_mm_per_s)
-        self._deflecting = _difference(target, before.position) if ended.deflected else None
-        self._require_success(kind, ended, target, said)
+        ended = self._carried_out(kind, before, target, feed_mm_per_s)
         return Ended(before.position, ended)
 
     def stop(self) -> None:
@@ -119,7 +121,7 @@ class Motion:
             session.clock.sleep(REST_POLL_S)
         self._braking = False
 
-    def _require_ready(self, kind: Kind, before: Snapshot, target: Triple) -> None:
+    def _require_ready(self, kind: Kind, before: Snapshot) -> None:
         session = self._session
         missing = [name for name, given in session.permissions(before).items() if not given]
         if Permission.REFERENCED in missing:
@@ -135,22 +137,40 @@ class Motion:
             raise self._rejected(
                 f"the work coordinate system is rotated by {before.rotation_deg:g}°", hint="G10 L2 P0 R0"
             )
-        self._require_free(kind, before, target)
 
     def _require_at_rest(self, snapshot: Snapshot) -> None:
         if snapshot.state is not MotionState.IDLE:
             raise self._rejected(f"LinuxCNC is {snapshot.state.value}", hint="end the program or the hold first")
 
-    def _require_free(self, kind: Kind, before: Snapshot, target: Triple) -> None:
-        """LinuxCNC sees only the edge of the probe's signal: a probe that is deflected guards nothing. It may be led
-        back against the way it came."""
+    def _freed(self, kind: Kind, before: Snapshot, target: Triple) -> Snapshot:
+        """LinuxCNC sees only the edge of the probe's signal, so a probe that is deflected guards nothing. It may be
+        led back against the way it came; where that is not known, it is led a little and must come free."""
         if kind is Kind.POSITIONING or not before.deflected:
-            return
+            return before
         if kind is Kind.TOUCH:
             raise self._rejected("the probe is deflected before the touch", hint="back off first")
         way = np.subtract(target, before.position)
-        if self._deflecting is None or float(way @ np.array(self._deflecting)) >= 0.0:
+        if self._came is None:
+            return self._led_a_little(before, way)
+        if float(way @ np.array(self._came)) >= 0.0:
             raise self._rejected("the probe is deflected and the move would not lead it back", hint="move it free")
+        return before
+
+    def _led_a_little(self, before: Snapshot, way: Vector) -> Snapshot:
+        """Where the first millimetres of a move end, slowly; GuardTripped where the probe is still deflected there."""
+        length = float(np.linalg.norm(way))
+        if length < LIMIT_TOLERANCE_MM:
+            return before
+        x, y, z = (np.array(before.position) + way * min(1.0, FREE_WITHIN_MM / length)).tolist()
+        self._modal_before = self._modal_before or before.modal
+        ended = self._carried_out(Kind.POSITIONING, before, (x, y, z), FREEING_MM_PER_S)
+        if ended.deflected:
+            raise GuardTripped(
+                f"the probe is deflected, and still is after {FREE_WITHIN_MM:g} mm of this move",
+                hint="move it free by hand",
+                **self._session.where,
+            )
+        return ended
 
     def _line(self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> str:
         """Machine positions by G53; G38 knows no G53, so the offsets that act are taken off."""
@@ -164,24 +184,27 @@ class Motion:
 
     # ------------------------------------------------------------------ while
 
-    def _carried_out(
-        self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
-    ) -> tuple[Snapshot, tuple[str, ...]]:
-        """The look that shows the end, and all that LinuxCNC has said meanwhile."""
+    def _carried_out(self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> Snapshot:
+        """The look that shows its end, which was a success."""
+        if not before.deflected:
+            self._came = _difference(target, before.position)
         try:
             self._session.link.ask("mdi", line=self._line(kind, before, target, feed_mm_per_s))
         except LinkError as error:
             self._stop_because_of(error)
             raise
         try:
-            return self._wait(kind, before, target, feed_mm_per_s)
+            ended, said = self._wait(kind, before, target, feed_mm_per_s)
         except BaseException as error:
             self._stop_because_of(error)
             raise
+        self._require_success(kind, ended, target, said)
+        return ended
 
     def _wait(
         self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
     ) -> tuple[Snapshot, tuple[str, ...]]:
+        """The look that shows the end, and all that LinuxCNC has said meanwhile."""
         session, clock, settings = self._session, self._session.clock, self._session.settings
         allowed_s = self._allowed_s(before, target, feed_mm_per_s)
         deadline = Deadline.after(clock, allowed_s)

@@ -1,0 +1,88 @@
+"""A stock LinuxCNC with a plant without errors around it, and the driver that reaches into its namespaces."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.clock import ScaledClock, WatchedClock
+from drivers.linuxcnc.bridge_link import BridgeLink
+from drivers.linuxcnc.device import LinuxCnc
+from drivers.registry import DeviceContext, create_device
+from simulators.linuxcnc.process import LinuxCncProcess
+from simulators.scenario import read_scenario
+from simulators.world.world import World
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = ROOT / "config"
+SPEED = 5.0
+TOOL = np.array([0.0, 250.0, 0.0])
+REACH_MM = 15.5
+"""Radius of the ball and of the tip together."""
+
+
+@dataclass
+class Live:
+    """`balls`: axis positions at which the tip of this perfect machine would be in the middle of each ball."""
+
+    process: LinuxCncProcess
+    balls: np.ndarray
+
+    def device(self, *, interrupt: Any = lambda: None, **options: Any) -> LinuxCnc:
+        """A driver that is not open yet."""
+        clock = WatchedClock(ScaledClock(SPEED), interrupt)
+        given = {"bridge_command": self.process.bridge_command, "watch_s": 0.0, "motion_margin_s": 60.0, **options}
+        device = create_device("linuxcnc", given, DeviceContext("cnc", clock, self.process.work))
+        assert isinstance(device, LinuxCnc)
+        return device
+
+    @contextmanager
+    def opened(self, **options: Any) -> Iterator[LinuxCnc]:
+        device = self.device(**options)
+        device.open()
+        try:
+            yield device
+        finally:
+            device.close()
+
+    @contextmanager
+    def bystander(self, watch_s: float = 0.0) -> Iterator[BridgeLink]:
+        """Somebody else at the same LinuxCNC."""
+        link = BridgeLink(self.process.bridge_command, answer_within_s=10.0, watch_s=watch_s, device="bystander")
+        link.open()
+        try:
+            yield link
+        finally:
+            link.close()
+
+    def by_hand(self, *commands: str) -> None:
+        """Commands of the module linuxcnc, as an operator's panel would send them; each has been taken on return."""
+        lines = [f"c.{command}; c.wait_complete(5)" for command in commands]
+        script = "\n".join(("import linuxcnc", "c = linuxcnc.command()", *lines))
+        subprocess.run([*self.process.bridge_command, "-c", script], check=True, capture_output=True, timeout=30)
+
+    def ready_by_hand(self) -> None:
+        self.by_hand("state(linuxcnc.STATE_ESTOP_RESET)", "state(linuxcnc.STATE_ON)", "mode(linuxcnc.MODE_MANUAL)")
+
+
+@contextmanager
+def running(work: Path) -> Iterator[Live]:
+    work.mkdir(parents=True, exist_ok=True)
+    text = (CONFIG / "simulators" / "case-study.toml").read_text(encoding="utf-8").replace('"../', f'"{CONFIG}/')
+    scenario = work / "scenario.toml"
+    scenario.write_text(f"ideal = true\n{text}", encoding="utf-8")
+    with LinuxCncProcess(
+        scenario=scenario,
+        configuration=CONFIG / "linuxcnc",
+        components=ROOT / "drivers" / "linuxcnc" / "components",
+        work=work,
+        speed=SPEED,
+    ) as process:
+        standing = World(read_scenario(scenario)).table.standing(0.0)
+        yield Live(process, np.array(standing.balls) - TOOL)

@@ -1,0 +1,25 @@
+"""The short form of `make linuxcnc`: a stock LinuxCNC calibrated by the real command, one station, few positions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.linuxcnc import calibrated, short
+from simulators.linuxcnc.namespaces import why_not
+
+NOT_HERE = "NOT EXERCISED HERE: LinuxCNC cannot run"
+
+
+@pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}")
+@pytest.mark.timeout(400)
+def test_stock_linuxcnc_is_calibrated_end_to_end(tmp_path: Path) -> None:
+    result = calibrated(short(tmp_path / "work", speed=15.0))
+    assert result["exit_code"] == 0, result
+    assert result["state"] == "complete"
+    assert result["table_bank"] == 1
+    assert result["collisions"] == 0
+    assert result["applied_worst_um"] < 0.1
+    assert result["verification"]["after_um"] < 0.5 * result["verification"]["before_um"]
+    assert result["true_ve_after_um"] < 0.8 * result["true_ve_before_um"], result

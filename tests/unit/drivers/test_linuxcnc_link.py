@@ -1,0 +1,317 @@
+"""The driver `linuxcnc` against a bridge that misbehaves, and what `doctor` says of wrong settings."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from drivers.clock import VirtualClock
+from drivers.errors import (
+    CommandRejected,
+    ConfigurationError,
+    DeadlineExpired,
+    DeviceError,
+    GuardTripped,
+    LinkLost,
+    LinkTimeout,
+    MotionFault,
+    ProtocolError,
+)
+from drivers.linuxcnc.bridge_link import BridgeLink
+from drivers.linuxcnc.device import LinuxCnc
+from drivers.linuxcnc.plugin import PLUGIN
+from drivers.linuxcnc.settings import LinuxCncSettings
+from drivers.registry import DeviceContext
+from drivers.roles import Finding
+
+FAKE = Path(__file__).with_name("linuxcnc_fake_bridge.py")
+HELLO = {
+    "protocol": 1,
+    "version": "2.9.0",
+    "ini": "/home/cnc/machine.ini",
+    "pid": 1,
+    "linear_units": 1.0,
+    "axis_mask": 7,
+    "joints": 3,
+    "limits": [[0.0, 100.0], [0.0, 200.0], [0.0, 300.0]],
+    "monotonic_s": 0.0,
+}
+STATUS = {
+    "position": [1.0, 2.0, 3.0],
+    "eoffset": [0.0, 0.0, 0.0],
+    "probed": [0.0, 0.0, 0.0],
+    "tripped": False,
+    "probe": False,
+    "task_state": "on",
+    "mode": "mdi",
+    "state": "done",
+    "idle": True,
+    "paused": False,
+    "in_position": True,
+    "velocity": 0.0,
+    "homed": True,
+    "homing": False,
+    "joint_faults": [],
+    "on_limit": [],
+    "spindle": False,
+    "tool": 1,
+    "program_offset": [0.0, 0.0, 0.0],
+    "rotation_deg": 0.0,
+    "modal": [21.0, 90.0, 94.0],
+    "feed_override": 1.0,
+    "rapid_override": 1.0,
+    "abandoned": False,
+    "errors": [],
+    "pins": [],
+    "monotonic_s": 0.0,
+}
+INI = ["10", "100"] * 3 + ["2"] * 3 + ["1000000", "case-study", "10"]
+TARGET = np.array([10.0, 2.0, 3.0])
+Script = dict[str, list[Any]]
+Make = Callable[..., LinuxCnc]
+
+
+def script(**changes: list[Any]) -> Script:
+    usual: Script = {
+        "hello": [{"ok": HELLO}],
+        "ini": [{"ok": {"values": INI}}],
+        "status": [{"ok": STATUS}],
+    }
+    return usual | changes
+
+
+def look(**changes: Any) -> dict[str, Any]:
+    return {"ok": STATUS | changes}
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Make]:
+    made: list[LinuxCnc] = []
+
+    def opened(told: Script, **options: Any) -> LinuxCnc:
+        file = tmp_path / f"{len(made)}.json"
+        file.write_text(json.dumps(told), encoding="utf-8")
+        command = (sys.executable, str(FAKE), str(file))
+        settings = LinuxCncSettings(bridge_command=command, answer_within_s=5.0, **options)
+        device = LinuxCnc(settings, DeviceContext("cnc", VirtualClock(), tmp_path))
+        made.append(device)
+        device.open()
+        return device
+
+    yield opened
+    for device in made:
+        with suppress(DeviceError):  # what does not come to rest cannot be given back
+            device.close()
+
+
+@pytest.fixture
+def link(tmp_path: Path) -> Iterator[Callable[..., BridgeLink]]:
+    made: list[BridgeLink] = []
+
+    def of(*answers: Any, within_s: float = 5.0) -> BridgeLink:
+        file = tmp_path / "script.json"
+        file.write_text(json.dumps(script(ask=list(answers))), encoding="utf-8")
+        command = (sys.executable, str(FAKE), str(file))
+        made.append(BridgeLink(command, answer_within_s=within_s, watch_s=0.0, device="cnc"))
+        made[-1].open()
+        return made[-1]
+
+    yield of
+    for one in made:
+        one.close()
+
+
+class TestLink:
+    def test_bridge_that_dies_says_why_and_stays_dead(self, link) -> None:
+        dying = link("die")
+        with pytest.raises(LinkLost, match="shot by the test"):
+            dying.ask("ask")
+        assert not dying.connected
+        with pytest.raises(LinkLost):
+            dying.ask("ask")
+
+    def test_abort_starts_another_bridge_for_one_that_died(self, link) -> None:
+        dying = link("die")
+        with pytest.raises(LinkLost):
+            dying.ask("ask")
+        dying.abort()
+        assert dying.connected
+
+    def test_silence_is_a_timeout_and_a_late_answer_is_not_taken_for_the_next(self, link) -> None:
+        silent = link("silent", {"ok": {"stale": False}}, within_s=0.5)
+        with pytest.raises(LinkTimeout):
+            silent.ask("ask")
+        assert silent.ask("ask") == {"stale": False}
+
+    def test_answer_of_another_number_is_dropped(self, link) -> None:
+        assert link("late").ask("ask") == {"stale": False}
+
+    def test_what_is_not_json_is_a_protocol_error(self, link) -> None:
+        with pytest.raises(ProtocolError, match="Segmentation"):
+            link("garbage").ask("ask")
+
+    @pytest.mark.parametrize(
+        ("error", "kind"), [("gone", LinkLost), ("unknown", CommandRejected), ("refused", CommandRejected)]
+    )
+    def test_refusals_have_their_types(self, link, error: str, kind: type[Exception]) -> None:
+        with pytest.raises(kind, match="the reason"):
+            link({"error": error, "text": "the reason"}).ask("ask")
+
+    def test_program_that_is_not_there(self) -> None:
+        absent = BridgeLink(["/no/such/python3"], answer_within_s=1.0, watch_s=0.0, device="cnc")
+        with pytest.raises(LinkLost, match="cannot be started"):
+            absent.open()
+
+    def test_program_that_says_nothing_and_ends(self) -> None:
+        mute = BridgeLink(["true"], answer_within_s=5.0, watch_s=0.0, device="cnc")
+        with pytest.raises(LinkLost, match="ended with 0"):
+            mute.open()
+
+
+class TestDevice:
+    def test_units_are_those_of_the_ini_file(self, make: Make) -> None:
+        device = make(script(hello=[{"ok": HELLO | {"linear_units": 1.0 / 25.4}}]))
+        assert device.limits().upper_mm == pytest.approx((2540.0, 5080.0, 7620.0))
+        assert device.limits().rapid_mm_per_s == pytest.approx((254.0,) * 3)
+        assert device.position() == pytest.approx([25.4, 50.8, 76.2])
+
+    def test_external_offset_is_no_part_of_the_position(self, make: Make) -> None:
+        device = make(script(status=[look(eoffset=[0.1, -0.2, 0.0])]))
+        assert device.position() == pytest.approx([0.9, 2.2, 3.0])
+
+    @pytest.mark.parametrize(
+        ("change", "kind"),
+        [
+            ({"protocol": 2}, ProtocolError),
+            ({"axis_mask": 3}, ConfigurationError),
+            ({"linear_units": 0.0}, ProtocolError),
+        ],
+    )
+    def test_bridge_or_machine_that_does_not_fit(
+        self, make: Make, change: dict[str, Any], kind: type[Exception]
+    ) -> None:
+        with pytest.raises(kind):
+            make(script(hello=[{"ok": HELLO | change}]))
+
+    def test_status_with_something_missing(self, make: Make) -> None:
+        told = {name: value for name, value in STATUS.items() if name != "tripped"}
+        with pytest.raises(ProtocolError, match="tripped"):
+            make(script(status=[{"ok": told}])).status()
+
+    def test_motion_that_never_ends_expires_and_is_aborted(self, make: Make) -> None:
+        told = script(
+            status=[look(), look(state="exec", idle=False)], abort=[{"error": "refused", "text": "abort came"}]
+        )
+        with pytest.raises(DeadlineExpired) as caught:
+            make(told).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+        assert "abort came" in "".join(caught.value.__notes__)
+
+    def test_motion_that_ends_elsewhere_was_stopped(self, make: Make) -> None:
+        with pytest.raises(MotionFault, match="stopped at the machine"):
+            make(script()).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+
+    def test_refusal_has_the_words_of_linuxcnc_even_when_they_come_late(self, make: Make) -> None:
+        told = script(status=[look(), look(state="error"), look(state="error", errors=["beyond X's limit"])])
+        with pytest.raises(CommandRejected, match="beyond X's limit"):
+            make(told).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+
+    @pytest.mark.parametrize("free", [True, False])
+    def test_probe_deflected_nobody_knows_how_is_led_a_little_first(self, make: Make, free: bool) -> None:
+        start, led = look(probe=True), look(probe=not free, position=[3.0, 2.0, 3.0])
+        told = script(status=[start, led, look(position=[10.0, 2.0, 3.0])])
+        device = make(told)
+        if free:
+            device.move_to(TARGET, feed_mm_per_s=None, guarded=True)
+        else:
+            with pytest.raises(GuardTripped, match="still is after 2 mm"):
+                device.move_to(TARGET, feed_mm_per_s=None, guarded=True)
+
+    def test_hold_is_waited_for_only_so_long(self, make: Make) -> None:
+        told = script(status=[look(), look(state="exec", idle=False, paused=True)])
+        with pytest.raises(MotionFault, match="more than 30 s"):
+            make(told, held_at_most_s=30.0).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+
+    def test_machine_busy_with_a_program_is_not_disturbed(self, make: Make) -> None:
+        told = script(
+            status=[look(mode="auto", idle=False, state="exec")], abort=[{"error": "refused", "text": "never asked"}]
+        )
+        with pytest.raises(Exception, match="no part program running") as caught:
+            make(told).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+        assert not hasattr(caught.value, "__notes__")
+
+    def test_closed_device_says_so_and_stops_nothing(self, make: Make) -> None:
+        device = make(script())
+        device.close()
+        device.stop()
+        with pytest.raises(LinkLost, match="not open"):
+            device.move_to(TARGET, feed_mm_per_s=None, guarded=True)
+
+    def test_store_that_is_not_configured(self, make: Make) -> None:
+        with pytest.raises(ConfigurationError, match=r"compensation\.way"):
+            make(script()).active_bank()
+
+
+class TestDoctor:
+    @staticmethod
+    def findings(device: LinuxCnc) -> dict[str, Finding]:
+        return {finding.subject: finding for finding in device.diagnose()}
+
+    def test_wrong_settings_are_told(self, make: Make) -> None:
+        ini = [INI, ["1.5", None, None, None, None, "2", "2", None, "10", None]]
+        status = look(homed=False, feed_override=0.5, rotation_deg=3.0, probe=True)
+        found = self.findings(make(script(ini=[{"ok": {"values": values}} for values in ini], status=[status])))
+        wrong = {subject for subject, finding in found.items() if not finding.ok}
+        assert wrong >= {
+            "state",
+            "permissions",
+            "probe",
+            "feed override",
+            "work coordinates",
+            "[DISPLAY]MAX_FEED_OVERRIDE",
+        }
+        assert not found["homing"].ok
+        assert "JOINT_0" in found["homing"].text
+        assert "JOINT_1" not in found["homing"].text
+        assert "external offsets cannot act" in found["[AXIS_*]OFFSET_AV_RATIO"].text
+
+    def test_servo_period_that_makes_touches_unsure(self, make: Make) -> None:
+        slow = [*INI[:9], "2000000", *INI[10:]]
+        found = self.findings(make(script(ini=[{"ok": {"values": slow}}, {"ok": {"values": [None] * 10}}])))
+        assert not found["[EMCMOT]SERVO_PERIOD"].ok
+        assert "up to 10.0 µm" in found["[EMCMOT]SERVO_PERIOD"].text
+
+    def test_clock_that_runs_otherwise_is_told(self, make: Make) -> None:
+        looks = [look(monotonic_s=10.0 * number) for number in range(60)]
+        found = self.findings(
+            make(script(ini=[{"ok": {"values": INI}}, {"ok": {"values": [None] * 10}}], status=looks))
+        )
+        assert not found["latency"].ok
+
+    def test_what_cannot_be_reached_is_a_finding(self, tmp_path: Path) -> None:
+        settings = LinuxCncSettings(bridge_command=("/no/such/python3",))
+        found = LinuxCnc(settings, DeviceContext("cnc", VirtualClock(), tmp_path)).diagnose()
+        assert [(finding.subject, finding.ok) for finding in found] == [("bridge", False)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"bridge_command": []},
+        {"watch_s": -1.0},
+        {"temperatures": {"artefact": "not a pin"}},
+        {"permissions": {"doors": "x"}},
+        {"homing": "yes"},
+        {"compensation": {"way": "wishes", "directory": "x"}},
+    ],
+)
+def test_settings_are_bounded(options: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        PLUGIN.settings.model_validate(options)
