@@ -14,8 +14,10 @@ clock), it is slept, so that a request costs the machine what it would cost on a
 from __future__ import annotations
 
 import select
+import termios
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import serial
 
@@ -30,6 +32,7 @@ QUIET_S = 0.02
 QUIET_WITHIN_S = 0.5
 """A line that never falls silent is not waited for."""
 
+PSEUDO_TERMINALS = "/dev/pts"
 _PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.PARITY_NONE}
 
 
@@ -68,13 +71,13 @@ class RtuTransport:
             self._serial = serial.Serial(
                 line.port,
                 line.baud,
-                parity=_PARITY[line.parity],
+                parity=_parity(line),
                 stopbits=line.stop_bits,
                 timeout=0,
                 write_timeout=self._timeout_s + line.exchange_s(256, 0),
                 exclusive=True,
             )
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, termios.error) as error:
             raise LinkLost(
                 f"the serial port cannot be opened: {error}",
                 hint="check serial.port, that the adapter is plugged in, that this user may use it (group dialout), "
@@ -216,6 +219,13 @@ class RtuTransport:
                 hint="set serial.echo = true, or switch the adapter's echo off",
                 **self._where,
             )
+
+
+def _parity(line: SerialLine) -> str:
+    """A pseudo-terminal has no parity bit, and the C library refuses to set one there."""
+    if Path(line.port).resolve().is_relative_to(PSEUDO_TERMINALS):
+        return serial.PARITY_NONE
+    return _PARITY[line.parity]
 
 
 def _length(data: bytes, function: int) -> int | None:

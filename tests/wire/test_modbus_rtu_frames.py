@@ -246,6 +246,21 @@ def test_a_write_outside_the_allow_list_never_reaches_the_wire(register: int, co
     assert slave.requests == []
 
 
+def test_a_line_with_parity_is_opened_again_and_again() -> None:
+    slave = scripted(ANSWER_17, ANSWER_17, ANSWER_17)
+    with linked(slave, parity="even", stop_bits=1) as link:
+        for _ in range(3):
+            assert link.read(0x6B, 3) == VALUE_17
+            link.close()
+            link.open()
+
+
+def test_a_file_that_is_no_serial_port(tmp_path: Path) -> None:
+    (tmp_path / "port").touch()
+    with pytest.raises(LinkLost, match="cannot be opened"), linked(scripted(), port=str(tmp_path / "port")):
+        pass
+
+
 def test_a_port_that_is_not_there_or_taken_or_gone() -> None:
     slave = scripted()
     with linked(slave) as link:
