@@ -21,7 +21,12 @@ from drivers.errors import (
     PermissionMissing,
     ProtocolError,
 )
+from drivers.links.serial_port import SerialAddress, SerialPort
+from drivers.registry import DeviceContext
 from drivers.roles import MotionState, Permission, Touch
+from drivers.serial_cnc.conversation import Conversation
+from drivers.serial_cnc.device import SerialCnc
+from drivers.serial_cnc.settings import SerialCncSettings
 from simulators.wire.time_server import Ticker
 
 FAR = np.array([1000.0, 0.0, 0.0])
@@ -163,15 +168,29 @@ class TestFaultsOnTheLine:
                 grbl.device.open()
 
     def test_two_masters_are_refused(self, grbl: Rig, tmp_path: Path) -> None:
-        other = type(grbl.device)(grbl.device._settings, grbl_context(grbl, tmp_path))
+        other = SerialCnc(grbl.device._settings, DeviceContext("second", grbl.clock, tmp_path))
         with pytest.raises(LinkLost, match="cannot be opened"):
             other.open()
 
+    def test_idle_report_before_the_motion_has_begun_is_not_its_end(self, grbl: Rig) -> None:
+        """`ok` means planned: for a moment after it the controller may still call itself idle."""
+        grbl.line.once(b"<Run", lambda line: line.replace(b"<Run", b"<Idle"))
+        go_far(grbl)
+        assert grbl.device.position() == pytest.approx(FAR)
+        assert grbl.clock.now() > 20.0
 
-def grbl_context(grbl: Rig, base: Path):
-    from drivers.registry import DeviceContext
-
-    return DeviceContext("second", grbl.clock, base)
+    def test_never_more_under_way_than_the_controller_keeps(self, grbl: Rig) -> None:
+        grbl.device.close()
+        settings = SerialCncSettings(port=grbl.port.line.place, answer_within_s=0.3)
+        conversation = Conversation(SerialPort(SerialAddress(settings.port, settings.baud)), settings)
+        conversation.open()
+        sent = [conversation.send("G53G1X-3990F60")]
+        with pytest.raises(LinkTimeout, match="buffer is full"):
+            for _ in range(40):  # the dwell waits for the motion, and no time passes
+                sent.append(conversation.send("G4P0"))
+        unanswered = [ticket for ticket in sent if not ticket.answered]
+        assert 100 < sum(len(ticket.line) + 1 for ticket in unanswered) < 128
+        conversation.close()
 
 
 class TestTheControllerIntervenes:
@@ -262,6 +281,17 @@ class TestTheControllerIntervenes:
         assert grbl.device.status().state is MotionState.IDLE
         assert isinstance(grbl.device.touch_towards(centre, feed_mm_per_s=5.0), Touch)
 
+    @pytest.mark.parametrize("guarded", [False, True])
+    def test_soft_limit_of_the_controller_silences_it_and_is_reset(self, grbl: Rig, guarded: bool) -> None:
+        grbl.port.controller.settings.store(130, 3500.0)  # less than it told when the device was opened
+        with pytest.raises(MotionFault, match="outside the travel"):
+            grbl.device.move_to(np.array([100.0, 0.0, 0.0]), feed_mm_per_s=50.0, guarded=guarded)
+        status = grbl.device.status()
+        assert (status.state, "alarm 2" in status.fault) == (MotionState.FAULT, True)
+        grbl.device.reset()
+        assert not grbl.device.status().missing
+        grbl.device.move_to(np.array([600.0, 0.0, 0.0]), feed_mm_per_s=50.0, guarded=guarded)
+
     def test_collision_ends_in_a_fault_that_needs_homing(self, grbl: Rig) -> None:
         centre = grbl.before()
         with pytest.raises(MotionFault, match="limit switch"):
@@ -295,6 +325,44 @@ class TestTheControllerIntervenes:
             with pytest.raises(CommandRejected, match="state Run"):
                 grbl.device.open()
             assert grbl.world.controller.motion is MotionState.MOVING
+
+
+class TestGrblHal:
+    """What grblHAL says otherwise (its core's report.c): name, firmware, longer masks, alarm as a sub-state, homed."""
+
+    @staticmethod
+    def hal(line: bytes) -> bytes:
+        return (
+            line.replace(b"Grbl 1.1h ['$' for help]", b"GrblHAL 1.1f ['$' or '$HELP' for help]")
+            .replace(b"[OPT:VL,15,128]\r\n", b"[OPT:VNMGL,100,1024,3,0]\r\n[FIRMWARE:grblHAL]\r\n")
+            .replace(b"$10=1\r\n", b"$10=511\r\n")
+            .replace(b"[TLO:0.000]", b"[TLO:0.000,0.000,0.000]")
+            .replace(b"<Alarm|", b"<Alarm:11|")
+        )
+
+    def test_is_driven_like_grbl(self, tmp_path: Path) -> None:
+        with rig(tmp_path) as grbl:
+            grbl.line.on_line = self.hal
+            assert all(finding.ok for finding in grbl.device.diagnose())
+            grbl.device.open()
+            centre = grbl.before()
+            assert isinstance(grbl.device.touch_towards(centre, feed_mm_per_s=5.0), Touch)
+            grbl.device.stop()
+            grbl.device.move_to(centre - np.array([0.0, 25.0, 0.0]), feed_mm_per_s=None, guarded=True)
+
+    def test_tells_why_it_is_locked(self, tmp_path: Path) -> None:
+        with rig(tmp_path, homed=False) as grbl:
+            grbl.line.on_line = self.hal
+            grbl.device.open()
+            assert "homing required (alarm 11)" in grbl.device.status().fault
+            with pytest.raises(CommandRejected, match="home the machine"):
+                grbl.device.reset()
+
+    def test_says_that_it_is_not_homed_without_an_alarm(self, grbl: Rig) -> None:
+        grbl.line.on_line = lambda line: line.replace(b"|FS:", b"|H:0|FS:")
+        assert grbl.device.status().missing == (Permission.REFERENCED,)
+        grbl.line.on_line = lambda line: line.replace(b"|FS:", b"|H:1,7|FS:")
+        assert not grbl.device.status().missing
 
 
 class TestAClockThatRunsByItself:
