@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from live import REACH_MM, SPEED, Live, running
+from live import REACH_MM, SPEED, Live
 
 from drivers.clock import Deadline, RealClock
 from drivers.errors import (
@@ -45,12 +45,6 @@ pytestmark = [
     pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}"),
     pytest.mark.timeout(120),
 ]
-
-
-@pytest.fixture(scope="module")
-def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
-    with running(tmp_path_factory.mktemp("linuxcnc") / "work") as machine:
-        yield machine
 
 
 @pytest.fixture

@@ -1,0 +1,96 @@
+"""The contract of every role, on a stock LinuxCNC that really runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live import REACH_MM, SPEED, Live
+
+from drivers.clock import ScaledClock
+from drivers.contract.keeping import CompensationStoreContract, ThermometerContract
+from drivers.contract.moving import MachineContract, ProbeContract
+from drivers.contract.rig import ContractRig, Interrupt
+from drivers.linuxcnc.device import LinuxCnc
+from simulators.linuxcnc.namespaces import why_not
+
+NOT_HERE = "NOT EXERCISED HERE: LinuxCNC cannot run"
+OPTIONS = {
+    "temperatures": {"artefact": "volcal-plant.temperature-0"},
+    "compensation": {"way": "external-offsets", "directory": "tables", "within_s": 60.0},
+}
+
+pytestmark = [
+    pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}"),
+    pytest.mark.timeout(120),
+]
+
+
+class LinuxCncRig(ContractRig):
+    """Latches are as fine as a servo cycle: ±2.5 µm at the 5 mm/s of the contract, and what the table's steps add."""
+
+    start_mm = (1600.0, 0.0, 0.0)
+    free_mm = (1723.456, 0.0, 78.9)
+    outside_mm = ((4001.1, 0.0, 0.0), (0.0, -1.1, 0.0), (0.0, 0.0, 1e9))
+    resolution_mm = 2.6e-3
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        self.clock = ScaledClock(SPEED)
+        self.interrupt = Interrupt(self.clock)
+        self.device: LinuxCnc = live.device(interrupt=self.interrupt.check, **OPTIONS)
+        self.machine = self.probe = self.store = self.thermometer = self.device
+
+    def approach(self) -> np.ndarray:
+        ball = self._live.balls[5]
+        here = self.machine.position()
+        self.go((here[0], 0.0, here[2]))
+        self.go((ball[0], 0.0, ball[2]))
+        self.go(ball - [0.0, 25.0, 0.0])
+        return ball
+
+    def trip_mm(self, target_mm: np.ndarray) -> np.ndarray:
+        return target_mm - [0.0, REACH_MM, 0.0]
+
+    def leave(self) -> None:
+        """Out of the artefact, and every bank empty."""
+        here = self.machine.position()
+        self.go((here[0], 0.0, here[2]))
+        self.store.activate(0)
+        with self._live.bystander() as hal:
+            for bank in self.store.store_limits().banks:
+                Path(self._live.process.work, "tables", f"bank{bank}.table").unlink(missing_ok=True)
+                number = int(hal.get("volcal-tables.load-done")) + 1
+                hal.set("volcal-tables.load-bank", bank)
+                hal.set("volcal-tables.load-sequence", number)
+                while hal.get("volcal-tables.load-done") != number:
+                    self.clock.sleep(0.01)
+
+
+@pytest.fixture
+def rig(live: Live) -> Iterator[LinuxCncRig]:
+    made = LinuxCncRig(live)
+    made.device.open()
+    try:
+        yield made
+        made.leave()
+    finally:
+        made.device.close()
+
+
+class TestMachine(MachineContract):
+    pass
+
+
+class TestProbe(ProbeContract):
+    pass
+
+
+class TestCompensationStore(CompensationStoreContract):
+    pass
+
+
+class TestThermometer(ThermometerContract):
+    pass
