@@ -53,9 +53,12 @@ class HalPins:
         return None
 
     def _halcmd(self, *words: str) -> str:
-        done = subprocess.run(  # noqa: S603  fixed program, no shell
-            ["/usr/bin/halcmd", *words], capture_output=True, text=True, timeout=HALCMD_WITHIN_S, check=False
-        )
+        try:
+            done = subprocess.run(  # noqa: S603  fixed program, no shell
+                ["/usr/bin/halcmd", *words], capture_output=True, text=True, timeout=HALCMD_WITHIN_S, check=False
+            )
+        except subprocess.TimeoutExpired as late:
+            raise NoSuchPinError(f"halcmd {' '.join(words)} did not end within {HALCMD_WITHIN_S:g} s") from late
         if done.returncode != 0:
             raise NoSuchPinError((done.stderr or done.stdout).strip() or f"halcmd {' '.join(words)} failed")
         return done.stdout
