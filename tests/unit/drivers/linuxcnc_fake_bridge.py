@@ -2,12 +2,13 @@
 
 Run as `python linuxcnc_fake_bridge.py SCRIPT.json BRIDGE`; the script is an object: request name → list of answers,
 used one after the other, the last one for ever. An answer is an object (`ok` or `error`), or a word: `die`, `silent`,
-`garbage`, `late` (the answer of another number first).
+`hang` (deaf from then on), `garbage`, `late` (the answer of another number first).
 """
 
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 
@@ -27,6 +28,8 @@ def main() -> None:
         answer = answers.pop(0) if len(answers) > 1 else answers[0]
         if answer == "die":
             sys.exit("shot by the test")
+        if answer == "hang":
+            signal.pause()
         if answer == "garbage":
             say("Segmentation fault")
         elif answer == "late":

@@ -145,6 +145,14 @@ class TestLink:
         dying.abort()
         assert dying.connected
 
+    def test_abort_replaces_a_bridge_that_hangs(self, link) -> None:
+        hanging = link("hang", within_s=0.5)
+        with pytest.raises(LinkTimeout):
+            hanging.ask("ask")
+        before = hanging.pid
+        hanging.abort()
+        assert hanging.pid != before
+
     def test_silence_is_a_timeout_and_a_late_answer_is_not_taken_for_the_next(self, link) -> None:
         silent = link("silent", {"ok": {"stale": False}}, within_s=0.5)
         with pytest.raises(LinkTimeout):
