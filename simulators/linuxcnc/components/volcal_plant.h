@@ -13,6 +13,7 @@
 #include <string.h>
 
 #include "rtapi.h"
+#include "rtapi_stdint.h"
 
 #define PLANT_MAGIC 0x31746e616c507656ull
 #define PLANT_BALLS 32
