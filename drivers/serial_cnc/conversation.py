@@ -57,6 +57,7 @@ class Conversation:
         self.settings = settings
         self.where = line.where
         self._pending: deque[Ticket] = deque()
+        self._synchronised = False
         self._reports = 0
         self._last_report: StatusReport | None = None
         self._told: list[Message | Setting] = []
@@ -67,15 +68,13 @@ class Conversation:
     # ------------------------------------------------------------------ open
 
     def open(self) -> StatusReport:
-        """Connect, wait for a first report, and agree on which answer belongs to which line. Moves nothing."""
+        """Connect and wait for a first report. Before anything is asked, `synchronise`. Moves nothing."""
         self.line.open()
         self._pending.clear()
         self._told.clear()
+        self._synchronised = False
         self.probe_results.clear()
-        report = self._first_report()
-        if report.state not in ("Hold", "Door", "Home"):  # there it would be answered much later, if at all
-            self._synchronise()
-        return report
+        return self._first_report()
 
     def close(self) -> None:
         self.line.close()
@@ -103,8 +102,9 @@ class Conversation:
             **self.where,
         )
 
-    def _synchronise(self) -> None:
-        """Late answers to lines of an earlier user end here; the refusal of our own line is the last of them."""
+    def synchronise(self) -> None:
+        """Agree on which answer belongs to which line, on a controller that is idle or locked: late answers to lines of
+        an earlier user end here, since the refusal of our own line is the last of them."""
         self.line.write(SYNCHRONISE.encode() + b"\n")
         give_up_s = wall_seconds() + self.settings.answer_within_s
         while wall_seconds() < give_up_s:
@@ -112,6 +112,7 @@ class Conversation:
             if isinstance(line, Answer) and line.error is not None:
                 while self._line_or_rubbish(LATE_WITHIN_S) is not None:
                     continue
+                self._synchronised = True
                 return
         raise LinkTimeout(
             "the controller reports its status and answers no line",
@@ -263,6 +264,8 @@ class Conversation:
 
     def _answer(self, answer: Answer) -> None:
         if not self._pending:
+            if not self._synchronised:
+                return  # to a line of an earlier user
             said = "ok" if answer.error is None else f"error:{answer.error}"
             raise ProtocolError(
                 f"{said!r} from the controller, and no line waits for an answer",

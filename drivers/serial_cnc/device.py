@@ -28,7 +28,7 @@ from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.diagnosis import diagnose
 from drivers.serial_cnc.frames import Frames
-from drivers.serial_cnc.identity import read_identity
+from drivers.serial_cnc.identity import await_rest, read_identity
 from drivers.serial_cnc.motion import Motion
 from drivers.serial_cnc.probing import Probing
 from drivers.serial_cnc.settings import SerialCncSettings
@@ -54,6 +54,7 @@ class SerialCnc:
         try:
             self._store.open()
             self._conversation.open()
+            await_rest(self._conversation, self._clock, self._settings.left_moving_s)
             identity = read_identity(self._conversation)
             fatal = identity.settings.fatal()
             if fatal:

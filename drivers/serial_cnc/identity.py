@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from drivers.clock import Clock, Deadline
 from drivers.errors import CommandRejected, ProtocolError
 from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.lines import Message
+
+MOVING = "Run"
+POLL_S = 0.2
+TELLING = frozenset({"Idle", "Alarm"})
+"""States in which the controller answers everything."""
 
 
 @dataclass(frozen=True)
@@ -19,15 +25,23 @@ class Identity:
     modes: str
 
 
+def await_rest(conversation: Conversation, clock: Clock, within_s: float) -> None:
+    """What an earlier user has left under way may end first; on the clock. Leaves it where it does not."""
+    deadline = Deadline.after(clock, within_s)
+    while conversation.report().state == MOVING and not deadline.expired:
+        clock.sleep(POLL_S)
+
+
 def read_identity(conversation: Conversation) -> Identity:
     """Raises CommandRejected where something else runs on the controller, ProtocolError where it is no GRBL."""
     report = conversation.report()
-    if report.state not in ("Idle", "Alarm"):
+    if report.state not in TELLING:
         raise CommandRejected(
             f"the controller is in state {report.state}: it tells its settings only while idle",
             hint="end, resume or reset what runs there, then start again",
             **conversation.where,
         )
+    conversation.synchronise()
     told = conversation.ask("$I")
     if not any(isinstance(line, Message) and line.kind == "VER" for line in told):
         raise ProtocolError(

@@ -52,6 +52,9 @@ class SerialCncSettings(BaseModel):
     touch_poll_interval_s: float = Field(default=0.2, gt=0.0, le=0.5)
     fine_poll_interval_s: float = Field(default=0.01, gt=0.0, le=0.5, description="near the end of a wait")
     motion_margin_s: Seconds = Field(default=5.0, description="beyond 1.5 times the predicted duration")
+    left_moving_s: Seconds = Field(
+        default=30.0, description="for a motion that is still under way when the device opens"
+    )
     held_at_most_s: Seconds = Field(default=600.0, description="how long a feed hold at the machine is waited for")
     latch_tolerance_mm: float = Field(default=1.0, gt=0.0, description="of a latched position from the commanded path")
     position_tolerance_mm: float = Field(default=0.02, gt=0.0, description="of the axes from where a move should end")

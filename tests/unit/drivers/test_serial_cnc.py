@@ -184,6 +184,7 @@ class TestFaultsOnTheLine:
         settings = SerialCncSettings(port=grbl.port.line.place, answer_within_s=0.3)
         conversation = Conversation(SerialPort(SerialAddress(settings.port, settings.baud)), settings)
         conversation.open()
+        conversation.synchronise()
         sent = [conversation.send("G53G1X-3990F60")]
         with pytest.raises(LinkTimeout, match="buffer is full"):
             for _ in range(40):  # the dwell waits for the motion, and no time passes
@@ -325,6 +326,19 @@ class TestTheControllerIntervenes:
             with pytest.raises(CommandRejected, match="state Run"):
                 grbl.device.open()
             assert grbl.world.controller.motion is MotionState.MOVING
+
+    def test_motion_of_a_program_that_died_may_end_first(self, tmp_path: Path) -> None:
+        with rig(tmp_path) as grbl:
+            grbl.type(b"G38.3X-3900F600\n")
+            grbl.device.open()
+            assert grbl.device.position() == pytest.approx([100.0, 0.0, 0.0])
+            grbl.device.touch_towards(np.array([110.0, 0.0, 0.0]), feed_mm_per_s=10.0)
+
+    def test_held_controller_is_left_alone(self, tmp_path: Path) -> None:
+        with rig(tmp_path) as grbl:
+            grbl.type(b"!")
+            with pytest.raises(CommandRejected, match="state Hold"):
+                grbl.device.open()
 
 
 class TestGrblHal:
