@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts resumes warming schema deb deb-test clean
+.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts resumes warming linuxcnc gcode schema deb deb-test clean
 
 setup: $(STAMP)
 
@@ -62,6 +62,15 @@ resumes: setup
 
 warming: setup
 	$(BIN)/python -m benchmarks.warming --seeds 4
+
+# A million lines of a part program corrected: seconds, memory, and the ratio to one block at a time.
+gcode: setup
+	$(BIN)/python -m benchmarks.gcode
+
+# A stock LinuxCNC, really running, calibrated end to end; ends with one line of JSON.
+linuxcnc: setup
+	.ci/install
+	$(BIN)/python -m benchmarks.linuxcnc
 
 schema: setup
 	mkdir -p config/schema
