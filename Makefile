@@ -69,7 +69,7 @@ gcode: setup
 
 # A stock LinuxCNC, really running, calibrated end to end; ends with one line of JSON.
 linuxcnc: setup
-	.ci/install
+	.ci/install linuxcnc-uspace linuxcnc-uspace-dev faketime iproute2
 	$(BIN)/python -m benchmarks.linuxcnc
 
 schema: setup
