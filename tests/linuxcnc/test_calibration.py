@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from benchmarks.linuxcnc import calibrated, short
+from benchmarks.linuxcnc import NOT_RUN, calibrated, short
 from simulators.linuxcnc.namespaces import why_not
 
 NOT_HERE = "NOT EXERCISED HERE: LinuxCNC cannot run"
@@ -23,3 +26,16 @@ def test_stock_linuxcnc_is_calibrated_end_to_end(tmp_path: Path) -> None:
     assert result["applied_worst_um"] < 0.1
     assert result["verification"]["after_um"] < 0.5 * result["verification"]["before_um"]
     assert result["true_ve_after_um"] < 0.8 * result["true_ve_before_um"], result
+
+
+def test_where_linuxcnc_cannot_run_the_benchmark_says_so(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.linuxcnc"],
+        env={"PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == NOT_RUN
+    assert "linuxcnc-uspace" in json.loads(done.stdout.splitlines()[-1])["not_run"]
