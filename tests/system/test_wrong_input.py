@@ -193,7 +193,8 @@ def test_run_that_preflight_refuses_writes_no_result(monkeypatch, tmp_path: Path
     assert outcome["touches"] == 0
     assert outcome["report"] is None
     assert "cannot tell machine from artefact" in result.stderr
-    assert sorted(path.name for path in (tmp_path / "state").iterdir()) == ["history.sqlite", "journal.sqlite", "run.lock"]
+    left = sorted(path.name for path in (tmp_path / "state").iterdir())
+    assert left == ["history.sqlite", "journal.sqlite", "run.lock"]
 
 
 def toml(value: object) -> str:
