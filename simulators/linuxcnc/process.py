@@ -48,17 +48,13 @@ class LinuxCncProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        process = self._process
-        if process is None:
+        if self._process is None:
             return
-        for stream in (process.stdin, process.stdout):
-            if stream is not None:
-                stream.close()
         try:
-            process.wait(END_WITHIN_S)
+            self._process.communicate(timeout=END_WITHIN_S)  # ends its standard input, and with that it
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            self._process.kill()
+            self._process.communicate()
 
     def inside(self, *command: str) -> list[str]:
         """That command, to be run in the namespaces of this LinuxCNC."""
