@@ -19,7 +19,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.journal import RunJournal
 from agent.execution.steps import Step
 from agent.job import Job, prepare_job
-from agent.rehearsal import rehearse
+from agent.rehearsal import rehearse, unwatched
 from agent.resuming.resume import ResumeRequest, resume
 from agent.rig import Rig
 from agent.session import Ended, Request, carry_out
@@ -125,9 +125,9 @@ def rehearsed_once() -> None:
     """The preflight of one case is the same every time; a copy of this process has it already."""
     done: dict[Any, Any] = {}
 
-    def once(job: Job, start_mm: Any = None, procedure: Any = None) -> Any:
+    def once(job: Job, start_mm: Any = None, procedure: Any = None, watch: Any = unwatched) -> Any:
         if start_mm not in done:
-            done[start_mm] = rehearse(job, start_mm, procedure)
+            done[start_mm] = rehearse(job, start_mm, procedure, watch)
         return done[start_mm]
 
     agent.kinds.kind.rehearse = once  # type: ignore[attr-defined]

@@ -11,7 +11,10 @@ import subprocess
 from pathlib import Path
 
 MODULES = Path("/usr/lib/linuxcnc/modules")
-HOME = "/tmp"  # noqa: S108  of the namespace
+TMP = Path("/tmp")  # noqa: S108  of the namespace
+PROGRAMS = Path(__file__).resolve().parents[2]
+"""Where volcal is: whoever enters the namespace must find it, also where that is under the /tmp outside."""
+HOME = str(TMP)
 """LinuxCNC keeps its tool table in a file under HOME: whoever talks to it must have the same."""
 
 
@@ -52,16 +55,22 @@ def why_not() -> str:
 
 
 def make_private(work: Path, modules: list[Path]) -> None:
-    """Called first inside: loopback up, a /dev/shm and a /tmp of our own in which `work` stays where it is, and
-    `modules` beside those that LinuxCNC loads."""
+    """Called first inside: loopback up, a /dev/shm and a /tmp of our own in which `work` and these programs stay where
+    they are, and `modules` beside those that LinuxCNC loads."""
     _run("ip", "link", "set", "lo", "up")
     # faketime names what it shares by process ids, which begin again in here
     _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/dev/shm")  # noqa: S108
-    _run("mount", "--bind", str(work), "/mnt")
-    _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/tmp")  # noqa: S108
-    work.mkdir(parents=True, exist_ok=True)
-    _run("mount", "--move", "/mnt", str(work))
-    here = Path("/tmp/modules")  # noqa: S108
+    _run("mount", "-t", "tmpfs", "tmpfs", "/mnt")
+    hidden = [path for path in (PROGRAMS, work) if path.is_relative_to(TMP)]
+    kept = [(path, Path("/mnt", str(number))) for number, path in enumerate(hidden)]
+    for path, aside in kept:
+        aside.mkdir()
+        _run("mount", "--bind", str(path), str(aside))
+    _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", str(TMP))
+    for path, aside in kept:
+        path.mkdir(parents=True, exist_ok=True)
+        _run("mount", "--move", str(aside), str(path))
+    here = TMP / "modules"
     shutil.copytree(MODULES, here)
     for module in modules:
         shutil.copy(module, here)

@@ -23,7 +23,8 @@ COARSE = "step_mm = [500.0, 325.0, 500.0]"
 expect.set_options(timeout=120_000)
 
 
-@pytest.fixture(scope="session")
+# not the session's: the loop that Playwright runs in this thread must end before tests that run one of their own
+@pytest.fixture(scope="module")
 def chromium() -> Iterator[Browser]:
     path = shutil.which("chromium")
     if path is None:
@@ -46,7 +47,7 @@ def settings(ready: dict, directory: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def house(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     directory = tmp_path_factory.mktemp("house")
     with simulator(directory) as (_, ready), service(settings(ready, directory)) as running:

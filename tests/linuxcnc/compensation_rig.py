@@ -38,7 +38,7 @@ export RTAPI_UID=65534 RTAPI_FIFO_PATH=/tmp/fifo/rtapi PATH=/mnt/build:$PATH HOM
 cd /mnt
 linuxcnc /mnt/machine.ini </dev/null >/mnt/linuxcnc.log 2>&1 &
 for n in $(seq 300); do pidof linuxcncrsh >/dev/null && break; sleep 0.05; done
-exec /usr/bin/python3 {inside}
+exec /usr/bin/python3 /mnt/inside.py
 """
 
 INI = """\
@@ -169,10 +169,15 @@ class Controller:
 
     def __init__(self, work: Path) -> None:
         self.work = work
-        script = START.format(work=work, inside=HERE / "compensation_inside.py")
+        # this checkout may lie where the namespace has a /tmp of its own
+        shutil.copy(HERE / "compensation_inside.py", work / "inside.py")
         with (work / "inside.log").open("w") as said:
-            self._process = self._started(script, said)
-        self._line()
+            self._process = self._started(START.format(work=work), said)
+        try:
+            self._line()
+        except BaseException:
+            self.kill()
+            raise
 
     def _started(self, script: str, said: IO[str]) -> subprocess.Popen[bytes]:
         return subprocess.Popen(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from agent.cli.main import main
 from agent.files import load_artefact, load_machine
 from agent.job import load_settings, prepare_job
 from agent.settings import parse_settings
+from drivers.registry import check_options
 from simulators.scenario import read_scenario
 from twin.errors import FormatError
 
@@ -20,6 +22,11 @@ READERS = {
     "artefacts": load_artefact,
     "simulators": read_scenario,
     "config": lambda path: prepare_job(load_settings(path), path.parent),
+    "linuxcnc": lambda path: prepare_job(load_settings(path), path.parent),
+    "examples": lambda path: [
+        check_options(device["driver"], device["options"], name)
+        for name, device in tomllib.loads(path.read_text())["devices"].items()
+    ],
 }
 
 
