@@ -35,16 +35,19 @@ class Capsule:
     radius: float
 
     def __post_init__(self) -> None:
-        if not (self.radius >= 0.0 and all(math.isfinite(value) for value in (*self.a, *self.b))):
+        # a sum is finite only where all of it is; this is asked of every body of every pose
+        if not (self.radius >= 0.0 and math.isfinite(sum(self.a) + sum(self.b))):
             raise DataError(f"a capsule needs finite ends and a radius of at least 0, got {self}")
 
     @property
     def lower(self) -> Point:
-        return point(min(p, q) - self.radius for p, q in zip(self.a, self.b, strict=True))
+        (ax, ay, az), (bx, by, bz), r = self.a, self.b, self.radius
+        return min(ax, bx) - r, min(ay, by) - r, min(az, bz) - r
 
     @property
     def upper(self) -> Point:
-        return point(max(p, q) + self.radius for p, q in zip(self.a, self.b, strict=True))
+        (ax, ay, az), (bx, by, bz), r = self.a, self.b, self.radius
+        return max(ax, bx) + r, max(ay, by) + r, max(az, bz) + r
 
     def moved(self, by: Point) -> Capsule:
         return Capsule(added(self.a, by), added(self.b, by), self.radius)
@@ -74,7 +77,7 @@ def sphere(centre: Point, radius: float) -> Capsule:
 
 def point(values: Iterable[float]) -> Point:
     """Three plain floats from an array, a list or a generator."""
-    x, y, z = values
+    x, y, z = values.tolist() if isinstance(values, np.ndarray) else values
     return float(x), float(y), float(z)
 
 

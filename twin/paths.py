@@ -64,7 +64,7 @@ def fastest(
 
     `corners`: arrays (n, k, 3) of n candidates with k corners each, k = 0 for the straight way.
     """
-    listed = [candidate for group in corners for candidate in group]
+    firsts = np.cumsum([0, *(len(group) for group in corners)])
     seconds = np.concatenate([dynamics.seconds(_whole(start, group, end)) for group in corners])
     proved: dict[tuple[Point, Point], bool] = {}
 
@@ -73,8 +73,9 @@ def fastest(
             proved[leg] = scene.free(*leg, apart.clearance_mm, apart.closer)
         return proved[leg]
 
-    for index in np.argsort(seconds, kind="stable"):
-        between = tuple(point(corner) for corner in listed[index].tolist())
+    for index in np.argsort(seconds, kind="stable").tolist():
+        group = int(np.searchsorted(firsts, index, side="right")) - 1
+        between = tuple(point(corner) for corner in corners[group][index - firsts[group]].tolist())
         if all(free(leg) for leg in _legs(start, between, end)):
             return Way(between, float(seconds[index]))
     return None

@@ -47,6 +47,7 @@ def _exact(
     places: Sequence[Place], start: Place, end: Place | None, cost: Callable[[Place, Place], float]
 ) -> list[Place]:
     """Best ways through every subset, by its last place."""
+    costs = [[0.0 if a is b else cost(a, b) for b in places] for a in places]
     best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {
         (1 << index, index): (cost(start, place), (index,)) for index, place in enumerate(places)
     }
@@ -55,10 +56,10 @@ def _exact(
             if (subset, last) not in best:
                 continue
             paid, way = best[subset, last]
-            for after, place in enumerate(places):
+            for after in range(len(places)):
                 if subset >> after & 1:
                     continue
-                further = (paid + cost(places[last], place), (*way, after))
+                further = (paid + costs[last][after], (*way, after))
                 reached = (subset | 1 << after, after)
                 if reached not in best or further[0] < best[reached][0] - _LEAST_GAIN:
                     best[reached] = further
