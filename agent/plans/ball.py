@@ -94,7 +94,11 @@ class _Ball:
                 yield from self._missed(key, index, last=True)
                 return
             latched.append(touched)
-        fit = fit_sphere(np.array(latched), probing.touch_sigma_mm)
+        fit = self._sphere(np.array(latched))
+        if fit is None:
+            self.given_up = True
+            yield Record(f"{key}/again", "event", self._note(self.reason, last=True))
+            return
         yield Record(f"{key}/found", "event", {"ball": self._key, "off_mm": fit.centre - self._centre})
         self._centre, self._search = fit.centre, probing.narrow
 
@@ -172,9 +176,13 @@ class _Ball:
         yield Record(f"{key}/again", "event", {"ball": self._key, "reason": self.reason, "then": then})
 
     def _fitted(self, points: Vector) -> SphereFit | None:
-        """The sphere with a free radius through `points`, pretravel taken off; None, and the reason, without one."""
+        """The sphere through the touches of all directions, pretravel taken off."""
+        return self._sphere(self._corrected(points))
+
+    def _sphere(self, points: Vector) -> SphereFit | None:
+        """The sphere with a free radius through `points`; None, and the reason, without one."""
         try:
-            return fit_sphere(self._corrected(points), self._probing.touch_sigma_mm)
+            return fit_sphere(points, self._probing.touch_sigma_mm)
         except TwinError as error:
             self.reason = f"no sphere through the touches: {error}"
             return None

@@ -222,6 +222,7 @@ def far(points: np.ndarray, polyline: np.ndarray) -> float:
     could only be nearer.
     """
     fine = dense(polyline, 1.0)
+    fine = fine[np.append(True, np.any(np.diff(fine, axis=0), axis=1))]  # who stands still would crowd the others out
     start, way = fine[:-1], np.diff(fine, axis=0)
     _, near = cKDTree(start + 0.5 * way).query(points, k=min(6, len(start)))
     near = near.reshape(len(points), -1)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from plain_gcode import PlainController, dense, ends, far, path
 from scipy.interpolate import RegularGridInterpolator
@@ -233,6 +233,7 @@ def corrected_curve(text: str, table: CompensationTable) -> np.ndarray:
 
 @settings(max_examples=20, deadline=None)
 @given(lines, seeds, st.sampled_from([0.0005, 0.002, 0.01]))
+@example([(0.0, 0.0, 0.0)] * 4, 0, 0.002)
 def test_straight_pieces_stay_within_the_chord_error(points, seed, chord):
     """Against the corrected curve sampled densely, both ways; nodes of the table differ by up to 60 µm."""
     table = table_of(seed)

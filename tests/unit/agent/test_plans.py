@@ -193,3 +193,10 @@ def test_the_way_out_of_an_artefact_that_stands_off_keeps_inside_the_travel(posi
             assert (lower <= step.target_mm).all(), step
             assert (step.target_mm <= upper).all(), step
     assert corners
+
+
+def test_touches_that_locate_no_ball_end_at_it_with_the_reason() -> None:
+    """Trips that fix no sphere: something else was touched."""
+    _, end, _ = recorded([(True, 1.0), (True, 0.0), (True, 0.0), (True, 1.0), (True, -2.0)])
+    assert "no sphere through the touches" in end
+    assert "station-1/az45-el0/ball-00" in end
