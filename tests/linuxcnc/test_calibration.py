@@ -8,14 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from needing import needs_linuxcnc
 
 from benchmarks.linuxcnc import NOT_RUN, calibrated, short
-from simulators.linuxcnc.namespaces import why_not
-
-NOT_HERE = "NOT EXERCISED HERE: LinuxCNC cannot run"
 
 
-@pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}")
+@needs_linuxcnc
 @pytest.mark.timeout(400)
 def test_stock_linuxcnc_is_calibrated_end_to_end(tmp_path: Path) -> None:
     result = calibrated(short(tmp_path / "work", speed=15.0))

@@ -8,22 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live import REACH_MM, SPEED, Live
+from needing import needs_linuxcnc
 
 from drivers.clock import ScaledClock
 from drivers.contract.keeping import CompensationStoreContract, ThermometerContract
 from drivers.contract.moving import MachineContract, ProbeContract
 from drivers.contract.rig import ContractRig, Interrupt
 from drivers.linuxcnc.device import LinuxCnc
-from simulators.linuxcnc.namespaces import why_not
 
-NOT_HERE = "NOT EXERCISED HERE: LinuxCNC cannot run"
 OPTIONS = {
     "temperatures": {"artefact": "volcal-plant.temperature-0"},
     "compensation": {"way": "external-offsets", "directory": "tables", "within_s": 60.0},
 }
 
 pytestmark = [
-    pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}"),
+    needs_linuxcnc,
     pytest.mark.timeout(120),
 ]
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from live import REACH_MM, SPEED, Live
+from needing import needs_linuxcnc
 
 from drivers.clock import Deadline, RealClock
 from drivers.errors import (
@@ -33,16 +34,15 @@ from drivers.roles import (
     Thermometer,
     Touch,
 )
-from simulators.linuxcnc.namespaces import first_child, why_not
+from simulators.linuxcnc.namespaces import first_child
 
-NOT_HERE = "NOT EXERCISED HERE: LinuxCNC cannot run"
 FEED = 5.0
 CYCLE_MM = FEED * 1e-3
 """Of the servo, at that feed."""
 AWAY = np.array([3000.0, 100.0, 200.0])
 
 pytestmark = [
-    pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}"),
+    needs_linuxcnc,
     pytest.mark.timeout(120),
 ]
 

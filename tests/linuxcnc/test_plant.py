@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from needing import needs_linuxcnc
 
 from simulators.linuxcnc.memory import TRACE, DeviationGrid, PlantMemory, ProbeNature
-from simulators.linuxcnc.namespaces import why_not
 from simulators.linuxcnc.plant import Plant
 from simulators.scenario import read_scenario
 from twin.bodies import TIP
@@ -17,7 +17,6 @@ from twin.bodies import TIP
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = ROOT / "config" / "simulators" / "case-study.toml"
 COMPONENTS = ROOT / "simulators" / "linuxcnc" / "components"
-NOT_HERE = "NOT EXERCISED HERE: LinuxCNC cannot run"
 NATURE = ProbeNature(7, 15.5, 6.0, 0.008, 0.0005, 0.0012, 0.0002, (0.1, 0.2, 0.3), (0.0, 250.0, 0.0))
 READER = r"""
 #include <fcntl.h>
@@ -41,7 +40,7 @@ int main(int count, char **words) {
 """
 
 
-@pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}")
+@needs_linuxcnc
 def test_servo_thread_reads_what_python_has_written(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     linear = rng.normal(size=(3, 3)) * 1e-5
