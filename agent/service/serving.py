@@ -36,6 +36,8 @@ from drivers.clock import RealClock
 
 log = structlog.get_logger()
 S_PER_MIN = 60.0
+REPORT_WITHIN_S = 15.0
+"""A report takes some five seconds; who stops the service does not wait for more than this."""
 
 
 def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_now) -> None:
@@ -68,6 +70,8 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_no
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
             Life(owner, household.health, Notifier(), signals, config).live()
             household.bulletin.close()
+        if not household.reports.close(REPORT_WITHIN_S):
+            log.warning("a report was left unmade; it is made when somebody asks for it")
 
 
 def _household(

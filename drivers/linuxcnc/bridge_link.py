@@ -84,12 +84,10 @@ class BridgeLink:
             for stream in (process.stdin, process.stdout):
                 if stream is not None:
                     _close(stream)
-            try:
-                process.wait(END_WITHIN_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
             complaints.close()
+            if not _ended(process):
+                process.kill()
+                _ended(process)  # who wants to abort by another bridge does not wait for this one for ever
 
     def ask(self, what: str, **fields: object) -> Answer:
         """What the bridge answers. CommandRejected where LinuxCNC refuses, LinkLost, LinkTimeout."""
@@ -209,6 +207,15 @@ class BridgeLink:
         complaints.seek(max(0, complaints.tell() - SAID_BYTES))
         said = complaints.read().decode(errors="replace").strip().splitlines()
         return LinkLost(f"the bridge {ended}{': ' + said[-1] if said else ''}", hint=START_HINT, **self.where)
+
+
+def _ended(process: subprocess.Popen[bytes]) -> bool:
+    """Whether it has gone, or went within a moment."""
+    try:
+        process.wait(END_WITHIN_S)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
 
 
 def _close(stream: IO[bytes]) -> None:

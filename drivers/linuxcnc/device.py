@@ -102,7 +102,7 @@ class LinuxCnc:
 
     def reset(self) -> None:
         """Switch the machine on again after a fault. CommandRejected in an emergency stop."""
-        self._session.link.ask("on")
+        self._open.motion.reset()
 
     def stop(self) -> None:
         """Abort, by a new bridge where the old one has gone. Does nothing on a device that is closed."""

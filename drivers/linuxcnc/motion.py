@@ -83,6 +83,13 @@ class Motion:
         self._braking = True
         self._session.link.abort()
 
+    def reset(self) -> None:
+        """Switch the machine on where it is off, and wait until it says that it rests: for a few cycles more its task
+        is still busy with switching on, and a motion would be refused."""
+        if self._session.look().task_state != ON:
+            self._session.link.ask("on")
+            self._await_rest(anyway=True)
+
     def require_idle(self) -> None:
         """CommandRejected while something moves or is held."""
         self._require_at_rest(self._session.look())

@@ -266,6 +266,7 @@ class TestWhatGoesWrong:
                 device.reset()
         finally:
             live.by_hand("state(linuxcnc.STATE_ESTOP_RESET)")
+        until(lambda: "emergency stop" not in device.status().fault)
         device.reset()
         assert device.status().state is MotionState.IDLE
         device.reset()

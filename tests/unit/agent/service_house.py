@@ -184,3 +184,4 @@ def house(
             if built.owner.status().run_id is not None and puppet.inside:
                 puppet.end(RunState.COMPLETE)
             assert built.owner.wait(PATIENCE_S)
+            assert household.reports.close(PATIENCE_S)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -13,6 +14,7 @@ from agent.reporting.apart import rebuilt_apart
 from agent.service.reports import Reports
 from drivers.errors import InputError
 
+PATIENCE_S = 20.0
 WANTED_LATER = ("matplotlib", "sqlalchemy", "weasyprint", "dask", "scipy.stats", "asyncua", "jinja2")
 
 
@@ -44,3 +46,49 @@ def test_a_report_is_made_once_and_again_when_the_run_has_gone_on(tmp_path: Path
     assert reports.path("a").read_text() == "version 2"
     assert reports.path("a").read_text() == "version 2"
     assert made == ["a", "a"]
+
+
+def test_who_closes_waits_for_the_report_being_made_and_begins_no_more(tmp_path: Path) -> None:
+    begun, go_on, made = Event(), Event(), []
+
+    def make(_: Path, run_id: str) -> dict[str, str | bytes]:
+        begun.set()
+        assert go_on.wait(PATIENCE_S)
+        made.append(run_id)
+        return {"report.html": run_id}
+
+    reports = Reports(tmp_path, make)
+    reports.wanted("a")
+    assert begun.wait(PATIENCE_S)
+    reports.wanted("b")
+    assert not reports.close(0.0)
+    go_on.set()
+    assert reports.close(PATIENCE_S)
+    reports.wanted("c")
+    assert made == ["a"]
+    assert (tmp_path / "a" / "report.html").read_text() == "a"
+    assert reports.path("c").read_text() == "c"
+
+
+def test_a_run_that_has_gone_on_leaves_no_old_report_to_who_comes_after(tmp_path: Path) -> None:
+    reports = Reports(tmp_path, lambda *_: {"report.html": "old"})
+    reports.path("a")
+    reports.close(PATIENCE_S)
+    reports.wanted("a")
+    assert Reports(tmp_path, lambda *_: {"report.html": "new"}).path("a").read_text() == "new"
+
+
+def test_a_run_that_ends_again_while_its_report_is_drawn_gets_another(tmp_path: Path) -> None:
+    reports: Reports
+
+    def make(_: Path, run_id: str) -> dict[str, str | bytes]:
+        made.append(run_id)
+        if len(made) == 1:
+            reports.wanted(run_id)
+        return {"report.html": f"version {len(made)}"}
+
+    made: list[str] = []
+    reports = Reports(tmp_path, make)
+    reports.close(PATIENCE_S)
+    assert reports.path("a").read_text() == "version 1"
+    assert reports.path("a").read_text() == "version 2"
