@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TextIO
 
 from drivers.errors import ConfigurationError, InputError, UserError, VolcalError
+from drivers.tables.files import make_durable
 from twin.artefact import Artefact
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
@@ -105,7 +106,7 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
             staged[target] = _stage(directory, name, content)
         for target, temporary in staged.items():
             temporary.replace(target)
-        _sync_directory(directory)
+        make_durable(directory)
     except (FileExistsError, NotADirectoryError):
         hint = "choose another output directory"
         raise InputError("this is a file, a directory is needed", hint=hint, file=str(directory)) from None
@@ -136,7 +137,7 @@ def streamed_atomically(path: Path) -> Iterator[TextIO]:
             os.fchmod(file.fileno(), FILE_MODE)
             os.fsync(file.fileno())
         temporary.replace(path)
-        _sync_directory(path.parent)
+        make_durable(path.parent)
     except OSError as cause:
         hint = "check the permissions and the free space"
         raise InputError(f"results cannot be written: {_reason(cause)}", hint=hint, file=str(path)) from None
@@ -156,15 +157,6 @@ def _stage(directory: Path, name: str, content: str | bytes) -> Path:
         Path(temporary).unlink(missing_ok=True)
         raise
     return Path(temporary)
-
-
-def _sync_directory(directory: Path) -> None:
-    """Without this a rename may be lost with the power although the file's own data is on the disk."""
-    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _reason(cause: OSError) -> str:

@@ -16,12 +16,10 @@ ends with one JSON line, and with exit code 0 only where every claim holds.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import math
 import os
 import sys
-import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -41,6 +39,7 @@ from agent.rig import Rig
 from agent.session import Request, carry_out
 from benchmarks.nights_figure import draw
 from benchmarks.nights_season import DRAWS, Season, case, reach_um, with_table
+from benchmarks.places import memory_directory, write_csv
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
 from simulators.backend import SimulatedMachineDevice
@@ -79,7 +78,7 @@ def played(season: Season, report: bool = True) -> list[Row]:
     """All nights in turn; what full calibrations reach is worked out beside them by a process of its own."""
     with (
         ProcessPoolExecutor(1) as pool,
-        tempfile.TemporaryDirectory(prefix="volcal-nights-", dir=memory()) as directory,
+        memory_directory("nights") as directory,
     ):
         reached = [pool.submit(reach_um, season, night) for night in range(season.nights + 1)]
         rows, machine = [], Machine(season, Path(directory) / "state")
@@ -233,19 +232,6 @@ def _line(row: Row) -> str:
     )
 
 
-def memory() -> str | None:
-    """Where a commit costs no disk; durability is tested elsewhere."""
-    shared = "/dev/shm"  # noqa: S108  a directory of its own inside, removed at the end
-    return shared if os.access(shared, os.W_OK) else None
-
-
-def write_csv(rows: Sequence[Row], path: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(asdict(rows[0])), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--nights", type=int, default=30)
@@ -258,7 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     season = Season(given.nights, given.step, given.seed)
     rows = played(season)
     if given.csv is not None:
-        write_csv(rows, given.csv)
+        write_csv([asdict(row) for row in rows], given.csv)
     if given.figure is not None:
         draw(rows, season.step, given.figure)
     result = {**verdict(season, rows), "wall_seconds": round(perf_counter() - began, 1)}

@@ -16,7 +16,6 @@ import json
 import os
 import shutil
 import sys
-import tempfile
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -28,6 +27,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
 
 from agent.execution.steps import Step
+from benchmarks.places import memory_directory
 from benchmarks.resume_case import (
     MOMENTS,
     STATE,
@@ -148,16 +148,13 @@ def _differences(breaks: Breaks, through: dict[str, Any]) -> Iterator[str]:
 
 @contextmanager
 def _working_directory() -> Iterator[Path]:
-    """Where a commit costs no disk: durability is measured elsewhere."""
-    shared = Path("/dev/shm")  # noqa: S108  a directory of its own inside
     former = Path.cwd()
-    root = tempfile.mkdtemp(prefix="volcal-resume-", dir=shared if os.access(shared, os.W_OK) else None)
-    os.chdir(root)
-    try:
-        yield Path(root)
-    finally:
-        os.chdir(former)
-        shutil.rmtree(root, ignore_errors=True)
+    with memory_directory("resume") as root:
+        os.chdir(root)
+        try:
+            yield Path(root)
+        finally:
+            os.chdir(former)
 
 
 def main() -> None:

@@ -17,11 +17,9 @@ than a fifth than those of the machines that had settled.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -43,6 +41,7 @@ from agent.settings import Settings
 from agent.table_image import image_of
 from benchmarks.nights import rig_of
 from benchmarks.nights_season import with_table
+from benchmarks.places import memory_directory, write_csv
 from benchmarks.warming_figure import Trace, draw
 from drivers.clock import VirtualClock
 from simulators.scenario import ArtefactTruthSettings, Scenario, TruthSettings, read_scenario
@@ -141,7 +140,7 @@ def compared(seed: int) -> tuple[Row, Trace]:
 
 def carried_out(seed: int, temperatures: TemperatureSettings) -> Run:
     """One calibration from an empty controller on."""
-    with tempfile.TemporaryDirectory(prefix="volcal-warming-", dir=_memory()) as directory:
+    with memory_directory("warming") as directory:
         state = Path(directory) / "state"
         world, job = World(_scenario(seed, temperatures)), prepare_job(_settings(state), SHIPPED)
         request = Request(
@@ -253,19 +252,6 @@ def _line(row: Row) -> str:
     return " | ".join(parts)
 
 
-def _memory() -> str | None:
-    """Where a commit costs no disk; durability is tested elsewhere."""
-    shared = "/dev/shm"  # noqa: S108  a directory of its own inside, removed at the end
-    return shared if os.access(shared, os.W_OK) else None
-
-
-def write_csv(rows: Sequence[Row], path: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(asdict(rows[0])), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
@@ -282,7 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             traces.append(trace)
             print(_line(row), flush=True)
     if given.csv is not None:
-        write_csv(rows, given.csv)
+        write_csv([asdict(row) for row in rows], given.csv)
     if given.figure is not None:
         draw(rows, traces[0], given.figure)
     result = {**verdict(rows), "wall_seconds": round(perf_counter() - began, 1)}

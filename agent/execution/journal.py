@@ -21,6 +21,7 @@ from agent.execution.journal_schema import prepare
 from agent.execution.recorded import Recorded, comparable, read_recorded
 from agent.execution.states import RunState
 from agent.execution.steps import ReadTemperatures, Record, Step
+from agent.execution.wording import in_words
 from drivers.clock import Clock, utc_timestamp
 from drivers.errors import Busy, ConfigurationError, JournalFailed
 from drivers.roles import TableImage
@@ -240,7 +241,7 @@ class RunJournal:
     def event_lines(self) -> list[tuple[str, str, str]]:
         """(timestamp, kind, text) of what happened, for people."""
         rows = self._execute("SELECT at, kind, record FROM events WHERE run = ? ORDER BY rowid", (self._run,))
-        return [(at, kind, _in_words(json.loads(record))) for at, kind, record in rows]
+        return [(at, kind, in_words(json.loads(record))) for at, kind, record in rows]
 
     def _write_record(self, step: Record) -> None:
         if step.kind == "ball":
@@ -301,17 +302,3 @@ class RunJournal:
                 self._execute("ROLLBACK")
             raise
         self._execute("COMMIT")
-
-
-def _in_words(record: Mapping[str, Any]) -> str:
-    """`name value, name value`; numbers to four digits, empty values left out."""
-    parts = [f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None)]
-    return ", ".join(parts)
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, list):
-        return "[" + ", ".join(_shown(part) for part in value) + "]"
-    return str(value)

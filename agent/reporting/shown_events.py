@@ -6,11 +6,9 @@ everything that asked for a decision is told as it was.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
+from agent.execution.wording import in_words
 from agent.history.run_record import Note, RunRecord
 from agent.report import EventLine
 
@@ -54,16 +52,3 @@ def _told(note: Note) -> str:
         others = in_words({name: value for name, value in note.record.items() if name != "text"})
         return f"{note.record['text']} ({others})" if others else str(note.record["text"])
     return in_words(note.record)
-
-
-def in_words(record: Mapping[str, Any]) -> str:
-    """`name value, name value`; numbers to four digits, empty values left out."""
-    return ", ".join(f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None))
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, list):
-        return "[" + ", ".join(_shown(part) for part in value) + "]"
-    return str(value)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -18,8 +17,8 @@ from benchmarks.fortnight.house import House
 from benchmarks.fortnight.incidents import Incidents
 from benchmarks.fortnight.ledger import acting_is_accepted, differing, history_of, left_over, trends_of
 from benchmarks.fortnight.plant import Plant
-from benchmarks.nights import memory
 from benchmarks.nights_season import Season, reach_um
+from benchmarks.places import memory_directory
 from simulators.scenario import Scenario
 
 LARGEST_RATIO = 1.5
@@ -90,7 +89,7 @@ def play(programme: Programme, report: Callable[[str], None], figure: Path | Non
     began = perf_counter()
     with (
         ProcessPoolExecutor(1) as pool,
-        tempfile.TemporaryDirectory(prefix="volcal-fortnight-", dir=memory()) as directory,
+        memory_directory("fortnight") as directory,
     ):
         reached = _reached(programme, pool)
         played = _Player(programme, Path(directory), report).played(figure)

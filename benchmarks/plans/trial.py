@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -16,6 +13,7 @@ from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.session import Ended, Request, carry_out
 from benchmarks.nights import rig_of
+from benchmarks.places import memory_directory
 from benchmarks.plans.drawing import Drawn, draw
 from benchmarks.plans.judge import Judge, Seen
 from benchmarks.plans.moving import AlarmClock, Moving
@@ -47,9 +45,9 @@ class Trial:
 def tried(seed: int, *, judged: bool = False) -> Trial:
     """Everything about the plan of `seed`. Never raises for what the agent says; a traceback is a failure too."""
     trial, began = Trial(seed), perf_counter()
-    with _memory() as directory:
+    with memory_directory("plan") as directory:
         try:
-            drawn = draw(seed, directory)
+            drawn = draw(seed, Path(directory))
             kind = Moving()
             _run(trial, drawn, kind, judged)
             if not (trial.refused or trial.stopped):
@@ -157,11 +155,3 @@ def summed(trials: list[Trial]) -> dict[str, object]:
         "commands": sum(trial.commands for trial in trials),
         "machine_hours": round(sum(trial.machine_minutes for trial in trials) / 60.0, 1),
     }
-
-
-@contextlib.contextmanager
-def _memory() -> Iterator[Path]:
-    """Where a commit costs no disk; durability is tested elsewhere."""
-    shared = "/dev/shm"  # noqa: S108  a directory of its own inside, removed at the end
-    with tempfile.TemporaryDirectory(prefix="volcal-plan-", dir=shared if os.access(shared, os.W_OK) else None) as name:
-        yield Path(name)

@@ -7,7 +7,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,10 +17,9 @@ from queue import SimpleQueue
 from typing import Any
 
 import httpx
-from test_kill import CONFIG, SCENARIO, configured
+from simulated import COMMAND, CONFIG, SCENARIO, configured, simulated
 
 PATIENCE_S = 45.0
-COMMAND = [sys.executable, "-m", "agent.cli.main"]
 TWO_POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 SHORT = {
     'position_set = "S3"': 'position_set = "two.csv"\nstations = [1]',
@@ -47,13 +45,8 @@ def simulator(directory: Path) -> Iterator[tuple[subprocess.Popen[bytes], dict[s
     scenario = scenario.replace('"../', f'"{CONFIG}/')
     path = directory / "scenario.toml"
     path.write_text(scenario)
-    command = [*COMMAND, "simulate", "--config", str(path), "--can", "socketcand:127.0.0.1:0", "--end-with-stdin"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
-        try:
-            assert process.stdout is not None
-            yield process, json.loads(process.stdout.readline())
-        finally:
-            process.kill()
+    with simulated(path) as started:
+        yield started
 
 
 def short_settings(ready: dict[str, Any], directory: Path, service: str = AT_ONCE) -> Path:

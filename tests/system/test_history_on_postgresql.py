@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from nights import Night, short_document, states
+from nights import Night, memory_directory, short_document, states
 from sqlalchemy import URL
 
 from agent.execution.states import RunState
@@ -121,7 +121,7 @@ def _free_port() -> int:
 def measured() -> Iterator[tuple[Path, dict[str, object]]]:
     """A real run on the simulated machine, and its settings."""
     with (
-        tempfile.TemporaryDirectory(prefix="volcal-", dir=_memory()) as directory,
+        memory_directory() as directory,
         pytest.MonkeyPatch.context() as patch,
     ):
         state = Path(directory) / "state"
@@ -129,11 +129,6 @@ def measured() -> Iterator[tuple[Path, dict[str, object]]]:
         ended = Night(patch).run(document, files=False)
         assert ended.outcome.state is RunState.COMPLETE, states(state)
         yield state, document
-
-
-def _memory() -> str | None:
-    shared = "/dev/shm"  # noqa: S108  a directory of its own inside
-    return shared if os.access(shared, os.W_OK) else None
 
 
 def renamed(state: Path, machine: str, into: Path) -> Path:

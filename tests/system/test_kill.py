@@ -5,77 +5,22 @@ from __future__ import annotations
 import json
 import sqlite3
 import subprocess
-import sys
 import time
-import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from simulated import COMMAND, balls_in, configured, simulated, wait_until
 
-ROOT = Path(__file__).resolve().parents[2]
-CONFIG = ROOT / "config"
-SCENARIO = CONFIG / "simulators" / "case-study.toml"
 BALLS_BEFORE_THE_KILL = 5
-PATIENCE_S = 45.0
 FAULT_WITHIN_S = 3.0
 
 
 @pytest.fixture
 def simulator() -> Iterator[tuple[subprocess.Popen[bytes], dict[str, Any]]]:
-    command = ["simulate", "--config", str(SCENARIO), "--can", "socketcand:127.0.0.1:0", "--end-with-stdin"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "agent.cli.main", *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
-        try:
-            assert process.stdout is not None
-            yield process, json.loads(process.stdout.readline())
-        finally:
-            process.kill()
-
-
-def configured(ready: dict[str, Any], directory: Path) -> Path:
-    """The shipped settings with the addresses that the simulator got, as a file that an agent can be given."""
-    text = (CONFIG / "case-study.toml").read_text()
-    shipped = tomllib.loads(text)["devices"]
-    can = ready["can"]["options"]
-    for former, now in (
-        ("port = 5021", f"port = {ready['time']['port']}"),
-        (f"port = {shipped['cnc']['options']['port']}\n", f"port = {ready['modbus']['port']}\n"),
-        (f"port = {shipped['operator']['options']['port']}\n", f"port = {ready['control']['port']}\n"),
-        ("port = 29536", f"port = {can['port']}"),
-        ('"machines/', f'"{CONFIG}/machines/'),
-        ('"artefacts/', f'"{CONFIG}/artefacts/'),
-        ('"../runs"', '"state"'),
-    ):
-        head, separator, tail = text.rpartition(former) if former.startswith("port") else text.partition(former)
-        assert separator, former
-        text = head + now + tail
-    path = directory / "volcal.toml"
-    path.write_text(text)
-    return path
-
-
-def balls_in(state: Path) -> int:
-    """Counted through a connection of our own, while the agent writes."""
-    if not (state / "journal.sqlite").exists():
-        return 0
-    connection = sqlite3.connect(f"file:{state / 'journal.sqlite'}?mode=ro", uri=True)
-    try:
-        return int(connection.execute("SELECT count(*) FROM balls").fetchone()[0])
-    except sqlite3.OperationalError:
-        return 0
-    finally:
-        connection.close()
-
-
-def wait_until(condition: Callable[[], bool], agent: subprocess.Popen[str]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert agent.poll() is None, agent.communicate()
-        assert time.monotonic() < deadline, "the agent measures nothing"
-        time.sleep(0.02)
+    with simulated() as started:
+        yield started
 
 
 def test_killed_simulator_is_a_fault_that_names_link_and_step(simulator, tmp_path: Path) -> None:
@@ -84,7 +29,7 @@ def test_killed_simulator_is_a_fault_that_names_link_and_step(simulator, tmp_pat
     state = tmp_path / "state"
     arguments = ["calibrate", "--config", str(config), "--stations", "1", "--json"]
     with subprocess.Popen(
-        [sys.executable, "-m", "agent.cli.main", *arguments],
+        [*COMMAND, *arguments],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -4,7 +4,6 @@ pyModbusTCP as the panel."""
 from __future__ import annotations
 
 import asyncio
-import json
 import shutil
 import signal
 import socket
@@ -21,7 +20,7 @@ import pytest
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from pyModbusTCP.client import ModbusClient
-from test_kill import configured
+from simulated import configured, simulated
 
 from agent.service.opcua.certificates import own_certificate
 
@@ -47,15 +46,8 @@ def free_ports(count: int) -> list[int]:
 
 @pytest.fixture
 def simulator() -> Iterator[dict[str, Any]]:
-    command = ["simulate", "--config", str(SCENARIO), "--can", "socketcand:127.0.0.1:0", "--end-with-stdin"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "agent.cli.main", *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
-        try:
-            assert process.stdout is not None
-            yield json.loads(process.stdout.readline())
-        finally:
-            process.kill()
+    with simulated() as (_, ready):
+        yield ready
 
 
 @pytest.fixture

@@ -8,30 +8,15 @@ import signal
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from nights import rows
-from test_kill import CONFIG, SCENARIO, balls_in, configured, wait_until
+from simulated import CONFIG, SCENARIO, balls_in, configured, simulated, wait_until
 
 BALLS_BEFORE_THE_KILL = 5
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
-
-
-@contextmanager
-def simulator(scenario: Path) -> Iterator[dict[str, Any]]:
-    command = ["simulate", "--config", str(scenario), "--can", "socketcand:127.0.0.1:0", "--end-with-stdin"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "agent.cli.main", *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
-        try:
-            assert process.stdout is not None
-            yield json.loads(process.stdout.readline())
-        finally:
-            process.kill()
 
 
 def short_case(directory: Path) -> tuple[Path, str]:
@@ -84,7 +69,7 @@ def finished(agent: subprocess.Popen[str]) -> dict[str, Any]:
 @pytest.mark.timeout(180)
 def test_a_killed_calibration_goes_on_to_its_end(tmp_path: Path) -> None:
     scenario, positions = short_case(tmp_path)
-    with simulator(scenario) as ready:
+    with simulated(scenario) as (_, ready):
         config = shortened(configured(ready, tmp_path), positions)
         state = tmp_path / "state"
         with volcal(tmp_path, "calibrate", "--config", str(config)) as agent:

@@ -10,10 +10,10 @@ from typing import Any
 
 import click
 import pytest
+from service_house import outcome
 
 from agent.cli.main import LazyGroup, main
 from agent.execution.states import RunState
-from agent.outcome import Outcome
 
 ROOT = Path(__file__).resolve().parents[3]
 REFERENCE = ROOT / "docs" / "reference"
@@ -70,26 +70,10 @@ def test_the_settings_page_says_something_of_most_keys() -> None:
     assert [key for key in silent if not key.startswith(("`mount.", "`probe.", "`procedure.", "`timing."))] == []
 
 
-def outcome() -> Outcome:
-    return Outcome(
-        state=RunState.COMPLETE,
-        run_id="a",
-        position_set="S3",
-        formulation="centres",
-        balls=1,
-        touches=5,
-        machine_minutes=1.0,
-        wall_seconds=1.0,
-        predicted_minutes=1.0,
-        table_bank=1,
-        report=None,
-    )
-
-
 def test_the_json_page_has_the_keys_of_a_run_in_their_order() -> None:
     documented = section(page("json.md"), "`calibrate`, `demo`").split("`demo` adds")[0]
     keys = [key.group(1) for cells in rows(documented) if (key := KEY.match(cells[0]))]
-    assert keys == list(outcome().as_json())
+    assert keys == list(outcome("a", RunState.COMPLETE, None).as_json())
 
 
 def commands() -> Iterator[tuple[str, click.Command]]:

@@ -1,0 +1,75 @@
+"""The real `volcal simulate` as a process of its own, and settings for an agent that is to reach it."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = ROOT / "config"
+SCENARIO = CONFIG / "simulators" / "case-study.toml"
+COMMAND = [sys.executable, "-m", "agent.cli.main"]
+PATIENCE_S = 45.0
+
+
+@contextmanager
+def simulated(scenario: Path = SCENARIO) -> Iterator[tuple[subprocess.Popen[bytes], dict[str, Any]]]:
+    """The process and what it says when it is ready: where its links are."""
+    command = [*COMMAND, "simulate", "--config", str(scenario), "--can", "socketcand:127.0.0.1:0", "--end-with-stdin"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            yield process, json.loads(process.stdout.readline())
+        finally:
+            process.kill()
+
+
+def configured(ready: dict[str, Any], directory: Path) -> Path:
+    """The shipped settings with the addresses that the simulator got, as a file that an agent can be given."""
+    text = (CONFIG / "case-study.toml").read_text()
+    shipped = tomllib.loads(text)["devices"]
+    can = ready["can"]["options"]
+    for former, now in (
+        ("port = 5021", f"port = {ready['time']['port']}"),
+        (f"port = {shipped['cnc']['options']['port']}\n", f"port = {ready['modbus']['port']}\n"),
+        (f"port = {shipped['operator']['options']['port']}\n", f"port = {ready['control']['port']}\n"),
+        ("port = 29536", f"port = {can['port']}"),
+        ('"machines/', f'"{CONFIG}/machines/'),
+        ('"artefacts/', f'"{CONFIG}/artefacts/'),
+        ('"../runs"', '"state"'),
+    ):
+        head, separator, tail = text.rpartition(former) if former.startswith("port") else text.partition(former)
+        assert separator, former
+        text = head + now + tail
+    path = directory / "volcal.toml"
+    path.write_text(text)
+    return path
+
+
+def balls_in(state: Path) -> int:
+    """Counted through a connection of our own, while the agent writes."""
+    if not (state / "journal.sqlite").exists():
+        return 0
+    connection = sqlite3.connect(f"file:{state / 'journal.sqlite'}?mode=ro", uri=True)
+    try:
+        return int(connection.execute("SELECT count(*) FROM balls").fetchone()[0])
+    except sqlite3.OperationalError:
+        return 0
+    finally:
+        connection.close()
+
+
+def wait_until(condition: Callable[[], bool], agent: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert agent.poll() is None, agent.communicate()
+        assert time.monotonic() < deadline, "the agent measures nothing"
+        time.sleep(0.02)
