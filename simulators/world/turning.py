@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers.roles import MotionState
 from simulators.world.controller import Controller
+from simulators.world.turn_proof import surely_passes
 from simulators.world.workpiece import Workpiece
 from twin.bodies import TABLE
 from twin.collision import Scene
@@ -34,9 +35,11 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
     speed = math.radians(workpiece.mount.fastest_deg_per_s) * workpiece.sweep_radius_mm
     if controller.motion is MotionState.MOVING:
         speed += math.hypot(*controller.limits().rapid_mm_per_s)
+    elif surely_passes(workpiece, _tip(controller, start_s), start_s, end_s):
+        return None
     instant = start_s
     while True:
-        tip = added(controller.displayed_at(instant), controller.tool_offset)
+        tip = _tip(controller, instant)
         scene = workpiece.standing(instant).scene
         gap_mm = scene.clearance(tip, at_most=_LOOKED_AT_MM)
         pair = _touching(scene, tip) if gap_mm < 0.0 else None
@@ -84,14 +87,18 @@ def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:
 def _stays_outside(workpiece: Workpiece, controller: Controller, start_s: float) -> bool:
     """Whether no body of the probe enters the ball that holds the artefact at all its angles."""
     reach = sphere(point(workpiece.place_mm), workpiece.sweep_radius_mm)
-    tip = added(controller.displayed_at(start_s), controller.tool_offset)
-    end = added(controller.displayed_at(math.inf), controller.tool_offset)
+    tip, end = _tip(controller, start_s), _tip(controller, math.inf)
     way = (end[0] - tip[0], end[1] - tip[1], end[2] - tip[2])
     for body in workpiece.probe_bodies:
         here = body.shape.moved(tip)
         if separation(here, reach)[0] <= 0.0 or swept_contact(here, reach, way) is not None:
             return False
     return True
+
+
+def _tip(controller: Controller, instant_s: float) -> Point:
+    """Tip centre by what is displayed."""
+    return added(controller.displayed_at(instant_s), controller.tool_offset)
 
 
 def _touching(scene: Scene, tip: Point) -> tuple[str, str] | None:

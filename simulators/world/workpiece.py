@@ -18,6 +18,7 @@ from twin.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodi
 from twin.collision import Scene
 from twin.geometry import Point, point
 from twin.position_set import Pose, mount_pose
+from twin.turn_sweep import Cover, cover_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +56,7 @@ class Workpiece:
         self._temperatures = settings.temperatures
         self._warming = Warming(settings.temperatures)
         self._cached: tuple[object, Standing] | None = None
+        self._cover: Cover | None = None
         self._place_mm: Array = self._places[station - 1]
         self._yaw_rad = 0.0
 
@@ -74,7 +76,7 @@ class Workpiece:
     def carry(self, artefact: Artefact | None) -> None:
         """From now on this mount holds `artefact`, or nothing."""
         self._artefact = artefact
-        self._cached = None
+        self._cached = self._cover = None
 
     @property
     def artefact(self) -> Artefact:
@@ -95,6 +97,18 @@ class Workpiece:
             return geometry.shaft_mm + max(geometry.shaft_radius_mm, geometry.pedestal_radius_mm)
         reach = float(np.linalg.norm(self._artefact.balls, axis=1).max()) + geometry.shaft_mm
         return reach + max(geometry.bar_overhang_mm, self._artefact.ball_radius_mm) + geometry.bar_radius_mm
+
+    @property
+    def cover(self) -> Cover | None:
+        """Balls around everything that turns; None where no artefact does."""
+        if self._cover is None and self._artefact is not None:
+            self._cover = cover_of(self._artefact, self._geometry)
+        return self._cover
+
+    def true_angles_rad(self, instant_s: float) -> tuple[float, float]:
+        """Azimuth, as the artefact was put down, and elevation: those of `mount_pose`."""
+        azimuth, elevation = self.mount.true_angles_rad(*self.mount.angles_deg(instant_s))
+        return azimuth + self._yaw_rad, elevation
 
     def temperature_c(self, now_s: float) -> float:
         return self._warming.artefact_c(now_s)

@@ -55,19 +55,29 @@ class World:
             machine_field=None if machine.is_perfect else machine.deviation,
             table=self.table,
             thermal=thermal,
-            on_motion=self._look_ahead,
+            on_motion=self._expect_change,
             on_collision=self._record,
         )
         self.truth = Truth(machine, scenario.machine.model, self.controller.banks, lambda: thermal.field(self.now))
         self._turn_crash: TurnCrash | None = None
+        self._looked_ahead = True
 
     def advance_to(self, instant_s: float) -> None:
         """Move everything on to `instant_s`; the past is left alone."""
         if instant_s <= self.now:
             return
-        if self._turn_crash is not None and self._turn_crash.time_s <= instant_s:
-            self._crash_turning(self._turn_crash)
+        crash = self.turn_crash
+        if crash is not None and crash.time_s <= instant_s:
+            self._crash_turning(crash)
         self._move_to(instant_s)
+
+    @property
+    def turn_crash(self) -> TurnCrash | None:
+        """What the turning mounts will meet if nothing intervenes. Looked for when it is asked for: of all that begins
+        at one instant (both axes of a mount, say) only the whole counts."""
+        if not self._looked_ahead:
+            self._turn_crash, self._looked_ahead = self._look_ahead(), True
+        return self._turn_crash
 
     @property
     def workpiece(self) -> Workpiece:
@@ -85,14 +95,14 @@ class World:
     def place_artefact(self, station: int) -> None:
         """The operator's hand: the artefact stands at `station` (from 1) afterwards. CommandRejected elsewhere."""
         self.table.place_artefact(station)
-        self._look_ahead()
+        self._expect_change()
 
     def _mounts(self, scenario: Scenario) -> dict[str, MountPhysics]:
         settings = scenario.settings
         angles = settings.mounts_deg or [(0.0, 0.0)] * scenario.mounts
         names = [mount_name(station) for station in range(1, scenario.mounts + 1)] if settings.own_mounts else [MOUNT]
         return {
-            name: MountPhysics(settings.mount_behaviour, settings.seed, self._look_ahead, name=name, start_deg=start)
+            name: MountPhysics(settings.mount_behaviour, settings.seed, self._expect_change, name=name, start_deg=start)
             for name, start in zip(names, angles, strict=True)
         }
 
@@ -102,7 +112,11 @@ class World:
             mount.now_s = instant_s
         self.controller.advance_to(instant_s)
 
-    def _look_ahead(self) -> None:
+    def _expect_change(self) -> None:
+        """What was foreseen holds no longer."""
+        self._looked_ahead = False
+
+    def _look_ahead(self) -> TurnCrash | None:
         """Turning mounts are watched against the probe and each other; standing ones are no concern of this."""
         crashes: list[TurnCrash] = []
         for piece in self.table.pieces:
@@ -113,16 +127,15 @@ class World:
             met = [first_turn_crash(piece, self.controller, self.now, ends_s)]
             met += [first_meeting(piece, other, self.now, ends_s) for other in others]
             crashes += [crash for crash in met if crash is not None]
-        self._turn_crash = min(crashes, key=lambda crash: crash.time_s, default=None)
+        return min(crashes, key=lambda crash: crash.time_s, default=None)
 
     def _crash_turning(self, crash: TurnCrash) -> None:
         self._move_to(max(crash.time_s, self.now))
-        self._turn_crash = None
         self._record(crash.moving, crash.obstacle)
         self.controller.fail(f"collision: {crash.moving} with {crash.obstacle}")
         for mount in self.mounts.values():
             mount.halt()
-        self._turn_crash = None
+        self._turn_crash, self._looked_ahead = None, True
 
     def _record(self, body_a: str, body_b: str) -> None:
         self.collisions.append(Collision(self.now, body_a, body_b))

@@ -90,7 +90,7 @@ def test_where_bars_meet_is_where_brute_force_sees_them_meet() -> None:
     two, three = four.table.pieces[1:3]
     two.mount.begin_turn("elevation", 0.0)
     three.mount.begin_turn("elevation", 0.0)
-    crash = four._turn_crash
+    crash = four.turn_crash
     assert crash is not None
     for instant in np.arange(0.0, crash.time_s - 0.02, 0.005):
         gap = min(
