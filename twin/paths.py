@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.collision import Scene
-from twin.geometry import Point, point
+from twin.geometry import Point
 from twin.motion import travel_times
+from twin.spheres import Spheres
 
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
 """How far before the nearer end the candidates go back."""
@@ -37,8 +39,12 @@ class Dynamics:
 
     def seconds(self, corners: Array) -> Array:
         """(n,) of ways through `corners` (n, k, 3), the ends included."""
+        return np.asarray(self.moving_seconds(corners) + self.command_s * (corners.shape[1] - 1))
+
+    def moving_seconds(self, corners: Array) -> Array:
+        """The same without what commands take."""
         moves = travel_times(corners[:, :-1], corners[:, 1:], self.rapid_mm_per_s, self.acceleration_mm_per_s2)
-        return np.asarray(moves.sum(axis=1) + self.command_s * moves.shape[1])
+        return np.asarray(moves.sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -57,25 +63,68 @@ class Way:
     seconds: float
 
 
-def fastest(
-    scene: Scene, dynamics: Dynamics, start: Point, end: Point, corners: Sequence[Array], apart: Apart
-) -> Way | None:
-    """The fastest of the candidates that is free; None where none is.
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Ways to choose from: `corners` (n, k, 3), and how many of them each has, (n,), at least one; one that has fewer
+    than k repeats its last one."""
 
-    `corners`: arrays (n, k, 3) of n candidates with k corners each, k = 0 for the straight way.
-    """
-    firsts = np.cumsum([0, *(len(group) for group in corners)])
-    seconds = np.concatenate([dynamics.seconds(_whole(start, group, end)) for group in corners])
+    corners: Array
+    counts: NDArray[np.int_]
+
+    @classmethod
+    def of(cls, groups: Sequence[Array]) -> Candidates:
+        """`groups`: arrays (n, k, 3) of n candidates with k corners each."""
+        most = max(group.shape[1] for group in groups)
+        filled = [group[:, np.minimum(np.arange(most), group.shape[1] - 1)] for group in groups]
+        return cls(np.concatenate(filled), np.repeat([group.shape[1] for group in groups], [*map(len, groups)]))
+
+    def kept(self, which: NDArray[np.bool_]) -> Candidates:
+        """Those of which is so, (n,) bool."""
+        return Candidates(self.corners[which], self.counts[which])
+
+    def inside(self, lower: Array, upper: Array) -> Candidates:
+        """Those of which no corner is beyond a bound, (3,) each."""
+        within = (self.corners >= lower) & (self.corners <= upper)
+        return self.kept(np.asarray(within.reshape(len(within), -1).all(axis=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """A scene, with what is known of it at a glance."""
+
+    scene: Scene
+    spheres: Spheres
+
+    @classmethod
+    def of(cls, scene: Scene) -> Surroundings:
+        return cls(scene, Spheres.of(scene))
+
+
+def direct(scene: Scene, dynamics: Dynamics, start: Point, end: Point, apart: Apart) -> Way | None:
+    """The straight way, where it is free: none is faster."""
+    if not scene.free(start, end, apart.clearance_mm, apart.closer):
+        return None
+    return Way((), float(dynamics.seconds(np.array([[start, end]]))[0]))
+
+
+def fastest(
+    among: Surroundings, dynamics: Dynamics, start: Point, end: Point, candidates: Candidates, apart: Apart
+) -> Way | None:
+    """The fastest of the candidates that is free; None where none is. Of equals the earlier one."""
+    stops = _stops(start, candidates.corners, end)
+    seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
+    hopeless = _hopeless(among.spheres, stops, apart)
+    order = np.argsort(seconds, kind="stable")
     proved: dict[tuple[Point, Point], bool] = {}
 
     def free(leg: tuple[Point, Point]) -> bool:
         if leg not in proved:
-            proved[leg] = scene.free(*leg, apart.clearance_mm, apart.closer)
+            proved[leg] = among.scene.free(*leg, apart.clearance_mm, apart.closer)
         return proved[leg]
 
-    for index in np.argsort(seconds, kind="stable").tolist():
-        group = int(np.searchsorted(firsts, index, side="right")) - 1
-        between = tuple(point(corner) for corner in corners[group][index - firsts[group]].tolist())
+    for index in order[~hopeless[order]].tolist():
+        corners = candidates.corners[index, : candidates.counts[index]].tolist()
+        between = tuple((x, y, z) for x, y, z in corners)
         if all(free(leg) for leg in _legs(start, between, end)):
             return Way(between, float(seconds[index]))
     return None
@@ -84,14 +133,26 @@ def fastest(
 def _legs(start: Point, corners: tuple[Point, ...], end: Point) -> list[tuple[Point, Point]]:
     """Each as it has to be looked along. Both ends are given and may be nearer to something than a way should be: a
     leg is looked along from there, so that bodies which part do not count."""
-    stops = (start, *corners)
-    return [(end, stops[-1]) if corners else (start, end), *pairwise(stops)]
+    return [(end, corners[-1]), *pairwise((start, *corners))]
 
 
-def straight_and_retracted(
-    start: Point, end: Point, back: Array, least: float, aside: Array | None = None
-) -> list[Array]:
-    """Candidates for `fastest`: straight, with one corner, and out, across and in, for each of `RETRACTS_MM`.
+def _stops(start: Point, corners: Array, end: Point) -> Array:
+    """(n, k + 2, 3): corners (n, k, 3) and both ends."""
+    stops = np.empty((len(corners), corners.shape[1] + 2, 3))
+    stops[:, 0], stops[:, 1:-1], stops[:, -1] = start, corners, end
+    return stops
+
+
+def _hopeless(spheres: Spheres, stops: Array, apart: Apart) -> NDArray[np.bool_]:
+    """(n,): ways through `stops` (n, k, 3) on which a sphere would be hit; the last leg is looked along backwards."""
+    starts, ends = stops[:, :-1].copy(), stops[:, 1:].copy()
+    starts[:, -1], ends[:, -1] = stops[:, -1], stops[:, -2]
+    hit = spheres.too_near(starts.reshape(-1, 3), ends.reshape(-1, 3), apart.clearance_mm, apart.closer)
+    return np.asarray(hit.reshape(starts.shape[:2]).any(axis=1))
+
+
+def retracted(start: Point, end: Point, back: Array, least: float, aside: Array | None = None) -> list[Array]:
+    """Candidates (n, k, 3) for `fastest`: with one corner, and out, across and in, for each of `RETRACTS_MM`.
 
     `back` (3,): unit vector along a machine axis in which the probe draws back, to no less than `least` against it.
     `aside` (3,): by so much it moves away from what it touches first, and by `SLANT` while it draws back.
@@ -105,7 +166,7 @@ def straight_and_retracted(
         out = out + sideways[:, None] * (aside - (aside @ back) * back)
     over = _at_depth(np.broadcast_to(last, (len(planes), 3)), back, planes)
     middles = [out + fraction * (over - out) for fraction in FRACTIONS]
-    groups = [np.empty((1, 0, 3)), np.concatenate(middles)[:, None], np.stack([out, over], axis=1)]
+    groups = [np.concatenate(middles)[:, None], np.stack([out, over], axis=1)]
     if aside is not None:
         groups.append((first + aside)[None, None])
     return groups
@@ -114,9 +175,3 @@ def straight_and_retracted(
 def _at_depth(points: Array, back: Array, planes: Array) -> Array:
     """(n, 3): each point at its plane."""
     return np.asarray(points + np.outer(points @ -back - planes, back))
-
-
-def _whole(start: Point, corners: Array, end: Point) -> Array:
-    count = len(corners)
-    first, last = np.broadcast_to(np.array([[start], [end]]), (2, count, 3))
-    return np.concatenate([first[:, None], corners, last[:, None]], axis=1)

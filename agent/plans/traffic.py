@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from twin.access import AT_CONTACT_MM, standing_scene
 from twin.artefact import Artefact
 from twin.bodies import TIP, ProbeGeometry, ball_name, post_name
-from twin.collision import Scene
 from twin.geometry import Point, Shape, point
 from twin.layout import Layout
 from twin.motion import travel_times
-from twin.paths import Apart, Dynamics, Way, fastest, straight_and_retracted
+from twin.paths import Apart, Candidates, Dynamics, Surroundings, Way, direct, fastest, retracted
 from twin.turn_sweep import CELL_MM, Cover, TurnSweep, cover_of, turn_sweep
 
 Array = NDArray[np.float64]
@@ -92,7 +91,7 @@ class _Pose:
     """Ball centres (N, 3) and all bodies, relative to the place of the mount."""
 
     centres: Array
-    scene: Scene
+    among: Surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,26 +208,31 @@ class Traffic:
     ) -> Way | None:
         pose = self._pose(stand)
         first, last = self.at(stand, start), self.at(stand, end)
-        corners = self._corners(stand, start, last, end.out_mm - start.out_mm)
+        groups = self._corners(stand, start, last, end.out_mm - start.out_mm)
         if start.ball == end.ball:
-            round_it = self._round(pose.centres[start.ball], start, end)
-            corners.append(_leaving(first, last, round_it, start))
+            groups.append(self._round(pose.centres[start.ball], start, end))
+        candidates = _leaving(first, Candidates.of(groups), start)
         low, high = self._travel(stand)
         low[0], high[0] = room
-        corners = [group[((group >= low) & (group <= high)).all(axis=(1, 2))] for group in corners]
+        candidates = candidates.inside(low, high)
         for apart in self._aparts(start, end, uncertain_mm):
-            way = fastest(pose.scene, self.roads.dynamics, first, last, corners, apart)
+            way = self._straight_way(pose, first, last, start, apart)
+            way = way or fastest(pose.among, self.roads.dynamics, first, last, candidates, apart)
             if way is not None:
                 return way
         return None
 
+    def _straight_way(self, pose: _Pose, first: Point, last: Point, start: Spot, apart: Apart) -> Way | None:
+        """None where it does not leave the surface at once, too."""
+        if not _leaves(first, last, start):
+            return None
+        return direct(pose.among.scene, self.roads.dynamics, first, last, apart)
+
     def _corners(self, stand: Stand, start: Spot, last: Point, beside_mm: float) -> list[Array]:
-        """Candidates from `start`, from a touch only such as leave the surface, by `beside_mm` first if need be."""
-        first = self.at(stand, start)
+        """Candidates (n, k, 3) from `start`, from a touch such as leave the surface by `beside_mm` first if need be."""
         aside = -beside_mm * np.array(start.direction) if start.touching else None
         least = float(self._travel(stand)[0] @ np.abs(self.roads.stylus_axis))
-        corners = straight_and_retracted(first, last, -self.roads.stylus_axis, least, aside)
-        return [_leaving(first, last, group, start) for group in corners]
+        return retracted(self.at(stand, start), last, -self.roads.stylus_axis, least, aside)
 
     def _round(self, centre: Array, start: Spot, end: Spot) -> Array:
         """(n, 1, 3): corners beside the ball, between both spots and before it."""
@@ -296,18 +300,21 @@ class Traffic:
         to be free. The way in is the same backwards."""
         key = (stand, spot, waiting)
         if key not in self._ways:
-            first = self.at(stand, spot)
-            corners = self._corners(stand, spot, waiting, LEAVES_BY_MM)
-            corners.append(_square(first, waiting, spot))
-            apart_mm = self.roads.clearance_mm + self.roads.unknown_mm
-            near_mm = min(apart_mm, max(spot.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
-            near = {(body, ball_name(spot.ball)): near_mm for body in (TIP, "stem")}
-            holder = {(body, post_name(spot.ball)): min(apart_mm, near_mm) for body in (TIP, "stem")}
-            scene = self._pose(stand).scene
-            self._ways[key] = fastest(
-                scene, self.roads.dynamics, first, waiting, corners, Apart(apart_mm, near | holder)
-            )
+            self._ways[key] = self._sought_to_place(*key)
         return self._ways[key]
+
+    def _sought_to_place(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
+        apart_mm = self.roads.clearance_mm + self.roads.unknown_mm
+        near_mm = min(apart_mm, max(spot.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
+        names = ball_name(spot.ball), post_name(spot.ball)
+        apart = Apart(apart_mm, {(body, name): near_mm for body in (TIP, "stem") for name in names})
+        pose, first = self._pose(stand), self.at(stand, spot)
+        way = self._straight_way(pose, first, waiting, spot, apart)
+        if way is not None:
+            return way
+        groups = [*self._corners(stand, spot, waiting, LEAVES_BY_MM), _square(first, waiting, spot)]
+        candidates = _leaving(first, Candidates.of(groups), spot)
+        return fastest(pose.among, self.roads.dynamics, first, waiting, candidates, apart)
 
     def _sweep(self, before: Stand, after: Stand) -> TurnSweep:
         low, high = (
@@ -327,7 +334,7 @@ class Traffic:
 
     def _standing_still(self, stand: Stand) -> list[Shape]:
         """What does not turn with the mount: its pedestal, the table and what else is there."""
-        scene = self._pose(stand).scene
+        scene = self._pose(stand).among.scene
         carried = self._artefact(stand).count
         turning = {"shaft", "bar", *map(ball_name, range(carried)), *map(post_name, range(carried))}
         return [body.shape for body in scene.obstacles if body.name not in turning]
@@ -380,7 +387,7 @@ class Traffic:
                 further=self.layout.around.get(stand.among, ()),
             )
             back = (-x, -stand.depth_mm, -stand.height_mm)
-            self._poses[stand] = _Pose(centres + back, scene.shifted(back))
+            self._poses[stand] = _Pose(centres + back, Surroundings.of(scene.shifted(back)))
         return self._poses[stand]
 
 
@@ -401,13 +408,19 @@ def _square(first: Point, last: Point, start: Spot) -> Array:
     return np.array([[beside, *out] if start.touching else out])
 
 
-def _leaving(first: Point, last: Point, corners: Array, start: Spot) -> Array:
-    """Those candidates (n, k, 3) whose first move goes away from the surface that is touched; one that does not move at
-    all leaves the next one to do so, which may press on."""
+def _leaving(first: Point, candidates: Candidates, start: Spot) -> Candidates:
+    """Those whose first move goes away from the surface that is touched; one that does not move at all leaves the next
+    one to do so, which may press on."""
     if not start.touching:
-        return corners
-    firsts = corners[:, 0] if corners.shape[1] else np.broadcast_to(np.array(last), (len(corners), 3))
-    ways = firsts - np.array(first)
+        return candidates
+    ways = candidates.corners[:, 0] - np.array(first)
     lengths = np.linalg.norm(ways, axis=1)
     away = -ways @ np.array(start.direction) >= LEAVING * lengths
-    return np.asarray(corners[away & (lengths > LEAST_MOVE_MM)])
+    return candidates.kept(away & (lengths > LEAST_MOVE_MM))
+
+
+def _leaves(first: Point, last: Point, start: Spot) -> bool:
+    """Whether the straight way does."""
+    length = math.dist(first, last)
+    away = -sum((b - a) * along for a, b, along in zip(first, last, start.direction, strict=True))
+    return not start.touching or (away >= LEAVING * length and length > LEAST_MOVE_MM)

@@ -14,7 +14,7 @@ from twin.bodies import Body, ProbeGeometry
 from twin.collision import Scene
 from twin.geometry import Box, Point, point, separation, sphere
 from twin.motion import straight, travel_s, travel_times
-from twin.paths import Apart, Dynamics, fastest, straight_and_retracted
+from twin.paths import Apart, Candidates, Dynamics, Surroundings, Way, direct, fastest, retracted
 from twin.position_set import MountGeometry
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
@@ -42,6 +42,14 @@ def test_seconds_of_a_way_are_those_of_its_moves() -> None:
     assert DYNAMICS.seconds(corners) == pytest.approx(2.0 * math.sqrt(0.125) + 2.0 * 0.666 + cruise + 0.02)
 
 
+def best(scene: Scene, start: Point, end: Point, corners: list[np.ndarray], apart: Apart) -> Way | None:
+    """The straight way or one through `corners`."""
+    candidates = Candidates.of(corners)
+    return direct(scene, DYNAMICS, start, end, apart) or fastest(
+        Surroundings.of(scene), DYNAMICS, start, end, candidates, apart
+    )
+
+
 def sampled_gap(scene: Scene, stops: list[Point]) -> float:
     """Smallest gap of any two bodies on the way, every 0.5 mm."""
     smallest = math.inf
@@ -63,8 +71,7 @@ def test_a_way_keeps_its_clearance_from_everything_all_along(azimuth: float, ele
     for _ in range(6):
         first, last = rng.choice(11, 2, replace=False)
         ends = [point(centres[ball] - (0.0, 30.0, 0.0)) for ball in (first, last)]
-        corners = straight_and_retracted(ends[0], ends[1], BACK, -1000.0)
-        way = fastest(scene, DYNAMICS, ends[0], ends[1], corners, Apart(2.0))
+        way = best(scene, ends[0], ends[1], retracted(ends[0], ends[1], BACK, -1000.0), Apart(2.0))
         assert way is not None
         stops = [ends[0], *way.corners, ends[1]]
         assert sampled_gap(scene, stops) >= min(2.0, *(scene.clearance(end) for end in ends)) - 0.05
@@ -74,11 +81,11 @@ def test_the_fastest_that_is_free_is_taken_and_a_faster_one_would_hit() -> None:
     wall = Body("wall", Box((40.0, -20.0, -500.0), (60.0, 400.0, 500.0)))
     scene = Scene(ProbeGeometry().bodies(), [wall])
     start, end = (0.0, 0.0, 0.0), (100.0, 0.0, 0.0)
-    corners = straight_and_retracted(start, end, BACK, -1000.0)
-    way = fastest(scene, DYNAMICS, start, end, corners, Apart(1.0))
+    corners = retracted(start, end, BACK, -1000.0)
+    way = best(scene, start, end, corners, Apart(1.0))
     assert way is not None
     assert min(y for _, y, _ in way.corners) < -24.0
-    for group in corners:
+    for group in (np.empty((1, 0, 3)), *corners):
         for candidate, seconds in zip(group, DYNAMICS.seconds(whole(start, group, end)), strict=True):
             if seconds < way.seconds - 1e-9:
                 assert sampled_gap(scene, [start, *(point(corner) for corner in candidate), end]) < 1.0 + 0.01
@@ -92,7 +99,7 @@ def test_no_way_where_everything_is_closed() -> None:
     wall = Body("wall", Box((40.0, -3000.0, -500.0), (60.0, 400.0, 500.0)))
     scene = Scene(ProbeGeometry().bodies(), [wall])
     start, end = (0.0, 0.0, 0.0), (100.0, 0.0, 0.0)
-    assert fastest(scene, DYNAMICS, start, end, straight_and_retracted(start, end, BACK, -900.0), Apart(1.0)) is None
+    assert best(scene, start, end, retracted(start, end, BACK, -900.0), Apart(1.0)) is None
 
 
 def test_a_way_leaves_what_it_stands_too_near_to_but_does_not_come_nearer() -> None:
