@@ -116,11 +116,15 @@ def _tolerance_alarm(
 
 
 def _control_alarm(series: Series, chart: Individuals | None, smoothed: Ewma | None) -> Iterable[TrendAlarm]:
-    """Of the newest value alone: older ones have been told when they were new."""
+    """Of the newest value alone: older ones have been told when they were new. A size that has become smaller than
+    ever is a better machine and no alarm."""
     if chart is None or smoothed is None:
         return
     last = len(smoothed.values) - 1
     value = float(series.values[-1])
+    newest = value if last in chart.outside else float(smoothed.values[-1])
+    if not series.two_sided and newest < chart.centre:
+        return
     if last in chart.outside:
         text = f"{series.title} is {value:.2f} {series.unit}, outside {chart.lower:.2f} to {chart.upper:.2f}"
     elif last in smoothed.outside:

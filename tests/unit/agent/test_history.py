@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from journaled import SETTINGS, journaled, run_id
@@ -25,11 +26,11 @@ from agent.history.metrics import metrics_text
 from agent.history.overview import alarms_of, chosen, foremost, trends_of
 from agent.history.place import Place, place_of
 from agent.history.run_record import read_record, run_ids
-from agent.history.series import ACTING, BARE, nights_of
+from agent.history.series import ACTING, BARE, Series, nights_of
 from agent.history.settings import HistorySettings
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
-from agent.history.trends import AlarmKind
+from agent.history.trends import AlarmKind, trend_of
 from agent.settings import Settings
 from drivers.errors import ConfigurationError, InputError, LinkLost
 
@@ -214,6 +215,22 @@ class TestTrends:
         whole, *_ = chosen(trends_of(store.runs(), HistorySettings()), ["EXX"])
         assert whole.series.name == "EXX"
         assert whole.series.values == pytest.approx([7.0, 8.0, 9.0])
+
+    @pytest.mark.parametrize(
+        ("last", "two_sided", "told"),
+        [(7.0, False, 1), (3.0, False, 0), (7.0, True, 1), (3.0, True, 1), (5.1, False, 0)],
+    )
+    def test_an_error_that_falls_out_of_its_limits_is_a_better_machine(
+        self, last: float, two_sided: bool, told: int
+    ) -> None:
+        """Mean moving range of the first: (7 * 0.2 + 2.1) / 8 = 0.44, so one sigma is 0.39 and 7.0 is beyond three."""
+        values = np.array([*(5.0 + 0.1 * (-1.0) ** night for night in range(8)), last])
+        series = Series(
+            name="ve", title="VE", unit="µm", run_ids=tuple("abcdefghi"), nights=np.arange(9.0), values=values,
+            sigmas=np.full(9, np.nan), stated=False, tolerance=None, two_sided=two_sided, steps=(),
+        )  # fmt: skip
+        alarms = trend_of(series, warn_nights=14.0).alarms
+        assert [alarm.kind for alarm in alarms] == [AlarmKind.CONTROL] * told
 
     def test_nights_are_those_of_the_calendar(self, state: Path, store: HistoryStore) -> None:
         for night in (0, 1, 4):
