@@ -69,14 +69,18 @@ def rehearse(
     except (Aborted, Interrupted) as end:  # at no step of the machine's
         raise type(end)(end.message, hint=end.hint) from end
     except (DeviceError, MeasurementFault) as error:
-        raise PlanRefused(
-            f"preflight: {error.message}", hint="nothing was moved; the plan must change", **error.where
-        ) from error
+        raise PlanRefused(f"preflight: {error.message}", hint=_what_to_do(job), **error.where) from error
     finally:
         rig.close()
     _require_proof(verified)
     wall_s = wall_seconds() - began
     return Rehearsal(measured, verified, times.timeline, times.steps, clock.now(), wall_s, len(times.timeline))
+
+
+def _what_to_do(job: Job) -> str:
+    if job.settings.procedure.paths == "plain":
+        return 'nothing was moved; plain ways are not proved: `procedure.paths = "shortest"` looks for ways that are free'
+    return "nothing was moved; the plan must change"
 
 
 class _Times:
