@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
+from operator import or_
 
-import numpy as np
-
-from twin.arrays import Array
 from twin.bodies import Body
 from twin.geometry import Point, separation, swept_contact
 
@@ -27,18 +27,15 @@ class Hit:
 class Scene:
     """Moving bodies (relative to the tip centre) among standing ones; build anew when those move.
 
-    Kept is by how much the box around each moving body falls short of that around each standing one, (6, pairs) for
-    the three lower and the three upper bounds, so that "they meet" is one comparison.
+    Kept are the boxes around the moving bodies, and axis by axis what the boxes around the standing ones span.
     """
 
     def __init__(self, moving: Sequence[Body], obstacles: Sequence[Body]) -> None:
         self.moving = tuple(moving)
         self.obstacles = tuple(obstacles)
-        lower, upper = _bounds(self.moving)
-        own = np.concatenate((lower, -upper), axis=1).T
-        lower, upper = _bounds(self.obstacles)
-        theirs = np.concatenate((upper, -lower), axis=1).T
-        self._short = (theirs[:, None, :] - own[:, :, None]).reshape(6, -1)
+        self._boxes = [(body.shape.lower, body.shape.upper) for body in self.moving]
+        lower, upper = [body.shape.lower for body in self.obstacles], [body.shape.upper for body in self.obstacles]
+        self._spans = [_Spans.of([low[axis] for low in lower], [high[axis] for high in upper]) for axis in range(3)]
 
     def first_hit(
         self,
@@ -98,22 +95,45 @@ class Scene:
     def near(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
         """Indices (moving, obstacle) of the pairs whose surrounding boxes, swept along the move, meet."""
         (x0, y0, z0), (x1, y1, z1) = start, end
-        travel = np.array(
-            (
-                (min(x0, x1) - clearance_mm,),
-                (min(y0, y1) - clearance_mm,),
-                (min(z0, z1) - clearance_mm,),
-                (-max(x0, x1) - clearance_mm,),
-                (-max(y0, y1) - clearance_mm,),
-                (-max(z0, z1) - clearance_mm,),
-            )
-        )
-        meet = np.logical_and.reduce(travel <= self._short, axis=0)
-        count = len(self.obstacles)
-        return [divmod(pair, count) for pair in meet.nonzero()[0].tolist()]
+        x0, x1 = (x0 - clearance_mm, x1 + clearance_mm) if x0 < x1 else (x1 - clearance_mm, x0 + clearance_mm)
+        y0, y1 = (y0 - clearance_mm, y1 + clearance_mm) if y0 < y1 else (y1 - clearance_mm, y0 + clearance_mm)
+        z0, z1 = (z0 - clearance_mm, z1 + clearance_mm) if z0 < z1 else (z1 - clearance_mm, z0 + clearance_mm)
+        along_x, along_y, along_z = self._spans
+        pairs = []
+        for i, ((lx, ly, lz), (ux, uy, uz)) in enumerate(self._boxes):
+            met = along_z.met(lz + z0, uz + z1)
+            if met:
+                met &= along_x.met(lx + x0, ux + x1)
+            if met:
+                met &= along_y.met(ly + y0, uy + y1)
+            while met:
+                last = met & -met
+                pairs.append((i, last.bit_length() - 1))
+                met ^= last
+        return pairs
 
 
-def _bounds(bodies: Sequence[Body]) -> tuple[Array, Array]:
-    lower = np.array([body.shape.lower for body in bodies], dtype=np.float64).reshape(-1, 3)
-    upper = np.array([body.shape.upper for body in bodies], dtype=np.float64).reshape(-1, 3)
-    return lower, upper
+@dataclass(frozen=True)
+class _Spans:
+    """What bodies span on one axis. A set of bodies is a number, bit j for body j.
+
+    `lowers`: their lower bounds in order, and `begun[n]` the bodies of the first n; `uppers`: their upper bounds in
+    order, and `left[n]` all bodies but those of the first n.
+    """
+
+    lowers: Sequence[float]
+    begun: Sequence[int]
+    uppers: Sequence[float]
+    left: Sequence[int]
+
+    @classmethod
+    def of(cls, lower: Sequence[float], upper: Sequence[float]) -> _Spans:
+        from_below = sorted((low, 1 << body) for body, low in enumerate(lower))
+        from_above = sorted((high, 1 << body) for body, high in enumerate(upper))
+        begun = accumulate((bit for _, bit in from_below), or_, initial=0)
+        left = accumulate((bit for _, bit in reversed(from_above)), or_, initial=0)
+        return cls([low for low, _ in from_below], [*begun], [high for high, _ in from_above], [*left][::-1])
+
+    def met(self, low: float, high: float) -> int:
+        """The bodies that span something between `low` and `high`, the ends included."""
+        return self.begun[bisect_right(self.lowers, high)] & self.left[bisect_left(self.uppers, low)]

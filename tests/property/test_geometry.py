@@ -5,12 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twin.bodies import Body
+from twin.collision import Scene
 from twin.geometry import Box, Capsule, capsule_distance, separation, swept_contact
 
 coordinate = st.floats(-50.0, 50.0).map(lambda value: round(value, 3))
 points = st.tuples(coordinate, coordinate, coordinate)
 radii = st.floats(0.5, 8.0).map(lambda value: round(value, 3))
-capsules = st.builds(Capsule, points, points, radii)
+spheres = st.builds(lambda centre, radius: Capsule(centre, centre, radius), points, radii)
+capsules = st.one_of(st.builds(Capsule, points, points, radii), spheres)
 
 
 @st.composite
@@ -19,6 +22,12 @@ def boxes(draw: st.DrawFn) -> Box:
     low = tuple(min(a, b) for a, b in zip(p, q, strict=True))
     high = tuple(max(a, b) for a, b in zip(p, q, strict=True))
     return Box(low, high)  # type: ignore[arg-type]
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> Scene:
+    bodies = st.lists(st.builds(Body, st.just("body"), st.one_of(capsules, boxes())), max_size=6)
+    return Scene(draw(bodies), draw(bodies))
 
 
 def along(capsule: Capsule, count: int) -> np.ndarray:
@@ -84,6 +93,19 @@ def test_a_sweep_meets_what_small_steps_meet(moving: Capsule, obstacle, displace
         assert separation(moving.moved(tuple(found * way)), obstacle)[0] == pytest.approx(0.0, abs=2e-5)
         assert gaps[fractions < found].min(initial=np.inf) > -1e-5
         assert gaps.min() <= small
+
+
+@given(scenes(), points, points, st.sampled_from([0.0, 3.0, 60.0]))
+@settings(max_examples=80, deadline=None)
+def test_near_are_those_whose_boxes_meet(scene: Scene, start, end, clearance_mm) -> None:
+    travel_low, travel_high = np.minimum(start, end) - clearance_mm, np.maximum(start, end) + clearance_mm
+    meeting = []
+    for i, moving in enumerate(scene.moving):
+        low, high = moving.shape.lower + travel_low, moving.shape.upper + travel_high
+        for j, standing in enumerate(scene.obstacles):
+            if np.all(low <= standing.shape.upper) and np.all(high >= standing.shape.lower):
+                meeting.append((i, j))
+    assert scene.near(start, end, clearance_mm) == meeting
 
 
 def test_a_body_in_contact_may_leave_but_not_press_on() -> None:
