@@ -79,7 +79,7 @@ def rehearse(
 
 def _what_to_do(job: Job) -> str:
     if job.settings.procedure.paths == "plain":
-        return 'nothing was moved; plain ways are not proved: `procedure.paths = "shortest"` looks for ways that are free'
+        return 'nothing was moved; plain ways are not proved; `procedure.paths = "shortest"` looks for free ones'
     return "nothing was moved; the plan must change"
 
 
