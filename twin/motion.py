@@ -15,6 +15,9 @@ import numpy as np
 from twin.arrays import Array
 from twin.geometry import Point
 
+_NO_TIME_S = 1e-300
+"""Less than any move takes; what does not move takes 0 / this."""
+
 
 @dataclass(frozen=True)
 class Phase:
@@ -135,12 +138,17 @@ def travel_times(
     acceleration: what `travel_s` says of `straight` paths, for many at once."""
     ways = np.abs(np.asarray(ends, dtype=np.float64) - starts)
     # Seconds that a way of this length takes at an axis' own acceleration alone, and at its speed alone.
-    accelerating = (ways / np.asarray(acceleration_per_axis)).max(axis=-1)
-    cruising = (ways / np.asarray(speed_per_axis)).max(axis=-1)
+    accelerating = _largest(ways / np.asarray(acceleration_per_axis))
+    cruising = _largest(ways / np.asarray(speed_per_axis))
     reached = np.sqrt(accelerating)
     # With a = L / accelerating and v = L / cruising: a ramp lasts v / a, and beyond two of them the axis cruises.
-    ramp = np.divide(accelerating, cruising, out=np.zeros_like(accelerating), where=cruising > 0.0)
+    ramp = accelerating / np.maximum(cruising, _NO_TIME_S)
     return np.asarray(np.where(reached <= ramp, 2.0 * reached, cruising + ramp))
+
+
+def _largest(per_axis: Array) -> Array:
+    """(...) of (..., 3): by columns, since an array operation for each three numbers would cost more than they do."""
+    return np.asarray(np.maximum(np.maximum(per_axis[..., 0], per_axis[..., 1]), per_axis[..., 2]))
 
 
 def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[float, float, float]:

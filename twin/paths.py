@@ -7,6 +7,7 @@ path among obstacles need not be among the candidates; a free one always is, as 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -74,9 +75,13 @@ class Candidates:
     @classmethod
     def of(cls, groups: Sequence[Array]) -> Candidates:
         """`groups`: arrays (n, k, 3) of n candidates with k corners each."""
-        most = max(group.shape[1] for group in groups)
-        filled = [group[:, np.minimum(np.arange(most), group.shape[1] - 1)] for group in groups]
-        return cls(np.concatenate(filled), np.repeat([group.shape[1] for group in groups], [*map(len, groups)]))
+        total, most = sum(map(len, groups)), max(group.shape[1] for group in groups)
+        corners, counts, begin = np.empty((total, most, 3)), np.empty(total, dtype=np.int_), 0
+        for group in groups:
+            end, count = begin + len(group), group.shape[1]
+            corners[begin:end, :count], corners[begin:end, count:] = group, group[:, -1:]
+            counts[begin:end], begin = count, end
+        return cls(corners, counts)
 
     def kept(self, which: NDArray[np.bool_]) -> Candidates:
         """Those of which is so, (n,) bool."""
@@ -158,20 +163,16 @@ def retracted(start: Point, end: Point, back: Array, least: float, aside: Array 
     `aside` (3,): by so much it moves away from what it touches first, and by `SLANT` while it draws back.
     """
     first, last = np.array(start), np.array(end)
-    planes = np.unique(np.maximum(min(first @ -back, last @ -back) - np.array(RETRACTS_MM), least))
-    out = _at_depth(np.broadcast_to(first, (len(planes), 3)), back, planes)
+    begins, ends = float(first @ -back), float(last @ -back)
+    planes = np.array(sorted({max(min(begins, ends) - retract, least) for retract in RETRACTS_MM}))
+    out = first + np.outer(begins - planes, back)
     if aside is not None:
-        beside = float(np.linalg.norm(aside))
-        sideways = np.maximum(1.0, SLANT / beside * (first @ -back - planes))
+        beside = math.hypot(*aside.tolist())
+        sideways = np.maximum(1.0, SLANT / beside * (begins - planes))
         out = out + sideways[:, None] * (aside - (aside @ back) * back)
-    over = _at_depth(np.broadcast_to(last, (len(planes), 3)), back, planes)
-    middles = [out + fraction * (over - out) for fraction in FRACTIONS]
-    groups = [np.concatenate(middles)[:, None], np.stack([out, over], axis=1)]
+    over = last + np.outer(ends - planes, back)
+    middles = out + np.array(FRACTIONS)[:, None, None] * (over - out)
+    groups = [middles.reshape(-1, 1, 3), np.stack([out, over], axis=1)]
     if aside is not None:
         groups.append((first + aside)[None, None])
     return groups
-
-
-def _at_depth(points: Array, back: Array, planes: Array) -> Array:
-    """(n, 3): each point at its plane."""
-    return np.asarray(points + np.outer(points @ -back - planes, back))

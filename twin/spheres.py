@@ -20,6 +20,7 @@ from twin.geometry import Capsule
 SURELY_MM = 1e-6
 """What comes too near by less is left to the exact search: its own tolerance."""
 _CLOSING_MM2 = 1e-6
+_NO_WAY_MM2 = 1e-300
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,17 @@ class Spheres:
 def _pass_within(starts: Array, ends: Array, centres: Array, reach: Array) -> NDArray[np.bool_]:
     """(m,): whether a point on its way comes closer to any centre, and within its reach (M,)."""
     way = ends - starts
-    along, square = way @ centres.T, (way * way).sum(axis=1)[:, None]
+    square = _squared(way)[:, None]
     # From each centre to the start: how far along the way (negative: it closes in), and how far in all, squared.
-    opening = (starts * way).sum(axis=1)[:, None] - along
-    away = ((starts[:, None] - centres) ** 2).sum(axis=2)
-    nearest = np.minimum(-opening / np.where(square > 0.0, square, 1.0), 1.0)
+    opening = np.einsum("ij,ij->i", starts, way)[:, None] - way @ centres.T
+    away = _squared(starts)[:, None] - 2.0 * (starts @ centres.T) + _squared(centres)
+    nearest = np.minimum(-opening / np.maximum(square, _NO_WAY_MM2), 1.0)
     least = away + nearest * (2.0 * opening + nearest * square)
     return np.asarray(((opening < -_CLOSING_MM2) & (least < reach**2)).any(axis=1))
+
+
+def _squared(vectors: Array) -> Array:
+    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
 
 
 def _spheres(bodies: Sequence[Body]) -> list[Ball]:
