@@ -17,6 +17,9 @@ from simulators.world.workpiece import Standing
 from twin.geometry import Point, added
 from twin.motion import Path, entry
 
+_ROUNDING_MM = 1e-6
+"""What lies just beyond the end of a path is looked at exactly, too."""
+
 
 @dataclass(frozen=True)
 class Contact:
@@ -40,9 +43,13 @@ class ContactSolver:
         """First ball met along `path`; the one that the tip already rests on does not count."""
         first: Contact | None = None
         start = added(path.start, self._shift.rigid)
+        (x, y, z), (dx, dy, dz), within = start, path.direction, path.length + self._reach + _ROUNDING_MM
         for ball, apparent in enumerate(self._apparent(standing)):
+            ahead = (apparent[0] - x) * dx + (apparent[1] - y) * dy + (apparent[2] - z) * dz
+            if not 0.0 < ahead <= within or ball == resting:
+                continue
             distance = entry(start, path, apparent, self._reach)
-            if distance is not None and ball != resting and (first is None or distance < first.distance):
+            if distance is not None and (first is None or distance < first.distance):
                 first = Contact(distance, ball)
         return self._refined(first, path, standing) if first and self._shift.has_field else first
 

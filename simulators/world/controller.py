@@ -110,7 +110,7 @@ class Controller:
     @property
     def motion_ends_s(self) -> float | None:
         """When the current motion ends if nothing intervenes."""
-        return None if self._motion is None else self._motion.course.law.end_s
+        return None if self._motion is None else self._motion.course.end_s
 
     @property
     def comes_free_s(self) -> float | None:
@@ -220,7 +220,7 @@ class Controller:
         course = motion.course
         if course.trip_s is not None and instant_s >= course.trip_s:
             self._tripped(motion, course.trip_s)
-        if instant_s >= course.law.end_s:
+        if instant_s >= course.end_s:
             self._arrive(motion)
 
     def _begin(self, kind: Kind, target: ArrayLike, feed_mm_per_s: float | None) -> None:
@@ -292,7 +292,7 @@ class Controller:
         complete = not interrupted and course.law.end_distance >= command.path.length - 1e-9
         self._position = command.target if complete else command.path.at(course.law.end_distance)
         self._motion = None
-        self._deflected = course.trip_s is not None or (self._deflected and course.law.end_s < course.free_s)
+        self._deflected = course.trip_s is not None or (self._deflected and course.end_s < course.free_s)
         self.touch_missed = command.kind is Kind.TOUCH and complete
         self._state = motion.ends_in
         if course.crash is not None:

@@ -54,6 +54,7 @@ class Course:
     trip_s: float | None
     crash: Crash | None
     free_s: float
+    end_s: float
 
 
 def course_of(law: MotionLaw, outlook: Outlook, deceleration: float) -> Course:
@@ -65,7 +66,8 @@ def course_of(law: MotionLaw, outlook: Outlook, deceleration: float) -> Course:
     crash = outlook.crash if outlook.crash and outlook.crash.distance <= law.end_distance else None
     if crash is not None:
         law = law.cut(law.time_at(crash.distance))
-    return Course(law, trip_s, crash, law.time_at(outlook.free_mm))
+    free_s = law.time_at(outlook.free_mm) if outlook.free_mm > 0.0 else law.start_s
+    return Course(law, trip_s, crash, free_s, law.end_s)
 
 
 def earliest(*crashes: Crash | None) -> Crash | None:

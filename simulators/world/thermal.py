@@ -58,14 +58,16 @@ class Thermal:
 
     def drift_mm(self, now_s: float) -> Point:
         """(3,) of the tip since the start."""
-        warmed = self.warming.machine_warmed_k(now_s)
-        if warmed == 0.0:
+        if self.warming.machine_stays:
             return ZERO
+        warmed = self.warming.machine_warmed_k(now_s)
         x, y, z = self._settings.growth_um_per_k
         return x * warmed * 1e-3, y * warmed * 1e-3, z * warmed * 1e-3
 
     def field(self, now_s: float) -> FieldOfMany | None:
         """By how much the machine's field has changed since the start; None where it has not."""
+        if self.warming.machine_stays:
+            return None
         s = self._settings
         warmed = self.warming.machine_warmed_k(now_s)
         stretch = 1e-6 * warmed * np.array(s.scale_um_per_m_k)

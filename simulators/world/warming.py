@@ -16,6 +16,9 @@ class Warming:
 
     def __init__(self, settings: TemperatureSettings) -> None:
         self._settings = settings
+        follows = settings.machine_time_constant_h is not None and settings.ambient_rise_k != 0.0
+        self.machine_stays = settings.machine_k_per_h == 0.0 and not follows
+        """Whether the machine is as warm as at the start for ever."""
 
     def ambient_c(self, now_s: float) -> float:
         s = self._settings

@@ -72,9 +72,9 @@ class Worktable:
 
     def standing(self, now_s: float) -> Standing:
         """All balls and bodies at an instant; kept as long as nothing turns, moves or warms."""
+        if len(self._pieces) == 1:
+            return self._pieces[0].standing(now_s)
         parts = tuple(piece.standing(now_s) for piece in self._pieces)
-        if len(parts) == 1:
-            return parts[0]
         if self._cached is None or any(a is not b for a, b in zip(self._cached[0], parts, strict=True)):
             self._cached = (parts, self._together(parts))
         return self._cached[1]
