@@ -14,7 +14,8 @@ from functools import cache
 from itertools import pairwise, permutations
 
 from agent.plans.position import PositionRules
-from agent.plans.traffic import Spot, Stand, Traffic
+from agent.plans.spots import Spot
+from agent.plans.traffic import Stand, Traffic
 from agent.time_model import TimeModel
 from twin.geometry import point
 from twin.layout import Layout

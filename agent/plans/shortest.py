@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +12,10 @@ from agent.execution.steps import MoveTo, OrientTo, Plan, Point
 from agent.plans.course import Course
 from agent.plans.pilot import Orientation, PlainPilot
 from agent.plans.probing import Probing
+from agent.plans.spots import Spot
 from agent.plans.touching import Begin, TouchWay, before_ball, point
 from agent.plans.tour import measuring_sequence
-from agent.plans.traffic import Spot, Stand, Traffic, TurningWay
+from agent.plans.traffic import Stand, Traffic, TurningWay
 from twin.geometry import Point as Corner
 from twin.layout import Layout
 from twin.position_set import Position
@@ -35,6 +37,10 @@ class _Pose:
     nominal: Array
     centres: Array
     uncertain_mm: float
+
+    def mistaken_mm(self, off: Array, ball: int) -> float:
+        """How far a ball that was thought `off` (3,) its drawing's place is from where it is known to be."""
+        return math.dist(off.tolist(), (self.centres[ball] - self.nominal[ball]).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +204,7 @@ class ShortestPilot:
         there = self._there
         assert there is not None  # noqa: S101  `to` came before
         if latched_mm is not None and begin.search == self._probing.narrow:
-            missed_mm = float(np.linalg.norm(np.array(latched_mm) - begin.surface))
+            missed_mm = math.dist(latched_mm, begin.surface.tolist())
             if missed_mm <= self._traffic.roads.known_mm:
                 spot = Spot(ball, there.spot.direction, begin.contact_mm, touching=True)
                 self._at(_There(spot, there.off), np.array(latched_mm))
@@ -211,17 +217,16 @@ class ShortestPilot:
         if there is None:
             found, self._way_in = self._way_in or (), None
             return [self._traffic.axes_at(pose.station, corner) + off for corner in found]
-        known = pose.centres - pose.nominal
-        mistaken = max(_apart(off, known[spot.ball]), _apart(there.off, known[there.spot.ball]))
+        mistaken = max(pose.mistaken_mm(off, spot.ball), pose.mistaken_mm(there.off, there.spot.ball))
         place_x = float(self._traffic.layout.place(pose.station)[0])
         way = self._traffic.between(pose.stand, there.spot, spot, pose.uncertain_mm + mistaken, place_x)
-        if way is None or float(np.linalg.norm(off)) > self._traffic.roads.unknown_mm:
+        if way is None or math.hypot(*off.tolist()) > self._traffic.roads.unknown_mm:
             return self._plain_corners(there, begin)
-        first, last = (
-            self._traffic.axes_at(pose.station, self._traffic.at(pose.stand, one)) for one in (there.spot, spot)
-        )
-        corners = [self._traffic.axes_at(pose.station, corner) for corner in way.corners]
-        return [corner + _blended(there.off, off, _share(corner, first, last)) for corner in corners]
+        first, last = (self._traffic.at(pose.stand, one) for one in (there.spot, spot))
+        return [
+            self._traffic.axes_at(pose.station, corner) + _blended(there.off, off, _share(corner, first, last))
+            for corner in way.corners
+        ]
 
     def _plain_corners(self, there: _There, begin: Begin) -> list[Array]:
         """Back to the plane before the ball on the same one; over the retreat plane to another."""
@@ -297,14 +302,11 @@ def _shortly_before(begin: Begin, coming_from: Array) -> Array:
     return np.asarray(begin.start + way * min(1.0, 2.0 * begin.search.approach_mm / max(length, 1e-9)))
 
 
-def _apart(one: Array, other: Array) -> float:
-    return float(np.linalg.norm(one - other))
-
-
-def _share(corner: Array, first: Array, last: Array) -> float:
+def _share(corner: Corner, first: Corner, last: Corner) -> float:
     """How far along the straight way a corner is, 0 … 1."""
-    way = last - first
-    return float(np.clip((corner - first) @ way / max(float(way @ way), 1e-12), 0.0, 1.0))
+    x, y, z = last[0] - first[0], last[1] - first[1], last[2] - first[2]
+    along = (corner[0] - first[0]) * x + (corner[1] - first[1]) * y + (corner[2] - first[2]) * z
+    return min(max(along / max(x * x + y * y + z * z, 1e-12), 0.0), 1.0)
 
 
 def _blended(first: Array, last: Array, share: float) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -36,7 +37,7 @@ class Begin:
     def out_mm(self) -> float:
         return self.contact_mm + self.search.approach_mm
 
-    @property
+    @cached_property
     def start(self) -> Vector:
         return np.asarray(self.centre - self.direction * self.out_mm)
 

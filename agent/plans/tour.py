@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agent.plans.probing import Probing
-from agent.plans.traffic import Spot, Stand, Traffic
+from agent.plans.spots import Spot
+from agent.plans.traffic import Stand, Traffic
 from twin.geometry import point
 from twin.tours import shortest_tour
 

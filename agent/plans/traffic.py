@@ -15,6 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.plans.spots import LEAVES_BY_MM, Spot, leaves, leaving, round_the_ball, squared_out
 from twin.access import AT_CONTACT_MM, standing_scene
 from twin.artefact import Artefact
 from twin.bodies import TIP, ProbeGeometry, ball_name, post_name
@@ -28,18 +29,6 @@ Array = NDArray[np.float64]
 
 UNCERTAIN_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """What a pose is off by is rounded up to one of these, so that few ways serve many."""
-
-ROUND_THE_BALL = (1.05, 1.2, 1.4, 1.7)
-"""Corners of the ways round a ball, in units of the distance at which touches begin."""
-
-LEAVING = 0.15
-"""Least cosine between the normal at a touch and the first move away from it: the stylus must come free at once."""
-
-LEAST_MOVE_MM = 1e-3
-"""Less is no move."""
-
-LEAVES_BY_MM = 3.0
-"""How far the stylus leaves the surface before it draws back, where it does not leave at once."""
 
 NEAR_ENOUGH = 0.95
 """A place to wait while the mount turns is not bettered for less than this."""
@@ -63,19 +52,6 @@ class Stand:
 
 
 @dataclass(frozen=True)
-class Spot:
-    """Where the tip may be at a ball: out from its centre by `out_mm` against the unit vector `direction`.
-
-    `touching`: at the surface, after a touch.
-    """
-
-    ball: int
-    direction: Point
-    out_mm: float
-    touching: bool = False
-
-
-@dataclass(frozen=True)
 class TurningWay:
     """Out of the old pose, and from where the tip waits while the mount turns, into the new one. Corners and `waiting`
     relative to the place of the mount; `seconds` of both ways."""
@@ -88,9 +64,10 @@ class TurningWay:
 
 @dataclass(eq=False)
 class _Pose:
-    """Ball centres (N, 3) and all bodies, relative to the place of the mount."""
+    """Ball centres (N, 3), also one by one, and all bodies, relative to the place of the mount."""
 
     centres: Array
+    places: Sequence[Point]
     among: Surroundings
 
 
@@ -146,7 +123,8 @@ class Traffic:
 
     def at(self, stand: Stand, spot: Spot) -> Point:
         """Tip centre at `spot`, relative to the place of the mount."""
-        return point(self._pose(stand).centres[spot.ball] - np.array(spot.direction) * spot.out_mm)
+        (x, y, z), (along_x, along_y, along_z) = self._pose(stand).places[spot.ball], spot.direction
+        return x - along_x * spot.out_mm, y - along_y * spot.out_mm, z - along_z * spot.out_mm
 
     def between(self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, place_x_mm: float) -> Way | None:
         """The fastest free way, relative to the place of the mount at `place_x_mm`; None where no way is proved to be
@@ -184,14 +162,10 @@ class Traffic:
         """From the best of `starts` to the best of `ends`, as if every way before the turning artefact were free; the
         turn itself not included. What `turning` finds is rarely much slower."""
         reach = self._reach_mm(after)
-        least = math.inf
-        for start, end in product(starts, ends):
-            first, last = self.at(before, start), self.at(after, end)
-            places = self._offered(before, after, first, last, (-reach, reach))
-            if len(places):
-                ways = self._straight(np.array(first), places) + self._straight(places, np.array(last))
-                least = min(least, float(ways.min()))
-        return least
+        pairs = product([self.at(before, start) for start in starts], [self.at(after, end) for end in ends])
+        first, last = (np.array(one) for one in zip(*pairs, strict=True))
+        places, clear = self._offered(before, after, first, last, (-reach, reach))
+        return float(np.where(clear, self._by_way_of(places, first, last), math.inf).min())
 
     def _room(self, place_x_mm: float) -> tuple[float, float]:
         """Travel of the tip along X, relative to the place."""
@@ -210,8 +184,8 @@ class Traffic:
         first, last = self.at(stand, start), self.at(stand, end)
         groups = self._corners(stand, start, last, end.out_mm - start.out_mm)
         if start.ball == end.ball:
-            groups.append(self._round(pose.centres[start.ball], start, end))
-        candidates = _leaving(first, Candidates.of(groups), start)
+            groups.append(round_the_ball(pose.centres[start.ball], start, end, self.roads.stylus_axis))
+        candidates = leaving(first, Candidates.of(groups), start)
         low, high = self._travel(stand)
         low[0], high[0] = room
         candidates = candidates.inside(low, high)
@@ -224,7 +198,7 @@ class Traffic:
 
     def _straight_way(self, pose: _Pose, first: Point, last: Point, start: Spot, apart: Apart) -> Way | None:
         """None where it does not leave the surface at once, too."""
-        if not _leaves(first, last, start):
+        if not leaves(first, last, start):
             return None
         return direct(pose.among.scene, self.roads.dynamics, first, last, apart)
 
@@ -233,14 +207,6 @@ class Traffic:
         aside = -beside_mm * np.array(start.direction) if start.touching else None
         least = float(self._travel(stand)[0] @ np.abs(self.roads.stylus_axis))
         return retracted(self.at(stand, start), last, -self.roads.stylus_axis, least, aside)
-
-    def _round(self, centre: Array, start: Spot, end: Spot) -> Array:
-        """(n, 1, 3): corners beside the ball, between both spots and before it."""
-        around = -np.array(start.direction) - np.array(end.direction)
-        out_mm = max(start.out_mm, end.out_mm)
-        ways = [around - ahead * self.roads.stylus_axis for ahead in (0.0, 0.4, 0.8, 1.6)]
-        units = np.array([way / np.linalg.norm(way) for way in ways if np.linalg.norm(way) > 0.1])
-        return np.concatenate([centre + out_mm * far * units for far in ROUND_THE_BALL])[:, None]
 
     def _aparts(self, start: Spot, end: Spot, uncertain_mm: float) -> Iterator[Apart]:
         """What is kept from everything; less from the balls at both ends, whose surface the touch is to find, and
@@ -259,41 +225,55 @@ class Traffic:
         self, before: Stand, start: Spot, after: Stand, end: Spot, between_mm: tuple[float, float]
     ) -> TurningWay | None:
         """The first of the places, by what they cost at least, to which and from which a way is free."""
-        first, last = self.at(before, start), self.at(after, end)
-        places = self._offered(before, after, first, last, between_mm)
-        if not len(places):
-            return None
-        least = self._straight(np.array(first), places) + self._straight(places, np.array(last))
-        order = np.argsort(least, kind="stable")[:_TURNING_PLACES_TRIED]
+        first, last = (np.array([self.at(*one)]) for one in ((before, start), (after, end)))
+        (offered,), (clear,) = self._offered(before, after, first, last, between_mm)
+        places = offered[clear]
+        least = self._by_way_of(places[None], first, last)[0]
         best: TurningWay | None = None
-        for index in order:
+        for index in np.argsort(least, kind="stable")[:_TURNING_PLACES_TRIED].tolist():
             if best is not None and least[index] >= NEAR_ENOUGH * best.seconds:
                 break
-            waiting = point(places[index])
-            out = self.to_place(before, start, waiting)
-            into = None if out is None else self.to_place(after, end, waiting)
-            if out is not None and into is not None:
-                seconds = out.seconds + into.seconds
-                if best is None or seconds < best.seconds:
-                    best = TurningWay(out.corners, waiting, into.corners[::-1], seconds)
+            better = self._waiting_at(point(places[index]), before, start, after, end, best)
+            best = better or best
         return best
 
+    def _waiting_at(
+        self, waiting: Point, before: Stand, start: Spot, after: Stand, end: Spot, best: TurningWay | None
+    ) -> TurningWay | None:
+        """The way there and on, where both are free and faster than the `best` so far."""
+        most_s = math.inf if best is None else best.seconds
+        out = self.to_place(before, start, waiting)
+        if out is None or out.seconds + self._straight_s(waiting, self.at(after, end)) >= most_s:
+            return None
+        into = self.to_place(after, end, waiting)
+        if into is None or out.seconds + into.seconds >= most_s:
+            return None
+        return TurningWay(out.corners, waiting, into.corners[::-1], out.seconds + into.seconds)
+
+    def _by_way_of(self, places: Array, first: Array, last: Array) -> Array:
+        """(c, n) seconds at the least from `first` (c, 3) to `places` (c, n, 3) and on to `last` (c, 3)."""
+        return self._straight(first[:, None], places) + self._straight(places, last[:, None])
+
     def _offered(
-        self, before: Stand, after: Stand, first: Point, last: Point, between_mm: tuple[float, float]
-    ) -> Array:
-        """(n, 3): places before everything that turns, a grid and straight before both ends, inside the travel."""
-        sweep = self._sweep(before, after)
+        self, before: Stand, after: Stand, first: Array, last: Array, between_mm: tuple[float, float]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """(c, n, 3) for ends (c, 3): places before everything that turns, a grid and straight before both ends; (c, n)
+        whether each is inside the travel."""
         low, high = self._travel(before)
         low[0], high[0] = between_mm
-        grids = []
-        for axis in (0, 2):
-            own = np.array([first[axis], last[axis], 0.5 * (first[axis] + last[axis])])
-            steps = np.arange(low[axis], high[axis], _GRID_MM)
-            grids.append(np.clip(np.concatenate([own, steps]), low[axis], high[axis]))
-        x, z = (grid.ravel() for grid in np.meshgrid(*grids))
-        y = np.minimum(sweep.at(x, z), max(first[1], last[1]))
-        places = np.column_stack([x, y, z])
-        return np.asarray(places[y >= low[1]])
+        x, z = (self._grid(first[:, k], last[:, k], low[k], high[k]) for k in (0, 2))
+        x, z = np.broadcast_arrays(x[:, None, :], z[:, :, None])
+        deepest = np.maximum(first[:, 1], last[:, 1])[:, None, None]
+        y = np.minimum(self._sweep(before, after).at(x, z), deepest)
+        places = np.stack([x, y, z], axis=-1).reshape(len(first), -1, 3)
+        return places, places[..., 1] >= low[1]
+
+    @staticmethod
+    def _grid(first: Array, last: Array, low: float, high: float) -> Array:
+        """(c, n) along one axis: at both ends (c,), in between, and every so often."""
+        steps = np.arange(low, high, _GRID_MM)
+        every = np.broadcast_to(steps, (len(first), len(steps)))
+        return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))
 
     def to_place(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
         """Out from `spot` to a place relative to that of the mount, before the artefact; None where no way is proved
@@ -312,8 +292,8 @@ class Traffic:
         way = self._straight_way(pose, first, waiting, spot, apart)
         if way is not None:
             return way
-        groups = [*self._corners(stand, spot, waiting, LEAVES_BY_MM), _square(first, waiting, spot)]
-        candidates = _leaving(first, Candidates.of(groups), spot)
+        groups = [*self._corners(stand, spot, waiting, LEAVES_BY_MM), squared_out(first, waiting, spot)]
+        candidates = leaving(first, Candidates.of(groups), spot)
         return fastest(pose.among, self.roads.dynamics, first, waiting, candidates, apart)
 
     def _sweep(self, before: Stand, after: Stand) -> TurnSweep:
@@ -342,6 +322,9 @@ class Traffic:
     def _straight(self, start: Array, end: Array) -> Array:
         dynamics = self.roads.dynamics
         return travel_times(start, end, dynamics.rapid_mm_per_s, dynamics.acceleration_mm_per_s2) + dynamics.command_s
+
+    def _straight_s(self, start: Point, end: Point) -> float:
+        return float(self._straight(np.array(start), np.array(end)))
 
     def _travel(self, stand: Stand) -> tuple[Array, Array]:
         """Of the tip, relative to the place, along X to the table; less what the artefact may stand off."""
@@ -387,7 +370,9 @@ class Traffic:
                 further=self.layout.around.get(stand.among, ()),
             )
             back = (-x, -stand.depth_mm, -stand.height_mm)
-            self._poses[stand] = _Pose(centres + back, Surroundings.of(scene.shifted(back)))
+            self._poses[stand] = _Pose(
+                centres + back, [point(centre) for centre in centres + back], Surroundings.of(scene.shifted(back))
+            )
         return self._poses[stand]
 
 
@@ -398,29 +383,3 @@ def rounded_up(uncertain_mm: float) -> float:
 
 def _angles(stand: Stand) -> tuple[float, float]:
     return stand.azimuth_deg, stand.elevation_deg
-
-
-def _square(first: Point, last: Point, start: Spot) -> Array:
-    """(1, k, 3): off the surface, straight back, up, then across: past an end that reaches out between both."""
-    beside = point(np.array(first) - LEAVES_BY_MM * np.array(start.direction)) if start.touching else first
-    low = min(beside[1], last[1])
-    out = [(beside[0], low, beside[2]), (beside[0], low, last[2])]
-    return np.array([[beside, *out] if start.touching else out])
-
-
-def _leaving(first: Point, candidates: Candidates, start: Spot) -> Candidates:
-    """Those whose first move goes away from the surface that is touched; one that does not move at all leaves the next
-    one to do so, which may press on."""
-    if not start.touching:
-        return candidates
-    ways = candidates.corners[:, 0] - np.array(first)
-    lengths = np.linalg.norm(ways, axis=1)
-    away = -ways @ np.array(start.direction) >= LEAVING * lengths
-    return candidates.kept(away & (lengths > LEAST_MOVE_MM))
-
-
-def _leaves(first: Point, last: Point, start: Spot) -> bool:
-    """Whether the straight way does."""
-    length = math.dist(first, last)
-    away = -sum((b - a) * along for a, b, along in zip(first, last, start.direction, strict=True))
-    return not start.touching or (away >= LEAVING * length and length > LEAST_MOVE_MM)

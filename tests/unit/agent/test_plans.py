@@ -20,7 +20,7 @@ from agent.plans.measure import MeasuringOrder, measure_positions
 from agent.plans.publish import choose_bank, stage_table
 from agent.plans.recover import withdraw
 from agent.plans.shortest import ShortestPilot, _There
-from agent.plans.traffic import Spot
+from agent.plans.spots import Spot
 from drivers.errors import MeasurementFault, ReadBackMismatch, StoreError, VolcalError
 from drivers.roles import Miss, Orientation, TableImage, Touch
 from twin.geometry import point
