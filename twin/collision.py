@@ -113,7 +113,7 @@ class Scene:
         return pairs
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _Spans:
     """What bodies span on one axis. A set of bodies is a number, bit j for body j.
 

@@ -25,6 +25,7 @@ from simulators.world.play import Play
 from simulators.world.tables import TableBanks
 from simulators.world.thermal import Thermal
 from simulators.world.trigger import Trigger
+from simulators.world.workpiece import Standing
 from simulators.world.worktable import Worktable
 from twin.arrays import Array
 from twin.geometry import Point, point
@@ -133,7 +134,7 @@ class Controller:
     @property
     def probe_deflected(self) -> bool:
         if self._motion is None:
-            return self._resting() is not None
+            return self._deflected and self._resting_in(self._table.standing(self.now_s)) is not None
         course = self._motion.course
         tripped = course.trip_s is not None and self.now_s >= course.trip_s
         return tripped or (self._deflected and self.now_s < course.free_s)
@@ -226,7 +227,7 @@ class Controller:
     def _begin(self, kind: Kind, target: ArrayLike, feed_mm_per_s: float | None) -> None:
         command = self._command(kind, target, feed_mm_per_s)
         standing = self._table.standing(self.now_s)
-        resting = self._resting()
+        resting = self._resting_in(standing) if self._deflected else None
         self._shift.drift = self._thermal.drift_mm(self.now_s)
         self._shift.warm = self._thermal.field(self.now_s)
         step = BY_STEP + self._tag if self._by_step and self._tag else None
@@ -308,12 +309,10 @@ class Controller:
         self._state, self._held = MotionState.FAULT, None
         self.fault = self.fault or reason
 
-    def _resting(self) -> int | None:
+    def _resting_in(self, standing: Standing) -> int | None:
         """The ball that deflects the probe. Only a probe that was deflected is looked at: a bar that is turned
         or moved away sets it free, one that is turned into it is a collision."""
-        if not self._deflected:
-            return None
-        resting = self.contacts.resting_on(self._position, self._table.standing(self.now_s))
+        resting = self.contacts.resting_on(self._position, standing)
         self._deflected = resting is not None
         return resting
 

@@ -110,7 +110,8 @@ class MountPhysics:
 
     def angles_deg(self, instant_s: float | None = None) -> tuple[float, float]:
         """Azimuth and elevation by the encoders."""
-        return self.position_deg(AZIMUTH, instant_s), self.position_deg(ELEVATION, instant_s)
+        instant_s = self.now_s if instant_s is None else instant_s
+        return self._axes[AZIMUTH].position_deg(instant_s), self._axes[ELEVATION].position_deg(instant_s)
 
     def true_angles_rad(self, azimuth_deg: float, elevation_deg: float) -> tuple[float, float]:
         """Where the bar really points when the encoders say these angles."""

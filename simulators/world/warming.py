@@ -16,9 +16,9 @@ class Warming:
 
     def __init__(self, settings: TemperatureSettings) -> None:
         self._settings = settings
-        follows = settings.machine_time_constant_h is not None and settings.ambient_rise_k != 0.0
-        self.machine_stays = settings.machine_k_per_h == 0.0 and not follows
-        """Whether the machine is as warm as at the start for ever."""
+        self.artefact_stays = not self._ever_warms(settings.artefact_time_constant_h, settings.artefact_k_per_h)
+        self.machine_stays = not self._ever_warms(settings.machine_time_constant_h, settings.machine_k_per_h)
+        """Whether it is as warm as at the start for ever."""
 
     def ambient_c(self, now_s: float) -> float:
         s = self._settings
@@ -26,6 +26,8 @@ class Warming:
 
     def artefact_c(self, now_s: float) -> float:
         s = self._settings
+        if self.artefact_stays:
+            return s.artefact_c
         return s.artefact_c + self._warmed_k(now_s, s.artefact_time_constant_h, s.artefact_k_per_h)
 
     def machine_c(self, now_s: float) -> float:
@@ -49,6 +51,9 @@ class Warming:
         if s.artefact_time_constant_h is None:
             return 0.0
         return self.ambient_c(now_s) - s.ambient_c - (self.artefact_c(now_s) - s.artefact_c)
+
+    def _ever_warms(self, lag_h: float | None, linear_k_per_h: float) -> bool:
+        return linear_k_per_h != 0.0 or (lag_h is not None and self._settings.ambient_rise_k != 0.0)
 
     def _warmed_k(self, now_s: float, lag_h: float | None, linear_k_per_h: float) -> float:
         s, hours = self._settings, now_s / S_PER_H
