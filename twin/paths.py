@@ -118,8 +118,7 @@ def fastest(
     """The fastest of the candidates that is free; None where none is. Of equals the earlier one."""
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
-    hopeless = _hopeless(among.spheres, stops, apart)
-    order = np.argsort(seconds, kind="stable")
+    order, hopeless = np.argsort(seconds, kind="stable"), _hopeless(among.spheres, stops, apart)
     proved: dict[tuple[Point, Point], bool] = {}
 
     def free(leg: tuple[Point, Point]) -> bool:

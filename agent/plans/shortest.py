@@ -250,16 +250,20 @@ class ShortestPilot:
     def _ends(self, task: Orientation, stand: Stand) -> tuple[int, int]:
         """First and last ball: whichever end is nearer in time to where the tip is."""
         ends = task.balls[0], task.balls[-1]
-        costs = [way.seconds for way in (self._turning(task, stand, end) for end in ends) if way is not None]
-        return ends[::-1] if len(costs) == len(ends) and costs[1] < costs[0] else ends
+        way = self._turning(task, stand, ends[0])
+        if way is None or self._turning(task, stand, ends[1], faster_than_s=way.seconds) is None:
+            return ends
+        return ends[::-1]
 
-    def _turning(self, task: Orientation, stand: Stand, ball: int) -> TurningWay | None:
+    def _turning(
+        self, task: Orientation, stand: Stand, ball: int, faster_than_s: float = math.inf
+    ) -> TurningWay | None:
         there, pose = self._there, self._pose
         if there is None or pose is None or pose.station != task.station or self._moved_far(there, task):
             return None
         pole = Spot(ball, point(self._probing.directions[0]), self._probing.contact_mm + self._probing.wide.approach_mm)
         place_x = float(self._traffic.layout.place(task.station)[0])
-        return self._traffic.turning(pose.stand, there.spot, stand, pole, place_x)
+        return self._traffic.turning(pose.stand, there.spot, stand, pole, place_x, faster_than_s)
 
     def _moved_far(self, there: _There, task: Orientation) -> bool:
         """A mount that stands farther off its place than the wide search allows is not met on planned ways."""

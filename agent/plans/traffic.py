@@ -150,13 +150,20 @@ class Traffic:
         first, last = (np.array([self.at(stand, spot) for spot in spots]) for spots in (starts, ends))
         return self._straight(first[:, None], last[None])
 
-    def turning(self, before: Stand, start: Spot, after: Stand, end: Spot, place_x_mm: float) -> TurningWay | None:
-        """From `start` in one pose to `end` in the next; None where nothing proved to be free was found."""
+    def turning(
+        self, before: Stand, start: Spot, after: Stand, end: Spot, place_x_mm: float, faster_than_s: float = math.inf
+    ) -> TurningWay | None:
+        """From `start` in one pose to `end` in the next; None where nothing proved to be free was found that takes less
+        than `faster_than_s`."""
         (low, high), reach = self._room(place_x_mm), self._reach_mm(after)
         key = (before, start, after, end, (max(low, -reach), min(high, reach)))
         if key not in self._turning:
-            self._turning[key] = self._waiting_place(*key)
-        return self._turning[key]
+            found = self._waiting_place(*key, faster_than_s)
+            if found is None and faster_than_s < math.inf:
+                return None
+            self._turning[key] = found
+        way = self._turning[key]
+        return way if way is not None and way.seconds < faster_than_s else None
 
     def least_turning_seconds(self, before: Stand, starts: Sequence[Spot], after: Stand, ends: Sequence[Spot]) -> float:
         """From the best of `starts` to the best of `ends`, as if every way before the turning artefact were free; the
@@ -222,7 +229,13 @@ class Traffic:
     # ------------------------------------------------------------------ turning
 
     def _waiting_place(
-        self, before: Stand, start: Spot, after: Stand, end: Spot, between_mm: tuple[float, float]
+        self,
+        before: Stand,
+        start: Spot,
+        after: Stand,
+        end: Spot,
+        between_mm: tuple[float, float],
+        faster_than_s: float,
     ) -> TurningWay | None:
         """The first of the places, by what they cost at least, to which and from which a way is free."""
         first, last = (np.array([self.at(*one)]) for one in ((before, start), (after, end)))
@@ -230,23 +243,24 @@ class Traffic:
         places = offered[clear]
         least = self._by_way_of(places[None], first, last)[0]
         best: TurningWay | None = None
+        worth_s = faster_than_s
         for index in np.argsort(least, kind="stable")[:_TURNING_PLACES_TRIED].tolist():
-            if best is not None and least[index] >= NEAR_ENOUGH * best.seconds:
+            if least[index] >= worth_s:
                 break
-            better = self._waiting_at(point(places[index]), before, start, after, end, best)
-            best = better or best
+            better = self._waiting_at(point(places[index]), before, start, after, end, faster_than_s)
+            if better is not None:
+                best, faster_than_s, worth_s = better, better.seconds, NEAR_ENOUGH * better.seconds
         return best
 
     def _waiting_at(
-        self, waiting: Point, before: Stand, start: Spot, after: Stand, end: Spot, best: TurningWay | None
+        self, waiting: Point, before: Stand, start: Spot, after: Stand, end: Spot, faster_than_s: float
     ) -> TurningWay | None:
-        """The way there and on, where both are free and faster than the `best` so far."""
-        most_s = math.inf if best is None else best.seconds
+        """The way there and on, where both are free and it is faster than that."""
         out = self.to_place(before, start, waiting)
-        if out is None or out.seconds + self._straight_s(waiting, self.at(after, end)) >= most_s:
+        if out is None or out.seconds + self._straight_s(waiting, self.at(after, end)) >= faster_than_s:
             return None
         into = self.to_place(after, end, waiting)
-        if into is None or out.seconds + into.seconds >= most_s:
+        if into is None or out.seconds + into.seconds >= faster_than_s:
             return None
         return TurningWay(out.corners, waiting, into.corners[::-1], out.seconds + into.seconds)
 
