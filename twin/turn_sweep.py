@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import minimum_filter
+from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.artefact import Artefact
@@ -117,8 +117,9 @@ def _covered(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
     return points, np.concatenate(radii)
 
 
-def _turned(cover: Cover, start_deg: ORIENTATION, end_deg: ORIENTATION) -> tuple[Array, Array]:
-    """Every ball at every sample of the angles, and its radius with what may happen between two samples."""
+def _turned(cover: Cover, start_deg: ORIENTATION, end_deg: ORIENTATION) -> tuple[tuple[Array, Array, Array], Array]:
+    """x, y and z (azimuths, elevations, m) of the balls at every sample of the angles, and their radii (m,) with what
+    may happen between two samples."""
     (azimuths, half_azimuth), (elevations, half_elevation) = (
         _samples(a, b) for a, b in zip(start_deg, end_deg, strict=True)
     )
@@ -127,24 +128,28 @@ def _turned(cover: Cover, start_deg: ORIENTATION, end_deg: ORIENTATION) -> tuple
     ce, se = np.cos(elevations)[:, None], np.sin(elevations)[:, None]
     across, up = x * ce - z * se, x * se + z * ce
     ca, sa = np.cos(azimuths)[:, None, None], np.sin(azimuths)[:, None, None]
-    turned = np.stack(
-        [across * ca - y * sa, across * sa + y * ca, np.broadcast_to(up, (len(azimuths), *up.shape))], axis=-1
-    )
     radii = cover.radii + np.hypot(x, z) * half_elevation + np.sqrt(x**2 + y**2 + z**2) * half_azimuth
-    return turned.reshape(-1, 3), np.broadcast_to(radii, turned.shape[:-1]).reshape(-1)
+    return (across * ca - y * sa, across * sa + y * ca, up[None]), radii
 
 
-def _front(centres: Array, radii: Array, half: int) -> Array:
+def _front(centres: tuple[Array, Array, Array], radii: Array, half: int) -> Array:
     """Nearest y of all balls over each cell; those of about the same size are spread sideways together."""
-    front = np.full((2 * half + 1, 2 * half + 1), np.inf)
-    cells = np.rint(centres[:, [0, 2]] / CELL_MM).astype(int) + half
+    x, y, z = centres
+    width = 2 * half + 1
+    front = np.full((width, width), np.inf)
+    cells = (_cells(x) + half) * width + _cells(z) + half
+    nearest = y - radii
     sizes = np.ceil(radii / CELL_MM).astype(int)
     for size in np.unique(sizes):
         alike = sizes == size
-        own = np.full_like(front, np.inf)
-        np.minimum.at(own, (cells[alike, 0], cells[alike, 1]), centres[alike, 1] - radii[alike])
-        np.minimum(front, _dilated(own, float(size) * CELL_MM), out=front)
+        own = np.full(front.size, np.inf)
+        np.minimum.at(own, cells[..., alike].ravel(), nearest[..., alike].ravel())
+        np.minimum(front, _dilated(own.reshape(front.shape), float(size) * CELL_MM), out=front)
     return front
+
+
+def _cells(lengths_mm: Array) -> NDArray[np.intp]:
+    return np.rint(lengths_mm / CELL_MM).astype(np.intp)
 
 
 def _samples(start_deg: float, end_deg: float) -> tuple[Array, float]:
@@ -157,7 +162,20 @@ def _samples(start_deg: float, end_deg: float) -> tuple[Array, float]:
 def _dilated(front: Array, by_mm: float) -> Array:
     """The nearest of everything within `by_mm` sideways; a cell more, since places are rounded to cells."""
     reach = math.ceil(by_mm / CELL_MM) + 1
-    return np.asarray(minimum_filter(front, size=2 * reach + 1, mode="nearest"))
+    return _least_around(_least_around(front, reach).T, reach).T
+
+
+def _least_around(values: Array, reach: int) -> Array:
+    """Along the first axis the smallest of each and its `reach` neighbours on both sides: windows of twice the width
+    are the smaller of two, so that a wide one takes few steps."""
+    width, wanted = 1, 2 * reach + 1
+    beside = np.full((reach, *values.shape[1:]), np.inf)
+    least = np.concatenate([beside, values, beside])
+    while 2 * width <= wanted:
+        least = np.minimum(least[:-width], least[width:])
+        width *= 2
+    rest = wanted - width
+    return np.asarray(np.minimum(least[: len(values)], least[rest : rest + len(values)]))
 
 
 def _stand(front: Array, shape: Shape, half: int) -> None:

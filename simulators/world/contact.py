@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ _ROUNDING_MM = 1e-6
 """What lies just beyond the end of a path is looked at exactly, too."""
 
 
-@dataclass(frozen=True)
-class Contact:
+class Contact(NamedTuple):
     """The tip comes to touch `ball` after `distance` mm of path."""
 
     distance: float

@@ -43,7 +43,7 @@ class Latch:
     position: Array
 
 
-@dataclass
+@dataclass(slots=True)
 class _Motion:
     command: Command
     law: MotionLaw

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from twin.bodies import TIP
 from twin.geometry import Point
@@ -16,8 +16,7 @@ class Kind(Enum):
     TOUCH = "touch"
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """What was asked for. `speed` is along the path, mm/s, already within what the axes can do."""
 
     kind: Kind
@@ -27,8 +26,7 @@ class Command:
     acceleration: float
 
 
-@dataclass(frozen=True)
-class Crash:
+class Crash(NamedTuple):
     """Two bodies meet after `distance` mm of path."""
 
     distance: float
@@ -36,8 +34,7 @@ class Crash:
     obstacle: str
 
 
-@dataclass(frozen=True)
-class Outlook:
+class Outlook(NamedTuple):
     """Everything along the path of a command: where the probe would trip, where something would crash if it
     went on, and where a probe that was deflected at the start comes free."""
 
@@ -46,8 +43,7 @@ class Outlook:
     free_mm: float = 0.0
 
 
-@dataclass(frozen=True)
-class Course:
+class Course(NamedTuple):
     """The law as it will really go, and when what happens on it."""
 
     law: MotionLaw

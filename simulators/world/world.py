@@ -119,11 +119,12 @@ class World:
     def _look_ahead(self) -> TurnCrash | None:
         """Turning mounts are watched against the probe and each other; standing ones are no concern of this."""
         crashes: list[TurnCrash] = []
-        for piece in self.table.pieces:
+        pieces = self.table.pieces
+        for piece in pieces:
             ends_s = piece.mount.settled_s
             if ends_s <= self.now:
                 continue
-            others = [other for other in self.table.pieces if other is not piece]
+            others = [other for other in pieces if other is not piece]
             met = [first_turn_crash(piece, self.controller, self.now, ends_s)]
             met += [first_meeting(piece, other, self.now, ends_s) for other in others]
             crashes += [crash for crash in met if crash is not None]

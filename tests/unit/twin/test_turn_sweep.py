@@ -10,7 +10,7 @@ from twin.artefact import ball_bar
 from twin.bodies import ProbeGeometry, mount_bodies
 from twin.geometry import Shape, point
 from twin.position_set import MountGeometry, mount_pose
-from twin.turn_sweep import TurnSweep, cover_of, turn_sweep
+from twin.turn_sweep import TurnSweep, _least_around, cover_of, turn_sweep
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip
@@ -79,3 +79,10 @@ def test_everything_that_turns_lies_in_its_cover() -> None:
     balls = BAR.balls - (0.0, MOUNT.shaft_mm, 0.0)
     gaps = np.linalg.norm(balls[:, None] - cover.centres[None], axis=2) + BAR.ball_radius_mm - cover.radii
     assert gaps.min(axis=1).max() <= 1e-9
+
+
+@pytest.mark.parametrize("reach", [1, 2, 3, 7, 12])
+def test_the_least_around_is_that_of_each_window(reach: int) -> None:
+    values = np.random.default_rng(2).uniform(size=(9, 4))
+    windows = [values[max(row - reach, 0) : row + reach + 1].min(axis=0) for row in range(9)]
+    assert np.array_equal(_least_around(values, reach), windows)
