@@ -19,7 +19,7 @@ from twin.arrays import Array
 from twin.collision import Scene
 from twin.geometry import Point
 from twin.motion import travel_times
-from twin.spheres import Spheres
+from twin.spheres import Spheres, SpheresApart
 
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
 """How far before the nearer end the candidates go back."""
@@ -118,15 +118,16 @@ def fastest(
     """The fastest of the candidates that is free; None where none is. Of equals the earlier one."""
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
-    order, hopeless = np.argsort(seconds, kind="stable"), _hopeless(among.spheres, stops, apart)
+    spheres = SpheresApart(among.spheres, apart.clearance_mm, apart.closer)
     proved: dict[tuple[Point, Point], bool] = {}
 
     def free(leg: tuple[Point, Point]) -> bool:
         if leg not in proved:
-            proved[leg] = among.scene.free(*leg, apart.clearance_mm, apart.closer)
+            hit = spheres.surely_hit(*leg)
+            proved[leg] = not hit and among.scene.free(*leg, apart.clearance_mm, apart.closer)
         return proved[leg]
 
-    for index in order[~hopeless[order]].tolist():
+    for index in np.argsort(seconds, kind="stable").tolist():
         corners = candidates.corners[index, : candidates.counts[index]].tolist()
         between = tuple((x, y, z) for x, y, z in corners)
         if all(free(leg) for leg in _legs(start, between, end)):
@@ -145,14 +146,6 @@ def _stops(start: Point, corners: Array, end: Point) -> Array:
     stops = np.empty((len(corners), corners.shape[1] + 2, 3))
     stops[:, 0], stops[:, 1:-1], stops[:, -1] = start, corners, end
     return stops
-
-
-def _hopeless(spheres: Spheres, stops: Array, apart: Apart) -> NDArray[np.bool_]:
-    """(n,): ways through `stops` (n, k, 3) on which a sphere would be hit; the last leg is looked along backwards."""
-    starts, ends = stops[:, :-1].copy(), stops[:, 1:].copy()
-    starts[:, -1], ends[:, -1] = stops[:, -1], stops[:, -2]
-    hit = spheres.too_near(starts.reshape(-1, 3), ends.reshape(-1, 3), apart.clearance_mm, apart.closer)
-    return np.asarray(hit.reshape(starts.shape[:2]).any(axis=1))
 
 
 def retracted(start: Point, end: Point, back: Array, least: float, aside: Array | None = None) -> list[Array]:
