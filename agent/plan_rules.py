@@ -52,16 +52,16 @@ class _Rules:
             yield "two steps have the same key, so a run could not be gone on with"
         self._keys.add(step.key)
         match step:
+            case s.MoveTo():
+                yield from self._moved(step)
+            case s.TouchTowards():
+                yield from self._touched(step)
             case s.CheckPermissions():
                 self._permitted = True
             case s.CheckProbe():
                 self._probe_seen = True
             case s.AskOperator() if step.request.task is OperatorTask.MOVE_ARTEFACT:
                 self.stands_at = step.request.station
-            case s.MoveTo():
-                yield from self._moved(step)
-            case s.TouchTowards():
-                yield from self._touched(step)
             case s.OrientTo() | s.HomeMount():
                 yield from self._turned(step.station)
             case s.Dwell() if not 0.0 <= step.duration_s < math.inf:

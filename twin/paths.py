@@ -25,6 +25,7 @@ RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 
 """How far before the nearer end the candidates go back."""
 FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
 """Where between both ends a way with one corner has it."""
+_SHARES = np.array(FRACTIONS)[:, None, None]
 
 SLANT = 0.2
 """Sideways on the way back from a surface: the stylus comes free of it at once."""
@@ -157,14 +158,14 @@ def retracted(start: Point, end: Point, back: Array, least: float, aside: Array 
     first, last = np.array(start), np.array(end)
     begins, ends = float(first @ -back), float(last @ -back)
     planes = np.array(sorted({max(min(begins, ends) - retract, least) for retract in RETRACTS_MM}))
-    out = first + np.outer(begins - planes, back)
+    out = first + (begins - planes)[:, None] * back
     if aside is not None:
         beside = math.hypot(*aside.tolist())
         sideways = np.maximum(1.0, SLANT / beside * (begins - planes))
         out = out + sideways[:, None] * (aside - (aside @ back) * back)
-    over = last + np.outer(ends - planes, back)
-    middles = out + np.array(FRACTIONS)[:, None, None] * (over - out)
-    groups = [middles.reshape(-1, 1, 3), np.stack([out, over], axis=1)]
+    over = last + (ends - planes)[:, None] * back
+    middles = out + _SHARES * (over - out)
+    groups = [middles.reshape(-1, 1, 3), np.concatenate([out[:, None], over[:, None]], axis=1)]
     if aside is not None:
         groups.append((first + aside)[None, None])
     return groups

@@ -6,7 +6,7 @@ function, and an exchange whose new legs cost more at the least than the old one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import TypeVar
 
@@ -32,11 +32,6 @@ def shortest_tour(
     if len(places) <= MOST_EXACT:
         return _exact(places, start, end, cost)
     return _improved(_nearest(places, start, least), start, end, cost, least)
-
-
-def tour_cost(order: Sequence[Place], start: Place, end: Place | None, cost: Callable[[Place, Place], float]) -> float:
-    """Sum over all legs from `start` over `order` to `end`."""
-    return sum(cost(a, b) for a, b in pairwise(_stops(order, start, end)))
 
 
 def _stops(order: Sequence[Place], start: Place, end: Place | None) -> list[Place]:
@@ -89,24 +84,25 @@ def _improved(
 ) -> list[Place]:
     better: list[Place] | None = order
     while better is not None:
-        order, paid = better, tour_cost(better, start, end, cost)
-        better = next((one for one in _exchanged(order) if _cheaper(one, order, start, end, cost, least, paid)), None)
+        order, old = better, {leg: cost(*leg) for leg in pairwise(_stops(better, start, end))}
+        exchanged = (one for one in _exchanged(order) if _cheaper(_stops(one, start, end), old, cost, least))
+        better = next(exchanged, None)
     return order
 
 
 def _cheaper(
-    one: list[Place],
-    order: list[Place],
-    start: Place,
-    end: Place | None,
+    stops: list[Place],
+    old: Mapping[tuple[Place, Place], float],
     cost: Callable[[Place, Place], float],
     least: Callable[[Place, Place], float],
-    paid: float,
 ) -> bool:
-    """Whether `one` costs less than `order`, which costs `paid`; legs that both have are known already."""
-    known = set(pairwise(_stops(order, start, end)))
-    bound = sum(cost(a, b) if (a, b) in known else least(a, b) for a, b in pairwise(_stops(one, start, end)))
-    return bound < paid - _LEAST_GAIN and tour_cost(one, start, end, cost) < paid - _LEAST_GAIN
+    """Whether the way over `stops` costs less than one of legs that cost as `old` says; those that both have do not
+    matter."""
+    legs = list(pairwise(stops))
+    new = [leg for leg in legs if leg not in old]
+    kept = set(legs)
+    saved = sum([paid for leg, paid in old.items() if leg not in kept]) - _LEAST_GAIN
+    return sum([least(*leg) for leg in new]) < saved and sum([cost(*leg) for leg in new]) < saved
 
 
 def _exchanged(order: list[Place]) -> Iterator[list[Place]]:

@@ -1,19 +1,25 @@
 """Orders against every permutation, and what larger ones must not leave undone."""
 
 import math
-from itertools import permutations
+from collections.abc import Callable, Sequence
+from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.tours import MOST_EXACT, shortest_tour, tour_cost
+from twin.tours import MOST_EXACT, shortest_tour
 
 
 def costs(count: int, seed: int) -> np.ndarray:
     """Not the same both ways."""
     return np.random.default_rng(seed).uniform(1.0, 10.0, (count + 2, count + 2))
+
+
+def tour_cost(order: Sequence[int], start: int, end: int | None, cost: Callable[[int, int], float]) -> float:
+    """Sum over all legs from `start` over `order` to `end`."""
+    return sum(cost(a, b) for a, b in pairwise([start, *order, *([] if end is None else [end])]))
 
 
 @given(st.integers(0, 6), st.integers(0, 10_000), st.booleans())
