@@ -30,6 +30,7 @@ REPORT_EVERY = 500
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--first", type=int, default=0, help="number of the first plan")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--judge-every", type=int, default=20)
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.only is not None:
         return _one(given.only)
     began = perf_counter()
-    seeds = [given.seed * SEEDS_APART + number for number in range(given.count)]
+    seeds = [given.seed * SEEDS_APART + number for number in range(given.first, given.first + given.count)]
     trials, compared = _all(seeds, given.judge_every, given.workers)
     wall_s = perf_counter() - began
     result = {
@@ -47,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "judge_collisions": compared.collisions,
         "judge_disagrees": list(compared.disagreed),
         "seed": given.seed,
+        "first": given.first,
         "wall_seconds": round(wall_s, 1),
         "plans_per_second": round(len(trials) / wall_s, 2),
     }
