@@ -100,6 +100,7 @@ def layout_of(settings: Settings, machine: MachineDescription, artefacts: Artefa
         contact_mm=probing.contact_mm,
         approach_mm=probing.wide.approach_mm,
         directions=probing.directions,
+        overtravel_mm=probing.fastest_mm_per_s**2 / (2.0 * min(machine.acceleration_mm_per_s2)),
         own_artefacts=artefacts.own,
         around=bodies_around(settings, artefacts),
     )

@@ -19,7 +19,7 @@ STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
 """The probe geometry describes probes that point along +Y."""
 
 AT_CONTACT_MM = 0.5
-"""Clearance between start and contact: there the ball itself says where the tip is, and its holder is fixed to it."""
+"""Clearance from start to rest: there the ball itself says where the tip is, and its holder is fixed to it."""
 
 FIVE_TOUCHES = approach_directions(5, STYLUS_AXIS)
 
@@ -53,19 +53,21 @@ def accessible(
     approach_mm: float,
     directions: Array = FIVE_TOUCHES,
     clearance_mm: float = 1.0,
+    overtravel_mm: float = 0.0,
 ) -> NDArray[np.bool_]:
     """(N,) bool: balls that can be touched along every one of `directions` (k, 3), the pole first.
 
-    `contact_mm` is ball and tip radius together; a touch begins `approach_mm` outside contact. Checked is the whole
-    way: along the stylus from the plane before the ball to where the touch begins, from there to contact, and in that
-    plane from one touch to the next. Probe and ram reach straight back along -Y from every place of the tip, so that
-    on the way in along Y the tip alone sweeps anything new: a tip drawn out backwards stands for it.
+    `contact_mm` is ball and tip radius together; a touch begins `approach_mm` outside contact and comes to rest
+    `overtravel_mm` behind it. Checked is the whole way: along the stylus from the plane before the ball to where the
+    touch begins, from there to rest, and in that plane from one touch to the next. Probe and ram reach straight back
+    along -Y from every place of the tip, so that on the way in along Y the tip alone sweeps anything new: a tip drawn
+    out backwards stands for it.
     """
     out = contact_mm + approach_mm
     starts = -directions * out
     before = starts.copy()
     before[:, 1] = -out
-    touching = _legs(starts, -directions * contact_mm)
+    touching = _legs(starts, -directions * (contact_mm - overtravel_mm))
     between = _legs(before[:-1], before[1:])
     drawn_out = {way: Scene(_with_long_tip(scene.moving, way), scene.obstacles) for way in _ways_in(starts, before)}
     begins = list(zip(_ways_in(starts, before), (point(start) for start in starts), strict=True))

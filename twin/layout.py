@@ -26,7 +26,8 @@ class Layout:
 
     `places_mm`: station number → (3,) foot of the mount in the workpiece frame. `lower_mm`, `upper_mm` (3,): travel
     less what touching needs of it. `contact_mm`: ball and tip radius together; `approach_mm`: how far outside contact
-    a touch begins; `directions` (k, 3): along which every ball is touched.
+    a touch begins, `overtravel_mm`: how far behind it comes to rest; `directions` (k, 3): along which every ball is
+    touched.
 
     `artefact`: that by which observations count their balls. Where each station has its own, `own_artefacts` holds them
     and `artefact` is all of them, joined in the order of the stations. `around`: station → bodies of other mounts,
@@ -43,6 +44,7 @@ class Layout:
     contact_mm: float
     approach_mm: float
     directions: Array = field(default_factory=lambda: FIVE_TOUCHES)
+    overtravel_mm: float = 0.0
     own_artefacts: Mapping[int, Artefact] = field(default_factory=dict)
     around: Mapping[int, tuple[Body, ...]] = field(default_factory=dict)
     # What is in the way depends on orientation, depth and height alone, unless more than one mount stands there; asking
@@ -83,6 +85,7 @@ class Layout:
                 contact_mm=self.contact_mm,
                 approach_mm=self.approach_mm,
                 directions=self.directions,
+                overtravel_mm=self.overtravel_mm,
             )
         return self._accessible[key]
 

@@ -65,6 +65,7 @@ class Vetting:
     def _first_hit(self, position: Position) -> str:
         """Over every straight move. What touches stops at its own ball, and draws back from there."""
         job, scene = self.job, self._scene(position)
+        resting_mm = job.layout.contact_mm - job.layout.overtravel_mm
         balls, tool = job.layout.nominal(position), point(job.tool_offset_mm)
         at, touched = point(job.rules.course.parked(balls.mean(axis=0), position.station)), ""
         order = MeasuringOrder(_PREFIX, (position,), position.station)
@@ -75,7 +76,7 @@ class Vetting:
             target, own = step.target_mm, touched
             if isinstance(step, TouchTowards):
                 number = int(_BALL.findall(step.key)[0])
-                target, own = _contact(at, balls[number], job.layout.contact_mm), ball_name(number)
+                target, own = _at_rest(at, balls[number], resting_mm), ball_name(number)
             meant = {(TIP, own), ("stem", own)} if own else set()
             apart_mm = AT_CONTACT_MM if own else CLEARANCE_MM
             hit = scene.first_hit(added(at, tool), added(target, tool), clearance_mm=apart_mm, ignored=meant)
@@ -97,7 +98,7 @@ class Vetting:
         return scene
 
 
-def _contact(start: Point, centre: Array, contact_mm: float) -> Point:
-    """Where the tip that comes from `start` meets the ball; touches go towards the centre."""
+def _at_rest(start: Point, centre: Array, resting_mm: float) -> Point:
+    """Where the tip that comes from `start` stands after a touch; touches go towards the centre."""
     away = np.array(start) - centre
-    return point(centre + away * (contact_mm / np.linalg.norm(away)))
+    return point(centre + away * (resting_mm / np.linalg.norm(away)))

@@ -97,6 +97,11 @@ class Probing:
         """For the first ball of an artefact that nobody has found yet: slow enough to stop within the overtravel."""
         return replace(self.wide, beside_mm_per_s=self.careful_mm_per_s)
 
+    @property
+    def fastest_mm_per_s(self) -> float:
+        """At which a ball that has been located is met."""
+        return self.feed_mm_per_s if self.find is None else max(self.find.feed_mm_per_s, self.feed_mm_per_s)
+
     @cached_property
     def locating(self) -> Vectors:
         """(5, 3): the pole and a ring before the ball, where no holder is in the way of a tip that is some mm off."""

@@ -44,3 +44,11 @@ def test_one_plan_comes_again_by_its_seed() -> None:
     for _, result in (first, second):
         del result["wall_seconds"]
     assert first == second
+
+
+def test_a_tip_that_rests_behind_its_touch_does_not_reach_the_holder() -> None:
+    """Contact leaves 0.6 mm to a holder that leans towards the tip; braking from the fast touch takes them."""
+    _, result = run("--only", "1007590")
+    assert result["failures"] == []
+    assert result["stopped"] == ""
+    assert result["seen"]["smallest_mm"] > 0.4

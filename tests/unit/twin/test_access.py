@@ -9,9 +9,9 @@ import pytest
 
 from twin.access import STYLUS_AXIS, accessible, standing_scene
 from twin.artefact import ball_bar
-from twin.bodies import TIP, ProbeGeometry, ball_name
+from twin.bodies import TIP, Body, ProbeGeometry, ball_name
 from twin.collision import Scene
-from twin.geometry import point
+from twin.geometry import Capsule, point, sphere
 from twin.position_set import MountGeometry, positions_of
 from twin.touch_pattern import QUALIFYING_RINGS, RINGS, approach_directions, directions_of
 
@@ -75,3 +75,21 @@ def walked_room_mm(scene: Scene, centre: np.ndarray, index: int, directions: np.
                 least = min(least, scene.clearance(point(a + part * (b - a)), ignored=meant, at_most=5.0))
         before = above
     return least
+
+
+@pytest.mark.parametrize("lean_deg", [30.0, 36.0, 39.7, 45.0, 60.0])
+@pytest.mark.parametrize("overtravel_mm", [0.0, 0.4, 0.97])
+def test_the_tip_keeps_off_the_holder_until_it_rests(lean_deg: float, overtravel_mm: float) -> None:
+    """A tip of 3.5 mm comes to a ball of 5.5 mm from +X; the holder of 1.6 mm leans by that angle from +X. Where it
+    rests, the distance of its centre from the holder's axis is that from the ball's centre times the sine."""
+    lean = math.radians(lean_deg)
+    ball, holder = (
+        sphere((0.0, 0.0, 0.0), 5.5),
+        Capsule((0.0,) * 3, (80.0 * math.cos(lean), 0.0, 80.0 * math.sin(lean)), 1.6),
+    )
+    scene = Scene([Body(TIP, sphere((0.0, 0.0, 0.0), 3.5))], [Body(ball_name(0), ball), Body("post 0", holder)])
+    directions = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    (free,) = accessible(
+        np.zeros((1, 3)), scene, contact_mm=9.0, approach_mm=5.0, directions=directions, overtravel_mm=overtravel_mm
+    )
+    assert free == ((9.0 - overtravel_mm) * math.sin(lean) - 3.5 - 1.6 >= 0.5)
