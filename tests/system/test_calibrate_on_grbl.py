@@ -28,7 +28,7 @@ from simulators.world.world import World
 
 VOLCAL = [sys.executable, "-m", "agent.cli.main"]
 LINK = "/tmp/volcal-grbl"  # noqa: S108  the name in the shipped file; it is replaced
-END_WITHIN_S = 15.0
+END_WITHIN_S = 40.0
 
 
 @dataclass

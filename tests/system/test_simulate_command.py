@@ -25,8 +25,8 @@ from simulators.operator import PLUGIN, SimulatedOperator, SimulatedOperatorSett
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = ROOT / "config" / "simulators" / "case-study.toml"
-END_WITHIN_S = 15.0
-LINES = 5.0
+END_WITHIN_S = 40.0
+LINES = 20.0
 
 
 def command(*options: str, config: Path = SCENARIO) -> list[str]:

@@ -23,13 +23,20 @@ WRITE_17 = bytes.fromhex("11 10 0001 0002 04 000A 0102 C6F0")
 WRITTEN_17 = bytes.fromhex("11 10 0001 0002 1298")
 VALUE_17 = bytes.fromhex("AE41 5652 4340")
 
+PATIENCE_S = 5.0
+"""For an answer that comes: a loaded computer may let the slave wait."""
+SILENCE_S = 0.2
+"""For one that does not come, or is too short."""
+
 
 @contextmanager
-def linked(slave: RtuSlave, *, unit: int = 17, retries: int = 0, clock=None, **line: object) -> Iterator[ModbusLink]:
+def linked(
+    slave: RtuSlave, *, unit: int = 17, retries: int = 0, timeout_s: float = PATIENCE_S, clock=None, **line: object
+) -> Iterator[ModbusLink]:
     settings = SerialLine.model_validate({"port": slave.port, "parity": "none", "stop_bits": 2, **line})
     endpoint = RtuEndpoint(settings, unit)
     where = {"device": "cnc", "link": str(endpoint)}
-    transport = RtuTransport(endpoint, clock or VirtualClock(), timeout_s=0.1, where=where)
+    transport = RtuTransport(endpoint, clock or VirtualClock(), timeout_s=timeout_s, where=where)
     link = ModbusLink(transport, writable=[range(20)], where=where, retries=retries)
     with closing(slave):
         link.open()
@@ -132,17 +139,20 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 def test_a_damaged_answer_is_told_as_such_and_asked_again(damage: Callable[[bytes], bytes]) -> None:
     slave = scripted(damage(ANSWER_17))
-    with linked(slave) as link, pytest.raises(DamagedFrame, match=r"(garbled|cut short).*register 107, device cnc"):
+    with (
+        linked(slave, timeout_s=SILENCE_S) as link,
+        pytest.raises(DamagedFrame, match=r"(garbled|cut short).*register 107, device cnc"),
+    ):
         link.read(0x6B, 3)
     slave = scripted(damage(ANSWER_17), ANSWER_17)
-    with linked(slave, retries=1) as link:
+    with linked(slave, timeout_s=SILENCE_S, retries=1) as link:
         assert link.read(0x6B, 3) == VALUE_17
         assert (len(slave.requests), link.repeated) == (2, 1)
 
 
 def test_what_is_not_idempotent_is_sent_once() -> None:
     slave = scripted(ANSWER_17[:-1])
-    with linked(slave, retries=3) as link, pytest.raises(DamagedFrame):
+    with linked(slave, timeout_s=SILENCE_S, retries=3) as link, pytest.raises(DamagedFrame):
         link.exchange(2, b"\x00\x07", 5, 1, idempotent=False)
     assert len(slave.requests) == 1
 
@@ -174,7 +184,7 @@ def test_the_echo_of_a_write_is_recognised() -> None:
 def test_an_answer_that_comes_late_or_twice_is_not_the_next_ones() -> None:
     other = framed("11 03 06 0001 0002 0003")
     slave = scripted(None, ANSWER_17 + ANSWER_17, other)
-    with linked(slave) as link:
+    with linked(slave, timeout_s=SILENCE_S) as link:
         with pytest.raises(LinkTimeout, match="no answer within"):
             link.read(0x6B, 3)
         slave.push(framed("11 03 06 DEAD DEAD DEAD"))  # what should have come before
@@ -191,7 +201,10 @@ def test_echo_is_taken_where_the_adapter_has_one() -> None:
         pytest.raises(DamagedFrame, match=r"came back as .*echo = true"),
     ):
         link.read(0x6B, 3)
-    with linked(scripted(), echo=True) as link, pytest.raises(LinkTimeout, match="neither echo nor answer"):
+    with (
+        linked(scripted(), timeout_s=SILENCE_S, echo=True) as link,
+        pytest.raises(LinkTimeout, match="neither echo nor answer"),
+    ):
         link.read(0x6B, 3)
 
 
@@ -215,7 +228,7 @@ def test_the_line_takes_its_time_on_the_machines_clock(baud, parity, stop_bits, 
 
 def test_a_lost_answer_costs_its_timeout() -> None:
     clock = VirtualClock()
-    with linked(scripted(), clock=clock, baud=115200) as link, pytest.raises(LinkTimeout):
+    with linked(scripted(), timeout_s=0.1, clock=clock, baud=115200) as link, pytest.raises(LinkTimeout):
         link.read(0x6B, 3)
     assert 0.1 < clock.now() < 0.11
 

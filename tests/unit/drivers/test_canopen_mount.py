@@ -161,7 +161,7 @@ def test_following_error_without_a_fault() -> None:
 @pytest.mark.parametrize("exchange", range(1, 9))
 def test_one_lost_answer_is_asked_for_again(exchange: int) -> None:
     """Whichever SDO answer of a turn is lost, the set-point is taken once and the turn ends."""
-    with rig(sdo_timeout_s=0.2) as bench:
+    with rig(sdo_timeout_s=0.5) as bench:
         bench.mount.orient_to(0.0, 0.0)
         bench.axes.commands.clear()
         answered = []
@@ -228,7 +228,7 @@ def test_restart_between_turns_is_a_fault_too() -> None:
 
 
 def test_silent_drive_is_a_timeout_that_says_what_to_check() -> None:
-    with rig(sdo_timeout_s=0.2) as bench:
+    with rig(sdo_timeout_s=0.5) as bench:
 
         def power_off() -> None:
             bench.azimuth_node.silent = True
@@ -250,7 +250,7 @@ def test_late_heartbeat_is_confirmed_by_asking() -> None:
 
 def test_heartbeat_loss_of_a_drive_that_is_not_asked() -> None:
     """The elevation has reached its target and is looked at no more; its silence is noticed by its heartbeat."""
-    with rig(sdo_timeout_s=0.2) as bench:
+    with rig(sdo_timeout_s=0.5) as bench:
 
         def power_off() -> None:
             bench.elevation_node.silent = True
@@ -355,7 +355,7 @@ def test_restart_forgets_the_reference() -> None:
 
 
 def test_nobody_at_the_node_id() -> None:
-    with rig(opened=False, azimuth={"node_id": 9}, sdo_timeout_s=0.2) as bench:
+    with rig(opened=False, azimuth={"node_id": 9}, sdo_timeout_s=0.5) as bench:
         with pytest.raises(LinkTimeout, match="no SDO response from node 9 to 0x1000:00 device type"):
             bench.mount.open()
         assert not bench.mount.diagnose()[0].ok

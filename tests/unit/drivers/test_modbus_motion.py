@@ -40,7 +40,7 @@ START = (100.0, 200.0, 300.0)
 @contextmanager
 def opened(plc: FakePlc, clock: Clock, **options: object) -> Iterator[ModbusCnc]:
     settings = ModbusCncSettings.model_validate(
-        {"host": "127.0.0.1", "port": plc.port, "timeout_s": 0.2, "retries": 1, **options}
+        {"host": "127.0.0.1", "port": plc.port, "timeout_s": 0.5, "retries": 1, **options}
     )
     device = ModbusCnc(settings, clock, "cnc")
     device.open()
@@ -374,7 +374,7 @@ def test_a_killed_controller_is_a_lost_link_at_once(cnc: ModbusCnc, plc: FakePlc
 
 def test_a_silent_controller_is_a_timeout(cnc: ModbusCnc, plc: FakePlc) -> None:
     plc.disturb = lambda _request, _answer: None
-    with pytest.raises(LinkTimeout, match=r"no answer within 0\.2 s"):
+    with pytest.raises(LinkTimeout, match=r"no answer within 0\.5 s"):
         cnc.position()
 
 

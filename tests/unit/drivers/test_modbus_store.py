@@ -35,7 +35,7 @@ def plc() -> Iterator[FakePlc]:
 def cnc(plc: FakePlc) -> Iterator[ModbusCnc]:
     clock = VirtualClock()
     clock.subscribe(plc.advance_to)
-    settings = ModbusCncSettings(host="127.0.0.1", port=plc.port, timeout_s=0.3)
+    settings = ModbusCncSettings(host="127.0.0.1", port=plc.port, timeout_s=5.0)
     device = ModbusCnc(settings, clock, "cnc")
     device.open()
     with closing(device):

@@ -181,7 +181,7 @@ class TestFaultsOnTheLine:
 
     def test_never_more_under_way_than_the_controller_keeps(self, grbl: Rig) -> None:
         grbl.device.close()
-        settings = SerialCncSettings(port=grbl.port.line.place, answer_within_s=0.3)
+        settings = SerialCncSettings(port=grbl.port.line.place, answer_within_s=1.0)
         conversation = Conversation(SerialPort(SerialAddress(settings.port, settings.baud)), settings)
         conversation.open()
         conversation.synchronise()
