@@ -6,8 +6,9 @@ from pathlib import Path
 
 import agent
 from agent.files import load_artefact, load_machine
-from agent.job import Job, load_settings, naming, prepare_job
+from agent.job import Job, prepare_job
 from agent.settings import Settings
+from agent.settings_file import load_settings, naming
 from drivers.errors import ConfigurationError
 from twin.errors import DataError
 from twin.position_set import station_places

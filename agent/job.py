@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.execution.steps import Plan
-from agent.files import load_machine, load_positions, read_text, translated
+from agent.files import load_machine, load_positions, translated
 from agent.gates import GateLimits
 from agent.ordering import Ordering
 from agent.plans.closing import ClosingRules
@@ -19,22 +18,19 @@ from agent.plans.measure import Measured, MeasuringOrder, by_station
 from agent.plans.position import MeasuredBall, PositionRules
 from agent.plans.preparation import Preparation, Prepared, prepare_probe
 from agent.procedure_rules import course_of, layout_of, preparation_of, probing_of
-from agent.settings import Settings, parse_settings
+from agent.settings import Settings
+from agent.settings_file import POSITION_FILES
 from agent.stations import check_stations, load_artefacts, station_change
 from agent.time_model import time_model
 from agent.warmth import drift_limits_of, settling_of
-from drivers.errors import ConfigurationError, UserError
-from drivers.registry import check_options
+from drivers.errors import ConfigurationError
 from twin.arrays import Array
 from twin.artefact import Artefact
-from twin.formats.toml_reading import validated
 from twin.layout import Layout
 from twin.machine_description import MachineDescription
 from twin.position_set import Position, positions_of
 from twin.procedure import FEWEST_BALLS, Procedure
 from twin.touch_pattern import centre_covariance
-
-POSITION_FILES = (".csv", ".toml")
 
 
 @dataclass(frozen=True)
@@ -108,27 +104,6 @@ class Job:
         ]
 
 
-def load_settings(path: Path) -> Settings:
-    """Settings of a file with every path in it made absolute. Raises ConfigurationError."""
-    text = read_text(path, error=ConfigurationError)
-    with translated(ConfigurationError, file=str(path)):
-        settings = parse_settings(text, str(path)).resolved(path.resolve().parent)
-    try:
-        _check_devices(settings)
-    except ConfigurationError as error:
-        raise error.at(file=str(path)) from error.__cause__
-    return settings
-
-
-@contextmanager
-def naming(config: Path) -> Iterator[None]:
-    """Errors of the user's making inside name the settings file, unless they name another file already."""
-    try:
-        yield
-    except UserError as error:
-        raise error.at(file=str(config)) from error.__cause__
-
-
 def prepare_job(settings: Settings, base: Path) -> Job:
     """Load what the settings name and check that it fits together. Raises ConfigurationError.
 
@@ -177,50 +152,6 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     if settings.procedure.position_set.endswith(POSITION_FILES):
         _refuse_unreachable_entry(job)
     return job
-
-
-def with_overrides(
-    settings: Settings,
-    *,
-    position_set: str | None = None,
-    stations: Sequence[int] | None = None,
-    formulation: str | None = None,
-) -> Settings:
-    """Settings with what the command line says instead; validated again."""
-    document = settings.model_dump()
-    if position_set is not None:
-        is_file = position_set.endswith(POSITION_FILES)
-        document["procedure"]["position_set"] = str(Path(position_set).resolve()) if is_file else position_set
-    if stations:
-        document["procedure"]["stations"] = list(stations)
-        document["verification"]["stations"] = [
-            s for s in settings.verification.stations or stations if s in stations
-        ] or list(stations)
-    if formulation is not None:
-        document["identification"]["formulation"] = formulation
-    with translated(ConfigurationError):
-        return validated(document, "command line", Settings)
-
-
-def _check_devices(settings: Settings) -> None:
-    """Every driver is installed and takes its options, no two want the same, every role has a device: known before
-    anything is opened."""
-    claimed: dict[str, str] = {}
-    for name, device in settings.devices.items():
-        for claim, option in check_options(device.driver, device.options, name).items():
-            first = claimed.setdefault(claim, name)
-            if first != name:
-                raise ConfigurationError(
-                    f"{claim} belongs to device {first!r} already", key=f"devices.{name}.options.{option}"
-                )
-    for role, named in settings.roles:
-        for name in [named] if isinstance(named, str) else named.values():
-            if name not in settings.devices:
-                raise ConfigurationError(
-                    f"no device {name!r}",
-                    key=f"roles.{role}",
-                    hint=f"devices are: {', '.join(sorted(settings.devices))}",
-                )
 
 
 def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple[Position, ...]:

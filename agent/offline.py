@@ -21,7 +21,6 @@ from agent.report import (
     name_of_positions,
     triple,
 )
-from agent.report.render import render_report
 from agent.settings import GateSettings, Order, TableSettings
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
@@ -185,6 +184,8 @@ def _table_tool(request: Request, machine: MachineDescription, balls: BallFile) 
 
 def _texts(result: Result, request: Request) -> dict[str, str]:
     """The four files, by name."""
+    from agent.report.render import render_report  # noqa: PLC0415  what is refused waits for no drawing library
+
     table = format_table(result.finding.table)
     return {
         "estimate.json": format_estimate(result.finding.estimate, _provenance(result, request)),

@@ -9,8 +9,9 @@ from typing import Any
 
 from agent.case import load_case
 from agent.files import load_positions, translated
-from agent.job import POSITION_FILES, Job
+from agent.job import Job
 from agent.plans.measure import position_key
+from agent.settings_file import POSITION_FILES
 from drivers.errors import ConfigurationError, InputError
 from twin.arrays import Array
 from twin.identification import predicted_vce

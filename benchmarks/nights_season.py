@@ -10,7 +10,8 @@ import numpy as np
 
 from agent.case import CASE_STUDY, SHIPPED
 from agent.findings import find
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
+from agent.settings_file import load_settings
 from agent.table_image import image_of
 from drivers.roles import TableImage
 from simulators.scenario import AgeingSettings, Scenario, read_scenario

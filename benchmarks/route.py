@@ -7,8 +7,9 @@ import sys
 from time import process_time
 
 from agent.case import CASE_STUDY, load_case
-from agent.job import Job, load_settings, prepare_job, with_overrides
+from agent.job import Job, prepare_job
 from agent.rehearsal import whole_procedure
+from agent.settings_file import load_settings, with_overrides
 from agent.time_model import S_PER_MIN
 from agent.timing import as_listed, walked
 

@@ -35,9 +35,10 @@ from agent.case import CASE_STUDY, SHIPPED
 from agent.drifting import options_of
 from agent.execution.journal import Journal
 from agent.findings import find
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
 from agent.session import Ended, Request, carry_out
 from agent.settings import Settings
+from agent.settings_file import load_settings
 from agent.table_image import image_of
 from benchmarks.nights import rig_of
 from benchmarks.nights_season import with_table

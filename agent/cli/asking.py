@@ -8,9 +8,9 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.options import config_option
-from agent.job import load_settings
 from agent.service.client import Client, NoService
 from agent.settings import Settings
+from agent.settings_file import read_settings
 
 
 @click.command("hold")
@@ -18,7 +18,7 @@ from agent.settings import Settings
 @reported
 def hold_command(config: Path) -> None:
     """Have the axes stop where they are until `volcal resume`."""
-    with Client(load_settings(config)) as client:
+    with Client(read_settings(config)) as client:
         client.post("/api/hold")
     click.echo("hold asked for")
 
@@ -29,7 +29,7 @@ def hold_command(config: Path) -> None:
 @reported
 def abort_command(config: Path, reason: str) -> None:
     """Stop, withdraw, restore the former table. Needs no token; between runs nothing happens."""
-    with Client(load_settings(config)) as client:
+    with Client(read_settings(config)) as client:
         client.post("/api/abort", {"reason": reason}, token=False)
     click.echo("abort asked for")
 
@@ -39,7 +39,7 @@ def abort_command(config: Path, reason: str) -> None:
 @reported
 def reset_command(config: Path) -> None:
     """Acknowledge a fault or an abort, so that the next run may start. Moves nothing."""
-    with Client(load_settings(config)) as client:
+    with Client(read_settings(config)) as client:
         client.post("/api/reset")
     click.echo("reset")
 
@@ -51,7 +51,7 @@ def reset_command(config: Path) -> None:
 @reported
 def answer_command(number: int, said: str, config: Path) -> None:
     """Answer the question that the run has asked; `volcal status` shows it with its number."""
-    with Client(load_settings(config)) as client:
+    with Client(read_settings(config)) as client:
         client.post("/api/answer", {"number": number, "yes": said == "yes"})
     click.echo(f"question {number}: {said}")
 

@@ -18,11 +18,12 @@ from agent.cli.options import procedure_options
 from agent.cli.watching import watching
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.job import load_settings, naming, prepare_job, with_overrides
+from agent.job import prepare_job
 from agent.kinds.kind import FullCalibration, Kind
 from agent.outcome import Outcome
 from agent.session import Ended, Request, carry_out
 from agent.settings import Settings
+from agent.settings_file import load_settings, naming, with_overrides
 from drivers.errors import GateRefused
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
-from agent.job import load_settings, naming, prepare_job
+from agent.job import prepare_job
 from agent.settings import Settings
+from agent.settings_file import load_settings, naming
 
 
 @click.group("config")

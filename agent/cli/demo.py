@@ -15,9 +15,9 @@ from agent.case import CASE_STUDY, SHIPPED
 from agent.cli.calibrate import conclude, run_calibration, summary_table
 from agent.cli.errors import reported
 from agent.files import translated
-from agent.job import load_settings, naming, with_overrides
 from agent.session import Ended
 from agent.settings import Settings
+from agent.settings_file import load_settings, naming, with_overrides
 from agent.simulator_process import SimulatorProcess
 from drivers.errors import ConfigurationError, LinkError
 from twin.formats.toml_reading import validated

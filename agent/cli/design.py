@@ -22,7 +22,8 @@ from agent.designing.valued_set import valuation_of
 from agent.designing.variants import variants_of
 from agent.designing.writing import check_target, write_design
 from agent.files import translated
-from agent.job import Job, naming
+from agent.job import Job
+from agent.settings_file import naming
 from agent.timing import machine_minutes
 from drivers.clock import wall_seconds
 from drivers.errors import InputError, UserError

@@ -12,8 +12,9 @@ from rich.table import Table
 from agent.assembly import assemble, closed_after, make_clock
 from agent.cli.errors import reported
 from agent.cli.options import config_option
-from agent.job import load_settings, naming, prepare_job
+from agent.job import prepare_job
 from agent.settings import Settings
+from agent.settings_file import load_settings, naming
 from drivers.errors import DeviceError, VolcalError
 from drivers.roles import Device, Finding
 

@@ -15,15 +15,14 @@ from agent.cli.errors import fail, reported
 from agent.cli.options import config_option
 from agent.files import write_all_atomically, write_atomically
 from agent.history.export import as_csv, as_json, run_document
-from agent.history.figure import trends_png
 from agent.history.overview import alarms_of, chosen, foremost, trends_of
 from agent.history.place import place_of
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
 from agent.history.tables import StoredRun
 from agent.history.trends import AlarmKind, Trend
-from agent.job import load_settings, naming
 from agent.settings import Settings
+from agent.settings_file import naming, read_settings
 from drivers.errors import InputError, MeasurementFault
 
 PATH = click.Path(path_type=Path)
@@ -74,6 +73,8 @@ def trend_command(
         raise InputError("no run has come to a value yet", hint="`volcal history list` shows the runs there are")
     shown = chosen(trends, names) if names else foremost(trends, 12)
     if figure is not None:
+        from agent.history.figure import trends_png  # noqa: PLC0415  drawing libraries are slow to import
+
         write_all_atomically(figure.parent, {figure.name: trends_png(shown)})
     alarms = alarms_of(trends)
     if as_json_object:
@@ -112,7 +113,7 @@ def export_command(config: Path, machine: str | None, form: str, out: Path) -> N
 def sync_command(config: Path, as_json_object: bool) -> None:
     """Feed history from the journal: what is missing or has changed since."""
     with naming(config):
-        settings = load_settings(config)
+        settings = read_settings(config)
         place = place_of(settings)
         with closing(HistoryStore(place)) as store:
             written = sync(settings.state_directory, store)
@@ -126,7 +127,7 @@ def sync_command(config: Path, as_json_object: bool) -> None:
 def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
     """The store, fed first with what this machine's journal knows; a journal that is not there is no obstacle."""
     with naming(config):
-        settings = load_settings(config)
+        settings = read_settings(config)
         with closing(HistoryStore(place_of(settings))) as store:
             try:
                 sync(settings.state_directory, store)

@@ -11,6 +11,7 @@ import os
 import sys
 from importlib import import_module
 from importlib.metadata import entry_points
+from typing import NamedTuple
 
 import click
 import structlog
@@ -22,32 +23,88 @@ from agent.cli.errors import VolcalGroup
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMAND_GROUP = "volcal.commands"
+LONGEST_HELP = 200
+
+
+class OwnCommand(NamedTuple):
+    """Where a command is, and the first sentence of its help: said here again, so that the list of all commands
+    imports none of them."""
+
+    place: str
+    says: str
+
 
 OWN_COMMANDS = {
-    "abort": "agent.cli.asking:abort_command",
-    "answer": "agent.cli.asking:answer_command",
-    "calibrate": "agent.cli.calibrate:calibrate_command",
-    "config": "agent.cli.config:config_group",
-    "demo": "agent.cli.demo:demo_command",
-    "design": "agent.cli.design:design_command",
-    "doctor": "agent.cli.doctor:doctor_command",
-    "gcode": "agent.cli.gcode:gcode_group",
-    "hold": "agent.cli.asking:hold_command",
-    "history": "agent.cli.history:history_group",
-    "identify": "agent.cli.identify:identify",
-    "nightly": "agent.cli.nightly:nightly_command",
-    "plan": "agent.cli.plan:plan_command",
-    "report": "agent.cli.report:report_command",
-    "study": "agent.cli.study:study_command",
-    "rank": "agent.cli.rank:rank_command",
-    "reset": "agent.cli.asking:reset_command",
-    "resume": "agent.cli.resume:resume_command",
-    "serve": "agent.cli.serve:serve_command",
-    "start": "agent.cli.start:start_command",
-    "status": "agent.cli.status:status_command",
-    "timing": "agent.cli.timing:timing_command",
-    "verify": "agent.cli.verify:verify_command",
-    "table": "agent.cli.table:table_group",
+    "abort": OwnCommand("agent.cli.asking:abort_command", "Stop, withdraw, restore the former table."),
+    "answer": OwnCommand(
+        "agent.cli.asking:answer_command",
+        "Answer the question that the run has asked; `volcal status` shows it with its number.",
+    ),
+    "calibrate": OwnCommand(
+        "agent.cli.calibrate:calibrate_command",
+        "Measure, identify, write the table, prove it, or restore what was there.",
+    ),
+    "config": OwnCommand("agent.cli.config:config_group", "Settings files."),
+    "demo": OwnCommand(
+        "agent.cli.demo:demo_command",
+        "Start the simulated machine as a process, calibrate it over TCP and CAN, compare with the truth.",
+    ),
+    "design": OwnCommand(
+        "agent.cli.design:design_command",
+        "Choose the positions that leave the smallest volumetric compensated error, and write them as a position set.",
+    ),
+    "doctor": OwnCommand(
+        "agent.cli.doctor:doctor_command", "Check settings, links and devices without moving anything."
+    ),
+    "gcode": OwnCommand(
+        "agent.cli.gcode:gcode_group", "Part programs for controllers that have no compensation table."
+    ),
+    "hold": OwnCommand("agent.cli.asking:hold_command", "Have the axes stop where they are until `volcal resume`."),
+    "history": OwnCommand("agent.cli.history:history_group", "Every run of this machine, and its trends."),
+    "identify": OwnCommand("agent.cli.identify:identify", "Identify a machine from measured ball centres."),
+    "nightly": OwnCommand(
+        "agent.cli.nightly:nightly_command",
+        "Verify; within limits fuse what the slot allows with the nights before, and write a table that is worth it.",
+    ),
+    "plan": OwnCommand(
+        "agent.cli.plan:plan_command",
+        "Rehearse the whole procedure: limits, collisions, minutes, and the VCE to expect.",
+    ),
+    "report": OwnCommand(
+        "agent.cli.report:report_command",
+        "Write the report of RUN (its identity, or `last`), whatever it came to, from the journal alone.",
+    ),
+    "study": OwnCommand(
+        "agent.cli.study:study_command",
+        "Study the procedure without a machine; writes NAME.png, NAME.svg, NAME.csv and NAME.json into DIR.",
+    ),
+    "rank": OwnCommand(
+        "agent.cli.rank:rank_command",
+        "What a set-up will see of a machine, and what would show more; nothing is measured, no device is touched.",
+    ),
+    "reset": OwnCommand(
+        "agent.cli.asking:reset_command",
+        "Acknowledge a fault or an abort, so that the next run may start.",
+    ),
+    "resume": OwnCommand(
+        "agent.cli.resume:resume_command",
+        "Go on with the run that broke off, where it broke off: nothing that is measured is measured again.",
+    ),
+    "serve": OwnCommand(
+        "agent.cli.serve:serve_command",
+        "Own the machine, and let timer, page, panel and command line ask for runs.",
+    ),
+    "start": OwnCommand("agent.cli.start:start_command", "Ask the service for a run."),
+    "status": OwnCommand("agent.cli.status:status_command", "What the service does now, and what it may be asked for."),
+    "timing": OwnCommand(
+        "agent.cli.timing:timing_command",
+        "Compare a run's step times with the prediction, and suggest latencies for the settings.",
+    ),
+    "verify": OwnCommand(
+        "agent.cli.verify:verify_command",
+        "Measure a few positions with the compensation active and compare with the last accepted night.",
+    ),
+    "table": OwnCommand("agent.cli.table:table_group", "Compensation tables in the controller."),
 }
 
 
@@ -59,11 +116,21 @@ class LazyGroup(VolcalGroup):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name in OWN_COMMANDS:
-            module, _, attribute = OWN_COMMANDS[cmd_name].partition(":")
+            module, _, attribute = OWN_COMMANDS[cmd_name].place.partition(":")
             return _as_command(getattr(import_module(module), attribute))
         for entry in entry_points(group=COMMAND_GROUP, name=cmd_name):
             return _as_command(entry.load())
         return None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, self._says(ctx, name)) for name in self.list_commands(ctx)])
+
+    def _says(self, ctx: click.Context, name: str) -> str:
+        if name in OWN_COMMANDS:
+            return OWN_COMMANDS[name].says
+        command = self.get_command(ctx, name)
+        return command.get_short_help_str(LONGEST_HELP) if command else ""
 
 
 @click.group(cls=LazyGroup)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import click
@@ -12,24 +11,10 @@ from rich.table import Table
 
 from agent.cli.calibrate import run_calibration, summary_table
 from agent.cli.options import config_option
-from agent.job import load_settings, naming
 from agent.kinds.kind import Kind
 from agent.outcome import NightReport, Outcome
 from agent.session import Ended
-
-_DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|)")
-
-
-class Duration(click.ParamType[float]):
-    """`15min`, `1.5h`, or minutes as a bare number."""
-
-    name = "duration"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        found = _DURATION.fullmatch(str(value).strip())
-        if found is None or float(found[1]) <= 0.0:
-            self.fail(f"{value!r} is no time; write it as 15min or 1.5h", param, ctx)
-        return float(found[1]) * (60.0 if found[2] == "h" else 1.0)
+from agent.settings_file import load_settings, naming
 
 
 def night_options(command: click.decorators.FC) -> click.decorators.FC:

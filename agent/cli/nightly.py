@@ -8,7 +8,8 @@ import click
 
 from agent.cli.calibrate import conclude
 from agent.cli.errors import fail, reported
-from agent.cli.night import Duration, night_options, run_night
+from agent.cli.night import night_options, run_night
+from agent.cli.options import Duration
 from agent.kinds.nightly import Night
 from agent.outcome import Decision
 

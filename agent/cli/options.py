@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import click
+
+_DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|)")
+
+
+class Duration(click.ParamType[float]):
+    """`15min`, `1.5h`, or minutes as a bare number."""
+
+    name = "duration"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        found = _DURATION.fullmatch(str(value).strip())
+        if found is None or float(found[1]) <= 0.0:
+            self.fail(f"{value!r} is no time; write it as 15min or 1.5h", param, ctx)
+        return float(found[1]) * (60.0 if found[2] == "h" else 1.0)
 
 
 def config_option(command: click.decorators.FC) -> click.decorators.FC:

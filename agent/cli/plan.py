@@ -15,9 +15,10 @@ from agent.cli.errors import reported
 from agent.cli.options import procedure_options
 from agent.designing.valued_set import valuation_of
 from agent.expectation import Expectation, expect
-from agent.job import Job, load_settings, naming, prepare_job, with_overrides
+from agent.job import Job, prepare_job
 from agent.plans.measure import position_key
 from agent.rehearsal import Rehearsal, rehearse, whole_procedure
+from agent.settings_file import load_settings, naming, with_overrides
 from agent.time_model import S_PER_MIN
 from agent.timing import PARTS, as_listed, minutes_by_part, walked
 from drivers.errors import PlanRefused

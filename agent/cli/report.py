@@ -11,8 +11,8 @@ from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.files import write_all_atomically
 from agent.history.run_record import run_ids
-from agent.job import load_settings, naming
 from agent.reporting.rebuilt import rebuilt
+from agent.settings_file import naming, read_settings
 from drivers.errors import InputError
 
 LAST = "last"
@@ -28,7 +28,7 @@ LAST = "last"
 def report_command(run: str, config: Path, pdf: bool, out: Path | None, as_json: bool) -> None:
     """Write the report of RUN (its identity, or `last`), whatever it came to, from the journal alone."""
     with naming(config):
-        directory = load_settings(config).state_directory
+        directory = read_settings(config).state_directory
     run_id = _identity(run, directory)
     folder = out or directory / run_id
     files = rebuilt(directory, run_id, pdf=pdf)

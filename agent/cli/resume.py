@@ -16,13 +16,13 @@ from agent.cli.night import night_table
 from agent.cli.options import config_option
 from agent.cli.watching import watching
 from agent.execution.run_lock import run_lock
-from agent.job import load_settings
 from agent.outcome import Decision
 from agent.resuming.giving_up import give_up as end_without_going_on
 from agent.resuming.reconciliation import Done
 from agent.resuming.resume import ResumeRequest, resume
 from agent.session import Ended
 from agent.settings import Settings
+from agent.settings_file import load_settings
 from drivers.errors import MeasurementFault, StoreError
 
 

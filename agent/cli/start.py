@@ -11,14 +11,13 @@ import click
 from rich.console import Console
 
 from agent.cli.errors import fail, reported
-from agent.cli.night import Duration
-from agent.cli.options import measured_options
+from agent.cli.options import Duration, measured_options
 from agent.execution.states import RunState
-from agent.job import load_settings
 from agent.service.alarms import CODES
 from agent.service.client import Client
 from agent.service.control import KINDS
 from agent.service.requests import AT_REST
+from agent.settings_file import read_settings
 from drivers.clock import Clock, Deadline, RealClock
 from drivers.errors import Busy, GateRefused, LinkError, PermissionMissing, RunError, VolcalError
 
@@ -58,7 +57,7 @@ def start_command(
         "full_allowed": full_allowed,
         "consent": consent,
     }
-    with Client(load_settings(config)) as client:
+    with Client(read_settings(config)) as client:
         run_id = begun(client, body)
         click.echo(run_id)
         if wait:

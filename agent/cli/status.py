@@ -13,8 +13,8 @@ from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import config_option
-from agent.job import load_settings
 from agent.service.client import Client
+from agent.settings_file import read_settings
 
 
 @click.command("status")
@@ -24,7 +24,7 @@ from agent.service.client import Client
 @reported
 def status_command(config: Path, as_json: bool, watch: bool) -> None:
     """What the service does now, and what it may be asked for."""
-    with Client(load_settings(config)) as client:
+    with Client(read_settings(config)) as client:
         if not watch:
             show(client.get("/api/status"), as_json=as_json)
             return

@@ -7,8 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agent.assembly import assemble, closed_after, make_clock
-from agent.job import Job, load_settings, naming, prepare_job
+from agent.job import Job, prepare_job
 from agent.rig import Rig
+from agent.settings_file import load_settings, naming
 
 
 @contextmanager

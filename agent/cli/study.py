@@ -18,8 +18,8 @@ from rich.table import Table
 from agent.case import CASE_STUDY, load_case
 from agent.cli.errors import reported
 from agent.files import translated
-from agent.job import naming
 from agent.settings import IdentificationSettings
+from agent.settings_file import naming
 from agent.studies import STUDIES
 from agent.studies.study import Progress as StudyProgress
 from agent.studies.study import StudyCase, StudyResult, run_study

@@ -16,9 +16,9 @@ from agent.cli.start import conclude, waited_for
 from agent.cli.store_connection import connected
 from agent.cli.table_export import export
 from agent.execution.encoding import table_digest
-from agent.job import load_settings
 from agent.kinds.restoration import ROLES
 from agent.service.client import Client
+from agent.settings_file import load_settings
 from drivers.clock import RealClock
 from drivers.roles import TableImage
 

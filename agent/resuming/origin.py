@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from agent.consent import Consent
-from agent.job import POSITION_FILES
 from agent.kinds.kind import FullCalibration, Kind
 from agent.kinds.nightly import Night
 from agent.kinds.outset import Outset
 from agent.kinds.verify import Verification
 from agent.recording import input_files, sha256_of
 from agent.settings import Settings
+from agent.settings_file import POSITION_FILES
 from drivers.errors import InputError, PlanDiverged
 
 KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}

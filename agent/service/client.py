@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import httpx
 
-from agent.service.http.door import PLACE_FILE
+from agent.service.place import PLACE_FILE, told
 from agent.service.token import read_token, token_path
 from agent.settings import Settings
 from drivers import errors
@@ -98,15 +98,16 @@ def error_of(problem: Mapping[str, Any]) -> VolcalError:
 
 
 def _connected(settings: Settings) -> httpx.Client:
-    place = settings.state_directory / PLACE_FILE
     try:
-        url = str(json.loads(place.read_text(encoding="utf-8"))["url"])
+        url = told(settings.state_directory)
     except FileNotFoundError:
         raise NoService(
             "no service runs for this machine", hint=_START_IT, file=str(settings.state_directory)
         ) from None
     except (OSError, ValueError, KeyError) as error:
-        raise NoService(f"where the service is cannot be read: {error}", file=str(place)) from error
+        raise NoService(
+            f"where the service is cannot be read: {error}", file=str(settings.state_directory / PLACE_FILE)
+        ) from error
     verify = _context(settings.service.certificate_file)
     return httpx.Client(base_url=url, verify=verify, timeout=ANSWER_WITHIN_S, trust_env=False)
 

@@ -12,11 +12,11 @@ from types import FrameType
 
 import structlog
 
-from agent.job import load_settings
 from agent.service.control import Status
 from agent.service.health import Health
 from agent.service.notify import Notifier
 from agent.service.owner import Owner
+from agent.settings_file import load_settings
 from drivers.clock import RealClock
 from drivers.errors import VolcalError
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from agent.assembly import assemble, closed_after, make_clock
 from agent.consent import Consent
-from agent.job import Job, naming, prepare_job, with_overrides
+from agent.job import Job, prepare_job
 from agent.kinds.kind import FullCalibration, Kind, Ready
 from agent.kinds.nightly import Night
 from agent.kinds.verify import Verification
@@ -19,6 +19,7 @@ from agent.rig import Rig
 from agent.service.control import StartRequest
 from agent.service.questions import Questions, ServiceOperator
 from agent.settings import ClockSettings, Settings
+from agent.settings_file import naming, with_overrides
 from drivers.clock import Clock
 from drivers.errors import PlanRefused, UserError
 from drivers.roles import MachineStatus

@@ -12,7 +12,7 @@ import structlog
 
 from agent.execution.states import RunState
 from agent.files import load_machine
-from agent.job import naming, prepare_job
+from agent.job import prepare_job
 from agent.kinds.restoration import ROLES, Restoration, kept_table
 from agent.resuming.resume import origin_of, require_resumable
 from agent.service import requests
@@ -26,6 +26,7 @@ from agent.service.questions import Questions
 from agent.service.running import Running
 from agent.session import Ended, Request, new_run_id
 from agent.settings import Settings
+from agent.settings_file import naming
 from drivers.errors import Busy, PermissionMissing, PlanRefused, UserError, VolcalError
 
 log = structlog.get_logger()

@@ -11,7 +11,6 @@ from fastapi import FastAPI
 
 from agent.execution.run_lock import Ownership, ownership
 from agent.files import load_machine
-from agent.job import load_settings
 from agent.service.archive import Archive
 from agent.service.board import Board
 from agent.service.bulletin import Bulletin
@@ -32,6 +31,7 @@ from agent.service.scenes import Scenes
 from agent.service.token import make_token, read_token, token_path
 from agent.service.unattended import Circumstances
 from agent.settings import Settings
+from agent.settings_file import load_settings
 from drivers.clock import RealClock
 
 log = structlog.get_logger()

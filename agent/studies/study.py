@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from agent.files import load_positions
-from agent.job import POSITION_FILES, Job
+from agent.job import Job
+from agent.settings_file import POSITION_FILES
 from agent.studies import STUDIES
 from agent.studies.figure import Draw
 from agent.studies.workers import Workers

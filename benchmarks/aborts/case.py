@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from agent.case import CASE_STUDY, SHIPPED
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
 from agent.settings import Settings
+from agent.settings_file import load_settings
 from drivers.roles import TableImage
 from simulators.scenario import read_scenario
 from simulators.world.world import World

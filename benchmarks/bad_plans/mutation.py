@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from agent.case import CASE_STUDY
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
 from agent.rehearsal import rehearse
+from agent.settings_file import load_settings
 from benchmarks.plans.drawing import toml
 from drivers.errors import VolcalError
 

@@ -13,8 +13,8 @@ from test_demo_command import bad_machine, short_settings
 
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
-from agent.job import load_settings
 from agent.settings import Settings
+from agent.settings_file import load_settings
 from agent.simulator_process import SimulatorProcess
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

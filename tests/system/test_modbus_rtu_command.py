@@ -11,7 +11,7 @@ from test_demo_command import demo
 
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
-from agent.job import load_settings
+from agent.settings_file import load_settings
 from agent.simulator_process import SimulatorProcess
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -14,7 +14,7 @@ from nights import memory_directory
 
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
-from agent.job import load_settings
+from agent.settings_file import load_settings
 from agent.simulator_process import SimulatorProcess
 
 pytestmark = pytest.mark.timeout(200)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import socket
 import threading
 from collections.abc import Callable
@@ -12,13 +10,11 @@ from pathlib import Path
 import uvicorn
 from fastapi import FastAPI
 
-from agent.files import write_atomically
+from agent.service import place
 from agent.service.control import Control
 from agent.service.settings import ServiceSettings
 from drivers.errors import ConfigurationError
 
-PLACE_FILE = "service.json"
-"""In the state directory, while the service lives: where it can be reached."""
 OPEN_WITHIN_S = 10.0
 GRACE_S = 2
 LARGEST_CONCURRENCY = 64
@@ -31,7 +27,7 @@ class HttpDoor:
 
     def __init__(self, settings: ServiceSettings, directory: Path, make_app: Callable[[Control], FastAPI]) -> None:
         self._settings = settings
-        self._place = directory / PLACE_FILE
+        self._directory = directory
         self._make_app = make_app
         self._server: uvicorn.Server | None = None
         self._thread: threading.Thread | None = None
@@ -58,10 +54,10 @@ class HttpDoor:
         server = self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, name="http", daemon=True)
         self._thread.start()
-        write_atomically(self._place, json.dumps({"url": self.url, "process": os.getpid()}))
+        place.tell(self._directory, self.url)
 
     def stop(self) -> None:
-        self._place.unlink(missing_ok=True)
+        place.withdraw(self._directory)
         if self._server is not None and self._thread is not None:
             self._server.should_exit = True
             self._thread.join(GRACE_S + OPEN_WITHIN_S)

@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 
 from agent.execution import steps as s
 from agent.execution.encoding import encode_step
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
 from agent.plans.measure import MeasuringOrder, measure_positions
 from agent.plans.publish import choose_bank, stage_table
 from agent.plans.recover import withdraw
 from agent.plans.shortest import ShortestPilot, _There
 from agent.plans.spots import Spot
+from agent.settings_file import load_settings
 from drivers.errors import MeasurementFault, ReadBackMismatch, StoreError, VolcalError
 from drivers.roles import Miss, Orientation, TableImage, Touch
 from twin.geometry import point

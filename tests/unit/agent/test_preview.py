@@ -13,7 +13,7 @@ import pytest
 
 from agent.case import CASE_STUDY
 from agent.execution.steps import MoveTo, OrientTo
-from agent.job import Job, load_settings, prepare_job, with_overrides
+from agent.job import Job, prepare_job
 from agent.preview.blob import document, embedded
 from agent.preview.building import preview_of
 from agent.preview.figure import draw_png
@@ -23,6 +23,7 @@ from agent.preview.refusal import named_in, refusal_of
 from agent.preview.scene import Preview
 from agent.preview.walk import Waypoint, walk
 from agent.rehearsal import rehearse, whole_procedure
+from agent.settings_file import load_settings, with_overrides
 from drivers.errors import PlanRefused
 from twin.bodies import Body
 from twin.geometry import sphere

@@ -12,11 +12,12 @@ import pytest
 from touched_ball import TouchedBall, ended
 
 from agent.execution import steps as s
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
 from agent.plans.measure import MeasuringOrder
 from agent.plans.preparation import Prepared, prepare_probe
 from agent.plans.probe_check import ProbeCheck, check_repeatability
 from agent.plans.qualification import qualify_stylus
+from agent.settings_file import load_settings
 from drivers.errors import ConfigurationError
 from twin.position_set import Position
 

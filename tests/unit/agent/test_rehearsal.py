@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from agent.case import CASE_STUDY
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
 from agent.rehearsal import rehearse
+from agent.settings_file import load_settings
 from drivers.errors import PlanRefused
 
 TOO_NEAR_MM = 12.0

@@ -12,9 +12,10 @@ import pytest
 from touched_ball import TouchedBall
 
 from agent.execution import steps as s
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
 from agent.plans.changing import Carried, StationChange, change_station, park_mounts
 from agent.settings import Settings
+from agent.settings_file import load_settings
 from drivers.errors import ConfigurationError
 from drivers.roles import OperatorTask
 from twin.position_set import Position

@@ -12,9 +12,10 @@ from click.testing import CliRunner
 from agent.case import CASE_STUDY
 from agent.cli.main import main
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
-from agent.job import Job, load_settings, prepare_job, with_overrides
+from agent.job import Job, prepare_job
 from agent.plans.measure import MeasuringOrder, measure_positions
 from agent.rehearsal import rehearse, whole_procedure
+from agent.settings_file import load_settings, with_overrides
 from agent.time_model import TimeModel
 from agent.timing import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walked
 from drivers.errors import Aborted

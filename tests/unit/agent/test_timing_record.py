@@ -16,8 +16,9 @@ from agent.execution.engine import Engine
 from agent.execution.journal import Journal
 from agent.execution.journal_reading import JournaledStep, read_run
 from agent.ideal_machine import IdealMachine
-from agent.job import Job, load_settings, prepare_job
+from agent.job import Job, prepare_job
 from agent.plans.measure import MeasuringOrder, measure_positions
+from agent.settings_file import load_settings
 from agent.time_model import TimeModel, time_model
 from agent.timing_record import (
     CARRY,
