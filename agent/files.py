@@ -108,7 +108,7 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
             temporary.replace(target)
         make_durable(directory)
     except (FileExistsError, NotADirectoryError):
-        hint = "choose another output directory"
+        hint = "choose another directory"
         raise InputError("this is a file, a directory is needed", hint=hint, file=str(directory)) from None
     except OSError as cause:
         hint = "check the permissions and the free space"
@@ -117,6 +117,21 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
     finally:
         for temporary in staged.values():
             temporary.unlink(missing_ok=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Raise InputError where `write_all_atomically` never could, before time is spent on what it is to write; leaves
+    no trace."""
+    nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        hint = "choose another directory"
+        raise InputError("this is a file, a directory is needed", hint=hint, file=str(nearest))
+    try:
+        tempfile.TemporaryFile(dir=nearest).close()
+    except OSError as cause:
+        hint = "check the permissions and the free space, or choose another directory"
+        message = f"results cannot be written: {_reason(cause)}"
+        raise InputError(message, hint=hint, directory=str(folder)) from None
 
 
 @contextmanager

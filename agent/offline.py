@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from agent.files import load_artefact, load_balls, load_machine, read_text, translated, write_all_atomically
+from agent.files import (
+    check_folder,
+    load_artefact,
+    load_balls,
+    load_machine,
+    read_text,
+    translated,
+    write_all_atomically,
+)
 from agent.findings import Finding, find, order_text, scale_warnings
 from agent.gates import Gate, GateLimits, estimate_gates, table_gates
 from agent.report import (
@@ -110,6 +118,7 @@ def identify_files(request: Request, timestamp: str) -> Result:
 
     `timestamp` (ISO 8601 UTC) dates the results. Raises UserError for wrong input; then nothing is written.
     """
+    check_folder(request.out)
     material = read_material(request)
     with translated(file=str(request.balls)):
         finding, gates = _gated(material, request.order)

@@ -15,6 +15,7 @@ from agent.cli.errors import reported
 from agent.cli.options import procedure_options
 from agent.designing.valued_set import valuation_of
 from agent.expectation import Expectation, expect
+from agent.files import check_folder
 from agent.job import Job, prepare_job
 from agent.plans.measure import position_key
 from agent.rehearsal import Rehearsal, rehearse, whole_procedure
@@ -82,7 +83,7 @@ def plan_command(
 
 def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path]]:
     """Draws the plan, refused or not, and says which files it wrote. Raises InputError where it never could."""
-    from agent.preview.writing import check_folder, write_preview  # noqa: PLC0415  plotting is slow to import
+    from agent.preview.writing import write_preview  # noqa: PLC0415  plotting is slow to import
 
     check_folder(folder)
     return partial(write_preview, job, folder)

@@ -17,14 +17,14 @@ from rich.table import Table
 
 from agent.case import CASE_STUDY, load_case
 from agent.cli.errors import reported
-from agent.files import translated
+from agent.files import check_folder, translated
 from agent.settings import IdentificationSettings
 from agent.settings_file import naming
 from agent.studies import STUDIES
 from agent.studies.study import Progress as StudyProgress
 from agent.studies.study import StudyCase, StudyResult, run_study
 from agent.studies.workers import LocalWorkers, Workers
-from agent.studies.writing import as_plain, document, ready_folder, write_result
+from agent.studies.writing import as_plain, document, write_result
 from drivers.clock import wall_seconds
 from drivers.errors import ConfigurationError
 from twin.identification import Options
@@ -88,7 +88,7 @@ def study_command(
 ) -> None:
     """Study the procedure without a machine; writes NAME.png, NAME.svg, NAME.csv and NAME.json into DIR."""
     started = wall_seconds()
-    ready_folder(out)
+    check_folder(out)
     job = load_case(config, machine=machine, artefact=artefact, stations=stations)
     chosen = Chosen(formulation, prior, weights)
     with naming(config), hired(workers, cluster) as team, progress_bars() as progress, translated(ConfigurationError):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from agent.files import write_all_atomically
 from agent.studies.figure import picture
 from agent.studies.study import Cell, StudyResult
-from drivers.errors import InputError
 
 DIGITS = 8
 """Significant digits in the CSV; more than any of its figures is known to."""
@@ -30,19 +28,6 @@ def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
     }
     write_all_atomically(folder, {f"{result.name}.{suffix}": content for suffix, content in contents.items()})
     return {suffix: folder / f"{result.name}.{suffix}" for suffix in contents}
-
-
-def ready_folder(folder: Path) -> None:
-    """Make the folder if it is missing; InputError, before any work is done, where files cannot be written into it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        hint = "choose another output directory"
-        raise InputError("this is a file, a directory is needed", hint=hint, file=str(folder)) from None
-    except OSError as cause:
-        raise InputError(f"the directory cannot be made: {cause.strerror}", directory=str(folder)) from None
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError("results cannot be written here", hint="check the permissions", directory=str(folder))
 
 
 def document(result: StudyResult) -> dict[str, object]:

@@ -148,7 +148,7 @@ def test_the_descriptor_and_its_checksum_are_the_golden_ones(script: Script) -> 
     crc = crc32(table_bytes(table))
     assert crc == 0xCD808051
     packed = Layouts(NumberFormat()).descriptor.pack(descriptor_of(2, table, crc))
-    with closing(link_to(script)) as link:
+    with closing(link_to(script, timeout_s=SILENCE_S)) as link:
         for _ in range(4):
             with pytest.raises(LinkTimeout):
                 link.read(1000, 1)
@@ -170,7 +170,7 @@ def test_the_read_window_request_is_the_golden_one_but_for_its_transaction(scrip
 
 @pytest.mark.parametrize("script", [[None, None, None, GOLDEN["E"]]], indirect=True)
 def test_the_golden_exception_is_a_typed_error(script: Script) -> None:
-    with closing(link_to(script)) as link:
+    with closing(link_to(script, timeout_s=SILENCE_S)) as link:
         for _ in range(3):
             with pytest.raises(LinkTimeout, match="no answer within"):
                 link.read(1000, 1)

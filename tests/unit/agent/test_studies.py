@@ -13,11 +13,12 @@ import pytest
 from matplotlib.figure import Figure
 
 from agent.case import CASE_STUDY, load_case
+from agent.files import check_folder
 from agent.studies import STUDIES, monte_carlo
 from agent.studies.figure import picture
 from agent.studies.study import StudyCase, StudyResult, run_study
 from agent.studies.workers import LocalWorkers
-from agent.studies.writing import document, format_rows, ready_folder, write_result
+from agent.studies.writing import document, format_rows, write_result
 from drivers.errors import InputError
 from twin.errors import TwinError
 from twin.identification import Options
@@ -111,7 +112,7 @@ class TestFiles:
         (tmp_path / "taken").write_text("")
         for folder in (tmp_path / "taken", tmp_path / "taken" / "below"):
             with pytest.raises(InputError, match="this is a file"):
-                ready_folder(folder)
+                check_folder(folder)
 
     def test_the_figure_has_the_size_asked_for(self) -> None:
         drawn = picture("example", line, (4.0, 2.0))
