@@ -110,15 +110,16 @@ class LocalWorkers:
         return self._pool
 
     def _stop(self) -> None:
-        """End the processes at once, whatever they are doing."""
+        """End the processes at once, whatever they are doing, then the thread that led them: left to the interpreter's
+        end, it closes a pipe that is being written to there."""
         if self._pool is None:
             return
-        self._pool.shutdown(wait=False, cancel_futures=True)
         own = [child for child in multiprocessing.active_children() if child.pid not in self._others]
         for child in own:
             child.terminate()
         for child in own:
             child.join(END_S)
+        self._pool.shutdown(cancel_futures=True)
         self._pool = None
 
 
