@@ -115,7 +115,7 @@ def libmodbus_tcp(program: Path, order: str = "high") -> Iterator[ModbusCnc]:
 def libmodbus_rtu(program: Path, order: str = "high") -> Iterator[ModbusCnc]:
     with closing(Cable()) as cable, running(program, "rtu", cable.ports[1], order):
         serial = {"port": cable.ports[0], **LINE}
-        with opened(serial=serial, timeout_s=1.0, retries=3, word_order=f"{order}-first") as cnc:
+        with opened(serial=serial, timeout_s=0.4, retries=3, word_order=f"{order}-first") as cnc:
             yield cnc
 
 
