@@ -90,4 +90,5 @@ def main() -> None:
                 measure(way, controller, store_of(settings, controller, RealClock(), base_path=work, device="linuxcnc"))
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -26,7 +26,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "system"))
 from service_process import COMMAND, Service, service, short_settings, wait_for
-from test_kill import SCENARIO
+from simulated import SCENARIO
 
 from agent.execution.journal import Journal
 from agent.execution.steps import ACTING
