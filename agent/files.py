@@ -108,8 +108,7 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
             temporary.replace(target)
         make_durable(directory)
     except (FileExistsError, NotADirectoryError):
-        hint = "choose another directory"
-        raise InputError("this is a file, a directory is needed", hint=hint, file=str(directory)) from None
+        raise _file_in_the_way(directory) from None
     except OSError as cause:
         hint = "check the permissions and the free space"
         message = f"results cannot be written: {_reason(cause)}"
@@ -124,14 +123,17 @@ def check_folder(folder: Path) -> None:
     no trace."""
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
-        hint = "choose another directory"
-        raise InputError("this is a file, a directory is needed", hint=hint, file=str(nearest))
+        raise _file_in_the_way(nearest)
     try:
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as cause:
         hint = "check the permissions and the free space, or choose another directory"
         message = f"results cannot be written: {_reason(cause)}"
         raise InputError(message, hint=hint, directory=str(folder)) from None
+
+
+def _file_in_the_way(path: Path) -> InputError:
+    return InputError("this is a file, a directory is needed", hint="choose another directory", file=str(path))
 
 
 @contextmanager
