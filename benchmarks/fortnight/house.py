@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -20,6 +19,7 @@ from typing import Any, TypeVar
 import httpx
 
 from agent.case import CASE_STUDY, SHIPPED
+from agent.service import place
 from agent.service.requests import AT_REST
 from benchmarks.fortnight.almanac import turn_to
 
@@ -89,7 +89,7 @@ class House:
 
     def copy(self, directory: Path, ready: Mapping[str, Any]) -> House:
         """Another one with the same past."""
-        shutil.copytree(self.state, directory / "state", ignore=shutil.ignore_patterns("service.json", "*.lock"))
+        shutil.copytree(self.state, directory / "state", ignore=shutil.ignore_patterns(place.PLACE_FILE, "*.lock"))
         other = House(directory, ready, self._changes)
         shutil.copy(self.calendar, other.calendar)
         return other
@@ -101,14 +101,12 @@ class House:
         arguments = ["-m", "benchmarks.fortnight.serving", str(self.config), str(self.calendar)]
         with (self.directory / "service.log").open("a", encoding="utf-8") as log:
             self._service = self._started([sys.executable, *arguments], stdout=log, stderr=subprocess.STDOUT)
-        place = self.state / "service.json"
-        place.unlink(missing_ok=True)  # of one that was killed
-        wait_for(lambda: place.exists() or self._ended(), "the service")
+        place.withdraw(self.state)  # of one that was killed
+        wait_for(lambda: (self.state / place.PLACE_FILE).exists() or self._ended(), "the service")
         if self._ended():
             raise RuntimeError((self.directory / "service.log").read_text(encoding="utf-8")[-2000:])
         token = (self.state / "token").read_text(encoding="utf-8").strip()
-        url = str(json.loads(place.read_text(encoding="utf-8"))["url"])
-        self._http = httpx.Client(base_url=url, timeout=60.0, trust_env=False)
+        self._http = httpx.Client(base_url=place.told(self.state), timeout=60.0, trust_env=False)
         self._token = {"Authorization": f"Bearer {token}"}
 
     def power_fails(self) -> None:
