@@ -8,7 +8,6 @@ import signal
 import socket
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -17,9 +16,8 @@ from queue import SimpleQueue
 from typing import Any
 
 import httpx
-from simulated import COMMAND, CONFIG, SCENARIO, configured, simulated
+from simulated import COMMAND, CONFIG, PATIENCE_S, SCENARIO, configured, simulated, wait_for
 
-PATIENCE_S = 45.0
 TWO_POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 SHORT = {
     'position_set = "S3"': 'position_set = "two.csv"\nstations = [1]',
@@ -29,14 +27,6 @@ SHORT = {
     "[gates]": "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1e3",
 }
 AT_ONCE = "\n[service]\nport = 0\nwarm_up_minutes = 0\n"
-
-
-def wait_for(condition: Callable[[], Any], what: str, within_s: float = PATIENCE_S) -> Any:
-    deadline = time.monotonic() + within_s
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
-        time.sleep(0.02)
-    return found
 
 
 @contextmanager

@@ -67,9 +67,21 @@ def balls_in(state: Path) -> int:
         connection.close()
 
 
-def wait_until(condition: Callable[[], bool], agent: subprocess.Popen[str]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert agent.poll() is None, agent.communicate()
-        assert time.monotonic() < deadline, "the agent measures nothing"
+def wait_for(condition: Callable[[], Any], what: str, within_s: float = PATIENCE_S) -> Any:
+    """What `condition` finds in the end."""
+    deadline = time.monotonic() + within_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
         time.sleep(0.02)
+    return found
+
+
+def wait_until(condition: Callable[[], bool], agent: subprocess.Popen[str]) -> None:
+    """As long as the agent lives."""
+
+    def reached() -> bool:
+        found = condition()
+        assert found or agent.poll() is None, agent.communicate()
+        return found
+
+    wait_for(reached, "what the agent measures")

@@ -43,6 +43,7 @@ def test_killed_simulator_is_a_fault_that_names_link_and_step(simulator, tmp_pat
     assert "Traceback" not in stderr
     [complaint] = [line for line in stderr.splitlines() if line.startswith("error:")]
     assert f"127.0.0.1:{ready['modbus']['port']}" in complaint
+    assert "connection lost" in complaint  # seen by its end, not waited for
     assert "step measure/station-1/" in complaint
     document = json.loads(stdout)
     assert document["state"] == "faulted"

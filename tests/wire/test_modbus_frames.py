@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import PATIENCE_S, SILENCE_S
 
 from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, ProtocolError
@@ -37,10 +38,6 @@ def golden_frames() -> dict[str, bytes]:
 
 
 GOLDEN = golden_frames()
-PATIENCE_S = 5.0
-"""For an answer that comes: a loaded computer may let the other end wait."""
-SILENCE_S = 0.2
-"""For one that does not come."""
 
 
 class Script:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from rtu_slave import RtuSlave, crc, framed, scripted
+from waiting import PATIENCE_S, SILENCE_S
 
 from drivers.clock import VirtualClock, WatchedClock
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, ProtocolError
@@ -22,11 +23,6 @@ ANSWER_17 = bytes.fromhex("11 03 06 AE41 5652 4340 49AD")
 WRITE_17 = bytes.fromhex("11 10 0001 0002 04 000A 0102 C6F0")
 WRITTEN_17 = bytes.fromhex("11 10 0001 0002 1298")
 VALUE_17 = bytes.fromhex("AE41 5652 4340")
-
-PATIENCE_S = 5.0
-"""For an answer that comes: a loaded computer may let the slave wait."""
-SILENCE_S = 0.2
-"""For one that does not come, or is too short."""
 
 
 @contextmanager
