@@ -199,7 +199,7 @@ def run_page(folder: Path, tmp_path: Path) -> dict:
     return json.loads(done.stdout)
 
 
-@pytest.mark.skipif(NODE is None, reason="needs node to run the page's program")
+@pytest.mark.skipif(NODE is None, reason="NOT EXERCISED HERE: the program of the preview's page: node is missing")
 class TestProgram:
     def test_keys_pointer_and_playing(self, written: tuple[Path, dict], tmp_path: Path) -> None:
         folder, said = written

@@ -35,7 +35,7 @@ LINE = {"baud": 57600, "parity": "none", "stop_bits": 2}
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The C peer, compiled here."""
     if not (shutil.which("gcc") and Path("/usr/include/modbus/modbus.h").exists()):
-        pytest.skip("gcc or Debian's libmodbus-dev is missing: the libmodbus peers are NOT tested here")
+        pytest.skip("NOT EXERCISED HERE: the libmodbus peers: gcc or Debian's libmodbus-dev is missing")
     target = tmp_path_factory.mktemp("peer") / "ideal_machine"
     warnings = ["-Wall", "-Wextra", "-Werror", "-I/usr/include/modbus"]
     subprocess.run(["gcc", "-O1", *warnings, "-o", target, SOURCE, "-lmodbus", "-lm"], check=True, timeout=50)
