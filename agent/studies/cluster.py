@@ -6,12 +6,15 @@ nothing comes back. How long a chunk computes is not.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import pickle
 import socket
 import struct
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError
+from concurrent.futures import Future as ConcurrentFuture
+from concurrent.futures import wait as futures_done
 from typing import Any, Self, TypeVar
 from urllib.parse import urlsplit
 
@@ -94,15 +97,13 @@ class DaskWorkers:
         """Results in the order of the futures, taken as they come."""
         number = {future.key: place for place, future in enumerate(futures)}
         found: list[list[Any]] = [[] for _ in futures]
-        pending, finished, alone_s = set(futures), 0, 0.0
+        pending, finished = set(futures), 0
+        alone = _Alone(self._address)
         while pending:
             ready, pending = self._next(pending)
-            alone_s = 0.0 if ready or self._workers(client) else alone_s + POLL_S
-            if alone_s > FIRST_WORKER_S:
-                hint = "have they the same volcal[cluster], and memory enough?"
-                raise LinkTimeout("the Dask scheduler has no worker any more", hint=hint, link=self._address)
+            alone.see(bool(ready or self._workers(client)))
             for future in ready:
-                found[number[future.key]] = self._result(future)
+                found[number[future.key]] = self._result(client, future)
                 finished += len(found[number[future.key]])
             if ready:
                 done(finished)
@@ -117,9 +118,23 @@ class DaskWorkers:
             raise self._lost() from error
         return ready, rest
 
-    def _result(self, future: Work) -> list[Any]:
+    def _result(self, client: Client, future: Work) -> list[Any]:
+        """What a ready future holds. Its worker may have died since then: it is computed once more, as long as that
+        takes, while the scheduler gives signs of life and has workers."""
+        loop = client.loop.asyncio_loop  # type: ignore[union-attr]
+        fetching = client.gather(future, asynchronous=True)  # type: ignore[no-untyped-call]
+        coming = asyncio.run_coroutine_threadsafe(fetching, loop)
+        alone = _Alone(self._address)
         try:
-            results: list[Any] = future.result(timeout=SIGN_OF_LIFE_S)
+            while not futures_done([coming], timeout=POLL_S).done:
+                alone.see(bool(self._workers(client)))
+        finally:
+            coming.cancel()  # nothing where it has ended
+        return self._taken(coming)
+
+    def _taken(self, ended: ConcurrentFuture[list[Any]]) -> list[Any]:
+        try:
+            return ended.result()
         except VolcalError:
             raise
         except KilledWorker as error:
@@ -131,7 +146,6 @@ class DaskWorkers:
             hint = "install the same volcal[cluster] on scheduler and workers"
             message = f"the cluster does not understand the work: {' '.join(str(error).split())}"
             raise ConfigurationError(message, hint=hint, link=self._address) from error
-        return results
 
     def _workers(self, client: Client) -> dict[str, int]:
         """Threads of each worker, asked of the scheduler: a sign of its life too."""
@@ -147,6 +161,21 @@ class DaskWorkers:
     def _lost(self) -> LinkLost:
         hint = "start the study again; the same seed gives the same numbers"
         return LinkLost("the Dask scheduler is gone in the middle of the work", hint=hint, link=self._address)
+
+
+class _Alone:
+    """How long the scheduler has been without workers, looked at every POLL_S."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._seconds = 0.0
+
+    def see(self, somebody: bool) -> None:
+        """LinkTimeout after FIRST_WORKER_S of nobody."""
+        self._seconds = 0.0 if somebody else self._seconds + POLL_S
+        if self._seconds > FIRST_WORKER_S:
+            hint = "have they the same volcal[cluster], and memory enough?"
+            raise LinkTimeout("the Dask scheduler has no worker any more", hint=hint, link=self._address)
 
 
 def _greet(address: str) -> None:

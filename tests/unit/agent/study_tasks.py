@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -43,6 +44,21 @@ def deadly(number: int) -> int:
     if number == 5:
         os._exit(3)
     return number
+
+
+@dataclass(frozen=True)
+class SlowAgain:
+    """Says in the file `first` whose process worked; a second time, with the file `again`, it takes a while."""
+
+    directory: str
+
+    def __call__(self, number: int) -> int:
+        first = Path(self.directory) / "first"
+        if first.exists():
+            (first.parent / "again").touch()
+            threading.Event().wait(1.0)
+        first.write_text(str(os.getpid()))
+        return number
 
 
 def interrupting(number: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -115,6 +116,28 @@ class TestBadEnds:
             with pytest.raises(RunError, match="workers of the cluster died"):
                 workers.map(study_tasks.deadly, range(12), ignore)
             assert workers.map(study_tasks.squared, range(3), ignore) == [0, 1, 4]
+
+    def test_a_result_that_dies_with_its_worker_is_computed_again_however_long_that_takes(
+        self, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        killed: list[int] = []
+
+        def ready_then_orphaned(
+            self: DaskWorkers, pending: set[cluster.Work]
+        ) -> tuple[set[cluster.Work], set[cluster.Work]]:
+            """A worker that dies after its result was said to be ready and before it was fetched."""
+            ready, rest = waited(self, pending)
+            if ready and not killed:
+                killed.append(int((tmp_path / "first").read_text()))
+                os.kill(killed[0], signal.SIGKILL)
+            return ready, rest
+
+        waited = DaskWorkers._next
+        monkeypatch.setattr(DaskWorkers, "_next", ready_then_orphaned)
+        monkeypatch.setattr(cluster, "POLL_S", 0.1)
+        with DaskWorkers(address) as workers:
+            assert workers.map(study_tasks.SlowAgain(str(tmp_path)), range(1), ignore) == [0]
+        assert (tmp_path / "again").exists()
 
     def test_a_scheduler_that_is_killed_in_the_middle_is_noticed(self) -> None:
         scheduler = dask_process("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
