@@ -133,7 +133,9 @@ class BridgeLink:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=complaints,
-                start_new_session=True,  # Ctrl-C is for the agent, which stops the machine first
+                # Ctrl-C is for the agent, which stops the machine first. A group and no session: those are scheduled
+                # as one (autogroup), and beside busy ones a session of few requests was seen to starve for seconds.
+                process_group=0,
             )
         except OSError as error:
             complaints.close()

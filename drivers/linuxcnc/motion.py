@@ -211,17 +211,21 @@ class Motion:
     def _wait(
         self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
     ) -> tuple[Snapshot, tuple[str, ...]]:
-        """The look that shows the end, and all that LinuxCNC has said meanwhile."""
+        """The look that shows the axes at rest, with what came of the motion when it ended, and all that LinuxCNC has
+        said meanwhile: after a trip it is done with a move while the axes still brake."""
         session, clock, settings = self._session, self._session.clock, self._session.settings
         allowed_s = self._allowed_s(before, target, feed_mm_per_s)
         deadline = Deadline.after(clock, allowed_s)
         held: Deadline | None = None
         said: tuple[str, ...] = ()
+        ended: Snapshot | None = None
         while True:
             snapshot = session.look()
             said += snapshot.errors
             if not snapshot.under_way or snapshot.task_state != ON:
-                return snapshot, said + self._said_late(snapshot, said)
+                ended = replace(snapshot, outcome=(ended or snapshot).outcome)
+                if snapshot.in_position or snapshot.task_state != ON:
+                    return ended, said + self._said_late(ended, said)
             self._require_still_permitted(kind, snapshot)
             if snapshot.paused:
                 held = held or Deadline.after(clock, settings.held_at_most_s)

@@ -185,7 +185,7 @@ class Controller:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=said,
-            start_new_session=True,
+            process_group=0,
         )
 
     def __call__(self, operation: str, *arguments: object) -> Any:

@@ -23,6 +23,8 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
 SPEED = 5.0
 TOOL = np.array([0.0, 250.0, 0.0])
+PATIENCE = {"answer_within_s": 20.0, "motion_margin_s": 60.0}
+"""The computer may be busy with other tests."""
 REACH_MM = 15.5
 """Radius of the ball and of the tip together."""
 
@@ -37,7 +39,7 @@ class Live:
     def device(self, *, interrupt: Any = lambda: None, **options: Any) -> LinuxCnc:
         """A driver that is not open yet."""
         clock = WatchedClock(ScaledClock(SPEED), interrupt)
-        given = {"bridge_command": self.process.bridge_command, "watch_s": 0.0, "motion_margin_s": 60.0, **options}
+        given = {"bridge_command": self.process.bridge_command, "watch_s": 0.0, **PATIENCE, **options}
         device = create_device("linuxcnc", given, DeviceContext("cnc", clock, self.process.work))
         assert isinstance(device, LinuxCnc)
         return device
@@ -54,7 +56,7 @@ class Live:
     @contextmanager
     def bystander(self, watch_s: float = 0.0) -> Iterator[BridgeLink]:
         """Somebody else at the same LinuxCNC."""
-        link = BridgeLink(self.process.bridge_command, answer_within_s=10.0, watch_s=watch_s, device="bystander")
+        link = BridgeLink(self.process.bridge_command, answer_within_s=20.0, watch_s=watch_s, device="bystander")
         link.open()
         try:
             yield link

@@ -164,7 +164,7 @@ class TestInterrupt:
         many = ["monte-carlo", "--machines", "100000", "--stations", "2", "--workers", "2"]
         command = [*VOLCAL, *many, "--out", str(tmp_path)]
         drawn = {**os.environ, "FORCE_COLOR": "1"}  # the bar as on a terminal, which says when machines are done
-        running = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True, env=drawn)
+        running = subprocess.Popen(command, stderr=subprocess.PIPE, process_group=0, env=drawn)
         assert running.stderr is not None
         try:
             read = b""

@@ -30,7 +30,7 @@ from drivers.linuxcnc.device import LinuxCnc
 from drivers.linuxcnc.plugin import PLUGIN
 from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.registry import DeviceContext
-from drivers.roles import Finding
+from drivers.roles import Finding, MotionState
 
 FAKE = Path(__file__).with_name("linuxcnc_fake_bridge.py")
 HELLO = {
@@ -225,6 +225,14 @@ class TestDevice:
     def test_motion_that_ends_elsewhere_was_stopped(self, make: Make) -> None:
         with pytest.raises(MotionFault, match="stopped at the machine"):
             make(script()).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+
+    def test_guard_that_trips_is_told_when_the_axes_have_braked(self, make: Make) -> None:
+        tripped = look(state="error", in_position=False, errors=["Probe tripped during non-probe move"])
+        braking, resting = look(in_position=False, position=[4.0, 2.0, 3.0]), look(position=[4.1, 2.0, 3.0])
+        device = make(script(status=[look(), tripped, braking, braking, resting]))
+        with pytest.raises(GuardTripped, match=r"near X 4\.100"):
+            device.move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
+        assert device.status().state is MotionState.IDLE
 
     def test_refusal_has_the_words_of_linuxcnc_even_when_they_come_late(self, make: Make) -> None:
         told = script(status=[look(), look(state="error"), look(state="error", errors=["beyond X's limit"])])
