@@ -11,14 +11,12 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is first imported; see agent/cli/main.py
 
 import pytest
+from aloud import NOT_HERE
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("desk", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("check", parent=settings.get_profile("desk"), derandomize=True, database=None)
 settings.load_profile("check" if os.environ.get("CI") else "desk")
-
-NOT_HERE = "NOT EXERCISED HERE"
-"""How the reason of a skip begins where this computer lacks what a test needs: said aloud at the end, and counted."""
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from aloud import NOT_HERE
 from rigs import Played, on_wires
 from test_roles import TestRotaryMount
 
@@ -25,9 +26,9 @@ KERNEL = "socketcan:vcan0"
 
 def require(channel: str) -> None:
     if channel == MULTICAST and not multicast_works():
-        pytest.skip("NOT EXERCISED HERE: the mount's contract over multicast: this network has none")
+        pytest.skip(f"{NOT_HERE}: the mount's contract over multicast: this network has none")
     if channel == KERNEL and (absent := kernel_can_missing() or _no_interface()):
-        pytest.skip(f"NOT EXERCISED HERE: the mount's contract through the kernel (socketcan, vcan0): {absent}")
+        pytest.skip(f"{NOT_HERE}: the mount's contract through the kernel (socketcan, vcan0): {absent}")
 
 
 def _no_interface() -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from aloud import NOT_HERE
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "tests" / "plugin_example"
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.timeout(100)
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The directory that the example was installed into; no index is asked, nothing is downloaded."""
     if int(version("setuptools").split(".")[0]) < 77:
-        pytest.skip("NOT EXERCISED HERE: the example plugin, built and installed: setuptools 77 or later is missing")
+        pytest.skip(f"{NOT_HERE}: the example plugin, built and installed: setuptools 77 or later is missing")
     place = tmp_path_factory.mktemp("third-party")
     source = shutil.copytree(EXAMPLE, place / "source")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"]

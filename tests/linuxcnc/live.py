@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.linuxcnc import ANSWER_WITHIN_S
 from drivers.clock import ScaledClock, WatchedClock
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.device import LinuxCnc
@@ -23,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
 SPEED = 5.0
 TOOL = np.array([0.0, 250.0, 0.0])
-PATIENCE = {"answer_within_s": 20.0, "motion_margin_s": 60.0}
+PATIENCE = {"answer_within_s": ANSWER_WITHIN_S, "motion_margin_s": 60.0}
 """The computer may be busy with other tests."""
 REACH_MM = 15.5
 """Radius of the ball and of the tip together."""
@@ -56,7 +57,9 @@ class Live:
     @contextmanager
     def bystander(self, watch_s: float = 0.0) -> Iterator[BridgeLink]:
         """Somebody else at the same LinuxCNC."""
-        link = BridgeLink(self.process.bridge_command, answer_within_s=20.0, watch_s=watch_s, device="bystander")
+        link = BridgeLink(
+            self.process.bridge_command, answer_within_s=ANSWER_WITHIN_S, watch_s=watch_s, device="bystander"
+        )
         link.open()
         try:
             yield link

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from aloud import NOT_HERE
 
 from simulators.linuxcnc.namespaces import why_not
 
-NOT_HERE = "NOT EXERCISED HERE: LinuxCNC cannot run"
-WHY_NOT = why_not()
 
-needs_linuxcnc = pytest.mark.skipif(WHY_NOT != "", reason=f"{NOT_HERE}: {WHY_NOT}")
+def needing(missing: str) -> pytest.MarkDecorator:
+    """Skipped where something is `missing`; empty: nothing is."""
+    return pytest.mark.skipif(missing != "", reason=f"{NOT_HERE}: LinuxCNC cannot run: {missing}")
+
+
+needs_linuxcnc = needing(why_not())

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compensation_rig import Controller, built, machine, smooth_table, trilinear, why_not
-from needing import NOT_HERE
+from needing import needing
 
 from drivers.clock import RealClock
 from drivers.errors import ChecksumMismatch, StoreError
 from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, store_of
 from drivers.roles import Activation, CompensationStore, TableImage
 
-pytestmark = pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}")
+pytestmark = needing(why_not())
 
 WHOLE = smooth_table(3)
 ACCEPTED_UM = 100.0

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compensation_rig import Controller, built, machine, smooth_table, trilinear, why_not
-from needing import NOT_HERE
+from needing import needing
 
 from drivers.clock import RealClock
 from drivers.errors import ChecksumMismatch, StoreError
@@ -22,7 +22,7 @@ MOTION_MM = {"external-offsets": 8e-5, "kinematics": 4e-6}
 JUMP_MM_PER_S = 0.5
 PLACE = (93.0, 64.0, 53.0)
 
-pytestmark = pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}")
+pytestmark = needing(why_not())
 
 
 @pytest.fixture(scope="module")

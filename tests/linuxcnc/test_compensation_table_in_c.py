@@ -14,14 +14,14 @@ from compensation_rig import COMPONENTS, trilinear
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from needing import NOT_HERE
+from needing import needing
 
 from drivers.roles import TableImage
 from drivers.tables.text import text_of
 
 HEADERS = Path("/usr/include/linuxcnc/rtapi.h")
 MISSING = "" if HEADERS.exists() and shutil.which("gcc") else "linuxcnc-uspace-dev OR gcc IS NOT INSTALLED"
-pytestmark = pytest.mark.skipif(MISSING != "", reason=f"{NOT_HERE}: {MISSING}")
+pytestmark = needing(MISSING)
 
 OK, MALFORMED, CRC_DIFFERS, BEYOND_LIMITS = 0, 4, 5, 6
 LARGEST_MM = 1.0

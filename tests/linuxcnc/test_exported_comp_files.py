@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compensation_rig import built, machine, running, why_not
-from needing import NOT_HERE
+from needing import needing
 
 from twin.chain import parse_chain
 from twin.controllers import linuxcnc_comp
@@ -18,7 +18,7 @@ from twin.machine_model import exact_deviation
 from twin.table import Anchor, build_table, regular_nodes
 from twin.volumetric import evaluation_grid, volumetric_error
 
-pytestmark = pytest.mark.skipif(why_not() != "", reason=f"{NOT_HERE}: {why_not()}")
+pytestmark = needing(why_not())
 
 RANGES = ((0.0, 800.0), (0.0, 400.0), (0.0, 320.0))
 TOOL = np.array([0.0, 0.0, -150.0])

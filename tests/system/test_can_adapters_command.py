@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from aloud import NOT_HERE
 from namespaces import KERNEL_CAN, MULTICAST, inside, kernel_can_missing, missing
 from test_demo_command import bad_machine, short_settings
 
@@ -18,7 +19,6 @@ from agent.settings_file import load_settings
 from agent.simulator_process import SimulatorProcess
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-ANNOUNCED = "NOT EXERCISED HERE"
 PATIENCE_S = 170.0
 COARSE = "\n[table]\nstep_mm = [1000.0, 650.0, 750.0]\n"
 
@@ -55,13 +55,13 @@ def test_short_run_over_a_serial_adapter(tmp_path: Path) -> None:
 def test_short_run_over_multicast(tmp_path: Path) -> None:
     """In a namespace whose loopback has multicast and nothing else has anything."""
     if absent := missing(MULTICAST):
-        pytest.skip(f"{ANNOUNCED}: CAN over multicast between two processes: {absent}")
+        pytest.skip(f"{NOT_HERE}: CAN over multicast between two processes: {absent}")
     proved(calibrated(tmp_path, "udp_multicast:239.74.163.2:0", MULTICAST), "CAN udp_multicast 239.74.163.2")
 
 
 def test_short_run_over_kernel_can(tmp_path: Path) -> None:
     if absent := kernel_can_missing():
-        pytest.skip(f"{ANNOUNCED}: CAN through the kernel (socketcan, vcan): {absent}")
+        pytest.skip(f"{NOT_HERE}: CAN through the kernel (socketcan, vcan): {absent}")
     proved(calibrated(tmp_path, "socketcan:vcan0", KERNEL_CAN), "CAN socketcan vcan0")
 
 

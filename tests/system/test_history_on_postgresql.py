@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from aloud import NOT_HERE
 from nights import Night, memory_directory, short_document, states
 from sqlalchemy import URL
 
@@ -48,7 +49,7 @@ def programs() -> Path:
     for folder in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True):
         return folder
     if os.environ.get(SWITCH) == "1":
-        pytest.skip(f"NOT EXERCISED HERE: history on PostgreSQL: not installed, and {SWITCH}=1 says it need not be")
+        pytest.skip(f"{NOT_HERE}: history on PostgreSQL: not installed, and {SWITCH}=1 says it need not be")
     pytest.fail(f"PostgreSQL is not installed: apt-get install postgresql, or set {SWITCH}=1 to go without this proof")
 
 

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from aloud import NOT_HERE
 from click.testing import CliRunner, Result
 
 from agent.cli.main import main
@@ -199,7 +200,7 @@ def run_page(folder: Path, tmp_path: Path) -> dict:
     return json.loads(done.stdout)
 
 
-@pytest.mark.skipif(NODE is None, reason="NOT EXERCISED HERE: the program of the preview's page: node is missing")
+@pytest.mark.skipif(NODE is None, reason=f"{NOT_HERE}: the program of the preview's page: node is missing")
 class TestProgram:
     def test_keys_pointer_and_playing(self, written: tuple[Path, dict], tmp_path: Path) -> None:
         folder, said = written

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 import can
 import canopen
 import pytest
+from aloud import NOT_HERE
 from can_listening import listening
 
 from drivers.errors import ConfigurationError, LinkLost
@@ -170,7 +171,7 @@ def test_drive_behind_a_channel(spec: str) -> None:
 
 
 needs_multicast = pytest.mark.skipif(
-    not multicast_works(), reason="NOT EXERCISED HERE: CAN over multicast in one process: this network has none"
+    not multicast_works(), reason=f"{NOT_HERE}: CAN over multicast in one process: this network has none"
 )
 
 

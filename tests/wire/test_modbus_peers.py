@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from aloud import NOT_HERE
 from peers.ideal_registers import BALL, REACH, IdealRegisters, serving
 
 from drivers.clock import RealClock
@@ -35,7 +36,7 @@ LINE = {"baud": 57600, "parity": "none", "stop_bits": 2}
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The C peer, compiled here."""
     if not (shutil.which("gcc") and Path("/usr/include/modbus/modbus.h").exists()):
-        pytest.skip("NOT EXERCISED HERE: the libmodbus peers: gcc or Debian's libmodbus-dev is missing")
+        pytest.skip(f"{NOT_HERE}: the libmodbus peers: gcc or Debian's libmodbus-dev is missing")
     target = tmp_path_factory.mktemp("peer") / "ideal_machine"
     warnings = ["-Wall", "-Wextra", "-Werror", "-I/usr/include/modbus"]
     subprocess.run(["gcc", "-O1", *warnings, "-o", target, SOURCE, "-lmodbus", "-lm"], check=True, timeout=50)
@@ -115,6 +116,7 @@ def libmodbus_tcp(program: Path, order: str = "high") -> Iterator[ModbusCnc]:
 def libmodbus_rtu(program: Path, order: str = "high") -> Iterator[ModbusCnc]:
     with closing(Cable()) as cable, running(program, "rtu", cable.ports[1], order):
         serial = {"port": cable.ports[0], **LINE}
+        # the peer stops for a second of silence: within it a lost frame is asked for again
         with opened(serial=serial, timeout_s=0.4, retries=3, word_order=f"{order}-first") as cnc:
             yield cnc
 
