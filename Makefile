@@ -37,31 +37,31 @@ bench: setup
 # A season of nights on a simulated machine that drifts and is hit once; ends with one line of JSON.
 NIGHTS ?= 30
 nights: setup
-	$(BIN)/python -m benchmarks.nights --nights $(NIGHTS)
+	$(BIN)/python -m campaigns.nights --nights $(NIGHTS)
 
 # A fortnight of the service with everything that goes wrong, in virtual time; ends with one line of JSON.
 fortnight: setup
-	$(BIN)/python -m benchmarks.fortnight
+	$(BIN)/python -m campaigns.fortnight
 
 # Random valid plans rehearsed, run with errors and broken off; bad plans, each refused for the right reason; one run
 # broken off at each step. Each ends with one line of JSON.
 COUNT ?= 10000
 SEED ?= 1
 plans: setup
-	$(BIN)/python -m benchmarks.plans --count $(COUNT) --seed $(SEED) --workers 2
+	$(BIN)/python -m campaigns.plans --count $(COUNT) --seed $(SEED) --workers 2
 
 bad-plans: setup
-	$(BIN)/python -m benchmarks.bad_plans
+	$(BIN)/python -m campaigns.bad_plans
 
 aborts: setup
-	$(BIN)/python -m benchmarks.aborts --workers 2
+	$(BIN)/python -m campaigns.aborts --workers 2
 
 # One run broken off and gone on with, at one step in seventeen; a machine and a bar that warm by 3 K.
 resumes: setup
-	$(BIN)/python -m benchmarks.resume --every 17
+	$(BIN)/python -m campaigns.resume --every 17
 
 warming: setup
-	$(BIN)/python -m benchmarks.warming --seeds 4
+	$(BIN)/python -m campaigns.warming --seeds 4
 
 # A million lines of a part program corrected: seconds, memory, and the ratio to one block at a time.
 gcode: setup
@@ -73,7 +73,7 @@ SPEED ?= 10
 SHORT ?=
 linuxcnc: setup
 	.ci/install linuxcnc-uspace linuxcnc-uspace-dev faketime iproute2
-	$(BIN)/python -m benchmarks.linuxcnc --speed $(SPEED) $(SHORT)
+	$(BIN)/python -m campaigns.linuxcnc --speed $(SPEED) $(SHORT)
 
 schema: setup
 	mkdir -p config/schema

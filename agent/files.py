@@ -15,14 +15,14 @@ from typing import TextIO
 
 from drivers.errors import ConfigurationError, InputError, UserError, VolcalError
 from drivers.tables.files import make_durable
-from twin.artefact import Artefact
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import Position
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.ball_file import BallFile, parse_balls
 from twin.formats.machine_file import parse_machine
 from twin.formats.position_set_file import parse_positions
-from twin.machine_description import MachineDescription
-from twin.position_set import Position
+from twin.machine.machine_description import MachineDescription
 
 FILE_MODE = 0o644
 """Results are read by other people and programs; `mkstemp` alone would keep them to the owner."""

@@ -15,8 +15,8 @@ from time import perf_counter
 
 import numpy as np
 
-from agent.case import CASE_STUDY, load_case
-from agent.designing.setting_up import Setting
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.design.design_problem import Setting
 from twin.design.candidates import Candidates
 from twin.design.goals import Positions
 from twin.design.search import Search, Selection

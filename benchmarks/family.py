@@ -15,13 +15,13 @@ from time import perf_counter
 import numpy as np
 
 from twin.arrays import Array
-from twin.chain import parse_chain
-from twin.deflection import CASE_STUDY_NODES, cantilever_deflection
-from twin.error_model import ErrorModel
-from twin.family import family_from_amplitudes
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.rigid_motion import rigid_fields
-from twin.volumetric import QuadraticForm, evaluation_grid
+from twin.machine.deflection import CASE_STUDY_NODES, cantilever_deflection
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)

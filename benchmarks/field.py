@@ -14,10 +14,10 @@ from time import perf_counter
 import numpy as np
 
 from twin.arrays import Array
-from twin.chain import AXES, parse_chain
-from twin.error_model import ErrorModel
-from twin.machine_model import exact_deviation
-from twin.volumetric import QuadraticForm, evaluation_grid
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.kinematic_chain import AXES, parse_chain
+from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)

@@ -18,9 +18,9 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from twin.gcode.correction import correct_program
-from twin.gcode.setup import CorrectionOptions, PartSetup
-from twin.table import Anchor, CompensationTable, regular_nodes
+from twin.compensation.gcode.correction import correct_program
+from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
+from twin.compensation.table import Anchor, CompensationTable, regular_nodes
 
 SETUP = PartSetup({"G54": (500.0, 300.0, 200.0)})
 OPTIONS = CorrectionOptions(max_chord_error_mm=0.002)

@@ -26,14 +26,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from twin.arrays import Array
-from twin.artefact import Artefact, ball_bar
-from twin.chain import parse_chain
-from twin.error_model import ErrorModel
-from twin.family import Family, family_from_amplitudes
+from twin.artefact.artefact import Artefact, ball_bar
+from twin.artefact.observations import Observations
+from twin.artefact.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
 from twin.identification import Estimate, Options, identify, identify_by_evidence
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.observations import Observations
-from twin.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import Family, family_from_amplitudes
 
 TOOL = np.array([0.0, 250.0, 0.0])
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))

@@ -6,12 +6,12 @@ import json
 import sys
 from time import process_time
 
-from agent.case import CASE_STUDY, load_case
-from agent.job import Job, prepare_job
-from agent.rehearsal import whole_procedure
-from agent.settings_file import load_settings, with_overrides
-from agent.time_model import S_PER_MIN
-from agent.timing import as_listed, walked
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.cycle_time import as_listed, walked
+from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import whole_procedure
+from agent.planning.time_model import S_PER_MIN
+from agent.settings.load import load_settings, with_overrides
 
 SETS = ("S3", "S1+S2+S3")
 

@@ -6,9 +6,9 @@ import statistics
 from collections.abc import Callable
 from time import perf_counter
 
-from agent.case import CASE_STUDY, load_case
-from agent.rehearsal import rehearse, whole_procedure
-from agent.timing import machine_minutes, position_minutes, walked
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.cycle_time import machine_minutes, position_minutes, walked
+from agent.planning.preflight import rehearse, whole_procedure
 
 REPEATS = 5
 

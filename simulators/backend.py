@@ -26,7 +26,7 @@ from drivers.roles import (
     Touch,
     Vector,
 )
-from simulators.world.course import Kind
+from simulators.world.motion_forecast import Kind
 from simulators.world.mount import AZIMUTH, ELEVATION, MountPhysics
 from simulators.world.world import World
 

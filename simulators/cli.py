@@ -15,9 +15,9 @@ import structlog
 
 from drivers.errors import VolcalError
 from simulators.scenario import read_scenario
-from simulators.wire.machine_on_wires import Links, MachineOnWires
-from simulators.wire.modbus_numbers import Float64Numbers, NumberFormat, ScaledInt32Numbers
-from simulators.wire.modbus_rtu import LineSettings
+from simulators.wire.modbus.numbers import Float64Numbers, NumberFormat, ScaledInt32Numbers
+from simulators.wire.modbus.rtu import LineSettings
+from simulators.wire.wired_machine import Links, MachineOnWires
 
 log = structlog.get_logger()
 

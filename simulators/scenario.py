@@ -16,14 +16,14 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from drivers.errors import ConfigurationError
 from simulators.temperatures import Coordinates, TemperatureSettings
-from twin.artefact import Artefact
-from twin.bodies import ProbeGeometry
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import MountGeometry
+from twin.collision.bodies import ProbeGeometry
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.machine_file import parse_machine
 from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
-from twin.machine_description import MachineDescription
-from twin.position_set import MountGeometry
+from twin.machine.machine_description import MachineDescription
 
 Value = TypeVar("Value")
 

@@ -15,15 +15,15 @@ from rich.table import Table
 
 from agent.cli.errors import fail, reported
 from agent.cli.options import procedure_options
-from agent.cli.watching import watching
+from agent.cli.progress import watching
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.job import prepare_job
-from agent.kinds.kind import FullCalibration, Kind
-from agent.outcome import Outcome
-from agent.session import Ended, Request, carry_out
-from agent.settings import Settings
-from agent.settings_file import load_settings, naming, with_overrides
+from agent.planning.job import prepare_job
+from agent.results.run_outcome import Outcome
+from agent.runs.kinds.kind import FullCalibration, Kind
+from agent.runs.session import Ended, Request, carry_out
+from agent.settings.load import load_settings, naming, with_overrides
+from agent.settings.schema import Settings
 from drivers.errors import GateRefused
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import reported
-from agent.job import prepare_job
-from agent.settings import Settings
-from agent.settings_file import load_settings, naming
+from agent.planning.job import prepare_job
+from agent.settings.load import load_settings, naming
+from agent.settings.schema import Settings
 
 
 @click.group("config")

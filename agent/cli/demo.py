@@ -11,14 +11,14 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from agent.case import CASE_STUDY, SHIPPED
 from agent.cli.calibrate import conclude, run_calibration, summary_table
 from agent.cli.errors import reported
+from agent.cli.simulator_process import SimulatorProcess
 from agent.files import translated
-from agent.session import Ended
-from agent.settings import Settings
-from agent.settings_file import load_settings, naming, with_overrides
-from agent.simulator_process import SimulatorProcess
+from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.runs.session import Ended
+from agent.settings.load import load_settings, naming, with_overrides
+from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError, LinkError
 from twin.formats.toml_reading import validated
 

@@ -13,22 +13,22 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from agent.case import CASE_STUDY, load_case
 from agent.cli.errors import reported
-from agent.designing.comparing import Choice, compared
-from agent.designing.designed import Designed
-from agent.designing.figure import Rival
-from agent.designing.valued_set import valuation_of
-from agent.designing.variants import variants_of
-from agent.designing.writing import check_target, write_design
 from agent.files import translated
-from agent.job import Job
-from agent.settings_file import naming
-from agent.timing import machine_minutes
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.cycle_time import machine_minutes
+from agent.planning.design.comparison import Choice, compared
+from agent.planning.design.design_files import check_target, write_design
+from agent.planning.design.design_result import Designed
+from agent.planning.design.pareto_figure import Rival
+from agent.planning.design.set_valuation import valuation_of
+from agent.planning.design.variants import variants_of
+from agent.planning.job import Job
+from agent.settings.load import naming
 from drivers.clock import wall_seconds
 from drivers.errors import InputError, UserError
+from twin.artefact.position_set import Position
 from twin.design.goals import Goal, Positions, Slot, Target
-from twin.position_set import Position
 
 PATH = click.Path(path_type=Path)
 _SLOT = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(min|h)?\s*")

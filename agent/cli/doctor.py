@@ -9,12 +9,12 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from agent.assembly import assemble, closed_after, make_clock
 from agent.cli.errors import reported
 from agent.cli.options import config_option
-from agent.job import prepare_job
-from agent.settings import Settings
-from agent.settings_file import load_settings, naming
+from agent.execution.device_assembly import assemble, closed_after, make_clock
+from agent.planning.job import prepare_job
+from agent.settings.load import load_settings, naming
+from agent.settings.schema import Settings
 from drivers.errors import DeviceError, VolcalError
 from drivers.roles import Device, Finding
 

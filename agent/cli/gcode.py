@@ -13,11 +13,11 @@ from typing import Any, Literal
 import click
 
 from agent.cli.errors import reported
-from agent.part_programs import correct_file, correct_to, load_part_setup, load_table
+from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
 from drivers.clock import wall_seconds
-from twin.gcode.counts import Counts
-from twin.gcode.setup import SYSTEMS, CorrectionOptions, PartSetup, Triple
-from twin.table import CompensationTable
+from twin.compensation.gcode.correction_summary import Counts
+from twin.compensation.gcode.setup import SYSTEMS, CorrectionOptions, PartSetup, Triple
+from twin.compensation.table import CompensationTable
 
 PATH = click.Path(path_type=Path)
 

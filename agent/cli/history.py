@@ -14,15 +14,15 @@ from rich.table import Table
 from agent.cli.errors import fail, reported
 from agent.cli.options import config_option
 from agent.files import write_all_atomically, write_atomically
+from agent.history.database_url import place_of
 from agent.history.export import as_csv, as_json, run_document
 from agent.history.overview import alarms_of, chosen, foremost, trends_of
-from agent.history.place import place_of
+from agent.history.schema import StoredRun
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
-from agent.history.tables import StoredRun
 from agent.history.trends import AlarmKind, Trend
-from agent.settings import Settings
-from agent.settings_file import naming, read_settings
+from agent.settings.load import naming, read_settings
+from agent.settings.schema import Settings
 from drivers.errors import InputError, MeasurementFault
 
 PATH = click.Path(path_type=Path)

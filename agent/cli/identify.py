@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
-from agent.findings import order_text
-from agent.offline import Request, Result, identify_files
-from agent.settings import IdentificationSettings, Order
+from agent.results.estimation import order_text
+from agent.runs.offline_identification import Request, Result, identify_files
+from agent.settings.schema import IdentificationSettings, Order
 from drivers.clock import utc_timestamp, wall_seconds
 from twin.identification import Options
 

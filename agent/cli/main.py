@@ -35,9 +35,11 @@ class OwnCommand(NamedTuple):
 
 
 OWN_COMMANDS = {
-    "abort": OwnCommand("agent.cli.asking:abort_command", "Stop, withdraw, restore the former table."),
+    "abort": OwnCommand(
+        "agent.cli.service_commands.requests:abort_command", "Stop, withdraw, restore the former table."
+    ),
     "answer": OwnCommand(
-        "agent.cli.asking:answer_command",
+        "agent.cli.service_commands.requests:answer_command",
         "Answer the question that the run has asked; `volcal status` shows it with its number.",
     ),
     "calibrate": OwnCommand(
@@ -59,7 +61,9 @@ OWN_COMMANDS = {
     "gcode": OwnCommand(
         "agent.cli.gcode:gcode_group", "Part programs for controllers that have no compensation table."
     ),
-    "hold": OwnCommand("agent.cli.asking:hold_command", "Have the axes stop where they are until `volcal resume`."),
+    "hold": OwnCommand(
+        "agent.cli.service_commands.requests:hold_command", "Have the axes stop where they are until `volcal resume`."
+    ),
     "history": OwnCommand("agent.cli.history:history_group", "Every run of this machine, and its trends."),
     "identify": OwnCommand("agent.cli.identify:identify", "Identify a machine from measured ball centres."),
     "nightly": OwnCommand(
@@ -83,7 +87,7 @@ OWN_COMMANDS = {
         "What a set-up will see of a machine, and what would show more; nothing is measured, no device is touched.",
     ),
     "reset": OwnCommand(
-        "agent.cli.asking:reset_command",
+        "agent.cli.service_commands.requests:reset_command",
         "Acknowledge a fault or an abort, so that the next run may start.",
     ),
     "resume": OwnCommand(
@@ -91,11 +95,13 @@ OWN_COMMANDS = {
         "Go on with the run that broke off, where it broke off: nothing that is measured is measured again.",
     ),
     "serve": OwnCommand(
-        "agent.cli.serve:serve_command",
+        "agent.cli.service_commands.serve:serve_command",
         "Own the machine, and let timer, page, panel and command line ask for runs.",
     ),
-    "start": OwnCommand("agent.cli.start:start_command", "Ask the service for a run."),
-    "status": OwnCommand("agent.cli.status:status_command", "What the service does now, and what it may be asked for."),
+    "start": OwnCommand("agent.cli.service_commands.start:start_command", "Ask the service for a run."),
+    "status": OwnCommand(
+        "agent.cli.service_commands.status:status_command", "What the service does now, and what it may be asked for."
+    ),
     "timing": OwnCommand(
         "agent.cli.timing:timing_command",
         "Compare a run's step times with the prediction, and suggest latencies for the settings.",

@@ -8,10 +8,10 @@ import click
 
 from agent.cli.calibrate import conclude
 from agent.cli.errors import fail, reported
-from agent.cli.night import night_options, run_night
+from agent.cli.night_options import night_options, run_night
 from agent.cli.options import Duration
-from agent.kinds.nightly import Night
-from agent.outcome import Decision
+from agent.results.run_outcome import Decision
+from agent.runs.kinds.nightly import Night
 
 
 @click.command("nightly")

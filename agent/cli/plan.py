@@ -13,15 +13,15 @@ from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import procedure_options
-from agent.designing.valued_set import valuation_of
-from agent.expectation import Expectation, expect
 from agent.files import check_folder
-from agent.job import Job, prepare_job
-from agent.plans.measure import position_key
-from agent.rehearsal import Rehearsal, rehearse, whole_procedure
-from agent.settings_file import load_settings, naming, with_overrides
-from agent.time_model import S_PER_MIN
-from agent.timing import PARTS, as_listed, minutes_by_part, walked
+from agent.planning.cycle_time import PARTS, as_listed, minutes_by_part, walked
+from agent.planning.design.set_valuation import valuation_of
+from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import Rehearsal, rehearse, whole_procedure
+from agent.planning.time_model import S_PER_MIN
+from agent.probing.run_plan import position_key
+from agent.results.predicted_accuracy import Expectation, expect
+from agent.settings.load import load_settings, naming, with_overrides
 from drivers.errors import PlanRefused
 from twin.design.valuation import Valuation
 
@@ -83,7 +83,7 @@ def plan_command(
 
 def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path]]:
     """Draws the plan, refused or not, and says which files it wrote. Raises InputError where it never could."""
-    from agent.preview.writing import write_preview  # noqa: PLC0415  plotting is slow to import
+    from agent.planning.preview.preview_files import write_preview  # noqa: PLC0415  plotting is slow to import
 
     check_folder(folder)
     return partial(write_preview, job, folder)

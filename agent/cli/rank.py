@@ -13,13 +13,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from agent.case import CASE_STUDY
 from agent.cli.errors import reported
-from agent.ranking import Question, Ranking, rank
-from agent.report.wording import number, plural, point
-from twin.visibility import Visibility
-from twin.visibility_trials import Gain
-from twin.visibility_wording import UM_PER_MM, effect, proposal
+from agent.planning.case_file import CASE_STUDY
+from agent.planning.identifiability import Question, Ranking, rank
+from agent.reports.page.number_format import number, plural, point
+from twin.design.identifiability import Visibility
+from twin.design.setup_advice import UM_PER_MM, effect, proposal
+from twin.design.setup_trials import Gain
 
 PATH = click.Path(path_type=Path)
 MILLIONTHS = 1e3, 1e6

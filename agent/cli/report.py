@@ -9,10 +9,10 @@ import click
 
 from agent.cli.errors import reported
 from agent.cli.options import config_option
+from agent.execution.run_record import run_ids
 from agent.files import write_all_atomically
-from agent.history.run_record import run_ids
-from agent.reporting.rebuilt import rebuilt
-from agent.settings_file import naming, read_settings
+from agent.reports.render_from_journal import rebuilt
+from agent.settings.load import naming, read_settings
 from drivers.errors import InputError
 
 LAST = "last"

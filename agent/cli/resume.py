@@ -8,21 +8,21 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from agent.assembly import assemble, closed_after, make_clock
-from agent.cli.asking import resumed_by_service
 from agent.cli.calibrate import conclude, interruptible, summary_table
 from agent.cli.errors import fail, reported
-from agent.cli.night import night_table
+from agent.cli.night_options import night_table
 from agent.cli.options import config_option
-from agent.cli.watching import watching
+from agent.cli.progress import watching
+from agent.cli.service_commands.requests import resumed_by_service
+from agent.execution.device_assembly import assemble, closed_after, make_clock
 from agent.execution.run_lock import run_lock
-from agent.outcome import Decision
-from agent.resuming.giving_up import give_up as end_without_going_on
-from agent.resuming.reconciliation import Done
-from agent.resuming.resume import ResumeRequest, resume
-from agent.session import Ended
-from agent.settings import Settings
-from agent.settings_file import load_settings
+from agent.results.run_outcome import Decision
+from agent.runs.reconcile_result import Done
+from agent.runs.resume.abandon import give_up as end_without_going_on
+from agent.runs.resume.resume import ResumeRequest, resume
+from agent.runs.session import Ended
+from agent.settings.load import load_settings
+from agent.settings.schema import Settings
 from drivers.errors import MeasurementFault, StoreError
 
 

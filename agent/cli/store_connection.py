@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agent.assembly import assemble, closed_after, make_clock
-from agent.job import Job, prepare_job
-from agent.rig import Rig
-from agent.settings_file import load_settings, naming
+from agent.execution.device_assembly import assemble, closed_after, make_clock
+from agent.execution.rig import Rig
+from agent.planning.job import Job, prepare_job
+from agent.settings.load import load_settings, naming
 
 
 @contextmanager

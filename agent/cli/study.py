@@ -15,16 +15,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from agent.case import CASE_STUDY, load_case
 from agent.cli.errors import reported
 from agent.files import check_folder, translated
-from agent.settings import IdentificationSettings
-from agent.settings_file import naming
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.settings.load import naming
+from agent.settings.schema import IdentificationSettings
 from agent.studies import STUDIES
 from agent.studies.study import Progress as StudyProgress
 from agent.studies.study import StudyCase, StudyResult, run_study
+from agent.studies.study_files import as_plain, document, write_result
 from agent.studies.workers import LocalWorkers, Workers
-from agent.studies.writing import as_plain, document, write_result
 from drivers.clock import wall_seconds
 from drivers.errors import ConfigurationError
 from twin.identification import Options

@@ -12,13 +12,13 @@ from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import config_option
-from agent.cli.start import conclude, waited_for
+from agent.cli.service_commands.start import conclude, waited_for
 from agent.cli.store_connection import connected
 from agent.cli.table_export import export
 from agent.execution.encoding import table_digest
-from agent.kinds.restoration import ROLES
+from agent.runs.kinds.restoration import ROLES
 from agent.service.client import Client
-from agent.settings_file import load_settings
+from agent.settings.load import load_settings
 from drivers.clock import RealClock
 from drivers.roles import TableImage
 

@@ -15,14 +15,14 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.options import config_option
 from agent.cli.store_connection import connected
-from agent.controller_export import Material, Request, Result, export_table, table_in_files
 from agent.files import write_all_atomically
-from agent.table_image import table_of
+from agent.results.controller_export import Material, Request, Result, export_table, table_in_files
+from agent.results.table_image import table_of
 from drivers.errors import InputError
-from twin.controllers.export import Choices
-from twin.controllers.registry import WRITERS
-from twin.formats.table_file import format_side_file, format_table
-from twin.table import CompensationTable
+from twin.compensation.controllers.export_format import Choices
+from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.table import CompensationTable
+from twin.compensation.table_file import format_side_file, format_table
 
 PATH = click.Path(path_type=Path)
 _KNOWN_BY: Mapping[str, tuple[str, ...]] = {

@@ -14,9 +14,7 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.execution.journal_reading import JournaledRun, read_run
 from agent.files import load_machine, translated
-from agent.settings import Settings
-from agent.time_model import S_PER_MIN, TimeModel, time_model
-from agent.timing_record import (
+from agent.planning.latency_fit import (
     KindOfStep,
     ObservedStep,
     kinds_of_steps,
@@ -24,6 +22,8 @@ from agent.timing_record import (
     refit,
     suggested_settings,
 )
+from agent.planning.time_model import S_PER_MIN, TimeModel, time_model
+from agent.settings.schema import Settings
 from drivers.errors import InputError
 from twin.formats.toml_reading import validated
 

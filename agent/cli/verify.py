@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from agent.cli.errors import fail, reported
-from agent.cli.night import night_options, run_night
-from agent.kinds.verify import Verification
-from agent.outcome import Decision
+from agent.cli.night_options import night_options, run_night
+from agent.results.run_outcome import Decision
+from agent.runs.kinds.verify import Verification
 from drivers.errors import MeasurementFault
 
 

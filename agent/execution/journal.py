@@ -18,10 +18,10 @@ from typing import Any, Self
 
 from agent.execution.encoding import encode_result, encode_step, table_digest, table_from, to_json
 from agent.execution.journal_schema import prepare
-from agent.execution.recorded import Recorded, comparable, read_recorded
+from agent.execution.record_text import in_words
+from agent.execution.replay_log import Recorded, comparable, read_recorded
 from agent.execution.states import RunState
 from agent.execution.steps import ReadTemperatures, Record, Step
-from agent.execution.wording import in_words
 from drivers.clock import Clock, utc_timestamp
 from drivers.errors import Busy, ConfigurationError, JournalFailed
 from drivers.roles import TableImage

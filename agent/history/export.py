@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from agent.history.tables import StoredRun
+from agent.history.schema import StoredRun
 
 COLUMNS = tuple(column.key for column in StoredRun.__table__.columns if column.key != "digest")
 

@@ -11,10 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from agent.figures import report_style, study_style
 from agent.history.trends import Trend
-from agent.report import style as report_style
-from agent.studies import figure as study_style
-from twin.trends import Drift
+from twin.monitoring import Drift
 
 COVERAGE = 2.0
 _COLUMNS = 2

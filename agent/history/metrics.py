@@ -10,7 +10,7 @@ from prometheus_client import CollectorRegistry, Gauge, generate_latest
 
 from agent.execution.states import FINAL
 from agent.history.overview import VOLUMETRIC, alarms_of
-from agent.history.tables import StoredRun
+from agent.history.schema import StoredRun
 from agent.history.trends import AlarmKind, Trend
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from agent.history.schema import StoredRun
 from agent.history.series import ACTING, BARE, HELD_OUT, all_series
-from agent.history.settings import HistorySettings
-from agent.history.tables import StoredRun
 from agent.history.trends import Trend, TrendAlarm, trend_of
+from agent.settings.history import HistorySettings
 from drivers.errors import InputError
 
 VOLUMETRIC = (BARE, ACTING, HELD_OUT)

@@ -9,11 +9,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from agent.history.settings import HistorySettings
-from agent.history.tables import StoredParameter, StoredRun
-from agent.outcome import Decision
+from agent.history.schema import StoredParameter, StoredRun
+from agent.results.run_outcome import Decision
+from agent.settings.history import HistorySettings
 from twin.arrays import Array
-from twin.legendre import legendre_values
+from twin.machine.legendre import legendre_values
 
 BARE, ACTING, HELD_OUT = "ve_bare", "ve_acting", "held_out"
 TITLES = {

@@ -13,9 +13,9 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 from sqlalchemy.orm import Session, selectinload
 from sqlalchemy.pool import NullPool
 
-from agent.history.fed import FedRun
-from agent.history.place import Place
-from agent.history.tables import (
+from agent.history.database_url import Place
+from agent.history.run_row import FedRun
+from agent.history.schema import (
     SCHEMA_VERSION,
     Base,
     SchemaVersion,

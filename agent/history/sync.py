@@ -7,11 +7,11 @@ from pathlib import Path
 
 import structlog
 
-from agent.history.fed import fed_run
-from agent.history.place import place_of
-from agent.history.run_record import read_record, run_ids
+from agent.execution.run_record import read_record, run_ids
+from agent.history.database_url import place_of
+from agent.history.run_row import fed_run
 from agent.history.store import HistoryStore
-from agent.settings import Settings
+from agent.settings.schema import Settings
 from drivers.errors import VolcalError
 
 log = structlog.get_logger()

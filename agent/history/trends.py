@@ -12,8 +12,8 @@ import numpy as np
 
 from agent.history.series import Series
 from twin.errors import DataError
-from twin.trends import Crossing, Drift, Ewma, Individuals, crossing, ewma, find_steps, fit_drift, individuals
-from twin.trends.drift import FREEDOM_FOR_SCATTER
+from twin.monitoring import Crossing, Drift, Ewma, Individuals, crossing, ewma, find_steps, fit_drift, individuals
+from twin.monitoring.drift import FREEDOM_FOR_SCATTER
 
 HORIZON_NIGHTS = 3650.0
 FEWEST_CHARTED = 8

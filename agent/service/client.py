@@ -11,9 +11,9 @@ from typing import Any, Self
 
 import httpx
 
-from agent.service.place import PLACE_FILE, told
+from agent.service.address_file import PLACE_FILE, told
 from agent.service.token import read_token, token_path
-from agent.settings import Settings
+from agent.settings.schema import Settings
 from drivers import errors
 from drivers.errors import LinkLost, LinkTimeout, ProtocolError, VolcalError
 

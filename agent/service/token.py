@@ -11,8 +11,8 @@ import secrets
 from collections.abc import Mapping
 from pathlib import Path
 
-from agent.credentials import handed_over, open_mode
-from agent.settings import Settings
+from agent.settings.credentials import handed_over, open_mode
+from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 
 FILE_NAME = "token"

@@ -9,14 +9,14 @@ from functools import partial
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.studies.bar import Bar
-from agent.studies.figure import INK, MARKERS, QUIET, SERIES
+from agent.figures.study_style import INK, MARKERS, QUIET, SERIES
+from agent.planning.design.bar_variants import Bar
+from agent.studies.identification_variants import Way, ways
+from agent.studies.procedure_value import Trial, Verdict, Worth
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
-from agent.studies.ways import Way, ways
-from agent.studies.worth import Trial, Verdict, Worth
-from twin.volumetric import Volumetric
+from twin.machine.volumetric import Volumetric
 
 NAME = "ball-count"
 COUNTS = tuple(range(3, 16))

@@ -17,8 +17,12 @@ from agent.studies.coverage_figure import LEVELS, Panel, draw
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
-from twin.artefact import Artefact
-from twin.coverage import (
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.identification import Estimate, Options, identify, identify_by_evidence
+from twin.machine.machine_description import MachineDescription
+from twin.machine.volumetric import evaluation_grid
+from twin.uncertainty.coverage import (
     FieldError,
     Share,
     held_out_levels,
@@ -26,11 +30,7 @@ from twin.coverage import (
     share_held,
     volumetric_comparisons,
 )
-from twin.identification import Estimate, Options, identify, identify_by_evidence
-from twin.machine_description import MachineDescription
-from twin.making import AS_MODELLED, FORMS, THERMOMETER_UNCERTAINTY_K, Made, make
-from twin.observations import Observations
-from twin.volumetric import evaluation_grid
+from twin.uncertainty.random_machines import AS_MODELLED, FORMS, THERMOMETER_UNCERTAINTY_K, Made, make
 
 NAME = "coverage"
 NOMINAL = 0.95

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.studies.figure import BAND_OPACITY, GREEN, INK, MARKERS, QUIET, SERIES
+from agent.figures.study_style import BAND_OPACITY, GREEN, INK, MARKERS, QUIET, SERIES
 from twin.arrays import Array
-from twin.coverage import Share
+from twin.uncertainty.coverage import Share
 
 LEVELS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99])
 BAND = (93.0, 97.0)

@@ -1,8 +1,8 @@
 """Designed sets against S1, S2, S3 and their combinations: volumetric compensated error over machine minutes.
 
-Every set is judged by the closed form for whole procedures (`twin.error_budget`), with the deflection of the machine
-file, which neither the model nor the search knows. The named sets are judged under the published formulation as well:
-distances, unit weights, no prior.
+Every set is judged by the closed form for whole procedures (`twin.uncertainty.error_budget`), with the deflection of
+the machine file, which neither the model nor the search knows. The named sets are judged under the published
+formulation as well: distances, unit weights, no prior.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from typing import TypeVar
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.designing.designed import designed
-from agent.designing.setting_up import Setting
-from agent.designing.valued_set import valuation_of
-from agent.designing.variants import Variant, variants_of
-from agent.job import Job
-from agent.studies.figure import BLUE, GREEN, INK, ORANGE, PURPLE, from_zero
+from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, PURPLE, from_zero
+from agent.planning.cycle_time import machine_minutes
+from agent.planning.design.design_problem import Setting
+from agent.planning.design.design_result import designed
+from agent.planning.design.set_valuation import valuation_of
+from agent.planning.design.variants import Variant, variants_of
+from agent.planning.job import Job
 from agent.studies.study import Cell, StudyCase, StudyResult
-from agent.timing import machine_minutes
+from twin.artefact.position_set import Position
 from twin.design.goals import Goal, Slot, Target
-from twin.error_budget import budget_of
-from twin.field_form import FieldForm
 from twin.identification import Options
-from twin.position_set import Position
-from twin.volumetric import evaluation_grid
+from twin.machine.volumetric import evaluation_grid
+from twin.uncertainty.error_budget import budget_of
+from twin.uncertainty.residual_field_form import FieldForm
 
 Item = TypeVar("Item")
 

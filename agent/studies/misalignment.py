@@ -7,13 +7,13 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from agent.studies.bar import Bar
+from agent.planning.design.bar_variants import Bar
+from agent.studies.identification_variants import Way, ways
+from agent.studies.procedure_value import Trial, Verdict, Worth
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
-from agent.studies.ways import Way, ways
-from agent.studies.worth import Trial, Verdict, Worth
-from twin.volumetric import Volumetric
+from twin.machine.volumetric import Volumetric
 
 NAME = "misalignment"
 TILTS_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)

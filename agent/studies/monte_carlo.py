@@ -15,19 +15,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.studies.figure import BAND_OPACITY, BLUE, GREEN, INK, ORANGE, from_zero
+from agent.figures.study_style import BAND_OPACITY, BLUE, GREEN, INK, ORANGE, from_zero
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
-from twin.artefact import Artefact
-from twin.error_budget import budget_of
-from twin.family import Family
-from twin.field_form import FieldForm
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.identification import Options, identify
-from twin.observations import Observations
-from twin.reality import Reality
-from twin.simulated_procedure import draw_truth, errors_before, errors_left, simulated_observations
-from twin.volumetric import Volumetric, evaluation_grid
+from twin.machine.machine_population import Family
+from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.uncertainty.error_budget import budget_of
+from twin.uncertainty.monte_carlo import draw_truth, errors_before, errors_left, simulated_observations
+from twin.uncertainty.residual_field_form import FieldForm
+from twin.uncertainty.truth_assumptions import Reality
 
 NAME = "monte-carlo"
 UM_PER_MM = 1e3

@@ -10,15 +10,15 @@ from itertools import combinations
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.studies.figure import SERIES
+from agent.figures.study_style import SERIES
+from agent.planning.cycle_time import machine_minutes
+from agent.studies.identification_variants import Way, ways
+from agent.studies.procedure_value import Trial, Verdict, Worth
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend, draw_simulated
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
-from agent.studies.ways import Way, ways
-from agent.studies.worth import Trial, Verdict, Worth
-from agent.timing import machine_minutes
-from twin.position_set import SETS
-from twin.volumetric import Volumetric
+from twin.artefact.position_set import SETS
+from twin.machine.volumetric import Volumetric
 
 NAME = "strategy"
 PUBLISHED_CHOICE = "S3"

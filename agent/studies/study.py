@@ -8,19 +8,19 @@ from importlib import import_module
 from pathlib import Path
 from typing import TypeVar
 
+from agent.figures.study_style import Draw
 from agent.files import load_positions
-from agent.job import Job
-from agent.settings_file import POSITION_FILES
+from agent.planning.job import Job
+from agent.settings.load import POSITION_FILES
 from agent.studies import STUDIES
-from agent.studies.figure import Draw
 from agent.studies.workers import Workers
 from twin.arrays import Array
-from twin.artefact import Artefact
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import Position, positions_of
+from twin.design.procedure import Procedure
 from twin.identification import Options
-from twin.machine_description import MachineDescription
-from twin.position_set import Position, positions_of
-from twin.procedure import Procedure
-from twin.reality import Reality
+from twin.machine.machine_description import MachineDescription
+from twin.uncertainty.truth_assumptions import Reality
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -108,7 +108,7 @@ class StudyCase:
 @dataclass(frozen=True, eq=False)
 class StudyResult:
     """A table (`columns`, whose names carry units, and `rows`), the `summary` that JSON can hold, and the figure:
-    `draw` puts it on an empty one of `size_in` inches under the style of `agent.studies.figure`."""
+    `draw` puts it on an empty one of `size_in` inches under the style of `agent.figures.study_style`."""
 
     name: str
     title: str

@@ -9,16 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.studies.bar import Bar
-from agent.studies.figure import BAND_OPACITY, INK, SERIES
+from agent.figures.study_style import BAND_OPACITY, INK, SERIES
+from agent.planning.design.bar_variants import Bar
+from agent.studies.identification_variants import Way, ways
+from agent.studies.procedure_value import Trial, Worth, identified
 from agent.studies.study import Cell, StudyCase, StudyResult
-from agent.studies.ways import Way, ways
 from agent.studies.workers import generator
-from agent.studies.worth import Trial, Worth, identified
 from twin.arrays import Array
-from twin.chain import AXES
-from twin.error_model import Ranges
-from twin.simulated_procedure import draw_truth
+from twin.machine.error_model import Ranges
+from twin.machine.kinematic_chain import AXES
+from twin.uncertainty.monte_carlo import draw_truth
 
 NAME = "trajectory"
 COUNTS = (3, 5, 11)

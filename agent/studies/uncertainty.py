@@ -17,7 +17,13 @@ import numpy as np
 from agent.studies.monte_carlo import Spread, WholeProcedure, as_stated, deviation
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.uncertainty_figure import Checked, Found, draw
-from twin.error_budget import (
+from twin.artefact.observations import Observations
+from twin.identification import Options
+from twin.machine.error_model import ErrorModel
+from twin.machine.machine_description import MachineDescription
+from twin.machine.machine_population import Family, family_from_amplitudes
+from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.uncertainty.error_budget import (
     CERTIFICATE,
     CTE,
     DRIFT,
@@ -29,14 +35,8 @@ from twin.error_budget import (
     ErrorBudget,
     budget_of,
 )
-from twin.error_model import ErrorModel
-from twin.family import Family, family_from_amplitudes
-from twin.field_form import FieldForm
-from twin.identification import Options
-from twin.machine_description import MachineDescription
-from twin.observations import Observations
-from twin.reality import Reality
-from twin.volumetric import Volumetric, evaluation_grid
+from twin.uncertainty.residual_field_form import FieldForm
+from twin.uncertainty.truth_assumptions import Reality
 
 NAME = "uncertainty"
 TOGETHER = "all together"

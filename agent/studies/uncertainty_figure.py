@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.studies.figure import BLUE, GRID, INK, ORANGE, QUIET, SKY, from_zero
+from agent.figures.study_style import BLUE, GRID, INK, ORANGE, QUIET, SKY, from_zero
 from agent.studies.monte_carlo import Spread
-from agent.studies.plane import PLANE_SHAPE, Plane, draw_plane, map_nodes
-from twin.error_budget import ErrorBudget
-from twin.motion_uncertainty import motion_uncertainty
-from twin.volumetric import Volumetric
+from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
+from twin.machine.motion_uncertainty import motion_uncertainty
+from twin.machine.volumetric import Volumetric
+from twin.uncertainty.error_budget import ErrorBudget
 
 MICRO = 1e6
 UM_PER_MM = 1e3

@@ -10,16 +10,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from agent.designing.valued_set import valuation_of
-from agent.studies.figure import BLUE, INK, ORANGE, from_zero
+from agent.figures.study_style import BLUE, INK, ORANGE, from_zero
+from agent.planning.design.set_valuation import valuation_of
 from agent.studies.monte_carlo import Simulated, Spread, WholeProcedure
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
+from twin.artefact.position_set import Position
 from twin.design.candidates import orientation_grid
 from twin.errors import DataError
-from twin.field_form import FieldForm
-from twin.position_set import Position
-from twin.volumetric import evaluation_grid
+from twin.machine.volumetric import evaluation_grid
+from twin.uncertainty.residual_field_form import FieldForm
 
 NAME = "valuation"
 GRID_DEG = 15.0

@@ -15,10 +15,10 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from agent.studies.figure import MARKERS, QUIET, SERIES
+from agent.figures.study_style import MARKERS, QUIET, SERIES
+from agent.studies.procedure_value import Verdict
 from agent.studies.verdict_table import aligned_um
-from agent.studies.worth import Verdict
-from twin.volumetric import Volumetric
+from twin.machine.volumetric import Volumetric
 
 FAR_BEYOND = 1.5
 """Times VE: what is larger stands in the upper part."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from agent.studies.procedure_value import Trial, Verdict
 from agent.studies.study import Cell
-from agent.studies.worth import Trial, Verdict
-from twin.volumetric import Volumetric
+from twin.machine.volumetric import Volumetric
 
 COLUMNS = (
     "identification",

@@ -12,14 +12,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.studies.figure import BLUE, INK, ORANGE
-from agent.studies.plane import PLANE_SHAPE, Plane, draw_plane, map_nodes
+from agent.figures.study_style import BLUE, INK, ORANGE
+from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
-from twin.family import Family
-from twin.field_form import FieldForm
-from twin.volumetric import QuadraticForm, evaluation_grid
+from twin.machine.machine_population import Family
+from twin.machine.volumetric import QuadraticForm, evaluation_grid
+from twin.uncertainty.residual_field_form import FieldForm
 
 NAME = "volumetric-error"
 PUBLISHED_MEDIAN_UM = 11.9

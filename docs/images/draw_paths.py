@@ -13,11 +13,11 @@ import numpy as np
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-from agent.case import CASE_STUDY, load_case
-from agent.job import Job
-from agent.preview.walk import Waypoint, walk
-from agent.timing import as_listed
-from twin.position_set import Position
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.cycle_time import as_listed
+from agent.planning.job import Job
+from agent.planning.preview.tip_path import Waypoint, walk
+from twin.artefact.position_set import Position
 
 SHOWN = Position(1, 0.0, 45.0)
 KEY = "measure/station-1/az0-el45"

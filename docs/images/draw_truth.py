@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 import agent
 from simulators.scenario import read_scenario
 from simulators.world.world import true_machine
-from twin.error_model import Ranges
-from twin.formats.table_file import parse_table
-from twin.volumetric import align_rigidly, evaluation_grid, rms
+from twin.compensation.table_file import parse_table
+from twin.machine.error_model import Ranges
+from twin.machine.volumetric import align_rigidly, evaluation_grid, rms
 
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]

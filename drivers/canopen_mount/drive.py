@@ -16,10 +16,10 @@ from drivers.canopen_mount.factors import prove_factors
 from drivers.canopen_mount.identity import prove_identity
 from drivers.canopen_mount.limits import SoftLimits, barrier, hindrance, read_soft_limits
 from drivers.canopen_mount.node import DriveNode
+from drivers.canopen_mount.node_monitor import NodeWatch
 from drivers.canopen_mount.scale import turn_duration_s
 from drivers.canopen_mount.settings import AxisSettings, HomingSettings
 from drivers.canopen_mount.states import CLIMB, DriveState, Step, drive_state
-from drivers.canopen_mount.watch import NodeWatch
 from drivers.clock import Clock, Deadline
 from drivers.errors import CommandRejected, DeadlineExpired, MotionFault, ProtocolError
 

@@ -11,7 +11,7 @@ from drivers.clock import Clock
 from drivers.errors import DeviceError, LinkLost, ProtocolError
 from drivers.modbus_cnc.codes import ACTIVATIONS, NO_TEMPERATURE, Code, fault_text
 from drivers.modbus_cnc.diagnosis import diagnose
-from drivers.modbus_cnc.linking import link_of
+from drivers.modbus_cnc.link_factory import link_of
 from drivers.modbus_cnc.motion import Motion
 from drivers.modbus_cnc.probing import Probing
 from drivers.modbus_cnc.registers import Command, Limits

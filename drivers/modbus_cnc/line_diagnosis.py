@@ -9,7 +9,7 @@ from drivers.errors import DeviceError, LinkTimeout
 from drivers.links.modbus_rtu import RtuTransport
 from drivers.links.modbus_serial_line import SerialLine
 from drivers.links.modbus_transport import DamagedFrame
-from drivers.modbus_cnc.linking import link_of
+from drivers.modbus_cnc.link_factory import link_of
 from drivers.modbus_cnc.session import Session
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.roles import Finding

@@ -7,7 +7,7 @@ from drivers.errors import CommandRejected, PermissionMissing
 from drivers.roles import MotionState
 from drivers.serial_cnc.codes import POSITION_KEPT
 from drivers.serial_cnc.conversation import CANCEL_JOG, HOLD, RESUME, Conversation
-from drivers.serial_cnc.watch import Look, Watch
+from drivers.serial_cnc.status_tracker import Look, Watch
 
 CLOSE_WITHIN_S = 1.0
 CLOSE_POLL_S = 0.05

@@ -32,8 +32,8 @@ from drivers.serial_cnc.identity import await_rest, read_identity
 from drivers.serial_cnc.motion import Motion
 from drivers.serial_cnc.probing import Probing
 from drivers.serial_cnc.settings import SerialCncSettings
+from drivers.serial_cnc.status_tracker import Watch
 from drivers.serial_cnc.store import BankStore
-from drivers.serial_cnc.watch import Watch
 
 
 class SerialCnc:

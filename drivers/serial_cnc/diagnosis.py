@@ -12,8 +12,8 @@ from drivers.roles import Finding
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.identity import read_identity
 from drivers.serial_cnc.settings import SerialCncSettings
+from drivers.serial_cnc.status_tracker import Watch
 from drivers.serial_cnc.store import BankStore
-from drivers.serial_cnc.watch import Watch
 
 LATENCY_READS = 20
 SLOW_ROUND_TRIP_S = 0.1

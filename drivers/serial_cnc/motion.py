@@ -25,8 +25,8 @@ from drivers.serial_cnc.codes import ALARM_PROBE_STATE
 from drivers.serial_cnc.control import Control
 from drivers.serial_cnc.conversation import Conversation, Ticket
 from drivers.serial_cnc.frames import Frames
-from drivers.serial_cnc.waiting import Pace, Prediction
-from drivers.serial_cnc.watch import Look, Watch
+from drivers.serial_cnc.polling import Pace, Prediction
+from drivers.serial_cnc.status_tracker import Look, Watch
 
 PREAMBLE = "G21G90G94"
 """Millimetres, absolute, mm/min: every line says so itself, whatever somebody else has left."""

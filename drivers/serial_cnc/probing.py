@@ -16,7 +16,7 @@ from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.frames import Frames
 from drivers.serial_cnc.lines import ProbeResult
 from drivers.serial_cnc.motion import PREAMBLE, Motion, Order, axis_words, feed_word
-from drivers.serial_cnc.watch import Look, Watch
+from drivers.serial_cnc.status_tracker import Look, Watch
 from drivers.straight_move import along_path, distance_to_segment_mm
 
 UNTIL_CONTACT, UNTIL_FREE = "G38.3", "G38.5"

@@ -15,11 +15,11 @@ from simulators.linuxcnc.instance import LinuxCncInstance
 from simulators.linuxcnc.namespaces import make_private
 from simulators.linuxcnc.plant import Plant
 from simulators.scenario import Scenario
-from simulators.wire.can_channel import CanChannel, open_channel
-from simulators.wire.can_drive import DriveConfig, drive_node
-from simulators.wire.can_mounts import AXES, COUNTS_PER_DEGREE
-from simulators.wire.can_server import CanServer
-from simulators.wire.control import ControlServer
+from simulators.wire.can.channel import CanChannel, open_channel
+from simulators.wire.can.drive import DriveConfig, drive_node
+from simulators.wire.can.mounts import AXES, COUNTS_PER_DEGREE
+from simulators.wire.can.server import CanServer
+from simulators.wire.control_channel import ControlServer
 from simulators.wire.shared_world import SharedWorld
 from simulators.wire.time_server import Ticker
 

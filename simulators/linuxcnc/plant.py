@@ -14,13 +14,13 @@ import numpy as np
 from simulators.linuxcnc.memory import DeviationGrid, PlantMemory, ProbeNature
 from simulators.scenario import Scenario
 from simulators.world.noise import generator
-from simulators.world.thermal import AMBIENT, ARTEFACT, MACHINE
+from simulators.world.thermal_effects import AMBIENT, ARTEFACT, MACHINE
 from simulators.world.workpiece import Standing
 from simulators.world.world import Collision, World
 from twin.arrays import Array
-from twin.bodies import TIP
-from twin.geometry import Point, point
-from twin.true_machine import TrueMachine
+from twin.collision.bodies import TIP
+from twin.collision.geometry import Point, point
+from twin.machine.true_machine import TrueMachine
 
 GRID_STEP_MM = 25.0
 STEM = "stem"

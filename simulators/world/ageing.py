@@ -12,12 +12,12 @@ from drivers.errors import ConfigurationError
 from simulators.scenario import AgeingSettings, Scenario
 from simulators.world.noise import generator
 from twin.arrays import Array
-from twin.chain import AXES
-from twin.error_model import ErrorModel
-from twin.family import family_from_amplitudes
 from twin.identification import process_noise
-from twin.machine_description import MachineDescription
-from twin.true_machine import TrueMachine
+from twin.machine.error_model import ErrorModel
+from twin.machine.kinematic_chain import AXES
+from twin.machine.machine_description import MachineDescription
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.true_machine import TrueMachine
 
 _NIGHTS_APART = 1_000_003
 """Between the seeds of two nights: no noise of one comes again in another."""

@@ -14,8 +14,8 @@ import numpy as np
 
 from simulators.world.field import TableField, TipShift
 from simulators.world.workpiece import Standing
-from twin.geometry import Point, added
-from twin.motion import Path, entry
+from twin.collision.geometry import Point, added
+from twin.collision.motion_law import Path, entry
 
 _ROUNDING_MM = 1e-6
 """What lies just beyond the end of a path is looked at exactly, too."""

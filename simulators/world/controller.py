@@ -17,20 +17,20 @@ from drivers.errors import CommandRejected
 from drivers.roles import AxisLimits, MotionState, Permission, StoreLimits, TableImage
 from simulators.scenario import Scenario
 from simulators.world.contact import ContactSolver
-from simulators.world.course import Command, Course, Kind, Outlook, course_of
 from simulators.world.field import FieldOfMany, TipShift
-from simulators.world.foresight import Foresight
+from simulators.world.lost_motion import Play
+from simulators.world.motion_forecast import Command, Course, Kind, Outlook, course_of
 from simulators.world.noise import BY_STEP
-from simulators.world.play import Play
+from simulators.world.path_lookahead import Foresight
 from simulators.world.tables import TableBanks
-from simulators.world.thermal import Thermal
+from simulators.world.thermal_effects import Thermal
 from simulators.world.trigger import Trigger
 from simulators.world.workpiece import Standing
 from simulators.world.worktable import Worktable
 from twin.arrays import Array
-from twin.geometry import Point, point
-from twin.machine_description import MachineDescription
-from twin.motion import MotionLaw, straight, trapezoid
+from twin.collision.geometry import Point, point
+from twin.collision.motion_law import MotionLaw, straight, trapezoid
+from twin.machine.machine_description import MachineDescription
 
 LIMIT_TOLERANCE_MM = 1e-6
 

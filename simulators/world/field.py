@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.roles import TableImage
 from twin.arrays import Array
-from twin.geometry import Point, added, point
+from twin.collision.geometry import Point, added, point
 
 FieldOfMany = Callable[[Array], Array]
 """(n, 3) bare axis positions in mm -> (n, 3) mm."""

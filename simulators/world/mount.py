@@ -11,7 +11,7 @@ from drivers.errors import CommandRejected
 from simulators.scenario import MountBehaviour
 from simulators.world.noise import generator
 from twin.arrays import Array
-from twin.motion import MotionLaw, trapezoid
+from twin.collision.motion_law import MotionLaw, trapezoid
 
 AZIMUTH, ELEVATION = "azimuth", "elevation"
 LIMITS_DEG = {AZIMUTH: 180.0, ELEVATION: 95.0}

@@ -6,7 +6,7 @@ import math
 
 from simulators.scenario import TriggerSettings
 from simulators.world.noise import NoiseSource
-from twin.geometry import Point
+from twin.collision.geometry import Point
 
 LOBES = 3
 """A kinematic probe stands on three seats."""

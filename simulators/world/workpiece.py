@@ -10,15 +10,15 @@ import numpy as np
 from simulators.scenario import ArtefactTruthSettings, MountBehaviour, Scenario
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
-from simulators.world.thermal import bow_mm, bowed
-from simulators.world.warming import Warming
+from simulators.world.thermal_effects import bow_mm, bowed
+from simulators.world.thermal_state import Warming
 from twin.arrays import Array
-from twin.artefact import Artefact
-from twin.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
-from twin.collision import Scene
-from twin.geometry import Point, point
-from twin.position_set import Pose, mount_pose
-from twin.turn_sweep import Cover, cover_of
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import Pose, mount_pose
+from twin.collision.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
+from twin.collision.collision import Scene
+from twin.collision.geometry import Point, point
+from twin.collision.swept_volume import Cover, cover_of
 
 
 @dataclass(frozen=True, eq=False)

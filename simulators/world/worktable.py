@@ -7,9 +7,9 @@ from simulators.scenario import Scenario
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
 from simulators.world.workpiece import Standing, Workpiece, true_artefact
-from twin.artefact import Artefact
-from twin.bodies import TABLE
-from twin.collision import Scene
+from twin.artefact.artefact import Artefact
+from twin.collision.bodies import TABLE
+from twin.collision.collision import Scene
 
 
 class Worktable:

@@ -10,13 +10,13 @@ from simulators.world.ageing import aged
 from simulators.world.controller import Controller
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
-from simulators.world.thermal import Thermal
-from simulators.world.truth import Truth
-from simulators.world.turning import TurnCrash, first_meeting, first_turn_crash
+from simulators.world.thermal_effects import Thermal
+from simulators.world.true_error import Truth
+from simulators.world.turn_collisions import TurnCrash, first_meeting, first_turn_crash
 from simulators.world.workpiece import Workpiece
 from simulators.world.worktable import Worktable
-from twin.geometry import point
-from twin.true_machine import TrueMachine, draw_machine, perfect_machine
+from twin.collision.geometry import point
+from twin.machine.true_machine import TrueMachine, draw_machine, perfect_machine
 
 MOUNT = "mount"
 

@@ -18,8 +18,8 @@ from drivers.registry import DeviceContext, create_device
 from drivers.roles import CompensationStore, Machine, Operator, Probe, RotaryMount, Thermometer
 from simulators.backend import SimulatedMachineDevice
 from simulators.scenario import read_scenario
-from simulators.wire.machine_on_wires import Links, MachineOnWires
-from simulators.wire.modbus_rtu import LineSettings
+from simulators.wire.modbus.rtu import LineSettings
+from simulators.wire.wired_machine import Links, MachineOnWires
 from simulators.world.world import World
 
 SCENARIO = Path(__file__).resolve().parents[2] / "config" / "simulators" / "case-study.toml"

@@ -11,7 +11,7 @@ from aloud import NOT_HERE
 from rigs import Played, on_wires
 from test_roles import TestRotaryMount
 
-from simulators.wire.can_channel import multicast_works
+from simulators.wire.can.channel import multicast_works
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "system"))
 

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import pytest
 from rigs import Played, in_process, on_wires, over_rtu, over_serial
 
-from drivers.contract.keeping import CompensationStoreContract, ThermometerContract
-from drivers.contract.moving import MachineContract, ProbeContract, RotaryMountContract
+from drivers.contract.motion_contract import MachineContract, ProbeContract, RotaryMountContract
 from drivers.contract.rig import StoppedError
+from drivers.contract.store_contract import CompensationStoreContract, ThermometerContract
 from drivers.roles import Operator, OperatorRequest, OperatorTask
 
 

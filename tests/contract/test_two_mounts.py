@@ -16,7 +16,7 @@ from drivers.errors import ConfigurationError, DeviceError
 from drivers.links.can_bus import PROCESS_NETWORKS
 from drivers.registry import DeviceContext, create_device
 from simulators.scenario import read_scenario
-from simulators.wire.machine_on_wires import Links, MachineOnWires
+from simulators.wire.wired_machine import Links, MachineOnWires
 
 SCENARIO = Path(__file__).resolve().parents[2] / "config" / "simulators" / "two-mounts.toml"
 

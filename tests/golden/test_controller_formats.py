@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.chain import parse_chain
-from twin.controllers.export import Choices, Identified, Source
-from twin.controllers.registry import WRITERS
-from twin.error_model import ErrorModel
-from twin.table import Anchor, CompensationTable, build_table
+from twin.compensation.controllers.export_format import Choices, Identified, Source
+from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.table import Anchor, CompensationTable, build_table
+from twin.machine.error_model import ErrorModel
+from twin.machine.kinematic_chain import parse_chain
 
 HERE = Path(__file__).parent / "controllers"
 

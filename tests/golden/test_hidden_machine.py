@@ -15,16 +15,16 @@ from functools import cache
 
 import numpy as np
 
-from twin.artefact import Artefact, ball_bar
-from twin.chain import parse_chain
-from twin.error_model import ErrorModel
-from twin.family import Family, family_from_amplitudes
+from twin.artefact.artefact import Artefact, ball_bar
+from twin.artefact.observations import Observations
+from twin.artefact.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
+from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.identification import Estimate, Options, field_uncertainty, identify, identify_by_evidence, predicted_vce
-from twin.machine_model import exact_deviation
-from twin.observations import Observations
-from twin.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
-from twin.table import Anchor, build_table, regular_nodes
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import Family, family_from_amplitudes
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 TOOL = np.array([0.0, 250.0, 0.0])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.linuxcnc import ANSWER_WITHIN_S
+from campaigns.linuxcnc import ANSWER_WITHIN_S
 from drivers.clock import ScaledClock, WatchedClock
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.device import LinuxCnc

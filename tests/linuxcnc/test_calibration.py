@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from needing import needs_linuxcnc
 
-from benchmarks.linuxcnc import NOT_RUN, calibrated, short
+from campaigns.linuxcnc import NOT_RUN, calibrated, short
 
 
 @needs_linuxcnc
@@ -28,7 +28,7 @@ def test_stock_linuxcnc_is_calibrated_end_to_end(tmp_path: Path) -> None:
 
 def test_where_linuxcnc_cannot_run_the_benchmark_says_so(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.linuxcnc"],
+        [sys.executable, "-m", "campaigns.linuxcnc"],
         env={"PATH": str(tmp_path)},
         capture_output=True,
         text=True,

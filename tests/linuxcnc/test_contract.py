@@ -11,9 +11,9 @@ from live import REACH_MM, SPEED, Live
 from needing import needs_linuxcnc
 
 from drivers.clock import ScaledClock
-from drivers.contract.keeping import CompensationStoreContract, ThermometerContract
-from drivers.contract.moving import MachineContract, ProbeContract
+from drivers.contract.motion_contract import MachineContract, ProbeContract
 from drivers.contract.rig import ContractRig, Interrupt
+from drivers.contract.store_contract import CompensationStoreContract, ThermometerContract
 from drivers.linuxcnc.device import LinuxCnc
 
 OPTIONS = {

@@ -9,14 +9,14 @@ import pytest
 from compensation_rig import built, machine, running, why_not
 from needing import needing
 
-from twin.chain import parse_chain
-from twin.controllers import linuxcnc_comp
-from twin.controllers.export import Choices, Source
-from twin.error_model import ErrorModel
-from twin.family import family_from_amplitudes
-from twin.machine_model import exact_deviation
-from twin.table import Anchor, build_table, regular_nodes
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.compensation.controllers import linuxcnc_comp
+from twin.compensation.controllers.export_format import Choices, Source
+from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 pytestmark = needing(why_not())
 

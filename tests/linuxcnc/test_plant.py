@@ -12,7 +12,7 @@ from needing import needs_linuxcnc
 from simulators.linuxcnc.memory import TRACE, DeviationGrid, PlantMemory, ProbeNature
 from simulators.linuxcnc.plant import Plant
 from simulators.scenario import read_scenario
-from twin.bodies import TIP
+from twin.collision.bodies import TIP
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = ROOT / "config" / "simulators" / "case-study.toml"

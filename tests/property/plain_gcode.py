@@ -1,7 +1,7 @@
 """An interpreter of G-code of its own, written from RS-274/NGC (NISTIR 6556) and the manuals of LinuxCNC and Grbl.
 
-It shares nothing with `twin.gcode`: words are read character by character, arcs are complex numbers turned about their
-centre, and what comes out is where the controller sends the axes, densely.
+It shares nothing with `twin.compensation.gcode`: words are read character by character, arcs are complex numbers turned
+about their centre, and what comes out is where the controller sends the axes, densely.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from simulators.world.contact import ContactSolver
 from simulators.world.field import TipShift
-from twin.motion import straight
+from twin.collision.motion_law import straight
 
 REACH = 15.5
 CENTRE = (1000.0, 800.0, 700.0)

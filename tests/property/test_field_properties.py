@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.chain import Chain, parse_chain
-from twin.error_model import CROSS_TERMS, ErrorModel
-from twin.family import family_from_amplitudes
-from twin.machine_model import exact_deviation, linear_deviation
-from twin.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms, volumetric_error
+from twin.machine.error_model import CROSS_TERMS, ErrorModel
+from twin.machine.forward_model import exact_deviation, linear_deviation
+from twin.machine.kinematic_chain import Chain, parse_chain
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms, volumetric_error
 
 CASE_STUDY_RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 CASE_STUDY_AMPLITUDES = {

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from plain_gcode import PlainController, dense, ends, far, path
 from scipy.interpolate import RegularGridInterpolator
 
-from twin.gcode.correction import correct_program
-from twin.gcode.setup import CorrectionOptions, PartSetup
-from twin.table import Anchor, CompensationTable
+from twin.compensation.gcode.correction import correct_program
+from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
+from twin.compensation.table import Anchor, CompensationTable
 
 NODES = (np.array([0.0, 90.0, 200.0, 350.0, 500.0]), np.array([0.0, 130.0, 300.0]), np.array([0.0, 70.0, 150.0, 250.0]))
 WORK = {"G54": (60.0, 50.0, 40.0), "G55": (61.5, 48.25, 43.0), "G59.1": (70.0, 60.0, 50.0)}

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.bodies import Body
-from twin.collision import Scene
-from twin.geometry import Box, Capsule, capsule_distance, separation, swept_contact
+from twin.collision.bodies import Body
+from twin.collision.collision import Scene
+from twin.collision.geometry import Box, Capsule, capsule_distance, separation, swept_contact
 
 coordinate = st.floats(-50.0, 50.0).map(lambda value: round(value, 3))
 points = st.tuples(coordinate, coordinate, coordinate)

@@ -10,17 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from twin.artefact import ball_bar
-from twin.chain import parse_chain
-from twin.error_model import ErrorModel
-from twin.family import family_from_amplitudes
+from twin.artefact.artefact import ball_bar
+from twin.artefact.observations import Observations
+from twin.artefact.sphere_fit import fit_sphere
+from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.identification import Options, identify
 from twin.identification.poses import Layout, rigid_poses
-from twin.machine_model import exact_deviation
-from twin.observations import Observations
-from twin.sphere import fit_sphere
-from twin.table import Anchor, build_table, regular_nodes
-from twin.volumetric import align_rigidly, evaluation_grid
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.volumetric import align_rigidly, evaluation_grid
 
 RANGES = ((0.0, 2000.0), (0.0, 900.0), (-200.0, 800.0))
 MODEL = ErrorModel.uniform(parse_chain("tool-Z-bed-Y-X-workpiece"), RANGES, 3)

@@ -11,8 +11,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from agent.conduct import Announcement, Conduct
 from agent.execution.journal import FILE_NAME, Journal
+from agent.execution.run_state import Announcement, Conduct
 from agent.execution.states import FINAL, RunState
 from drivers.clock import VirtualClock
 

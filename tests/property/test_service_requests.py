@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit" / "agent"))
 from service_house import PATIENCE_S, house
 
 from agent.execution.states import FINAL, FORWARD, PACKML, RunState, may_follow
+from agent.service.allowed_requests import AT_REST, MAY, STICKY
 from agent.service.control import KINDS, Source, StartRequest
-from agent.service.requests import AT_REST, MAY, STICKY
 from drivers.errors import Aborted, Busy, LinkLost, PermissionMissing, PlanRefused, UserError
 
 S = RunState

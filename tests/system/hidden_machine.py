@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from agent.files import load_artefact, load_machine
-from twin.artefact import Artefact
-from twin.error_model import ErrorModel
-from twin.family import family_from_amplitudes
-from twin.machine_description import MachineDescription
-from twin.machine_model import exact_deviation
-from twin.position_set import MountGeometry, Position, mount_pose, positions_of, reachable, station_places
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import MountGeometry, Position, mount_pose, positions_of, reachable, station_places
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.machine_description import MachineDescription
+from twin.machine.machine_population import family_from_amplitudes
 
 CONFIG = Path(__file__).parents[2] / "config"
 MACHINE_FILE = CONFIG / "machines" / "case-study.toml"

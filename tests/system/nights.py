@@ -16,14 +16,14 @@ from typing import Any
 
 import pytest
 
-import agent.session
-from agent.conduct import Announcement
+import agent.runs.session
+from agent.execution.rig import Rig
+from agent.execution.run_state import Announcement
 from agent.execution.supervisor import Supervisor
-from agent.job import prepare_job
-from agent.kinds.kind import FullCalibration, Kind
-from agent.rig import Rig
-from agent.session import Ended, Request, carry_out
-from agent.settings import Settings
+from agent.planning.job import prepare_job
+from agent.runs.kinds.kind import FullCalibration, Kind
+from agent.runs.session import Ended, Request, carry_out
+from agent.settings.schema import Settings
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
 from simulators.backend import SimulatedMachineDevice
@@ -110,14 +110,14 @@ class Night:
     @contextmanager
     def in_place(self) -> Iterator[None]:
         """Whatever runs inside runs on this machine, on virtual time."""
-        assemble = agent.session.assemble
+        assemble = agent.runs.session.assemble
 
         def assembled(*given: Any) -> Rig:
             return self.tamper(self._with_first_world(assemble(*given)))
 
         with self.monkeypatch.context() as patch:
-            patch.setattr(agent.session, "make_clock", lambda _: VirtualClock())
-            patch.setattr(agent.session, "assemble", assembled)
+            patch.setattr(agent.runs.session, "make_clock", lambda _: VirtualClock())
+            patch.setattr(agent.runs.session, "assemble", assembled)
             yield
 
     def _with_first_world(self, rig: Rig) -> Rig:

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_former_table_acts_after_every_way_out() -> None:
-    command = [sys.executable, "-m", "benchmarks.aborts", "--every", "200"]
+    command = [sys.executable, "-m", "campaigns.aborts", "--every", "200"]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
     assert ended.stdout, ended.stderr
     result = json.loads(ended.stdout.splitlines()[-1])

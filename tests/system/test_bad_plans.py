@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.bad_plans.catalogue import bad_plans
-from benchmarks.bad_plans.mutation import Bad, prepared, unchanged
+from campaigns.bad_plans.catalogue import bad_plans
+from campaigns.bad_plans.mutation import Bad, prepared, unchanged
 
 BAD_PLANS = bad_plans()
 

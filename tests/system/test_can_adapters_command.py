@@ -14,9 +14,9 @@ from test_demo_command import bad_machine, short_settings
 
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
-from agent.settings import Settings
-from agent.settings_file import load_settings
-from agent.simulator_process import SimulatorProcess
+from agent.cli.simulator_process import SimulatorProcess
+from agent.settings.load import load_settings
+from agent.settings.schema import Settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 PATIENCE_S = 170.0

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from agent.simulator_process import SimulatorProcess
+from agent.cli.simulator_process import SimulatorProcess
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.settings import CanopenMountSettings
 from drivers.clock import LockstepClock, WatchedClock

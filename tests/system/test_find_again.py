@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from nights import document, memory_directory
 
-from agent.assembly import assemble
+from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
-from agent.job import Job, prepare_job
-from agent.plans.measure import Measured, MeasuringOrder, measure_positions
-from agent.rig import Rig
-from agent.settings import Settings
+from agent.execution.rig import Rig
+from agent.planning.job import Job, prepare_job
+from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
+from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import GuardTripped, MeasurementFault
 from simulators.world.world import World
-from twin.position_set import Position
+from twin.artefact.position_set import Position
 
 pytestmark = pytest.mark.timeout(120)
 FREE, UPWARDS = Position(2, 45.0, 0.0), Position(2, 0.0, 45.0)

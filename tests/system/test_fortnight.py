@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_every_incident_leaves_the_history_and_the_table_that_it_should(tmp_path: Path) -> None:
     table = tmp_path / "fortnight.csv"
     done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.fortnight", "--thin", "--csv", str(table)],
+        [sys.executable, "-m", "campaigns.fortnight", "--thin", "--csv", str(table)],
         cwd=ROOT,
         capture_output=True,
         text=True,

@@ -26,13 +26,13 @@ from aloud import NOT_HERE
 from nights import Night, memory_directory, short_document, states
 from sqlalchemy import URL
 
+from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
-from agent.history.place import Place
-from agent.history.run_record import run_ids
+from agent.history.database_url import Place
 from agent.history.store import HistoryStore
 from agent.history.sync import feed, sync
-from agent.job import prepare_job
-from agent.settings import Settings
+from agent.planning.job import prepare_job
+from agent.settings.schema import Settings
 from drivers.errors import LinkLost
 
 pytestmark = pytest.mark.timeout(120)

@@ -25,8 +25,8 @@ from hidden_machine import (
 )
 from scipy.interpolate import RegularGridInterpolator
 
-from twin.position_set import positions_of
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.artefact.position_set import positions_of
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 RUN = [sys.executable, "-c", "from agent.cli.identify import identify; identify(prog_name='volcal identify')"]
 RESULTS = ["estimate.json", "report.html", "table.csv", "table.json"]

@@ -13,8 +13,8 @@ from click.testing import CliRunner, Result
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, as_csv, hidden_machine, measured_rows
 
 from agent.cli.identify import identify
+from twin.artefact.position_set import positions_of
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
-from twin.position_set import positions_of
 
 
 @pytest.fixture(scope="module")

@@ -12,15 +12,15 @@ import pytest
 from click.testing import CliRunner, Result
 from nights import Night, memory_directory, rows, short_document, states
 
-import agent.cli.night
+import agent.cli.night_options
 from agent.cli.main import main
 from agent.execution.states import RunState
-from agent.kinds import nightly
-from agent.kinds.verify import Verification
-from agent.last_accepted import COPY_NAME, full_needed, last_accepted, write_copy
-from agent.outcome import Decision, Outcome
-from agent.session import Ended
-from agent.settings import Settings
+from agent.results.run_outcome import Decision, Outcome
+from agent.runs.kinds import nightly
+from agent.runs.kinds.verify import Verification
+from agent.runs.reference_state import COPY_NAME, full_needed, last_accepted, write_copy
+from agent.runs.session import Ended
+from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError, GateRefused, PlanRefused
 from twin.formats.estimate_file import parse_estimate
 
@@ -195,7 +195,9 @@ class Commands:
 
     def __init__(self, machine: Calibrated, monkeypatch: pytest.MonkeyPatch) -> None:
         self._machine = machine
-        monkeypatch.setattr(agent.cli.night, "load_settings", lambda _: Settings.model_validate(machine.settings))
+        monkeypatch.setattr(
+            agent.cli.night_options, "load_settings", lambda _: Settings.model_validate(machine.settings)
+        )
 
     def run(self, *arguments: str) -> Result:
         with self._machine.night.in_place():

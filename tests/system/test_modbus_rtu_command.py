@@ -11,8 +11,8 @@ from test_demo_command import demo
 
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
-from agent.settings_file import load_settings
-from agent.simulator_process import SimulatorProcess
+from agent.cli.simulator_process import SimulatorProcess
+from agent.settings.load import load_settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SETTINGS, SCENARIO = CONFIG / "case-study.toml", CONFIG / "simulators" / "case-study.toml"

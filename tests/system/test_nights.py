@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_short_slots_keep_up_and_a_collision_is_noticed_named_and_calibrated(tmp_path: Path) -> None:
     table, figure = tmp_path / "nights.csv", tmp_path / "nights.png"
-    command = [sys.executable, "-m", "benchmarks.nights", "--nights", "6", "--step", "5"]
+    command = [sys.executable, "-m", "campaigns.nights", "--nights", "6", "--step", "5"]
     done = subprocess.run(
         [*command, "--csv", str(table), "--figure", str(figure)],
         cwd=ROOT,

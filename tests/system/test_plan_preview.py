@@ -13,7 +13,7 @@ from aloud import NOT_HERE
 from click.testing import CliRunner, Result
 
 from agent.cli.main import main
-from agent.preview.page import PROGRAM
+from agent.planning.preview.page import PROGRAM
 from drivers.errors import PlanRefused
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "case-study.toml"

@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 from nights import SCENARIO, Night, document, memory_directory, rows, short_document
 
-from agent.assembly import assemble
 from agent.execution import steps as s
+from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
-from agent.job import Job, prepare_job
-from agent.plans.measure import Measured, MeasuringOrder, measure_positions
-from agent.plans.preparation import Prepared
-from agent.rehearsal import rehearse
-from agent.rig import Rig
-from agent.settings import Settings
-from agent.timing import walked
+from agent.execution.rig import Rig
+from agent.planning.cycle_time import walked
+from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import rehearse
+from agent.probing.preparation import Prepared
+from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
+from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import MeasurementFault
 from drivers.roles import Miss, Touch
 from simulators.backend import SimulatedMachineDevice
-from twin.position_set import Position
+from twin.artefact.position_set import Position
 
 pytestmark = pytest.mark.timeout(120)
 LOCATING = 5

@@ -18,7 +18,7 @@ COUNT = 20
 
 
 def run(*arguments: str) -> tuple[int, dict[str, Any]]:
-    command = [sys.executable, "-m", "benchmarks.plans", *arguments]
+    command = [sys.executable, "-m", "campaigns.plans", *arguments]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
     assert ended.stdout, ended.stderr
     return ended.returncode, json.loads(ended.stdout.splitlines()[-1])

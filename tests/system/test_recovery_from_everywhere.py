@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from nights import document, memory_directory
 
-from agent.assembly import assemble
 from agent.execution import steps as s
+from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
-from agent.job import Job, prepare_job
-from agent.plans.measure import Measured
-from agent.plans.recover import withdraw
-from agent.rehearsal import whole_procedure
-from agent.rig import Rig
-from agent.settings import Settings
+from agent.execution.rig import Rig
+from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import whole_procedure
+from agent.probing.recovery import withdraw
+from agent.probing.run_plan import Measured
+from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import GuardTripped
 from simulators.backend import SimulatedMachineDevice

@@ -15,17 +15,17 @@ from click.testing import CliRunner
 from nights import Night, memory_directory, short_document
 
 from agent.cli.main import main
+from agent.execution.run_record import read_record
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.history.run_record import read_record
-from agent.kinds.verify import Verification
-from agent.report.pdf import render_pdf
-from agent.reporting.of_run import report_of
-from agent.reporting.rebuilt import rebuilt
-from agent.session import Ended
+from agent.reports.page.pdf import render_pdf
+from agent.reports.render_from_journal import rebuilt
+from agent.reports.run_report import report_of
+from agent.runs.kinds.verify import Verification
+from agent.runs.session import Ended
 from drivers.errors import InputError
 from twin.formats.estimate_file import parse_estimate
-from twin.volumetric import QuadraticForm, evaluation_grid
+from twin.machine.volumetric import QuadraticForm, evaluation_grid
 
 pytestmark = pytest.mark.timeout(180)
 

@@ -19,18 +19,18 @@ import pytest
 from nights import Night, memory_directory, rows, short_document
 from test_whole_run_broken_off import FORMER, Cut, with_device
 
-from agent.assembly import assemble
+from agent.execution.device_assembly import assemble
+from agent.execution.rig import Rig
 from agent.execution.states import RunState
-from agent.kinds import nightly
-from agent.outcome import Decision
-from agent.resuming.giving_up import give_up
-from agent.resuming.reconcile import reconcile
-from agent.resuming.reconciliation import Done, Found
-from agent.resuming.resume import ResumeRequest, resume
-from agent.resuming.unfinished import unfinished_run
-from agent.rig import Rig
-from agent.session import Ended
-from agent.settings import Settings
+from agent.results.run_outcome import Decision
+from agent.runs.kinds import nightly
+from agent.runs.reconcile import reconcile
+from agent.runs.reconcile_result import Done, Found
+from agent.runs.resume.abandon import give_up
+from agent.runs.resume.resume import ResumeRequest, resume
+from agent.runs.session import Ended
+from agent.runs.unfinished_run import unfinished_run
+from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import InputError, LinkLost, MeasurementFault, NotActiveYet, PlanDiverged, PlanRefused
 from drivers.roles import Activation, Permission, StoreLimits

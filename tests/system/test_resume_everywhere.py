@@ -1,4 +1,4 @@
-"""Breaking off at an instant of a step, going on, comparing every digit: a few of the breaks of `benchmarks.resume`."""
+"""Breaking off at an instant of a step, going on, comparing every digit: a few breaks of `campaigns.resume`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.timeout(180)
 def test_breaks_leave_no_trace_in_any_figure() -> None:
-    command = [sys.executable, "-m", "benchmarks.resume", "--every", "277"]
+    command = [sys.executable, "-m", "campaigns.resume", "--every", "277"]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=170, check=False)
     found = json.loads(result.stdout.splitlines()[-1])
     assert (found["differing"], found["first"]) == (0, [])

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from nights import SCENARIO, document, memory_directory
 
-from agent.assembly import assemble
 from agent.execution import steps as s
+from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
-from agent.job import Job, prepare_job
-from agent.plans.reversal import Reversal
-from agent.rehearsal import rehearse
-from agent.settings import Settings
+from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import rehearse
+from agent.probing.reversal import Reversal
+from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import MeasurementFault
 

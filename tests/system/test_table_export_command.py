@@ -16,11 +16,11 @@ from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, HiddenMachine, ball_file
 
 from agent.cli import table_export
 from agent.cli.main import main
-from agent.table_image import image_of
+from agent.results.table_image import image_of
 from drivers.roles import Activation, StoreLimits
-from twin.controllers.registry import WRITERS
-from twin.formats.table_file import parse_table
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.table_file import parse_table
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 POINTS = {"fanuc-3d": ["--points", "21x14x16"]}
 

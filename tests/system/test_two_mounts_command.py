@@ -14,8 +14,8 @@ from nights import memory_directory
 
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
-from agent.settings_file import load_settings
-from agent.simulator_process import SimulatorProcess
+from agent.cli.simulator_process import SimulatorProcess
+from agent.settings.load import load_settings
 
 pytestmark = pytest.mark.timeout(200)
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -13,9 +13,9 @@ from click.testing import CliRunner
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, HiddenMachine, as_csv, hidden_machine, measured_rows
 
 from agent.cli.main import main
-from twin.formats.table_file import parse_table
-from twin.position_set import positions_of
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.artefact.position_set import positions_of
+from twin.compensation.table_file import parse_table
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 OFFSETS = {"probe": np.array([0.0, 250.0, 0.0]), "side": np.array([150.0, 450.0, 0.0])}
 

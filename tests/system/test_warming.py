@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.warming import compared
+from campaigns.warming.trials import compared
 
 pytestmark = pytest.mark.timeout(300)
 

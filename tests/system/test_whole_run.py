@@ -14,14 +14,14 @@ from nights import Night, document, memory_directory, rows, short_document, stat
 
 from agent.cli.calibrate import conclude
 from agent.execution.encoding import table_digest
+from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.execution.steps import ACTING
-from agent.rig import Rig
-from agent.session import Ended
+from agent.runs.session import Ended
 from drivers.errors import GateRefused
 from drivers.roles import TableImage
+from twin.compensation.table_file import parse_table
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
-from twin.formats.table_file import parse_table
 
 pytestmark = pytest.mark.timeout(180)
 ACTING_KINDS = {step.__name__ for step in ACTING}

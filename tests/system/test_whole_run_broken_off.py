@@ -12,9 +12,9 @@ import pytest
 from nights import Night, memory_directory, rows, short_document, states
 
 from agent.execution.journal import RunJournal
+from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.rig import Rig
 from drivers.errors import Aborted, CommandRejected, JournalFailed, LinkLost, ReadBackMismatch
 from drivers.roles import TableImage
 

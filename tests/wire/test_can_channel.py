@@ -18,10 +18,10 @@ from can_listening import listening
 from drivers.errors import ConfigurationError, LinkLost
 from drivers.links.can_adapters import CanAddress
 from drivers.links.can_bus import CanNetworks
-from simulators.wire.can_channel import CanChannel, multicast_works, open_channel
-from simulators.wire.can_drive import DriveConfig, drive_node
-from simulators.wire.can_server import CanServer
-from simulators.wire.socketcand_server import SocketcandServerBus, format_frame
+from simulators.wire.can.channel import CanChannel, multicast_works, open_channel
+from simulators.wire.can.drive import DriveConfig, drive_node
+from simulators.wire.can.server import CanServer
+from simulators.wire.can.socketcand_server import SocketcandServerBus, format_frame
 
 
 class StillAxes:

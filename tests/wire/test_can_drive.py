@@ -6,9 +6,9 @@ import struct
 
 import pytest
 
-from simulators.wire.can_drive import DriveConfig, ServoDrive, drive_node
-from simulators.wire.can_node import CanopenNode
-from simulators.wire.can_parameters import FactorGroup
+from simulators.wire.can.drive import DriveConfig, ServoDrive, drive_node
+from simulators.wire.can.node import CanopenNode
+from simulators.wire.can.parameters import FactorGroup
 
 
 class Axes:

@@ -14,8 +14,8 @@ from drivers.errors import MotionFault
 from drivers.registry import DeviceContext
 from drivers.roles import Orientation
 from simulators.scenario import MountBehaviour
-from simulators.wire.can_drive import DriveConfig, drive_node
-from simulators.wire.can_server import CanServer
+from simulators.wire.can.drive import DriveConfig, drive_node
+from simulators.wire.can.server import CanServer
 from simulators.world.mount import MountPhysics
 
 COUNTS_PER_DEGREE = 131072 * 80 / 360

@@ -2,7 +2,7 @@
 
 import pytest
 
-from simulators.wire.can_sdo import Entry, SdoServer
+from simulators.wire.can.sdo import Entry, SdoServer
 
 written: list[int] = []
 

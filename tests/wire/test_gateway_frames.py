@@ -7,12 +7,12 @@ from fake_control import FakeControl
 
 from agent.execution.states import RunState
 from agent.service.gateway.access import LOCKED_TICKS, AccessCode
-from agent.service.gateway.desk import CommandDesk
+from agent.service.gateway.command_handler import CommandDesk
 from agent.service.gateway.frames import FramingError, answer_frame, answer_request, body_length
 from agent.service.gateway.gateway import Gateway
-from agent.service.gateway.sequence import SequenceLedger
+from agent.service.gateway.heartbeat import Watch
+from agent.service.gateway.sequence_ledger import SequenceLedger
 from agent.service.gateway.session import Session
-from agent.service.gateway.watch import Watch
 
 SILENCE = 3
 

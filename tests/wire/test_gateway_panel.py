@@ -16,8 +16,8 @@ from pyModbusTCP.client import ModbusClient
 from agent.execution.states import RunState
 from agent.service.control import Source
 from agent.service.gateway.access import access_code_path
-from agent.service.gateway.door import GatewayDoor
-from agent.service.gateway.settings import GatewaySettings
+from agent.service.gateway.endpoint import GatewayDoor
+from agent.settings.panel_gateway import GatewaySettings
 from drivers.errors import ConfigurationError
 
 CODE = 3_000_000_019  # more than 31 bits, high and low word different

@@ -13,16 +13,16 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from agent.execution.states import RunState
 from agent.service.gateway.access import AccessCode
-from agent.service.gateway.desk import CommandDesk
+from agent.service.gateway.command_block import FIRST, SIZE
+from agent.service.gateway.command_handler import CommandDesk
 from agent.service.gateway.frames import answer_request
 from agent.service.gateway.gateway import Gateway
-from agent.service.gateway.image import GatewayFacts, status_image
-from agent.service.gateway.orders import FIRST, SIZE
+from agent.service.gateway.heartbeat import Watch
+from agent.service.gateway.register_codec import number_words, plain_text, text_words, whole_number
 from agent.service.gateway.registers import BLOCKS, COMMAND, PACKML_NUMBERS, STATE_NUMBERS, STATUS, Form
-from agent.service.gateway.sequence import SequenceLedger, next_sequence
+from agent.service.gateway.sequence_ledger import SequenceLedger, next_sequence
 from agent.service.gateway.session import Session
-from agent.service.gateway.watch import Watch
-from agent.service.gateway.words import number_words, plain_text, text_words, whole_number
+from agent.service.gateway.status_registers import GatewayFacts, status_image
 
 CODE = 77
 FREE = {"hold", "abort"}

@@ -12,8 +12,8 @@ import pytest
 from drivers.errors import ConfigurationError
 from drivers.roles import Permission
 from simulators.scenario import read_scenario
-from simulators.wire.grbl_controller import GrblController
-from simulators.wire.grbl_settings import GrblSettings
+from simulators.wire.grbl.controller import GrblController
+from simulators.wire.grbl.settings import GrblSettings
 from simulators.wire.pty_port import PseudoTerminal
 from simulators.wire.shared_world import SharedWorld
 from simulators.world.world import World

@@ -15,8 +15,8 @@ from modbus_fakes import FakeController, FakeLatch, FakeWorld
 
 from drivers.errors import ConfigurationError
 from drivers.roles import Activation, MotionState, Permission
-from simulators.wire.modbus_controller import ModbusController
-from simulators.wire.modbus_numbers import ScaledInt32Numbers
+from simulators.wire.modbus.controller import ModbusController
+from simulators.wire.modbus.numbers import ScaledInt32Numbers
 from simulators.wire.shared_world import SharedWorld
 
 GOLDEN_A = "00 01 00 00 00 06 01  03 03 E8 00 46"

@@ -18,10 +18,10 @@ from drivers.errors import DeviceError
 from drivers.modbus_cnc.device import ModbusCnc
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.roles import TableImage, Touch
-from simulators.wire.modbus_controller import registers_behind
-from simulators.wire.modbus_frames import answer_request
-from simulators.wire.modbus_rtu import LineSettings, ModbusRtuController
-from simulators.wire.modbus_rtu_frames import NoFrame, frame_crc, take_request
+from simulators.wire.modbus.controller import registers_behind
+from simulators.wire.modbus.frames import answer_request
+from simulators.wire.modbus.rtu import LineSettings, ModbusRtuController
+from simulators.wire.modbus.rtu_frames import NoFrame, frame_crc, take_request
 from simulators.wire.shared_world import SharedWorld
 
 READ_PROTOCOL = framed("01 03 03E8 0002")

@@ -26,9 +26,9 @@ from fake_control import FakeControl
 from agent.execution.states import RunState
 from agent.service.control import Source
 from agent.service.opcua.certificates import own_certificate
-from agent.service.opcua.door import OpcUaDoor
+from agent.service.opcua.endpoint import OpcUaDoor
 from agent.service.opcua.model import METHODS, NAMESPACE, PROGRAM_STATES, VARIABLES
-from agent.service.opcua.settings import OpcUaSettings
+from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
 TOKEN = secrets.token_urlsafe()

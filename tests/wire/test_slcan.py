@@ -22,8 +22,8 @@ from drivers.errors import ConfigurationError, LinkLost
 from drivers.links import can_adapters
 from drivers.links.can_adapters import CanAddress, SlcanBus, open_bus
 from drivers.links.can_bus import CanNetworks
-from simulators.wire.can_channel import open_channel
-from simulators.wire.slcan_peer import SlcanPeerBus, format_frame, parse_frame
+from simulators.wire.can.channel import open_channel
+from simulators.wire.can.slcan_peer import SlcanPeerBus, format_frame, parse_frame
 
 READY = {"bitrate": 500_000, "sleep_after_open": 0.0}
 BURST = 5000
@@ -152,7 +152,7 @@ def test_a_burst_to_the_host_arrives_whole_and_in_order(peer: SlcanPeerBus) -> N
 
 
 def test_a_queue_that_overflows_loses_frames_and_says_so(peer: SlcanPeerBus, monkeypatch) -> None:
-    monkeypatch.setattr("simulators.wire.slcan_peer.QUEUED_FRAMES", 100)
+    monkeypatch.setattr("simulators.wire.can.slcan_peer.QUEUED_FRAMES", 100)
     with SlcanBus(peer.port, **READY) as host:
         for number in range(BURST):
             peer.send(numbered(number))

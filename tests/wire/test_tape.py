@@ -15,7 +15,7 @@ from drivers.serial_cnc.tape.blocks import TapeError, differences, parse_tape
 from drivers.serial_cnc.tape.characters import Control, ParityFault, decode, encode, encode_control
 from drivers.serial_cnc.tape.settings import TapeSettings
 from drivers.serial_cnc.tape.transfer import PunchRead
-from simulators.wire.tape_cnc import Mode, TapeCnc
+from simulators.wire.tape.controller import Mode, TapeCnc
 
 MANUAL = "%\nN00000P00001100\nN00002P00000000\nN09162P00000000\nN09163P00000000\n%\n"
 """The example of B-63330EN/03, 3 (15i): beginning and end of a record."""

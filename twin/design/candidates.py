@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.arrays import Array
+from twin.artefact.position_set import Position
 from twin.design.criterion import Criterion
+from twin.design.procedure import Planned, Procedure
 from twin.errors import DataError
-from twin.family import Family
 from twin.identification.centres import CentreEquations
 from twin.identification.normal import Precision, Scales
 from twin.identification.options import Options
 from twin.identification.problem import Problem, build_problem
-from twin.position_set import Position
-from twin.procedure import Planned, Procedure
-from twin.volumetric import Volumetric
+from twin.machine.machine_population import Family
+from twin.machine.volumetric import Volumetric
 
 Indices = NDArray[np.intp]
 

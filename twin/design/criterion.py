@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
-from twin.grid_sums import GridSums
 from twin.identification.unknowns import Indices, Unknowns
-from twin.machine_model import deviation_basis
-from twin.rigid_motion import rigid_fields
-from twin.volumetric import Volumetric
+from twin.machine.forward_model import deviation_basis
+from twin.machine.grid_quadrature import GridSums
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.volumetric import Volumetric
 
 _CHUNK = 2000  # grid points whose fields are held at a time
 _CROSS_DEGREE = 3

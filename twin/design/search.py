@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.design.candidates import Candidates, Indices
-from twin.design.knowledge import Knowledge
-from twin.design.prices import Prices
+from twin.design.information import Knowledge
+from twin.design.measuring_cost import Prices
 
 Mask = NDArray[np.bool_]
 Room = Callable[[Sequence[int]], Mask]

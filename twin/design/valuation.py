@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array
-from twin.artefact import Artefact
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.design.criterion import Criterion
-from twin.family import Family
 from twin.identification.centres import CentreEquations
 from twin.identification.normal import Posterior, Precision, Scales
 from twin.identification.options import Options
 from twin.identification.problem import Problem, build_problem
-from twin.observations import Observations
-from twin.volumetric import Volumetric
+from twin.machine.machine_population import Family
+from twin.machine.volumetric import Volumetric
 
 
 @dataclass(frozen=True)

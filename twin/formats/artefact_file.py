@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from twin.arrays import Array
-from twin.artefact import REFERENCE_TEMPERATURE_C, Artefact, bar_balls
+from twin.artefact.artefact import REFERENCE_TEMPERATURE_C, Artefact, bar_balls
 from twin.errors import DataError, FormatError
 from twin.formats.toml_reading import Strict, read_toml
 
@@ -26,7 +26,7 @@ Coordinates = tuple[float, float, float]
 
 
 class BarSection(Strict):
-    """Equally pitched balls on a straight bar; see `twin.artefact.bar_balls`."""
+    """Equally pitched balls on a straight bar; see `twin.artefact.artefact.bar_balls`."""
 
     balls: Annotated[int, Field(ge=2, le=99)]
     length_mm: Annotated[float, Field(gt=0.0)]

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from twin.artefact.observations import Observations
+from twin.artefact.position_set import Position
 from twin.errors import FormatError, TwinError
 from twin.formats.csv_reading import Row, read_rows
-from twin.observations import Observations
-from twin.position_set import Position
 
 COLUMNS = (
     "position",

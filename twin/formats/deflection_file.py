@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Array
-from twin.chain import AXES
-from twin.deflection import DeflectionGrid
 from twin.errors import FormatError, ModelError
+from twin.machine.deflection import DeflectionGrid
+from twin.machine.kinematic_chain import AXES
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "ux_um", "uy_um", "uz_um")
 _SAME_NODE_DIGITS = 6  # coordinates that agree to a nanometre are one node: exports differ in their last digits

@@ -14,14 +14,14 @@ import numpy as np
 from pydantic import Field
 
 from twin.arrays import Array
-from twin.chain import parse_chain
-from twin.error_model import ErrorModel
 from twin.errors import FormatError, TwinError
-from twin.formats.carried_over_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.json_reading import read_json
+from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
 from twin.formats.toml_reading import Strict
 from twin.identification import CarriedOver, Estimate, Scales
 from twin.identification.unknowns import Unknowns
+from twin.machine.error_model import ErrorModel
+from twin.machine.kinematic_chain import parse_chain
 
 FORMAT = "volcal estimate 2"
 _ASYMMETRY = 1e-9

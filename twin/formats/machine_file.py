@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from twin.chain import AXES, parse_chain
-from twin.deflection import DeflectionGrid
-from twin.error_model import CROSS_TERMS, DEFAULT_CROSS_EFFECT, ERROR_MOTIONS, ErrorModel, Ranges
 from twin.errors import FormatError, TwinError
-from twin.family import DEFAULT_DECAY, family_from_amplitudes
 from twin.formats.deflection_file import parse_deflection
 from twin.formats.toml_reading import Strict, read_toml
-from twin.machine_description import MachineDescription, Triple
+from twin.machine.deflection import DeflectionGrid
+from twin.machine.error_model import CROSS_TERMS, DEFAULT_CROSS_EFFECT, ERROR_MOTIONS, ErrorModel, Ranges
+from twin.machine.kinematic_chain import AXES, parse_chain
+from twin.machine.machine_description import MachineDescription, Triple
+from twin.machine.machine_population import DEFAULT_DECAY, family_from_amplitudes
 
 DEFAULT_ORDER = 5
 

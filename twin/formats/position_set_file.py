@@ -8,9 +8,9 @@ import io
 import math
 from collections.abc import Iterable
 
+from twin.artefact.position_set import Position
 from twin.errors import DataError, FormatError
 from twin.formats.toml_reading import Strict, read_toml
-from twin.position_set import Position
 
 COLUMNS = ("station", "azimuth_deg", "elevation_deg")
 TOOL = "tool"

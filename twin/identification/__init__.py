@@ -1,15 +1,15 @@
 """Identification of the compensation model C from ball centres."""
 
-from twin.identification.carried_over import CarriedOver, process_noise
 from twin.identification.drift import DriftFound, DriftPrior, MachineDrift
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import identify
 from twin.identification.normal import Scales
+from twin.identification.observability import NullDirection
 from twin.identification.options import Options
 from twin.identification.order import identify_by_evidence
 from twin.identification.predicted import FieldKnowledge, field_uncertainty, left_covariance, predicted_vce
-from twin.observability import NullDirection
+from twin.identification.prior_from_estimate import CarriedOver, process_noise
 
 __all__ = [
     "CarriedOver",

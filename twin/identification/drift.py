@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
-from twin.chain import AXES
-from twin.error_model import ErrorModel, Parameter, kind_of
 from twin.errors import DataError
+from twin.machine.error_model import ErrorModel, Parameter, kind_of
+from twin.machine.kinematic_chain import AXES
 
 _STRAIGHTNESS_ORDER = 2  # the lowest there is: a bow
 _OTHER_ORDER = 1  # of a scale and of a rotation

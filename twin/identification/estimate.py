@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array
-from twin.error_model import ErrorModel
 from twin.identification.alternatives import Alternative
-from twin.identification.carried_over import CarriedOver
 from twin.identification.drift import DriftFound
 from twin.identification.evidence import OrderEvidence, at_bounds
 from twin.identification.misfit import MisfitModes
 from twin.identification.normal import Scales
+from twin.identification.observability import NullDirection, Observability, observability, summary
 from twin.identification.options import Formulation
+from twin.identification.prior_from_estimate import CarriedOver
 from twin.identification.unknowns import Unknowns
-from twin.observability import NullDirection, Observability, observability, summary
+from twin.machine.error_model import ErrorModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
-from twin.artefact import Artefact
-from twin.error_model import ErrorModel
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.errors import DataError, SingularSet
-from twin.family import Family
 from twin.identification.alternatives import Alternative
 from twin.identification.distances import DistanceEquations
 from twin.identification.drift import DriftFound
@@ -22,7 +21,8 @@ from twin.identification.outliers import contradicting_rows
 from twin.identification.poses import Poses, rigid_poses
 from twin.identification.problem import Problem, build_problem
 from twin.identification.solution import Solution, over_scales, solve
-from twin.observations import Observations
+from twin.machine.error_model import ErrorModel
+from twin.machine.machine_population import Family
 
 _MOST_REJECTED = 0.2
 _FEWEST_BALLS = 3

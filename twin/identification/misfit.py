@@ -21,10 +21,10 @@ from itertools import product
 import numpy as np
 
 from twin.arrays import Array
-from twin.error_model import ErrorModel, Ranges
-from twin.legendre import legendre_values, normalised
-from twin.machine_model import deviation_basis
-from twin.rigid_motion import rigid_fields
+from twin.machine.error_model import ErrorModel, Ranges
+from twin.machine.forward_model import deviation_basis
+from twin.machine.legendre import legendre_values, normalised
+from twin.machine.rigid_motion import rigid_fields
 
 MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1 / 6, "waves along Z": 1 / 6}
 """Kinds of misfit in their order, with the part of the prior variance that each has."""

@@ -7,8 +7,8 @@ from typing import Literal
 
 from twin.arrays import Array
 from twin.errors import DataError
-from twin.identification.carried_over import CarriedOver
 from twin.identification.drift import DriftPrior
+from twin.identification.prior_from_estimate import CarriedOver
 
 Formulation = Literal["centres", "distances"]
 Weights = Literal["full", "unit"]

@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from twin.artefact import Artefact
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.errors import DataError
-from twin.family import Family
 from twin.identification.estimate import Estimate
 from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import identify_kept, kept_rows
@@ -24,7 +24,7 @@ from twin.identification.normal import Scales
 from twin.identification.options import Options
 from twin.identification.problem import build_problem
 from twin.identification.solution import evidence_of
-from twin.observations import Observations
+from twin.machine.machine_population import Family
 
 ORDERS = tuple(range(3, 10))
 _VERY_STRONG = 5.0  # ln of the Bayes factor, Kass and Raftery 1995

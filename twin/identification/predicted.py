@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.arrays import Array, as_points, as_vector
-from twin.error_model import ErrorModel
-from twin.grid_sums import GridSums
 from twin.identification.estimate import Misfit
-from twin.machine_model import deviation_basis
-from twin.rigid_motion import rigid_fields
-from twin.volumetric import Volumetric
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import deviation_basis
+from twin.machine.grid_quadrature import GridSums
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.volumetric import Volumetric
 
 _CHUNK = 500  # points whose basis is held at a time
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from twin.arrays import Array, as_vector
-from twin.artefact import Artefact
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.errors import DataError
-from twin.family import Family
 from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes, misfit_modes
 from twin.identification.options import Options
 from twin.identification.unknowns import ArtefactErrors, Unknowns
-from twin.observations import Observations
+from twin.machine.machine_population import Family
 
 
 def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options: Options) -> Unknowns:

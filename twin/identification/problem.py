@@ -16,17 +16,17 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
-from twin.artefact import Artefact
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.errors import DataError
-from twin.family import Family
-from twin.identification.carried_over import known_to
 from twin.identification.normal import Known
 from twin.identification.options import Options
 from twin.identification.poses import Layout, PoseArms, Poses, rigid_poses
 from twin.identification.prior import unknowns_of
+from twin.identification.prior_from_estimate import known_to
 from twin.identification.unknowns import ArtefactErrors, Blocks, Unknowns
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.observations import Observations
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.machine_population import Family
 
 Rows = np.ndarray[Any, np.dtype[np.int64]]
 Sides = tuple[Array, Array]  # of the exact equations: workpiece points (n, 3) and artefact points (n, 3) mm

@@ -13,11 +13,11 @@ from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
 from twin.identification.evidence import likely_scales, log_evidence
 from twin.identification.normal import Known, Normal, Posterior, Precision, Scales
+from twin.identification.observability import null_space, observability, summary
 from twin.identification.options import Formulation, Options
 from twin.identification.poses import Poses
 from twin.identification.problem import Problem, Sides
 from twin.identification.unknowns import Blocks
-from twin.observability import null_space, observability, summary
 
 _MAX_STEPS = 8
 _CONVERGED = 1e-3  # of a prior standard deviation; a step leaves less than 1e-3 of itself to the next one

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
-from twin.artefact import Artefact
-from twin.error_model import ErrorModel
+from twin.artefact.artefact import Artefact
 from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes
+from twin.machine.error_model import ErrorModel
 
 _SAME = 1e-9  # of the largest variance: how far two covariances of one certificate may differ
 

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from agent.credentials import handed_over, open_mode
 from agent.files import read_text
-from agent.service.gateway.settings import GatewaySettings
+from agent.settings.credentials import handed_over, open_mode
+from agent.settings.panel_gateway import GatewaySettings
 from drivers.errors import ConfigurationError
 
 CREDENTIAL: Final = "panel-code"

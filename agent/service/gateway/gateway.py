@@ -9,9 +9,9 @@ import structlog
 
 from agent.service.control import Control, Status
 from agent.service.gateway.access import AccessCode
-from agent.service.gateway.desk import CommandDesk
-from agent.service.gateway.image import GatewayFacts, status_image
-from agent.service.gateway.watch import Watch
+from agent.service.gateway.command_handler import CommandDesk
+from agent.service.gateway.heartbeat import Watch
+from agent.service.gateway.status_registers import GatewayFacts, status_image
 from drivers.errors import VolcalError
 
 log = structlog.get_logger()

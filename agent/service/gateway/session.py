@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agent.execution.states import RunState
+from agent.service.gateway.command_block import FIRST, SIZE, read_order
 from agent.service.gateway.frames import ExceptionCode, RegisterError
 from agent.service.gateway.gateway import Gateway
-from agent.service.gateway.orders import FIRST, SIZE, read_order
 from agent.service.gateway.registers import ABORT_COIL, IN_COMMAND, PANEL, STATUS
 
 _SEQUENCE = IN_COMMAND["sequence"].address - FIRST

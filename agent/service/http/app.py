@@ -7,9 +7,9 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from agent.service.http import asking, diagnostics, events, problems, reading
+from agent.service.http import commands, diagnostics, events, problems, queries
+from agent.service.http.app_state import Site
 from agent.service.http.guard import Guard
-from agent.service.http.site import Site
 
 Extension = Callable[[FastAPI, Site], None]
 """Adds routers or mounts static files; it is behind the same guard."""
@@ -35,5 +35,5 @@ def create_app(site: Site, names: Collection[str] = (), extensions: Sequence[Ext
 
 
 def add_endpoints(app: FastAPI) -> None:
-    for router in (reading.router, events.router, asking.open_to_all, asking.with_token, diagnostics.router):
+    for router in (queries.router, events.router, commands.open_to_all, commands.with_token, diagnostics.router):
         app.include_router(router)

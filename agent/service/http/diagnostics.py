@@ -5,11 +5,11 @@ from __future__ import annotations
 from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 
-from agent.service.diagnosis import diagnosis
+from agent.service.http.app_state import SiteHere
+from agent.service.http.diagnostics_archive import diagnosis
 from agent.service.http.guard import require_token
 from agent.service.http.problems import DOCUMENTED
-from agent.service.http.reading import status_now
-from agent.service.http.site import SiteHere
+from agent.service.http.queries import status_now
 
 router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED, dependencies=[Depends(require_token)])
 

@@ -10,9 +10,9 @@ from fastapi import APIRouter, Header
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from agent.service.control import Event
+from agent.service.http.app_state import Site, SiteHere
 from agent.service.http.problems import DOCUMENTED
-from agent.service.http.reading import status_now
-from agent.service.http.site import Site, SiteHere
+from agent.service.http.queries import status_now
 
 router = APIRouter(prefix="/api", tags=["reading"], responses=DOCUMENTED)
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
 from agent.service.alarms import alarm_code
-from agent.service.archive import UnknownRun
+from agent.service.state.archive import UnknownRun
 from drivers import errors
 
 log = structlog.get_logger()

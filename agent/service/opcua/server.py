@@ -15,10 +15,10 @@ from asyncua import ua
 from asyncua.server.server import Server
 
 from agent.service.control import Control, Event
+from agent.service.opcua.address_space import Space
 from agent.service.opcua.certificates import own_certificate
 from agent.service.opcua.guard import GuardedServer, Users
-from agent.service.opcua.settings import OpcUaSettings
-from agent.service.opcua.space import Space
+from agent.settings.opcua import OpcUaSettings
 from drivers.errors import ConfigurationError
 
 REFRESH_S: Final = 0.5

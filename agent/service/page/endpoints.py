@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 
-from agent.job import prepare_job
-from agent.kinds.restoration import Role, kept_table
-from agent.reporting.apart import rebuilt_apart
+from agent.planning.job import prepare_job
+from agent.reports.render_in_subprocess import rebuilt_apart
+from agent.runs.kinds.restoration import Role, kept_table
+from agent.service.http.app_state import SiteHere
 from agent.service.http.problems import DOCUMENTED
-from agent.service.http.site import SiteHere
-from agent.service.page.findings import Findings
+from agent.service.page.result_data import Findings
+from agent.service.page.set_value import Worths
 from agent.service.page.tables import difference, table_csv
-from agent.service.page.worth import Worths
 
 if TYPE_CHECKING:
     from agent.service.page.trends import Trends

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from agent.execution.encoding import table_digest
-from agent.table_image import table_of
+from agent.results.table_image import table_of
 from drivers.errors import InputError
 from drivers.roles import TableImage
 from twin.arrays import Array
-from twin.formats.table_file import format_table
+from twin.compensation.table_file import format_table
 
 Document = dict[str, Any]
 AXES = "XYZ"

@@ -8,15 +8,15 @@ from threading import Lock
 from typing import Any
 
 from agent.execution.journal import FILE_NAME
+from agent.execution.run_record import run_ids
+from agent.history.database_url import place_of
 from agent.history.overview import VOLUMETRIC, alarms_of
-from agent.history.place import place_of
-from agent.history.run_record import run_ids
+from agent.history.schema import StoredRun
 from agent.history.series import Series, all_series
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
-from agent.history.tables import StoredRun
 from agent.history.trends import Trend, trend_of
-from agent.settings import Settings
+from agent.settings.schema import Settings
 
 Document = dict[str, Any]
 

@@ -10,7 +10,7 @@ import pytest
 from acme_controller import WALL_Y, AcmeController
 
 from drivers.clock import VirtualClock, WatchedClock
-from drivers.contract.moving import MachineContract, ProbeContract
+from drivers.contract.motion_contract import MachineContract, ProbeContract
 from drivers.contract.rig import ContractRig, Interrupt
 from drivers.registry import DeviceContext, create_device
 

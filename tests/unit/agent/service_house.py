@@ -12,23 +12,23 @@ from typing import Any
 
 from structlog.testing import capture_logs
 
-from agent.conduct import Announcement
 from agent.execution.run_lock import ownership
+from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.outcome import Outcome
-from agent.resuming.reconciliation import Done, Found, Reconciliation
-from agent.service.board import Board
-from agent.service.bulletin import Bulletin
-from agent.service.health import Health
-from agent.service.household import Household
-from agent.service.ordering import Devices
-from agent.service.owner import Owner
-from agent.service.past import Past
-from agent.service.reports import Reports
-from agent.service.unattended import Circumstances
-from agent.session import Ended, Request
-from agent.settings import Settings
+from agent.results.run_outcome import Outcome
+from agent.runs.reconcile_result import Done, Found, Reconciliation
+from agent.runs.session import Ended, Request
+from agent.service.owner.health import Health
+from agent.service.owner.owner import Owner
+from agent.service.owner.owner_parts import Household
+from agent.service.owner.request_translation import Devices
+from agent.service.owner.unattended import Circumstances
+from agent.service.state.event_log import Bulletin
+from agent.service.state.journal_state import Past
+from agent.service.state.reports import Reports
+from agent.service.state.status_board import Board
+from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
 from drivers.errors import Aborted, Interrupted, VolcalError
 from drivers.roles import MachineStatus, MotionState, Permission

@@ -9,11 +9,11 @@ import pytest
 from touched_ball import TouchedBall, ended
 
 from agent.execution import steps as s
-from agent.plans.ball import BallFound, BallLost, measure_ball
-from agent.plans.ball_gates import doubtful, pole_error_mm
-from agent.plans.probing import BallLimits, FindFirst, Probing, Search, Stylus
-from twin.sphere import fit_sphere
-from twin.touch_pattern import approach_directions, known_radius_covariance
+from agent.probing.ball import BallFound, BallLost, measure_ball
+from agent.probing.ball_gates import doubtful, pole_error_mm
+from agent.probing.probing_parameters import BallLimits, FindFirst, Probing, Search, Stylus
+from twin.artefact.sphere_fit import fit_sphere
+from twin.artefact.touch_pattern import approach_directions, known_radius_covariance
 
 AXIS = np.array([0.0, 1.0, 0.0])
 CENTRE = np.array([1500.0, 700.0, 400.0])

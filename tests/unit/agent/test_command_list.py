@@ -28,7 +28,10 @@ def test_the_help_lists_own_commands_and_those_of_other_packages() -> None:
     assert "..." not in said.partition("Commands:")[2]
 
 
-@pytest.mark.parametrize("module", ["agent.cli.asking", "agent.cli.start", "agent.cli.status"])
+@pytest.mark.parametrize(
+    "module",
+    ["agent.cli.service_commands.requests", "agent.cli.service_commands.start", "agent.cli.service_commands.status"],
+)
 def test_who_wants_to_stop_a_machine_waits_for_no_import(module: str) -> None:
     loaded = subprocess.run(
         [sys.executable, "-c", f"import {module}, sys; print(*sys.modules)"], capture_output=True, text=True, check=True

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.case import CASE_STUDY, load_case
+from agent.planning.case_file import CASE_STUDY, load_case
 from agent.studies.coverage import AS_MODELLED, COLUMNS, ORDER_BY_EVIDENCE, ORDER_OF_FILE, REGIONS, run
 from agent.studies.study import StudyCase, StudyResult
+from agent.studies.study_files import write_result
 from agent.studies.workers import LocalWorkers
-from agent.studies.writing import write_result
 from twin.identification import Options
-from twin.making import FORMS
+from twin.uncertainty.random_machines import FORMS
 
 MACHINES = 30
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.credentials import handed_over, open_mode
+from agent.settings.credentials import handed_over, open_mode
 
 
 def test_what_systemd_hands_over_is_found_by_its_name(tmp_path: Path) -> None:

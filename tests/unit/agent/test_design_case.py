@@ -7,24 +7,24 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from agent.case import CASE_STUDY, load_case
-from agent.designing.designed import designed
-from agent.designing.setting_up import Setting
-from agent.designing.valued_set import valuation_of
-from agent.designing.variants import variants_of
-from agent.designing.vetting import Vetting
-from agent.job import Job
-from agent.plans.measure import position_key
-from agent.rehearsal import rehearse
-from agent.timing import as_listed, machine_minutes
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.cycle_time import as_listed, machine_minutes
+from agent.planning.design.design_problem import Setting
+from agent.planning.design.design_result import designed
+from agent.planning.design.feasibility import Vetting
+from agent.planning.design.set_valuation import valuation_of
+from agent.planning.design.variants import variants_of
+from agent.planning.job import Job
+from agent.planning.preflight import rehearse
+from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError, PlanRefused
+from twin.artefact.position_set import Position, positions_of
 from twin.design.candidates import Candidates, candidates_of
 from twin.design.goals import Positions, Slot
 from twin.design.search import Search
 from twin.design.valuation import valuation
 from twin.identification import Options, identify, predicted_vce
-from twin.position_set import Position, positions_of
-from twin.volumetric import evaluation_grid
+from twin.machine.volumetric import evaluation_grid
 
 AS_STATED = Options(estimate_scales=False, outliers="none")
 COARSE = (9, 5, 5)
@@ -164,7 +164,7 @@ def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on(monkeypatch
         if len(seen) == 1:
             raise PlanRefused("preflight: collision", step=f"measure/{position_key(job.positions[1])}/ball-03/approach")
 
-    monkeypatch.setattr("agent.designing.designed.rehearse", refusing_once)
+    monkeypatch.setattr("agent.planning.design.design_result.rehearse", refusing_once)
     found = designed(Setting({"probe": case()}, 90.0), Positions(3), verify=False, rehearsable=True, say=lambda _: None)
     assert len(seen) == 2
     assert found.rehearsed

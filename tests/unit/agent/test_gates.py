@@ -7,11 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from agent.gates import Gate, GateLimits, require, table_gates
+from agent.results.gates import Gate, require, table_gates
+from agent.settings.gate_limits import GateLimits
 from drivers.errors import GateRefused
 from drivers.roles import Activation, StoreLimits
+from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError
-from twin.table import Anchor, CompensationTable
 
 LIMITS = GateLimits(2.0, 30, 0.5, 300.0, 0.5, False)
 STORE = StoreLimits((1, 2), (64, 64, 64), 20000, 1e-4, 0.2, Activation.IMMEDIATE)

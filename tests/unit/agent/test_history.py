@@ -19,19 +19,19 @@ from journaled import SETTINGS, journaled, run_id
 from prometheus_client.parser import text_string_to_metric_families
 
 from agent.cli.main import main
+from agent.execution.run_record import read_record, run_ids
 from agent.execution.states import RunState
+from agent.history.database_url import Place, place_of
 from agent.history.export import as_csv, as_json
 from agent.history.figure import trends_png, trends_svg
 from agent.history.metrics import metrics_text
 from agent.history.overview import alarms_of, chosen, foremost, trends_of
-from agent.history.place import Place, place_of
-from agent.history.run_record import read_record, run_ids
 from agent.history.series import ACTING, BARE, Series, nights_of
-from agent.history.settings import HistorySettings
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
 from agent.history.trends import AlarmKind, trend_of
-from agent.settings import Settings
+from agent.settings.history import HistorySettings
+from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError, InputError, LinkLost
 
 ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")

@@ -10,8 +10,8 @@ from threading import Event
 import pytest
 
 from agent.execution.journal import Journal
-from agent.reporting.apart import rebuilt_apart
-from agent.service.reports import Reports
+from agent.reports.render_in_subprocess import rebuilt_apart
+from agent.service.state.reports import Reports
 from drivers.errors import InputError
 
 PATIENCE_S = 20.0
@@ -19,7 +19,7 @@ WANTED_LATER = ("matplotlib", "sqlalchemy", "weasyprint", "dask", "scipy.stats",
 
 
 def test_the_service_starts_without_what_draws_or_speaks_to_databases() -> None:
-    program = f"import sys, agent.service.serving; print([m for m in {WANTED_LATER} if m in sys.modules])"
+    program = f"import sys, agent.service.daemon.serve; print([m for m in {WANTED_LATER} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -10,13 +10,13 @@ import pytest
 from pydantic import ValidationError
 
 from agent.files import load_machine
-from agent.findings import estimate_machine, order_text, scale_warnings
-from agent.settings import IdentificationSettings
-from twin.artefact import ball_bar
+from agent.results.estimation import estimate_machine, order_text, scale_warnings
+from agent.settings.schema import IdentificationSettings
+from twin.artefact.artefact import ball_bar
+from twin.artefact.observations import Observations
+from twin.artefact.position_set import MountGeometry, mount_pose, positions_of, station_places
 from twin.identification import Options
-from twin.machine_description import MachineDescription
-from twin.observations import Observations
-from twin.position_set import MountGeometry, mount_pose, positions_of, station_places
+from twin.machine.machine_description import MachineDescription
 
 ROOT = Path(__file__).parents[3]
 BAR = ball_bar("bar", balls=5, length_mm=1000.0, tilt_rad=0.26, holder_length_mm=60.0, ball_diameter_mm=25.0)

@@ -12,16 +12,16 @@ import pytest
 from journaled import journaled, run_id
 from service_house import settings_document
 
-from agent.designing.valued_set import valuation_of
-from agent.job import Job, prepare_job
-from agent.service.page.findings import Findings
+from agent.planning.design.set_valuation import valuation_of
+from agent.planning.job import Job, prepare_job
+from agent.service.page.result_data import Findings
+from agent.service.page.set_value import worth_of
 from agent.service.page.tables import difference, table_csv
 from agent.service.page.trends import Trends
-from agent.service.page.worth import worth_of
-from agent.settings import Settings
+from agent.settings.schema import Settings
 from drivers.errors import InputError
 from drivers.roles import TableImage
-from twin.position_set import Position
+from twin.artefact.position_set import Position
 
 SHAPE = (4, 3, 2)
 PLACES = (Position(1, 0.0, 45.0), Position(1, 45.0, 0.0), Position(2, -45.0, 0.0))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from agent.execution.states import RunState
-from agent.kinds.restoration import ROLES
+from agent.runs.kinds.restoration import ROLES
 from agent.service.alarms import CODES, DEFECT
 from agent.service.control import KINDS, Source
 

@@ -15,17 +15,17 @@ from hypothesis import strategies as st
 
 from agent.execution import steps as s
 from agent.execution.encoding import encode_step
-from agent.job import Job, prepare_job
-from agent.plans.measure import MeasuringOrder, measure_positions
-from agent.plans.publish import choose_bank, stage_table
-from agent.plans.recover import withdraw
-from agent.plans.shortest import ShortestPilot, _There
-from agent.plans.spots import Spot
-from agent.settings_file import load_settings
+from agent.planning.job import Job, prepare_job
+from agent.probing.paths.approach_points import Spot
+from agent.probing.paths.shortest_path import ShortestPilot, _There
+from agent.probing.publish import choose_bank, stage_table
+from agent.probing.recovery import withdraw
+from agent.probing.run_plan import MeasuringOrder, measure_positions
+from agent.settings.load import load_settings
 from drivers.errors import MeasurementFault, ReadBackMismatch, StoreError, VolcalError
 from drivers.roles import Miss, Orientation, TableImage, Touch
-from twin.geometry import point
-from twin.position_set import Position
+from twin.artefact.position_set import Position
+from twin.collision.geometry import point
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "case-study.toml"
 JOB: Job = prepare_job(load_settings(CONFIG), CONFIG.parent)

@@ -11,23 +11,23 @@ from itertools import accumulate, groupby
 import numpy as np
 import pytest
 
-from agent.case import CASE_STUDY
 from agent.execution.steps import MoveTo, OrientTo
-from agent.job import Job, prepare_job
-from agent.preview.blob import document, embedded
-from agent.preview.building import preview_of
-from agent.preview.figure import draw_png
-from agent.preview.page import render_page
-from agent.preview.placing import standing_bodies
-from agent.preview.refusal import named_in, refusal_of
-from agent.preview.scene import Preview
-from agent.preview.walk import Waypoint, walk
-from agent.rehearsal import rehearse, whole_procedure
-from agent.settings_file import load_settings, with_overrides
+from agent.planning.case_file import CASE_STUDY
+from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import rehearse, whole_procedure
+from agent.planning.preview.artefact_placement import standing_bodies
+from agent.planning.preview.blob import document, embedded
+from agent.planning.preview.builder import preview_of
+from agent.planning.preview.figure import draw_png
+from agent.planning.preview.page import render_page
+from agent.planning.preview.refusal import named_in, refusal_of
+from agent.planning.preview.scene import Preview
+from agent.planning.preview.tip_path import Waypoint, walk
+from agent.settings.load import load_settings, with_overrides
 from drivers.errors import PlanRefused
-from twin.bodies import Body
-from twin.geometry import sphere
-from twin.position_set import Position
+from twin.artefact.position_set import Position
+from twin.collision.bodies import Body
+from twin.collision.geometry import sphere
 
 
 def job(position_set: str = "S1", stations: tuple[int, ...] = (1, 2)) -> Job:

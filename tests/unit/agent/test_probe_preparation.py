@@ -12,14 +12,14 @@ import pytest
 from touched_ball import TouchedBall, ended
 
 from agent.execution import steps as s
-from agent.job import Job, prepare_job
-from agent.plans.measure import MeasuringOrder
-from agent.plans.preparation import Prepared, prepare_probe
-from agent.plans.probe_check import ProbeCheck, check_repeatability
-from agent.plans.qualification import qualify_stylus
-from agent.settings_file import load_settings
+from agent.planning.job import Job, prepare_job
+from agent.probing.preparation import Prepared, prepare_probe
+from agent.probing.probe_check import ProbeCheck, check_repeatability
+from agent.probing.qualification import qualify_stylus
+from agent.probing.run_plan import MeasuringOrder
+from agent.settings.load import load_settings
 from drivers.errors import ConfigurationError
-from twin.position_set import Position
+from twin.artefact.position_set import Position
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "case-study.toml"
 JOB: Job = prepare_job(load_settings(CONFIG), CONFIG.parent)

@@ -13,26 +13,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.case import CASE_STUDY, load_case
-from agent.job import Job
+from agent.planning.case_file import CASE_STUDY, load_case
+from agent.planning.cycle_time import machine_minutes
+from agent.planning.design.bar_variants import Bar
+from agent.planning.job import Job
 from agent.studies import ball_count, misalignment, strategy, trajectory, volumetric_error
-from agent.studies.bar import Bar
+from agent.studies.identification_variants import PUBLISHED, ways
+from agent.studies.procedure_value import Trial, Verdict, Worth
 from agent.studies.study import StudyCase
+from agent.studies.study_files import document, format_rows, write_result
 from agent.studies.verdict_table import worst_deviation
-from agent.studies.ways import PUBLISHED, ways
 from agent.studies.workers import LocalWorkers, generator
-from agent.studies.worth import Trial, Verdict, Worth
-from agent.studies.writing import document, format_rows, write_result
-from agent.timing import machine_minutes
 from twin.arrays import Array
-from twin.artefact import Artefact, ball_bar
+from twin.artefact.artefact import Artefact, ball_bar
+from twin.artefact.position_set import positions_of
 from twin.errors import DataError
-from twin.field_form import FieldForm
 from twin.identification import Options
-from twin.machine_model import exact_deviation
-from twin.position_set import positions_of
-from twin.simulated_procedure import draw_truth
-from twin.volumetric import Volumetric, evaluation_grid
+from twin.machine.forward_model import exact_deviation
+from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.uncertainty.monte_carlo import draw_truth
+from twin.uncertainty.residual_field_form import FieldForm
 
 NANOMETRE_UM = 1e-3
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from agent.case import CASE_STUDY
-from agent.job import Job, prepare_job
-from agent.rehearsal import rehearse
-from agent.settings_file import load_settings
+from agent.planning.case_file import CASE_STUDY
+from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import rehearse
+from agent.settings.load import load_settings
 from drivers.errors import PlanRefused
 
 TOO_NEAR_MM = 12.0

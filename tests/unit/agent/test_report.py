@@ -9,38 +9,35 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from agent.gates import Gate
-from agent.report import (
-    ArtefactFacts,
+from agent.reports.page import (
     EventLine,
     Header,
     Identified,
-    Quantity,
     ReportData,
     RunFacts,
-    TableFacts,
     TemperatureTrace,
     Verification,
     VerifiedPosition,
-    triple,
 )
-from agent.report.error_curves import cross_effect_curves, geometric_error_curves
-from agent.report.position_naming import name_of_positions
-from agent.report.render import render_report
-from agent.report.residual_figures import BallResiduals
-from agent.report.volumetric_summary import volumetric_summary
-from agent.report.wording import fixed, micrometres, number
-from agent.report.workspace_maps import workspace_maps
-from twin.artefact import ball_bar
-from twin.chain import parse_chain
-from twin.error_model import ErrorModel
-from twin.family import family_from_amplitudes
+from agent.reports.page.error_curves import cross_effect_curves, geometric_error_curves
+from agent.reports.page.number_format import fixed, micrometres, number
+from agent.reports.page.position_naming import name_of_positions
+from agent.reports.page.render import render_report
+from agent.reports.page.residual_figures import BallResiduals
+from agent.reports.page.workspace_maps import workspace_maps
+from agent.results.facts import ArtefactFacts, Quantity, TableFacts, triple
+from agent.results.gates import Gate
+from agent.results.volumetric_summary import volumetric_summary
+from twin.artefact.artefact import ball_bar
+from twin.artefact.observations import Observations
+from twin.artefact.position_set import MountGeometry, Position, mount_pose, positions_of
+from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, predicted_vce
-from twin.machine_model import exact_deviation
-from twin.observations import Observations
-from twin.position_set import MountGeometry, Position, mount_pose, positions_of
-from twin.table import Anchor, build_table, regular_nodes
-from twin.volumetric import align_rigidly, evaluation_grid
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.volumetric import align_rigidly, evaluation_grid
 
 RANGES = ((0.0, 1000.0), (0.0, 600.0), (0.0, 500.0))
 MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, order=3)

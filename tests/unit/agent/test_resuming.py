@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.conduct import Announcement, Conduct
 from agent.execution.encoding import decode_result, encode_result, table_digest
 from agent.execution.journal import Journal, RunJournal
-from agent.execution.recorded import Recorded
+from agent.execution.replay_log import Recorded
+from agent.execution.rig import step_tag
+from agent.execution.run_state import Announcement, Conduct
 from agent.execution.states import RunState
 from agent.execution.steps import (
     MoveTo,
@@ -21,11 +22,10 @@ from agent.execution.steps import (
     Record,
     TouchTowards,
 )
-from agent.resuming.clock import ResumedClock
-from agent.resuming.replaying import Replay, ReplayingEngine
-from agent.resuming.trace import Trace
-from agent.resuming.unfinished import unfinished_run
-from agent.rig import step_tag
+from agent.runs.resume.replay_clock import ResumedClock
+from agent.runs.resume.replay_engine import Replay, ReplayingEngine
+from agent.runs.resume.step_trace import Trace
+from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import VirtualClock
 from drivers.errors import LinkLost, MotionFault, PlanDiverged
 from drivers.roles import Miss, Orientation, TableImage, Touch

@@ -18,27 +18,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from service_house import PATIENCE_S, READY_MACHINE, house, settings_document
 
-from agent.conduct import Announcement
+from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.kinds.kind import FullCalibration
-from agent.service.bulletin import Bulletin
+from agent.runs.kinds.kind import FullCalibration
 from agent.service.client import error_of
 from agent.service.control import Source, StartRequest
-from agent.service.diagnosis import REMOVED, diagnosis, without_secrets
-from agent.service.health import Health
+from agent.service.daemon.main_loop import Life
+from agent.service.daemon.sd_notify import Notifier
+from agent.service.http.diagnostics_archive import REMOVED, diagnosis, without_secrets
 from agent.service.http.problems import problem_of
-from agent.service.life import Life
-from agent.service.notify import Notifier
-from agent.service.ordering import job_of, kind_of
-from agent.service.orders import Orders
-from agent.service.questions import Questions, ServiceOperator
-from agent.service.running import Running
-from agent.service.settings import ServiceSettings
+from agent.service.owner.health import Health
+from agent.service.owner.questions import Questions, ServiceOperator
+from agent.service.owner.request_translation import job_of, kind_of
+from agent.service.owner.run_mailbox import Running
+from agent.service.owner.run_requests import Orders
+from agent.service.owner.unattended import Circumstances, minutes_until_end, require_warm
+from agent.service.state.event_log import Bulletin
+from agent.service.state.status_text import doing
 from agent.service.token import make_token, read_token, token_path
-from agent.service.unattended import Circumstances, minutes_until_end, require_warm
-from agent.service.words import doing
-from agent.settings import Settings
+from agent.settings.schema import Settings
+from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock
 from drivers.errors import (
     Aborted,

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 from agent.cli.main import main
 from agent.files import load_artefact, load_machine
-from agent.job import prepare_job
-from agent.settings import parse_settings
-from agent.settings_file import load_settings
+from agent.planning.job import prepare_job
+from agent.settings.load import load_settings
+from agent.settings.schema import parse_settings
 from drivers.registry import check_options
 from simulators.scenario import read_scenario
 from twin.errors import FormatError

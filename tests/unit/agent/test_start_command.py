@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agent.cli.start import begun
+from agent.cli.service_commands.start import begun
 from agent.service.client import Document
 from drivers.errors import Busy, CommandRejected, GateRefused, LinkLost, PermissionMissing, VolcalError
 

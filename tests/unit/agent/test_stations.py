@@ -12,13 +12,13 @@ import pytest
 from touched_ball import TouchedBall
 
 from agent.execution import steps as s
-from agent.job import Job, prepare_job
-from agent.plans.changing import Carried, StationChange, change_station, park_mounts
-from agent.settings import Settings
-from agent.settings_file import load_settings
+from agent.planning.job import Job, prepare_job
+from agent.probing.station_change import Carried, StationChange, change_station, park_mounts
+from agent.settings.load import load_settings
+from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from drivers.roles import OperatorTask
-from twin.position_set import Position
+from twin.artefact.position_set import Position
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "two-mounts.toml"
 BARS = [str(CONFIG.parent / "artefacts" / name) for name in ("ball-bar-1500.toml", "ball-bar-1500-b.toml")]

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from agent.case import CASE_STUDY, load_case
+from agent.figures.study_style import picture
 from agent.files import check_folder
+from agent.planning.case_file import CASE_STUDY, load_case
 from agent.studies import STUDIES, monte_carlo
-from agent.studies.figure import picture
 from agent.studies.study import StudyCase, StudyResult, run_study
+from agent.studies.study_files import document, format_rows, write_result
 from agent.studies.workers import LocalWorkers
-from agent.studies.writing import document, format_rows, write_result
 from drivers.errors import InputError
+from twin.artefact.position_set import positions_of
 from twin.errors import TwinError
 from twin.identification import Options
-from twin.position_set import positions_of
 
 SUFFIXES = {"png", "svg", "csv", "json"}
 

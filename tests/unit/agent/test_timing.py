@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from agent.case import CASE_STUDY
 from agent.cli.main import main
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
-from agent.job import Job, prepare_job
-from agent.plans.measure import MeasuringOrder, measure_positions
-from agent.rehearsal import rehearse, whole_procedure
-from agent.settings_file import load_settings, with_overrides
-from agent.time_model import TimeModel
-from agent.timing import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walked
+from agent.planning.case_file import CASE_STUDY
+from agent.planning.cycle_time import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walked
+from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import rehearse, whole_procedure
+from agent.planning.time_model import TimeModel
+from agent.probing.run_plan import MeasuringOrder, measure_positions
+from agent.settings.load import load_settings, with_overrides
 from drivers.errors import Aborted
 from drivers.roles import OperatorRequest, OperatorTask
-from twin.motion import straight
-from twin.position_set import Position
+from twin.artefact.position_set import Position
+from twin.collision.motion_law import straight
 
 MODEL = TimeModel(
     rapid_mm_per_s=(100.0, 50.0, 100.0),

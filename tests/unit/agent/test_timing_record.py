@@ -10,17 +10,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from agent.case import CASE_STUDY
 from agent.cli.main import main
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
 from agent.execution.journal_reading import JournaledStep, read_run
-from agent.ideal_machine import IdealMachine
-from agent.job import Job, prepare_job
-from agent.plans.measure import MeasuringOrder, measure_positions
-from agent.settings_file import load_settings
-from agent.time_model import TimeModel, time_model
-from agent.timing_record import (
+from agent.planning.case_file import CASE_STUDY
+from agent.planning.ideal_machine import IdealMachine
+from agent.planning.job import Job, prepare_job
+from agent.planning.latency_fit import (
     CARRY,
     MOVE,
     TOUCH,
@@ -31,6 +28,9 @@ from agent.timing_record import (
     refit,
     suggested_settings,
 )
+from agent.planning.time_model import TimeModel, time_model
+from agent.probing.run_plan import MeasuringOrder, measure_positions
+from agent.settings.load import load_settings
 from drivers.clock import VirtualClock
 from drivers.errors import InputError
 from drivers.roles import OperatorTask

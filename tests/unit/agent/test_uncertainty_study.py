@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.case import CASE_STUDY, load_case
+from agent.planning.case_file import CASE_STUDY, load_case
 from agent.studies.study import StudyCase, StudyResult
+from agent.studies.study_files import write_result
 from agent.studies.uncertainty import COLUMNS, TOGETHER, day, each_alone, richer_family, run
 from agent.studies.workers import LocalWorkers
-from agent.studies.writing import write_result
-from twin.error_budget import INFLUENCES
 from twin.identification import Options
+from twin.uncertainty.error_budget import INFLUENCES
 
 MACHINES = 40
 

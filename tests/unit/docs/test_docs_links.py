@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([ROOT / "README.md", ROOT / "systemd" / "README.md", *(ROOT / "docs").rglob("*.md")])
-ROOTED = re.compile(r"^(agent|benchmarks|config|docs|drivers|simulators|systemd|tests|twin)/[\w./-]*$")
+ROOTED = re.compile(r"^(agent|benchmarks|campaigns|config|docs|drivers|simulators|systemd|tests|twin)/[\w./-]*$")
 
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -73,6 +73,8 @@ def test_every_image_is_shown_somewhere() -> None:
 
 def test_the_checks_see_what_is_wrong(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("# One thing\n[a](nowhere.md) [b](#one-thing) [c](#another) `agent/nothing.py` `agent/run.py`\n")
+    page.write_text(
+        "# One thing\n[a](nowhere.md) [b](#one-thing) [c](#another) `agent/nothing.py` `agent/runs/calibration.py`\n"
+    )
     assert list(dead_links(page)) == ["nowhere.md", "#another"]
     assert list(missing_paths(page)) == ["agent/nothing.py"]

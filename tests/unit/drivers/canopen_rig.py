@@ -18,10 +18,10 @@ from drivers.canopen_mount.settings import CanopenMountSettings
 from drivers.clock import VirtualClock
 from drivers.links.can_bus import CanNetworks
 from drivers.registry import DeviceContext
-from simulators.wire.can_drive import DriveConfig, ServoDrive, drive_node
-from simulators.wire.can_node import CanopenNode
-from simulators.wire.can_parameters import FactorGroup
-from simulators.wire.can_server import CanServer
+from simulators.wire.can.drive import DriveConfig, ServoDrive, drive_node
+from simulators.wire.can.node import CanopenNode
+from simulators.wire.can.parameters import FactorGroup
+from simulators.wire.can.server import CanServer
 
 COUNTS_PER_DEGREE = 10_000 * 36 / 360
 """10000 counts per motor turn, 36 motor turns per turn of the mount: 1000 counts per degree."""
@@ -142,7 +142,7 @@ def rig(
     mount = CanopenMount(stated, DeviceContext("mount", clock, Path()), networks)
     with (
         patch("drivers.links.can_bus.RECEIVE_CYCLE_S", CYCLE_S),
-        patch("simulators.wire.can_server.RECEIVE_CYCLE_S", CYCLE_S),
+        patch("simulators.wire.can.server.RECEIVE_CYCLE_S", CYCLE_S),
         server,
         sniffer,
     ):

@@ -17,8 +17,8 @@ from drivers.registry import DeviceContext
 from drivers.serial_cnc.device import SerialCnc
 from drivers.serial_cnc.plugin import PLUGIN
 from simulators.scenario import Scenario, read_scenario
-from simulators.wire.grbl_port import GrblPort
-from simulators.wire.grbl_settings import GrblSettings
+from simulators.wire.grbl.port import GrblPort
+from simulators.wire.grbl.settings import GrblSettings
 from simulators.wire.shared_world import SharedWorld
 from simulators.world.world import World
 

@@ -17,7 +17,7 @@ from drivers.errors import CommandRejected, DeadlineExpired, DeviceError, LinkLo
 from drivers.links.can_bus import CanNetworks
 from drivers.registry import DeviceContext, check_options
 from drivers.roles import Orientation
-from simulators.wire.can_drive import State
+from simulators.wire.can.drive import State
 
 QUICK_STOPS = tuple((0x600 + node, bytes.fromhex("2B 40 60 00 02 00 00 00")) for node in (5, 6))
 HOMING = {"homing": {"method": 1, "search_speed_deg_per_s": 5.0}}

@@ -23,7 +23,7 @@ from drivers.errors import (
 )
 from drivers.registry import DeviceContext
 from drivers.roles import Orientation, RotaryMount
-from simulators.wire.can_drive import State
+from simulators.wire.can.drive import State
 
 
 def at(clock: VirtualClock, instant_s: float, action: object) -> None:

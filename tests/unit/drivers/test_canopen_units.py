@@ -21,9 +21,9 @@ from drivers.errors import ConfigurationError
 from drivers.links.can_bus import CanNetworks
 from drivers.registry import DeviceContext
 from drivers.roles import Orientation
-from simulators.wire.can_drive import DriveConfig, drive_node
-from simulators.wire.can_parameters import FEED, GEAR, POLARITY, RESOLUTION, FactorGroup, Parameters
-from simulators.wire.can_server import CanServer
+from simulators.wire.can.drive import DriveConfig, drive_node
+from simulators.wire.can.parameters import FEED, GEAR, POLARITY, RESOLUTION, FactorGroup, Parameters
+from simulators.wire.can.server import CanServer
 
 IN_THOUSANDTHS = {"position": "feed", "feed_per_revolution": 360_000}
 """The gear is in the drive, and a unit is a thousandth of a degree of the mount."""

@@ -23,7 +23,7 @@ from drivers.roles import (
     Touch,
 )
 from simulators.backend import SimulatedMachineDevice
-from twin.position_set import mount_pose, positions_of
+from twin.artefact.position_set import mount_pose, positions_of
 
 ROOT_HALF = math.sqrt(0.5)
 DIRECTIONS = np.array([[0.0, 1.0, 0.0]] + [[a * ROOT_HALF, 0.0, b * ROOT_HALF] for a in (-1, 1) for b in (-1, 1)])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.scenario import AxisBehaviour
-from simulators.world.play import Play
+from simulators.world.lost_motion import Play
 
 NO_GROWTH = (0.0, 0.0, 0.0)
 

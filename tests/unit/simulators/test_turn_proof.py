@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from worlds import ideal_world
 
-from simulators.world.turn_proof import surely_passes
-from simulators.world.turning import first_turn_crash
+from simulators.world.turn_clearance import surely_passes
+from simulators.world.turn_collisions import first_turn_crash
 from simulators.world.world import World
-from twin.geometry import Point, added, point
+from twin.collision.geometry import Point, added, point
 
 TURNS = [((0.0, 0.0), (90.0, 45.0)), ((-60.0, 30.0), (45.0, -45.0)), ((120.0, -80.0), (-150.0, 60.0))]
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from worlds import TOOL, World, case_study
 
 from simulators.temperatures import TemperatureSettings
-from simulators.world.thermal import Thermal, bowed
-from simulators.world.warming import Warming, answered
+from simulators.world.thermal_effects import Thermal, bowed
+from simulators.world.thermal_state import Warming, answered
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 

@@ -14,7 +14,7 @@ import pytest
 
 from agent.cli.errors import VolcalGroup
 from agent.cli.main import main
-from agent.cli.start import DECLINED
+from agent.cli.service_commands.start import DECLINED
 
 ROOT = Path(__file__).resolve().parents[3]
 UNITS = ROOT / "systemd"

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from twin.access import STYLUS_AXIS, accessible, standing_scene
-from twin.artefact import ball_bar
-from twin.bodies import TIP, Body, ProbeGeometry, ball_name
-from twin.collision import Scene
-from twin.geometry import Capsule, point, sphere
-from twin.position_set import MountGeometry, positions_of
-from twin.touch_pattern import QUALIFYING_RINGS, RINGS, approach_directions, directions_of
+from twin.artefact.artefact import ball_bar
+from twin.artefact.position_set import MountGeometry, positions_of
+from twin.artefact.touch_pattern import QUALIFYING_RINGS, RINGS, approach_directions, directions_of
+from twin.collision.accessibility import STYLUS_AXIS, accessible, standing_scene
+from twin.collision.bodies import TIP, Body, ProbeGeometry, ball_name
+from twin.collision.collision import Scene
+from twin.collision.geometry import Capsule, point, sphere
 
 PLACE = np.array([2000.0, 1000.0, 750.0])
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,

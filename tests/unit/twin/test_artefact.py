@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from twin.artefact import Artefact, ball_bar
+from twin.artefact.artefact import Artefact, ball_bar
 from twin.errors import DataError
 
 # 11 balls, 1500 mm, 40 mm holders tilted by 15°: offset 40 * 0.2588190451 = 10.352761804 mm, by hand.

@@ -4,10 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin.artefact.position_set import Position
 from twin.errors import DataError, FormatError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.position_set_file import format_positions, parse_positions
-from twin.position_set import Position
 
 SHIPPED = Path(__file__).parents[3] / "config" / "artefacts" / "ball-bar-1500.toml"
 TEXT = """

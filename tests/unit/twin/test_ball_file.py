@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from measured_set import TOOL, bar, measured
 
+from twin.artefact.position_set import Position, positions_of
 from twin.errors import FormatError
 from twin.formats.ball_file import format_balls, parse_balls
-from twin.position_set import Position, positions_of
 
 TOOLS = {"probe": (0.0, 250.0, 0.0), "long": (0.0, 400.0, 0.0)}
 HEADER = "position,station,azimuth_deg,elevation_deg,tool,ball,x_mm,y_mm,z_mm,sigma_um,temperature_c"

@@ -1,7 +1,7 @@
 import pytest
 
-from twin.chain import Chain, parse_chain
 from twin.errors import ModelError
+from twin.machine.kinematic_chain import Chain, parse_chain
 
 
 def test_reads_the_case_study():

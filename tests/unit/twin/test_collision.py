@@ -3,13 +3,13 @@ import math
 import numpy as np
 import pytest
 
-from twin.access import accessible, standing_scene
-from twin.artefact import ball_bar
-from twin.bodies import Body, ProbeGeometry
-from twin.collision import Scene
+from twin.artefact.artefact import ball_bar
+from twin.artefact.position_set import MountGeometry
+from twin.collision.accessibility import accessible, standing_scene
+from twin.collision.bodies import Body, ProbeGeometry
+from twin.collision.collision import Scene
+from twin.collision.geometry import Box, sphere
 from twin.errors import DataError
-from twin.geometry import Box, sphere
-from twin.position_set import MountGeometry
 
 PLACE = np.array([2000.0, 1000.0, 750.0])
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,

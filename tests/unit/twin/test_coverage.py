@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from twin.coverage import joint_level, share_held, two_sided
+from twin.uncertainty.coverage import joint_level, share_held, two_sided
 
 
 def test_levels_are_those_of_the_normal_distribution() -> None:

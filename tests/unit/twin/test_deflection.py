@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from twin.deflection import CASE_STUDY_NODES, CantileverStructure, DeflectionGrid, cantilever_deflection
 from twin.errors import DataError, ModelError
+from twin.machine.deflection import CASE_STUDY_NODES, CantileverStructure, DeflectionGrid, cantilever_deflection
 
 
 def trilinear_grid():

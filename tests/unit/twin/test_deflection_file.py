@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.deflection import CASE_STUDY_NODES, cantilever_deflection
 from twin.errors import FormatError
 from twin.formats.deflection_file import format_deflection, parse_deflection
+from twin.machine.deflection import CASE_STUDY_NODES, cantilever_deflection
 
 SHIPPED = Path(__file__).parents[3] / "config" / "machines" / "case-study-deflection.csv"
 HEADER = "x_mm,y_mm,z_mm,ux_um,uy_um,uz_um"

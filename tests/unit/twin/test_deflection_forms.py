@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from measured_set import RANGES, case_study
 
-from twin import deflection_forms
-from twin.deflection import DeflectionGrid
 from twin.identification.misfit import misfit_modes
-from twin.machine_model import deviation_basis
-from twin.rigid_motion import rigid_fields
-from twin.volumetric import evaluation_grid, rms
+from twin.machine import deflection_forms
+from twin.machine.deflection import DeflectionGrid
+from twin.machine.forward_model import deviation_basis
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.volumetric import evaluation_grid, rms
 
 FORMS = [deflection_forms.portal, deflection_forms.rails, deflection_forms.thermal, deflection_forms.smooth]
 POINTS = evaluation_grid(RANGES, (16, 9, 9))

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twin.artefact.position_set import Position
 from twin.design.candidates import Candidates, orientation_grid
 from twin.design.criterion import Criterion
 from twin.design.goals import Positions, Slot, Target
 from twin.design.held_out import most_telling
-from twin.design.knowledge import Knowledge
-from twin.design.prices import Prices
+from twin.design.information import Knowledge
+from twin.design.measuring_cost import Prices
 from twin.design.search import Search, Selection
 from twin.errors import DataError
-from twin.position_set import Position
 
 
 def made_up(seed: int, count: int = 9, rank: int = 2, size: int = 6) -> Candidates:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from measured_set import RANGES, TOOL, bar, case_study, measured
 
-from twin.course import machine_course, smoothed
+from twin.artefact.observations import Observations
+from twin.artefact.thermal_regressors import machine_course, smoothed
 from twin.errors import DataError
 from twin.identification import DriftPrior, Options, identify
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.observations import Observations
-from twin.volumetric import evaluation_grid
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.volumetric import evaluation_grid
 
 MODEL, FAMILY = case_study(3)
 BAR = bar()

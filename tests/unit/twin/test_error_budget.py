@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from measured_set import RANGES, TOOL, bar, case_study, measured
 
-from twin.artefact import Artefact
-from twin.deflection import CASE_STUDY_NODES, cantilever_deflection
-from twin.error_budget import INFLUENCES, ErrorBudget, budget_of, error_budget
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.errors import DataError, ModelError
-from twin.family import Family
-from twin.field_form import FieldForm
 from twin.identification import identify
 from twin.identification.options import Options
-from twin.machine_model import exact_deviation
-from twin.motion_uncertainty import motion_uncertainty
-from twin.observations import Observations
-from twin.reality import Reality
-from twin.volumetric import evaluation_grid
+from twin.machine.deflection import CASE_STUDY_NODES, cantilever_deflection
+from twin.machine.forward_model import exact_deviation
+from twin.machine.machine_population import Family
+from twin.machine.motion_uncertainty import motion_uncertainty
+from twin.machine.volumetric import evaluation_grid
+from twin.uncertainty.error_budget import INFLUENCES, ErrorBudget, budget_of, error_budget
+from twin.uncertainty.residual_field_form import FieldForm
+from twin.uncertainty.truth_assumptions import Reality
 
 GRID = evaluation_grid(RANGES, (7, 5, 5))
 DEFLECTION = cantilever_deflection(*CASE_STUDY_NODES)

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from numpy.polynomial import legendre
 
-from twin.chain import parse_chain
-from twin.error_model import CROSS_TERMS, ErrorModel
 from twin.errors import ModelError
-from twin.legendre import as_power_series, legendre_values, normalised
+from twin.machine.error_model import CROSS_TERMS, ErrorModel
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.legendre import as_power_series, legendre_values, normalised
 
 CHAIN = parse_chain("tool-Y-Z-X-bed-workpiece")
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))

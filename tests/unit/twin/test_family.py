@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from twin.chain import parse_chain
-from twin.error_model import ErrorModel
 from twin.errors import ModelError
-from twin.family import Family, family_from_amplitudes
+from twin.machine.error_model import ErrorModel
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import Family, family_from_amplitudes
 
 MODEL = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), ((0.0, 1.0),) * 3, 4)
 

@@ -8,11 +8,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from twin.compensation.gcode.correction import correct_program
+from twin.compensation.gcode.correction_summary import Counts
+from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
+from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError, FormatError
-from twin.gcode.correction import correct_program
-from twin.gcode.counts import Counts
-from twin.gcode.setup import CorrectionOptions, PartSetup
-from twin.table import Anchor, CompensationTable
 
 SETUP = PartSetup(
     work_offsets={"G54": (100.0, 100.0, 100.0), "G55": (0.0, 0.0, 0.0)},

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from twin.grid_sums import GridSums
+from twin.machine.grid_quadrature import GridSums
 
 RNG = np.random.default_rng(2)
 LINES = (np.linspace(-200.0, 4000.0, 40), np.sort(RNG.uniform(0.0, 900.0, 15)), np.linspace(10.0, 20.0, 4))

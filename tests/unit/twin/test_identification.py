@@ -10,11 +10,11 @@ from measured_set import RANGES, TOOL, bar, case_study, measured
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from twin.artefact.observations import Observations
 from twin.errors import DataError, SingularSet
 from twin.identification import Options, field_uncertainty, identify, predicted_vce
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.observations import Observations
-from twin.volumetric import align_rigidly, evaluation_grid, rms, volumetric_error
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.volumetric import align_rigidly, evaluation_grid, rms, volumetric_error
 
 GRID = evaluation_grid(RANGES, (14, 8, 8))
 PLAIN = Options(estimate_scales=False, outliers="none", misfit_mm=0.0)

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from measured_set import TOOL, bar, case_study, measured
 
-from twin.artefact import Artefact
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.identification import CarriedOver, Estimate, Options, Scales, identify, process_noise
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.observations import Observations
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 MODEL, FAMILY = case_study(3)
 SIGMA = FAMILY.prior_standard_deviation

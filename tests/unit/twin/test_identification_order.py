@@ -10,15 +10,15 @@ from measured_set import AMPLITUDES, TOOL, bar, case_study, measured
 from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
+from twin.artefact.observations import Observations
 from twin.errors import DataError
-from twin.family import Family, family_from_amplitudes
 from twin.identification import Options, identify, identify_by_evidence
 from twin.identification.evidence import SCALE_PRIORS
 from twin.identification.misfit import misfit_modes
 from twin.identification.problem import build_problem
 from twin.identification.solution import evidence_of
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.observations import Observations
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.machine_population import Family, family_from_amplitudes
 
 ARTEFACT = bar(7, sigma_mm=0.8e-3)
 

@@ -8,14 +8,14 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from twin.artefact import Artefact, ball_bar
-from twin.bodies import ProbeGeometry
+from twin.artefact.artefact import Artefact, ball_bar
+from twin.artefact.combined_artefact import joined
+from twin.artefact.position_set import MountGeometry, Position
+from twin.collision.bodies import ProbeGeometry
+from twin.collision.measuring_layout import Layout
+from twin.collision.neighbour_stations import neighbours
+from twin.design.procedure import Procedure
 from twin.errors import DataError
-from twin.joined_artefact import joined
-from twin.layout import Layout
-from twin.neighbours import neighbours
-from twin.position_set import MountGeometry, Position
-from twin.procedure import Procedure
 
 BAR = ball_bar(
     "bar", balls=5, length_mm=600.0, tilt_rad=0.2, holder_length_mm=60.0, ball_diameter_mm=25.0,

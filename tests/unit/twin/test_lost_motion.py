@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from twin.artefact.reversal import lost_motion, oblique_touches
 from twin.errors import DataError
-from twin.reversal import lost_motion, oblique_touches
 
 ALONG_Y = np.array([0.0, 1.0, 0.0])
 

@@ -5,8 +5,8 @@ import pytest
 
 from twin.errors import FormatError
 from twin.formats.machine_file import parse_machine
-from twin.machine_model import deviation_basis
-from twin.volumetric import QuadraticForm, evaluation_grid, rms, volumetric_error
+from twin.machine.forward_model import deviation_basis
+from twin.machine.volumetric import QuadraticForm, evaluation_grid, rms, volumetric_error
 
 FILE = Path(__file__).parents[3] / "config" / "machines" / "case-study.toml"
 TEXT = FILE.read_text(encoding="utf-8")

@@ -4,10 +4,10 @@ import numpy as np
 import plain_machine
 import pytest
 
-from twin.chain import parse_chain
-from twin.error_model import CROSS_TERMS, ErrorModel
 from twin.errors import DataError
-from twin.machine_model import deviation_basis, exact_deviation, linear_deviation
+from twin.machine.error_model import CROSS_TERMS, ErrorModel
+from twin.machine.forward_model import deviation_basis, exact_deviation, linear_deviation
+from twin.machine.kinematic_chain import parse_chain
 
 CASE_STUDY = "tool-Y-Z-X-bed-workpiece"
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))

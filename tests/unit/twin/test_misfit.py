@@ -7,9 +7,9 @@ import pytest
 from measured_set import RANGES, TOOL, case_study
 
 from twin.identification.misfit import misfit_modes
-from twin.legendre import legendre_values, normalised
-from twin.machine_model import deviation_basis
-from twin.volumetric import align_rigidly, evaluation_grid, rms
+from twin.machine.forward_model import deviation_basis
+from twin.machine.legendre import legendre_values, normalised
+from twin.machine.volumetric import align_rigidly, evaluation_grid, rms
 
 CELLS = (30, 14, 14)
 

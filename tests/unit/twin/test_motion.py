@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.motion import MotionLaw, Phase, straight, trapezoid, travel_s
+from twin.collision.motion_law import MotionLaw, Phase, straight, trapezoid, travel_s
 
 
 def test_a_long_move_ramps_cruises_and_ramps() -> None:

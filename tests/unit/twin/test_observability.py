@@ -9,9 +9,9 @@ import pytest
 from measured_set import RANGES, TOOL, bar, case_study, measured
 
 from twin.identification import Options, identify
-from twin.machine_model import deviation_basis
-from twin.observability import field_observability, summary
-from twin.volumetric import align_rigidly, evaluation_grid
+from twin.identification.observability import field_observability, summary
+from twin.machine.forward_model import deviation_basis
+from twin.machine.volumetric import align_rigidly, evaluation_grid
 
 ALL_CROSS = ("b0", "b1", "b2", "c0", "c1")
 MODEL, FAMILY = case_study(4, ALL_CROSS)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from twin.artefact.observations import Observations
 from twin.errors import DataError
-from twin.observations import Observations
 
 
 def values(n: int = 4) -> dict[str, Any]:

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.access import standing_scene
-from twin.artefact import ball_bar
-from twin.bodies import Body, ProbeGeometry
-from twin.collision import Scene
-from twin.geometry import Box, Point, point, separation, sphere
-from twin.motion import straight, travel_s, travel_times
-from twin.paths import Apart, Candidates, Dynamics, Surroundings, Way, direct, fastest, retracted
-from twin.position_set import MountGeometry
+from twin.artefact.artefact import ball_bar
+from twin.artefact.position_set import MountGeometry
+from twin.collision.accessibility import standing_scene
+from twin.collision.bodies import Body, ProbeGeometry
+from twin.collision.collision import Scene
+from twin.collision.free_paths import Apart, Candidates, Dynamics, Surroundings, Way, direct, fastest, retracted
+from twin.collision.geometry import Box, Point, point, separation, sphere
+from twin.collision.motion_law import straight, travel_s, travel_times
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
+from twin.artefact.position_set import MountGeometry, Position, mount_pose, positions_of, reachable, station_places
 from twin.errors import DataError, TwinError
-from twin.position_set import MountGeometry, Position, mount_pose, positions_of, reachable, station_places
 
 PLACE = np.array([1000.0, 1000.0, 750.0])
 ROOT_HALF = 0.7071067811865476

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from twin.artefact.pretravel import PretravelMap, direction_at, fit_pretravel
+from twin.artefact.sphere_fit import fit_sphere
+from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, directions_of
 from twin.errors import DataError
-from twin.pretravel import PretravelMap, direction_at, fit_pretravel
-from twin.sphere import fit_sphere
-from twin.touch_pattern import QUALIFYING_RINGS, approach_directions, directions_of
 
 AXIS = np.array([0.0, 1.0, 0.0])
 DENSE = directions_of(QUALIFYING_RINGS, AXIS)

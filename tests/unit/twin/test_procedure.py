@@ -8,14 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from twin.artefact import ball_bar
-from twin.bodies import ProbeGeometry
+from twin.artefact.artefact import ball_bar
+from twin.artefact.position_set import MountGeometry, Position
+from twin.artefact.touch_pattern import approach_directions, centre_covariance
+from twin.collision.bodies import ProbeGeometry
+from twin.collision.measuring_layout import Layout
+from twin.design.procedure import Procedure
 from twin.errors import DataError
 from twin.formats.position_set_file import format_positions, parse_positions
-from twin.layout import Layout
-from twin.position_set import MountGeometry, Position
-from twin.procedure import Procedure
-from twin.touch_pattern import approach_directions, centre_covariance
 
 BAR = ball_bar("bar", balls=5, length_mm=1000.0, tilt_rad=0.0, holder_length_mm=60.0, ball_diameter_mm=25.0)
 LAYOUT = Layout(

@@ -13,10 +13,10 @@ from scipy import stats
 
 from twin.errors import DataError
 from twin.identification import Estimate, Options, identify, predicted_vce
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.quadratic_distribution import QuadraticDistribution, covariance_factor
-from twin.vce_distribution import volumetric_distributions
-from twin.volumetric import evaluation_grid
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.volumetric import evaluation_grid
+from twin.uncertainty.quadratic_distribution import QuadraticDistribution, covariance_factor
+from twin.uncertainty.volumetric_distribution import volumetric_distributions
 
 PROBABILITIES = (1e-4, 0.025, 0.3, 0.5, 0.8, 0.975, 1.0 - 1e-4)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from twin.artefact.repeatability import scatter_of
 from twin.errors import DataError
-from twin.scatter import scatter_of
 
 
 def test_interval_is_that_of_the_chi_squared_distribution() -> None:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from measured_set import RANGES, TOOL, bar, case_study, measured
 
+from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify
-from twin.machine_model import exact_deviation
-from twin.observability import field_observability
-from twin.table import Anchor, build_table, regular_nodes
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.identification.observability import field_observability
+from twin.machine.forward_model import exact_deviation
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 LONGER, LATERAL = np.array([0.0, 450.0, 0.0]), np.array([0.0, 250.0, -400.0])
 TOOLS = {"straight": TOOL, "longer": LONGER, "lateral": LATERAL}

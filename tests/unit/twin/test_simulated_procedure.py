@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from plain_machine import deviations
 
-from twin.artefact import Artefact, ball_bar
-from twin.bodies import ProbeGeometry
-from twin.chain import parse_chain
-from twin.deflection import DeflectionGrid, cantilever_deflection
-from twin.error_model import ErrorModel
+from twin.artefact.artefact import Artefact, ball_bar
+from twin.artefact.position_set import MountGeometry, Position, mount_pose
+from twin.collision.bodies import ProbeGeometry
+from twin.collision.measuring_layout import Layout
+from twin.design.procedure import Planned, Procedure
 from twin.errors import ModelError
-from twin.family import family_from_amplitudes
-from twin.field_form import FieldForm
 from twin.identification import Options, identify
-from twin.layout import Layout
-from twin.machine_model import exact_deviation
-from twin.position_set import MountGeometry, Position, mount_pose
-from twin.procedure import Planned, Procedure
-from twin.reality import Reality
-from twin.simulated_procedure import (
+from twin.machine.deflection import DeflectionGrid, cantilever_deflection
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.true_machine import TrueMachine
+from twin.machine.volumetric import align_rigidly, evaluation_grid
+from twin.uncertainty.monte_carlo import (
     course_share,
     draw_truth,
     errors_before,
@@ -31,8 +31,8 @@ from twin.simulated_procedure import (
     simulated_observations,
     true_vce,
 )
-from twin.true_machine import TrueMachine
-from twin.volumetric import align_rigidly, evaluation_grid
+from twin.uncertainty.residual_field_form import FieldForm
+from twin.uncertainty.truth_assumptions import Reality
 
 CHAINS = ("tool-Y-Z-X-bed-workpiece", "tool-Z-bed-Y-X-workpiece")
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from twin.artefact.sphere_fit import fit_sphere
 from twin.errors import DataError
-from twin.sphere import fit_sphere
 
 CENTRE = np.array([1234.5, -876.25, 310.125])
 POLE_AND_RING = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], dtype=float)

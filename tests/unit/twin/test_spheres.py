@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from twin.bodies import Body
-from twin.collision import Scene
-from twin.geometry import Capsule, Point, sphere
-from twin.spheres import Spheres, SpheresApart
+from twin.collision.bodies import Body
+from twin.collision.collision import Scene
+from twin.collision.geometry import Capsule, Point, sphere
+from twin.collision.sphere_prefilter import Spheres, SpheresApart
 
 TIP = Body("tip", sphere((0.0, 0.0, 0.0), 3.0))
 coordinate = st.floats(-60.0, 60.0)

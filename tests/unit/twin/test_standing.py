@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from twin.standing import Standing
+from twin.artefact.mount_pose_estimate import Standing
 
 LINE = np.column_stack([np.linspace(-700.0, 700.0, 5), np.zeros(5), np.zeros(5)])
 CROSS = np.column_stack([np.zeros(5), np.zeros(5), np.linspace(-700.0, 700.0, 5)])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from measured_set import TOOL, bar, case_study, measured
 
-from twin.acting_error import ActingError, acting_covariance, unwritten
+from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options, identify, predicted_vce
 from twin.identification.problem import build_problem
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.observations import Observations
-from twin.step_change import ERRORS, innovation
-from twin.telling_apart import Questions
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.volumetric import evaluation_grid, volumetric_error
+from twin.monitoring.discriminating_positions import Questions
+from twin.monitoring.residual_with_active_table import ActingError, acting_covariance, unwritten
+from twin.monitoring.step_detection import ERRORS, innovation
 
 MODEL, FAMILY = case_study(3)
 SIGMA = FAMILY.prior_standard_deviation

@@ -7,10 +7,10 @@ import pytest
 from measured_set import RANGES, TOOL, case_study
 from scipy.interpolate import RegularGridInterpolator
 
+from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
 from twin.errors import DataError, ModelError
-from twin.machine_model import exact_deviation
-from twin.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
-from twin.volumetric import align_rigidly, evaluation_grid, rms, volumetric_error
+from twin.machine.forward_model import exact_deviation
+from twin.machine.volumetric import align_rigidly, evaluation_grid, rms, volumetric_error
 
 MODEL, FAMILY = case_study(5)
 E = FAMILY.draw(np.random.default_rng(31), 1)[0]

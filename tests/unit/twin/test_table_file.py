@@ -8,9 +8,9 @@ import zlib
 import numpy as np
 import pytest
 
+from twin.compensation.table import Anchor, CompensationTable
+from twin.compensation.table_file import checksum, format_side_file, format_table, parse_table
 from twin.errors import FormatError
-from twin.formats.table_file import checksum, format_side_file, format_table, parse_table
-from twin.table import Anchor, CompensationTable
 
 TWO = np.array([0.0, 100.0])
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.errors import DataError
-from twin.sphere import fit_sphere
-from twin.touch_pattern import (
+from twin.artefact.sphere_fit import fit_sphere
+from twin.artefact.touch_pattern import (
     QUALIFYING_RINGS,
     RINGS,
     approach_directions,
@@ -17,6 +16,7 @@ from twin.touch_pattern import (
     known_radius_covariance,
     redundancies,
 )
+from twin.errors import DataError
 
 AXIS = np.array([0.0, 1.0, 0.0])
 PATTERNS = [approach_directions(count, AXIS) for count in RINGS] + [directions_of(QUALIFYING_RINGS, AXIS)]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.tours import MOST_EXACT, shortest_tour
+from twin.collision.travelling_salesman import MOST_EXACT, shortest_tour
 
 
 def costs(count: int, seed: int) -> np.ndarray:

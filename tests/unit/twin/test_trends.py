@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from twin.errors import DataError
-from twin.trends import crossing, ewma, find_steps, fit_drift, individuals
-from twin.trends.control_chart import EWMA_WEIGHT, EWMA_WIDTH
+from twin.monitoring import crossing, ewma, find_steps, fit_drift, individuals
+from twin.monitoring.control_chart import EWMA_WEIGHT, EWMA_WIDTH
 
 
 class TestControlCharts:

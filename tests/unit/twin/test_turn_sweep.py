@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from twin.access import standing_scene
-from twin.artefact import ball_bar
-from twin.bodies import ProbeGeometry, mount_bodies
-from twin.geometry import Shape, point
-from twin.position_set import MountGeometry, mount_pose
-from twin.turn_sweep import TurnSweep, _least_around, cover_of, turn_sweep
+from twin.artefact.artefact import ball_bar
+from twin.artefact.position_set import MountGeometry, mount_pose
+from twin.collision.accessibility import standing_scene
+from twin.collision.bodies import ProbeGeometry, mount_bodies
+from twin.collision.geometry import Shape, point
+from twin.collision.swept_volume import TurnSweep, _least_around, cover_of, turn_sweep
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip

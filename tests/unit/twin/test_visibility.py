@@ -10,20 +10,20 @@ import plain_machine
 import pytest
 from measured_set import RANGES, TOOL, bar, case_study
 
-from twin.bodies import ProbeGeometry
-from twin.error_model import ErrorModel
+from twin.artefact.position_set import MountGeometry, Position, positions_of, station_places
+from twin.collision.bodies import ProbeGeometry
+from twin.collision.measuring_layout import Layout
+from twin.design.identifiability import Viewpoint, Visibility, visibility
+from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
+from twin.design.procedure import Procedure
+from twin.design.setup_advice import effect, proposal
+from twin.design.setup_trials import Gain, gains, other_tools, viewpoints
 from twin.identification import Estimate, identify
-from twin.layout import Layout
-from twin.linear_field import linear_deviation
-from twin.machine_model import exact_deviation
-from twin.observability import field_observability
-from twin.position_set import MountGeometry, Position, positions_of, station_places
-from twin.procedure import Procedure
-from twin.set_up import AS_STATED, SetUp, layout_for
-from twin.visibility import Viewpoint, Visibility, visibility
-from twin.visibility_trials import Gain, gains, other_tools, viewpoints
-from twin.visibility_wording import effect, proposal
-from twin.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms
+from twin.identification.observability import field_observability
+from twin.machine.deviation_basis import linear_deviation
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.volumetric import QuadraticForm, align_rigidly, evaluation_grid, rms
 
 CHAIN = "tool-Y-Z-X-bed-workpiece"
 LONGER, LATERAL = np.array([0.0, 450.0, 0.0]), np.array([0.0, 250.0, -300.0])

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from twin.chain import parse_chain
-from twin.deflection import CASE_STUDY_NODES, cantilever_deflection
-from twin.error_model import ErrorModel
 from twin.errors import DataError, ModelError
-from twin.family import family_from_amplitudes
-from twin.machine_model import linear_deviation
-from twin.volumetric import (
+from twin.machine.deflection import CASE_STUDY_NODES, cantilever_deflection
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import linear_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.volumetric import (
     QuadraticForm,
     align_rigidly,
     covering_grid,

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from agent.files import load_machine
-from twin.chain import parse_chain
-from twin.controllers.export import Identified, Source
-from twin.error_model import ErrorModel
-from twin.family import family_from_amplitudes
-from twin.machine_model import deviation_basis, exact_deviation
-from twin.table import Anchor, build_table, regular_nodes
-from twin.true_machine import TrueMachine, draw_machine
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.compensation.controllers.export_format import Identified, Source
+from twin.compensation.table import Anchor, build_table, regular_nodes
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import deviation_basis, exact_deviation
+from twin.machine.kinematic_chain import parse_chain
+from twin.machine.machine_population import family_from_amplitudes
+from twin.machine.true_machine import TrueMachine, draw_machine
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 CASE_STUDY = load_machine(Path(__file__).parents[4] / "config" / "machines" / "case-study.toml")
 RANGES = CASE_STUDY.model.ranges_mm

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from estimated_machine import TOOL, known, machine_with, source_of
 
-from twin.controllers.export import Choices, Identified, Source
-from twin.controllers.grids import require_small, resampled
-from twin.controllers.loss import require_same_machine
-from twin.controllers.registry import WRITERS
+from twin.compensation.controllers.export_format import Choices, Identified, Source
+from twin.compensation.controllers.grids import require_small, resampled
+from twin.compensation.controllers.loss import require_same_machine
+from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.table import CompensationTable
 from twin.errors import DataError
-from twin.table import CompensationTable
 
 EVEN = ("siemens-lec", "siemens-cec", "heidenhain-com", "fanuc-pitch", "fanuc-3d")
 

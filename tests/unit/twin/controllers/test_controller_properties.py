@@ -9,11 +9,11 @@ from estimated_machine import source_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.chain import parse_chain
-from twin.controllers.export import Choices, Exported, Source
-from twin.controllers.registry import WRITERS
-from twin.error_model import ErrorModel
-from twin.table import Anchor, CompensationTable
+from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.table import Anchor, CompensationTable
+from twin.machine.error_model import ErrorModel
+from twin.machine.kinematic_chain import parse_chain
 
 CHAINS = (
     "tool-Y-Z-X-bed-workpiece",

@@ -10,12 +10,12 @@ from estimated_machine import RANGES, TOOL, known, left_of_estimate_um, machine_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.controllers.export import Choices, Source
-from twin.controllers.loss import loss
-from twin.controllers.reduction import cross_axis, own_axis, sum_of_profiles, summed, terms
-from twin.controllers.registry import WRITERS
-from twin.table import Anchor, CompensationTable
-from twin.volumetric import evaluation_grid, volumetric_error
+from twin.compensation.controllers.export_format import Choices, Source
+from twin.compensation.controllers.loss import loss
+from twin.compensation.controllers.reduction import cross_axis, own_axis, sum_of_profiles, summed, terms
+from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.table import Anchor, CompensationTable
+from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 ORIGIN = np.zeros(3)
 

@@ -11,10 +11,10 @@ import pytest
 from controller_rules import RULES
 from estimated_machine import GRID, known, left_of_estimate_um, left_um, moving_table, truth
 
-from twin.controllers.export import Choices, Exported, Source
-from twin.controllers.grids import resampled
-from twin.controllers.loss import telling_point
-from twin.controllers.registry import WRITERS
+from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.controllers.grids import resampled
+from twin.compensation.controllers.loss import telling_point
+from twin.compensation.controllers.registry import WRITERS
 
 SEEDS = (1, 2, 3)
 THINNED = {"fanuc-3d": (21, 14, 16)}

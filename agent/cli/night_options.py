@@ -1,0 +1,76 @@
+"""What `volcal verify` and `volcal nightly` share: their options, and how they tell what they found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.cli.calibrate import run_calibration, summary_table
+from agent.cli.options import config_option
+from agent.results.run_outcome import NightReport, Outcome
+from agent.runs.kinds.kind import Kind
+from agent.runs.session import Ended
+from agent.settings.load import load_settings, naming
+
+
+def night_options(command: click.decorators.FC) -> click.decorators.FC:
+    """Options that both commands take."""
+    for option in (
+        click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout."),
+        click.option(
+            "--nights",
+            type=click.FloatRange(min=0.0),
+            help="Nights since the last accepted one [default: by the calendar].",
+        ),
+        click.option(
+            "--standing-at",
+            type=click.IntRange(min=1),
+            metavar="STATION",
+            help="Where the artefact stands [default: stations.standing_at].",
+        ),
+        config_option,
+    ):
+        command = option(command)
+    return command
+
+
+def run_night(config: Path, kind: Kind, *, as_json: bool) -> Ended:
+    """Carry it out and print what it found."""
+    settings = load_settings(config)
+    with naming(config):
+        ended = run_calibration(settings, config.resolve().parent, kind)
+    if as_json:
+        click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
+    else:
+        console = Console()
+        if ended.outcome.night is not None:
+            console.print(night_table(ended.outcome, ended.outcome.night))
+        if ended.outcome.predicted_vce_um is not None:
+            console.print(summary_table(ended.outcome))
+    return ended
+
+
+def night_table(outcome: Outcome, night: NightReport) -> Table:
+    """The night as people read it."""
+    table = Table(title=f"{outcome.run_id}: {night.decision.value}", show_header=False)
+    errors = (night.ve_before_um, night.ve_now_um, night.ve_after_um)
+    rows = [
+        ("last accepted night", f"{night.since}, {night.nights:.1f} nights ago"),
+        ("measured", f"{night.positions} positions at station {night.station}, {outcome.machine_minutes:.1f} min"),
+        ("VE then, now, with what is known now", " → ".join(_um(ve) for ve in errors)),
+        ("held-out positions", f"{_um(night.held_out_um)}, expected {_um(night.held_out_predicted_um)}"),
+        ("against the prediction", "?" if night.chi2_normalised is None else f"χ² {night.chi2_normalised:.2f}"),
+        ("changed at once", "; ".join(one.text for one in night.jumped) or "nothing"),
+        ("reason", night.reason or "none"),
+    ]
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _um(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} µm"

@@ -1,0 +1,58 @@
+"""What people see while a run goes on: one line a state, a bar with the minutes left. All of it on stderr."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn
+
+from agent.execution.run_state import Announcement, Listener
+
+
+class _Watcher:
+    def __init__(self, console: Console, bar: Progress) -> None:
+        self._console = console
+        self._bar = bar
+        self._task: TaskID | None = None
+
+    def __call__(self, announcement: Announcement) -> None:
+        match announcement.kind:
+            case "state":
+                state = announcement.data["state"]
+                text = announcement.text if announcement.text != state else ""
+                self._console.print(f"[bold]{state}[/bold] {text}".rstrip(), highlight=False)
+            case "note":
+                self._console.print(f"  {announcement.text}{_figures(announcement)}", highlight=False)
+            case "progress":
+                self._advance(announcement)
+
+    def _advance(self, announcement: Announcement) -> None:
+        if self._task is None:
+            self._task = self._bar.add_task("measuring", total=1.0, left="", where="")
+        self._bar.update(
+            self._task,
+            completed=announcement.data["fraction"],
+            left=f"{announcement.data['minutes_left']:.0f} min left",
+            where=announcement.text.removesuffix("/centre"),
+        )
+
+
+@contextmanager
+def watching(console: Console) -> Iterator[Listener]:
+    """A listener that draws on `console` until the block ends."""
+    columns = (
+        BarColumn(bar_width=20),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[left]}"),
+        TextColumn("{task.fields[where]}", style="dim"),
+    )
+    with Progress(*columns, console=console, transient=False) as bar:
+        yield _Watcher(console, bar)
+
+
+def _figures(announcement: Announcement) -> str:
+    units = {"machine_minutes": "min of machine time", "commands": "steps", "wall_seconds": "s"}
+    parts = [f"{announcement.data[k]:.4g} {unit}" for k, unit in units.items() if k in announcement.data]
+    return f" ({', '.join(parts)})" if parts else ""

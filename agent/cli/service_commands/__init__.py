@@ -1,0 +1,1 @@
+"""Commands that send a request to the running service; none of them loads mathematics or drivers."""

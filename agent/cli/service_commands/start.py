@@ -1,0 +1,119 @@
+"""`volcal start`: ask the service for a run; what a timer calls."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from agent.cli.errors import fail, reported
+from agent.cli.options import Duration, measured_options
+from agent.execution.states import RunState
+from agent.service.alarms import CODES
+from agent.service.allowed_requests import AT_REST
+from agent.service.client import Client
+from agent.service.control import KINDS
+from agent.settings.load import read_settings
+from drivers.clock import Clock, Deadline, RealClock
+from drivers.errors import Busy, GateRefused, LinkError, PermissionMissing, RunError, VolcalError
+
+DECLINED = 6
+"""Exit code: the service looked, and it is not the time. No run exists, nothing has moved; a timer asks again."""
+STARTED_BY_SYSTEMD = "INVOCATION_ID"
+LOOK_EVERY_S = 1.0
+GONE_FOR_S = 90.0
+"""A service that was restarted by its watchdog is back within this time, and says how the run ended."""
+
+
+@click.command("start")
+@click.option("--kind", type=click.Choice(KINDS), required=True, help="What is wanted.")
+@click.option("--slot", type=Duration(), metavar="15min", help="Machine time there is.")
+@click.option("--full-allowed/--no-full", default=None, help="Whether a night may become a full calibration.")
+@click.option("--consent", is_flag=True, help="You stand at the machine, and it may move.")
+@click.option("--wait", is_flag=True, help="Wait for its end; the exit code is the run's.")
+@measured_options
+@reported
+def start_command(
+    kind: str,
+    slot: float | None,
+    full_allowed: bool | None,
+    consent: bool,
+    wait: bool,
+    config: Path,
+    position_set: str | None,
+    stations: list[int] | None,
+) -> None:
+    """Ask the service for a run. Without --consent it decides by hours, warm-up and permissions, as for a timer."""
+    body = {
+        "kind": kind,
+        "source": "timer" if STARTED_BY_SYSTEMD in os.environ else "command line",
+        "position_set": position_set,
+        "stations": stations,
+        "slot_minutes": slot,
+        "full_allowed": full_allowed,
+        "consent": consent,
+    }
+    with Client(read_settings(config)) as client:
+        run_id = begun(client, body)
+        click.echo(run_id)
+        if wait:
+            conclude(client, waited_for(client, run_id, RealClock()))
+
+
+def begun(client: Client, body: Mapping[str, object]) -> str:
+    """The identity of the run that now exists. Exit with DECLINED where hour, warm-up, a permission or another run is
+    against it."""
+    try:
+        return str(client.post("/api/start", body)["run_id"])
+    except (Busy, GateRefused, PermissionMissing) as error:
+        fail(error)
+        raise SystemExit(DECLINED) from None
+
+
+def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
+    """The status in which the run has ended. A service that is away for a while is waited for."""
+    console = Console(stderr=True)
+    said = ""
+    while True:
+        status = _status(client, clock)
+        if status["doing"] != said and status["run_id"] == run_id:
+            said = status["doing"]
+            console.print(said, highlight=False)
+        if RunState(status["state"]) in AT_REST:
+            return status if status["run_id"] == run_id else {**client.get(f"/api/runs/{run_id}"), "alarms": []}
+        clock.sleep(LOOK_EVERY_S)
+
+
+def conclude(client: Client, status: Mapping[str, Any]) -> None:
+    """Exit as the run ended: 0 only where it is complete, and a table that it wrote was proved."""
+    state = RunState(status["state"])
+    if status["alarms"]:
+        raise fail(_error_of(status["alarms"][0]))
+    if state is not RunState.COMPLETE:
+        raise fail(RunError(f"the run ended {state.value}", hint="see its report and its events"))
+    decisions = client.get(f"/api/runs/{status['run_id']}")["decisions"]
+    proofs = [one["record"] for one in decisions if one["kind"] == "proof"]
+    if proofs and not proofs[-1]["accepted"]:
+        raise fail(GateRefused(f"the new table did not prove better; the former one acts: {proofs[-1]['reason']}"))
+    click.echo("complete", err=True)
+
+
+def _status(client: Client, clock: Clock) -> Mapping[str, Any]:
+    deadline = Deadline.after(clock, GONE_FOR_S)
+    while True:
+        try:
+            return client.get("/api/status")
+        except LinkError:
+            if deadline.expired:
+                raise
+            clock.sleep(LOOK_EVERY_S)
+
+
+def _error_of(alarm: Mapping[str, Any]) -> VolcalError:
+    """The error of the tree that the alarm's number stands for, with its exit code."""
+    kind = next((kind for kind, code in CODES.items() if code.code == alarm["code"]), VolcalError)
+    return kind(alarm["text"], hint=alarm["hint"], **alarm["where"])

@@ -1,0 +1,69 @@
+"""`volcal status`: what the machine is doing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from agent.cli.errors import reported
+from agent.cli.options import config_option
+from agent.service.client import Client
+from agent.settings.load import read_settings
+
+
+@click.command("status")
+@config_option
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; with --watch one a line.")
+@click.option("--watch", is_flag=True, help="Go on telling what happens.")
+@reported
+def status_command(config: Path, as_json: bool, watch: bool) -> None:
+    """What the service does now, and what it may be asked for."""
+    with Client(read_settings(config)) as client:
+        if not watch:
+            show(client.get("/api/status"), as_json=as_json)
+            return
+        for kind, document in client.events():
+            if as_json:
+                click.echo(json.dumps({"event": kind, **document}))
+            elif kind == "status":
+                show(document, as_json=False)
+            else:
+                click.echo(f"{kind:12} {document['text']}")
+
+
+def show(status: Mapping[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(status))
+        return
+    table = Table(title=f"{status['machine']}: {status['state']} ({status['packml']})", show_header=False)
+    for name, value in _rows(status):
+        table.add_row(name, value)
+    Console().print(table)
+
+
+def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
+    rows = [("doing", status["doing"])]
+    if status["run_id"]:
+        rows.append(("run", f"{status['run_id']}, {status['kind']}"))
+        rows.append(("measured", f"{status['balls']} balls, {status['touches']} touches"))
+    if status["minutes_left"] is not None:
+        rows.append(("progress", f"{100.0 * status['fraction']:.0f} %, {status['minutes_left']:.0f} min left"))
+    if status["ve_now_um"] is not None:
+        rows.append(("VE without and with the table", f"{status['ve_before_um']:.2f} → {status['ve_now_um']:.2f} µm"))
+    if status["active_bank"] is not None:
+        rows.append(("active bank", str(status["active_bank"])))
+    if status["written_not_active"] is not None:
+        rows.append(("written, not active", f"bank {status['written_not_active']}"))
+    if status["unfinished"]:
+        rows.append(("broken off", f"{status['unfinished']}; `volcal resume` goes on with it"))
+    if status["question"]:
+        question = status["question"]
+        rows.append((f"question {question['number']}", question["text"]))
+    rows += [(f"alarm {a['code']}", f"{a['text']}. {a['hint']}") for a in status["alarms"]]
+    return [*rows, ("may be asked for", ", ".join(status["may"]) or "nothing")]

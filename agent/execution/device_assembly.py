@@ -1,0 +1,101 @@
+"""From settings to open-able devices: clocks, plugins, roles. The only place where names become objects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from agent.execution.rig import Rig, in_role
+from agent.settings.schema import ClockSettings, Settings
+from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, RealClock, ScaledClock
+from drivers.errors import ConfigurationError
+from drivers.registry import DeviceContext, create_device
+from drivers.roles import (
+    CompensationStore,
+    Device,
+    Machine,
+    MountsAtStations,
+    Operator,
+    Probe,
+    RotaryMount,
+    Thermometer,
+)
+
+LOCKSTEP_SLICE_S = 0.5
+"""Against a lockstep simulator a wait is cut only this fine: there machine time passes in jumps anyway."""
+REAL_SLICE_S = 0.02
+"""By the wall clock: leaves a busy computer time to send STOP within 100 ms of an abort."""
+
+
+def make_clock(settings: ClockSettings) -> Clock:
+    match settings.kind:
+        case "real":
+            return RealClock()
+        case "scaled":
+            return ScaledClock(settings.factor)
+        case "lockstep":
+            try:
+                return LockstepClock(settings.host, settings.port)
+            except OSError as error:
+                raise ConfigurationError(
+                    f"no simulator keeps time at {settings.host}:{settings.port}: {error.strerror or error}",
+                    key="clock",
+                    hint="start `volcal simulate --clock lockstep` first, or use kind = 'real'",
+                ) from error
+
+
+def slice_of(clock: Clock) -> float:
+    """Longest machine time in one piece of a wait."""
+    match clock:
+        case LockstepClock():
+            return LOCKSTEP_SLICE_S
+        case RealClock():
+            return REAL_SLICE_S
+        case _:
+            return INTERRUPT_SLICE_S
+
+
+@contextmanager
+def closed_after(clock: Clock) -> Iterator[Clock]:
+    """`clock` for the block; a connection to a simulator's time server ends with it."""
+    try:
+        yield clock
+    finally:
+        if isinstance(clock, LockstepClock):
+            clock.close()
+
+
+def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
+    """The rig of a real or simulated machine; nothing is opened yet. `base`: where relative paths start."""
+    devices = {
+        name: create_device(device.driver, device.options, DeviceContext(name, clock, base))
+        for name, device in settings.devices.items()
+    }
+    roles = settings.roles
+    return Rig(
+        devices=devices,
+        machine=in_role(devices, roles.machine, Machine, "roles.machine"),
+        probe=in_role(devices, roles.probe, Probe, "roles.probe"),
+        mounts=_mounts(devices, settings),
+        store=in_role(devices, roles.store, CompensationStore, "roles.store"),
+        thermometer=in_role(devices, roles.thermometer, Thermometer, "roles.thermometer"),
+        operator=in_role(devices, roles.operator, Operator, "roles.operator"),
+        clock=clock,
+    )
+
+
+def _mounts(devices: Mapping[str, Device], settings: Settings) -> dict[int, RotaryMount]:
+    named = settings.roles.mount
+    if isinstance(named, str):
+        return {n: mount_at_station(devices, named, n, "roles.mount") for n in stations_of(settings)}
+    return {n: mount_at_station(devices, named[n], n, f"roles.mount.{n}") for n in stations_of(settings)}
+
+
+def mount_at_station(devices: Mapping[str, Device], name: str, station: int, key: str) -> RotaryMount:
+    mount = in_role(devices, name, RotaryMount, key)
+    return mount.mount_at(station) if isinstance(mount, MountsAtStations) else mount
+
+
+def stations_of(settings: Settings) -> range:
+    return range(1, len(settings.stations.places_mm) + 1)

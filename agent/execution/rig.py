@@ -1,0 +1,233 @@
+"""The devices of one machine in their roles, and what each step means for them."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar, cast
+
+import numpy as np
+
+from agent.execution import steps as s
+from agent.execution.engine import Action
+from agent.execution.tip_trace import LastMotion
+from drivers.clock import Clock, Deadline
+from drivers.errors import (
+    Aborted,
+    ConfigurationError,
+    DeviceError,
+    MeasurementFault,
+    NotActiveYet,
+    PermissionMissing,
+    VolcalError,
+)
+from drivers.roles import (
+    Activation,
+    CompensationStore,
+    Device,
+    Machine,
+    Miss,
+    MotionState,
+    Operator,
+    Orientation,
+    Probe,
+    RotaryMount,
+    Thermometer,
+    Touch,
+    Traced,
+)
+
+Role = TypeVar("Role")
+
+AFTER = {
+    Activation.IMMEDIATE: "the controller has taken it over",
+    Activation.RESET: "a reset of the controller",
+    Activation.POWER_CYCLE: "the controller has been switched off and on",
+    Activation.REFERENCE: "the axes have been referenced",
+}
+DO = {
+    Activation.IMMEDIATE: "look at the controller",
+    Activation.RESET: "reset the controller",
+    Activation.POWER_CYCLE: "switch the controller off and on",
+    Activation.REFERENCE: "reference the axes",
+}
+
+STANDSTILL_WITHIN_S = 10.0
+"""Generous: 20 m/min is braked with 0.5 m/s² in 0.7 s."""
+STANDSTILL_POLL_S = 0.05
+
+
+@dataclass
+class Rig:
+    """Opened together, closed together, stopped together. `mounts`: station → mount."""
+
+    devices: Mapping[str, Device]
+    machine: Machine
+    probe: Probe
+    mounts: Mapping[int, RotaryMount]
+    store: CompensationStore
+    thermometer: Thermometer
+    operator: Operator
+    clock: Clock
+    last_motion: LastMotion = field(default_factory=LastMotion)
+    _open: list[str] = field(default_factory=list)
+
+    def open(self) -> None:
+        """Open every device; the ones already open are closed again when one fails."""
+        for name, device in self.devices.items():
+            try:
+                device.open()
+            except VolcalError as error:
+                self.close()
+                raise error.at(device=name) from error.__cause__
+            self._open.append(name)
+
+    def close(self) -> list[str]:
+        """Close what is open, the last first; complaints are returned, since nothing else can be done."""
+        complaints = []
+        while self._open:
+            name = self._open.pop()
+            try:
+                self.devices[name].close()
+            except DeviceError as error:
+                complaints.append(str(error.at(device=name)))
+        return complaints
+
+    def stop(self) -> list[str]:
+        """Stop everything that moves. Every device is tried; what could not be stopped is returned."""
+        complaints = []
+        for name in self._open:
+            try:
+                self.devices[name].stop()
+            except DeviceError as error:
+                complaints.append(str(error.at(device=name)))
+        return complaints
+
+    def await_standstill(self) -> None:
+        """Wait until the axes stand: while they brake a controller takes neither a move nor another bank."""
+        deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
+        while self.machine.status().state is MotionState.MOVING:
+            deadline.require("standstill after a stop", hint="look at the machine before anything else")
+            self.clock.sleep(STANDSTILL_POLL_S)
+
+    def actions(self, run: int | None = None) -> dict[type, Action]:
+        """What each type of step has done, for the engine. `run`: its number, where the devices are to be told which
+        step of which run moves them."""
+        told = _nobody if run is None else self._told(run)
+
+        def move(step: s.MoveTo) -> None:
+            told(step.key)
+            self._move(step)
+
+        def retrace(step: s.Retrace) -> None:
+            told(step.of)
+            self._move(s.MoveTo(step.of, step.target_mm, step.feed_mm_per_s))
+
+        def touch(step: s.TouchTowards) -> Touch | Miss:
+            told(step.key)
+            return self._touch(step)
+
+        return {
+            s.MoveTo: move,
+            s.Retrace: retrace,
+            s.TouchTowards: touch,
+            s.HomeMount: lambda step: self.mounts[step.station].home(),
+            s.OrientTo: self._orient,
+            s.ReadTemperatures: lambda _: dict(self.thermometer.temperatures_c()),
+            s.ReadClock: lambda _: self.clock.now(),
+            s.ReadPosition: self._read_position,
+            s.CheckPermissions: self._check_permissions,
+            s.ResetFault: lambda _: self.machine.reset(),
+            s.CheckProbe: self._check_probe,
+            s.AskOperator: self._ask,
+            s.Dwell: lambda step: self.clock.sleep(step.duration_s),
+            s.Record: lambda _: None,
+            s.ReadActiveBank: lambda _: self.store.active_bank(),
+            s.AwaitActive: self._await_active,
+            s.ReadTable: lambda step: self.store.read_table(step.bank),
+            s.StageTable: lambda step: self.store.stage(step.bank, step.table),
+            s.ActivateBank: lambda step: self.store.activate(step.bank),
+        }
+
+    def _told(self, run: int) -> Callable[[str], None]:
+        """Tells every device that wants to know which step comes next."""
+        traced = [device for device in self.devices.values() if isinstance(device, Traced)]
+
+        def tell(key: str) -> None:
+            tag = step_tag(run, key)
+            for device in traced:
+                device.trace(tag)
+
+        return tell if traced else _nobody
+
+    def _move(self, step: s.MoveTo) -> None:
+        self.last_motion.begins(step.target_mm, touch=False)
+        self.machine.move_to(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s, guarded=step.guarded)
+        self.last_motion.ends(step.target_mm)
+
+    def _touch(self, step: s.TouchTowards) -> Touch | Miss:
+        self.last_motion.begins(step.target_mm, touch=True)
+        result = self.probe.touch_towards(np.array(step.target_mm), feed_mm_per_s=step.feed_mm_per_s)
+        self.last_motion.ends(result.position_mm)
+        return result
+
+    def _orient(self, step: s.OrientTo) -> Orientation:
+        return self.mounts[step.station].orient_to(step.azimuth_deg, step.elevation_deg)
+
+    def _read_position(self, _: s.ReadPosition) -> s.Point:
+        x, y, z = self.machine.position().tolist()
+        self.last_motion.stands((x, y, z))
+        return x, y, z
+
+    def _check_permissions(self, _: s.CheckPermissions) -> None:
+        status = self.machine.status()
+        if status.state is MotionState.FAULT:
+            raise PermissionMissing(
+                f"the machine is in fault: {status.fault}", hint="clear it at the machine, then start again"
+            )
+        if status.missing:
+            names = ", ".join(permission.value for permission in status.missing)
+            raise PermissionMissing(f"the machine does not permit motion; missing: {names}")
+
+    def _check_probe(self, _: s.CheckProbe) -> None:
+        status = self.probe.probe_status()
+        for given, text, hint in (
+            (status.loaded, "no probe is loaded", "load the touch probe into the spindle"),
+            (status.healthy, "the probe is not healthy", "check battery, receiver and cable"),
+            (not status.deflected, "the probe is deflected", "check stylus, wiring and shield; move it free"),
+        ):
+            if not given:
+                raise MeasurementFault(f"{text} {status.detail}".strip(), hint=hint)
+
+    def _await_active(self, step: s.AwaitActive) -> None:
+        if self.store.pending_bank() == step.bank:
+            event = self.store.store_limits().activation
+            raise NotActiveYet(
+                f"bank {step.bank} is written and acts only after {AFTER[event]}",
+                hint=f"{DO[event]}, then `volcal resume` goes on",
+                bank=step.bank,
+            )
+
+    def _ask(self, step: s.AskOperator) -> None:
+        if not self.operator.ask(step.request):
+            raise Aborted(f"the operator said no to: {step.request.text}")
+
+
+def step_tag(run: int, key: str) -> int:
+    """CRC-32 of ``RUN/KEY``, never 0: 32 bits that a controller can show and log beside its own."""
+    return zlib.crc32(f"{run}/{key}".encode()) or 1
+
+
+def _nobody(_: str) -> None:
+    """No device wants to know."""
+
+
+def in_role(devices: Mapping[str, Device], name: str, role: type[Role], key: str) -> Role:
+    """Device `name` in `role`; ConfigurationError naming `key` where it is missing or cannot play it."""
+    if name not in devices:
+        raise ConfigurationError(f"no device {name!r}", key=key, hint=f"devices are: {', '.join(sorted(devices))}")
+    device = devices[name]
+    if not isinstance(device, role):
+        raise ConfigurationError(f"device {name!r} cannot play the role {role.__name__}", key=key)
+    return cast(Role, device)

@@ -1,0 +1,62 @@
+"""How the tip came to where it is: what the way out after a fault begins with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.collision.geometry import Point
+
+Array = NDArray[np.float64]
+
+FREED_MM = 3.0
+"""By so much a stylus that may be deflected is taken off what it touches before anything else moves."""
+ON_THE_LINE_MM = 2.0
+"""Nearer than this to a touch the stylus may still be deflected by it."""
+
+
+@dataclass
+class LastMotion:
+    """Is told of every motion when it begins and when it has ended as it was meant to; positions of the axes, mm."""
+
+    _at: Point | None = None
+    _begun: Point | None = None
+    _touch: tuple[Point, Point] | None = None
+    _touching: bool = False
+
+    def stands(self, at: Point) -> None:
+        """Somebody has asked the machine."""
+        self._at = at
+
+    def begins(self, target: Point, *, touch: bool) -> None:
+        self._begun, self._touching = self._at, touch
+        if touch:
+            self._touch = None if self._at is None else (self._at, target)
+
+    def ends(self, at: Point) -> None:
+        if not self._touching:
+            self._touch = None
+        self._at, self._begun = at, None
+
+    def out(self, here: Array) -> Array:
+        """(3,): where the axes go first from `here`, out along the last approach direction: `here` where nothing can be
+        touching.
+
+        Out of a touch to where it began; out of any other motion a little the way it came; and out of a motion that
+        had just left a touch away from that surface, not back onto it.
+        """
+        if self._touch is not None:
+            start, target = (np.array(end) for end in self._touch)
+            way = (target - start) / max(float(np.linalg.norm(target - start)), 1e-9)
+            along = float((here - start) @ way)
+            beside = float(np.linalg.norm(here - start - along * way))
+            if beside <= ON_THE_LINE_MM and along > 0.0:
+                return np.asarray(here - along * way)
+            return here
+        if self._begun is None:
+            return here
+        back = np.array(self._begun) - here
+        length = float(np.linalg.norm(back))
+        return np.asarray(here + back * (min(FREED_MM, length) / length)) if length > 0.0 else here

@@ -1,0 +1,1 @@
+"""House style of figures: colours, fonts and axes of reports and studies."""

@@ -1,0 +1,148 @@
+"""What history keeps of a run, out of its record in the journal. Pure."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from agent.execution.encoding import to_json
+from agent.execution.run_record import RunRecord
+from agent.results.journal_entries import IDENTIFIED, INPUTS, OUTCOME
+
+KEPT_DECISIONS = frozenset(
+    {"gate", "proof", "night", "verify", "accepted", "refused", "full-calibration-needed", "activate/activated"}
+    | {"restore/activated", "publish/staged"}
+)
+"""What is decided about the machine; the big records of a run stay in its journal."""
+_TOO_BIG = ("written",)
+_MICRO = {"mm": ("µm", 1e3), "rad": ("µrad", 1e6)}
+
+
+@dataclass(frozen=True)
+class FedRun:
+    """`run`: columns of `StoredRun` but for its digest; the rest rows of the other tables."""
+
+    run: Mapping[str, Any]
+    parameters: tuple[Mapping[str, Any], ...]
+    temperatures: tuple[Mapping[str, Any], ...]
+    decisions: tuple[Mapping[str, Any], ...]
+
+    @property
+    def digest(self) -> str:
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+def machine_name(settings: Mapping[str, Any]) -> str:
+    """As the settings name it for history, else its machine file without the ending."""
+    named = settings.get("history", {}).get("machine")
+    return str(named or Path(settings["machine"]).stem)
+
+
+def fed_run(record: RunRecord) -> FedRun:
+    estimate = None if record.estimate is None else json.loads(record.estimate)
+    return FedRun(_run(record, estimate), _parameters(estimate), _temperatures(record), _decisions(record))
+
+
+def _run(record: RunRecord, estimate: Mapping[str, Any] | None) -> dict[str, Any]:
+    settings = record.settings
+    outcome = record.decision(OUTCOME) or {}
+    staged = record.table("staged")
+    return {
+        "machine": machine_name(settings),
+        "run_id": record.run_id,
+        "kind": record.kind,
+        "started": record.started,
+        "ended": record.ended,
+        "state": record.state,
+        "reason": record.reason,
+        "software": record.software,
+        "started_by": _started_by(record),
+        "artefact": (record.decision(INPUTS) or {}).get("artefact", {}).get("name", Path(settings["artefact"]).stem),
+        "position_set": Path(settings["procedure"]["position_set"]).name,
+        "balls": record.balls,
+        "touches": record.touches,
+        "machine_minutes": outcome.get("machine_minutes", round(record.minutes, 3)),
+        "predicted_minutes": outcome.get("predicted_minutes"),
+        "rank": None if estimate is None else estimate["rank"],
+        "chi2_normalised": None if estimate is None else estimate["chi2_normalised"],
+        "table_bank": outcome.get("table_bank"),
+        "table_crc32": None if staged is None or staged.crc32 is None else f"{staged.crc32:08x}",
+        "settings_sha256": hashlib.sha256(record.settings_text.encode()).hexdigest(),
+        **_errors(record, outcome),
+    }
+
+
+def _started_by(record: RunRecord) -> str:
+    """Who asked first: a run that is gone on with was asked for again."""
+    asked = [note.record for note in record.events if note.kind == "asked"]
+    return str((asked[0] if asked else {}).get("source", "command line"))
+
+
+def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
+    """Volumetric errors and held-out balls."""
+    volumetric = (record.decision(IDENTIFIED) or {}).get("volumetric", {})
+    before, after = volumetric.get("before_aligned", {}), volumetric.get("after_aligned", {})
+    proof = record.decision("proof") or {}
+    night = outcome.get("night") or record.decision("night") or record.decision("verify") or {}
+    accepted = proof.get("accepted")
+    calibrated = after.get("value_um")
+    written = night.get("ve_after_um", calibrated) if night.get("ve_after_um") is not None else calibrated
+    return {
+        "ve_before_um": before.get("value_um"),
+        "ve_before_sigma_um": before.get("standard_uncertainty_um"),
+        "ve_after_um": calibrated,
+        "ve_after_sigma_um": after.get("standard_uncertainty_um"),
+        "ve_now_um": night.get("ve_now_um"),
+        "acting_um": written if accepted else night.get("ve_now_um"),
+        "held_out_before_um": proof.get("before_um", night.get("held_out_um")),
+        "held_out_after_um": proof.get("after_um"),
+        "held_out_predicted_um": proof.get("predicted_um", night.get("held_out_predicted_um")),
+        "accepted": accepted,
+        "night": night.get("decision"),
+        "since": night.get("since"),
+        "nights": night.get("nights"),
+    }
+
+
+def _parameters(estimate: Mapping[str, Any] | None) -> tuple[Mapping[str, Any], ...]:
+    rows = []
+    for place, parameter in enumerate(() if estimate is None else estimate["parameters"]):
+        unit, factor = _MICRO[parameter["unit"]]
+        rows.append(
+            {
+                "name": parameter["name"],
+                "place": place,
+                "value": factor * parameter["value"],
+                "standard_uncertainty": factor * parameter["standard_uncertainty"],
+                "unit": unit,
+            }
+        )
+    return tuple(rows)
+
+
+def _temperatures(record: RunRecord) -> tuple[Mapping[str, Any], ...]:
+    found: dict[str, list[float]] = {}
+    for _, values in record.temperatures:
+        for sensor, value in values.items():
+            found.setdefault(sensor, []).append(value)
+    return tuple(
+        {"sensor": sensor, "lowest": min(values), "mean": sum(values) / len(values), "highest": max(values)}
+        for sensor, values in sorted(found.items())
+    )
+
+
+def _decisions(record: RunRecord) -> tuple[Mapping[str, Any], ...]:
+    kept = [note for note in record.decisions if note.kind in KEPT_DECISIONS]
+    return tuple(
+        {
+            "place": place,
+            "at": note.at,
+            "kind": note.kind,
+            "record": to_json({name: value for name, value in note.record.items() if name not in _TOO_BIG}),
+        }
+        for place, note in enumerate(kept)
+    )

@@ -1,0 +1,1 @@
+"""Everything that is decided before anything moves: job, measuring order, cycle time, preflight."""

@@ -1,0 +1,159 @@
+"""Machine time of a set of positions before anything moves: the run's own plan, walked on an ideal machine.
+
+Nothing is simulated and no device is asked: some thousand steps take a fraction of a second, so that designs can be
+compared by what they cost. `agent.planning.preflight` is the dry run with physics; both reckon by the same `TimeModel`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from agent.execution.engine import Engine
+from agent.execution.steps import AskOperator, MoveTo, OrientTo, Plan, Step, TouchTowards
+from agent.planning.ideal_machine import IdealMachine
+from agent.planning.job import Job
+from agent.planning.time_model import S_PER_MIN, time_model
+from agent.probing.ball import point
+from agent.probing.paths.shortest_path import ShortestPilot
+from agent.probing.position import PositionTask, measure_position
+from agent.probing.run_plan import MeasuringOrder, measure_positions, position_key
+from twin.arrays import Array
+from twin.artefact.position_set import Position
+from twin.collision.geometry import Point
+from twin.design.procedure import FEWEST_BALLS
+
+T = TypeVar("T")
+
+PREFIX = "timed"
+CARRYING, TURNING, MOVING, TOUCHING, WAITING = "carrying", "turning", "moving", "touching", "waiting"
+PARTS = (CARRYING, TURNING, MOVING, TOUCHING, WAITING)
+"""What machine time is spent on: a person's time, motion of mount and axes, and the latency of every command."""
+
+_MOTION = {OrientTo: TURNING, MoveTo: MOVING, TouchTowards: TOUCHING}
+
+
+@dataclass(frozen=True)
+class TimedStep:
+    """`motion_s` of axes or mount; `beyond_s`: latency of the command, or the operator's time."""
+
+    step: Step
+    motion_s: float
+    beyond_s: float
+
+    @property
+    def seconds(self) -> float:
+        return self.motion_s + self.beyond_s
+
+    @property
+    def carrying(self) -> bool:
+        return isinstance(self.step, AskOperator)
+
+
+@dataclass(frozen=True)
+class MachineMinutes:
+    """`total` = `carrying` (by a person, between stations) + what every position takes, turning and the way to it
+    included; a position with fewer than three balls within reach takes none."""
+
+    total: float
+    per_position: Mapping[Position, float]
+    carrying: float
+
+
+def machine_minutes(job: Job, positions: Sequence[Position]) -> MachineMinutes:
+    """Machine time of measuring `positions` in their order (stations contiguous), from the travel's lower end and
+    the mount at zero; the held-out positions of the proof are not part of it."""
+    order = MeasuringOrder(PREFIX, tuple(positions), job.settings.stations.standing_at)
+    _, steps = walked(job, measure_positions(order, job.layout, job.rules))
+    seconds: dict[str, float] = defaultdict(float)
+    for timed in steps:
+        if not timed.carrying:
+            seconds[_position_of(timed.step.key)] += timed.seconds
+    return MachineMinutes(
+        total=sum(timed.seconds for timed in steps) / S_PER_MIN,
+        per_position={p: seconds[position_key(p)] / S_PER_MIN for p in order.positions},
+        carrying=sum(timed.seconds for timed in steps if timed.carrying) / S_PER_MIN,
+    )
+
+
+def position_minutes(job: Job, position: Position) -> float:
+    """Machine time of one more position at a station, the tip beside a ball of a bar that stands with the mount at zero
+    until the last ball is measured; where ways are plain, from parked until parked again."""
+    course = job.rules.course
+    if course.roads is None:
+        parked = point(course.parked(job.layout.nominal(position).mean(axis=0), position.station))
+        _, steps = walked(job, _there_and_back(job, position, parked), parked)
+    else:
+        pilot = ShortestPilot(course.roads.among(job.layout), course, job.rules.probing)
+        here = pilot.suppose(position.station)
+        _, steps = walked(job, _one_more(job, position, here, pilot), point(here))
+    return sum(timed.seconds for timed in steps) / S_PER_MIN
+
+
+def as_listed(job: Job) -> Job:
+    """The same with stations and positions in the order in which they are listed, and plain ways."""
+    procedure = job.settings.procedure.model_copy(update={"paths": "plain", "reorder": False})
+    rules = replace(job.rules, course=replace(job.rules.course, roads=None))
+    return replace(job, settings=job.settings.model_copy(update={"procedure": procedure}), rules=rules)
+
+
+def minutes_by_part(steps: Iterable[TimedStep]) -> dict[int, dict[str, float]]:
+    """Station → part (each of `PARTS`) → minutes."""
+    minutes: dict[int, dict[str, float]] = defaultdict(lambda: dict.fromkeys(PARTS, 0.0))
+    for timed in steps:
+        station = minutes[_station_of(timed.step)]
+        if timed.carrying:
+            station[CARRYING] += timed.seconds / S_PER_MIN
+        else:
+            station[_MOTION[type(timed.step)]] += timed.motion_s / S_PER_MIN
+            station[WAITING] += timed.beyond_s / S_PER_MIN
+    return {station: dict(minutes[station]) for station in sorted(minutes)}
+
+
+def walked(job: Job, plan: Plan[T], start_mm: Point | None = None) -> tuple[T, list[TimedStep]]:
+    """What `plan` concludes on a machine without errors, and its steps that take time, in order."""
+    steps: list[TimedStep] = []
+
+    def note(step: Step, motion_s: float, beyond_s: float) -> None:
+        steps.append(TimedStep(step, motion_s, beyond_s))
+
+    model = time_model(job.machine, job.settings.timing)
+    start = start_mm or _lower_end(job)
+    concluded = Engine(IdealMachine(job.layout, model, start, note).actions()).run(plan)
+    return concluded, steps
+
+
+def _there_and_back(job: Job, position: Position, parked: Point) -> Plan[None]:
+    order = MeasuringOrder(PREFIX, (position,), position.station)
+    measured = yield from measure_positions(order, job.layout, job.rules)
+    if measured.positions:
+        yield MoveTo(f"{PREFIX}/{position_key(position)}/park-again", parked)
+
+
+def _one_more(job: Job, position: Position, here: Array, pilot: ShortestPilot) -> Plan[None]:
+    nominal = job.layout.nominal(position)
+    mask = job.layout.reachable(position, nominal)
+    if mask.sum() < FEWEST_BALLS:
+        return
+    key = f"{PREFIX}/{position_key(position)}"
+    task = PositionTask(key, 0, position.station, position.azimuth_deg, position.elevation_deg, nominal, mask)
+    yield from measure_position(task, here, job.rules, (), pilot)
+
+
+def _lower_end(job: Job) -> Point:
+    (x, _), (y, _), (z, _) = job.machine.limits
+    return x, y, z
+
+
+def _position_of(key: str) -> str:
+    """``station-1/az45-el0`` of ``measure/station-1/az45-el0/ball-03/touch-2``; see `position_key`."""
+    _, station, orientation, *_ = key.split("/")
+    return f"{station}/{orientation}"
+
+
+def _station_of(step: Step) -> int:
+    if isinstance(step, AskOperator):
+        return step.request.station or 0
+    return int(step.key.split("/")[1].removeprefix("station-"))

@@ -1,0 +1,65 @@
+"""The case's ball bar with another number of balls or other tilted holders, everything else as certified."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.artefact.artefact import Artefact, ball_bar, bar_balls
+from twin.errors import DataError
+
+_ALIKE_MM = 1.0  # calibrated centres lie that near to those of the drawing
+
+
+@dataclass(frozen=True, eq=False)
+class Bar:
+    """`certified`: the bar that is at hand; `length_mm` between its end balls; `tilt_deg` of its holders."""
+
+    certified: Artefact
+    length_mm: float
+    tilt_deg: float
+
+    @classmethod
+    def of(cls, artefact: Artefact) -> Bar:
+        """DataError for an artefact that is no bar of equally pitched balls on holders tilted in turn."""
+        along = artefact.balls[:, 0]
+        length_mm = float(np.ptp(along))
+        holder_mm = artefact.holder_length_mm
+        off_mm = float(np.abs(artefact.balls[0, 2])) if holder_mm > 0.0 else 0.0
+        tilt_deg = math.degrees(math.asin(min(off_mm / holder_mm, 1.0))) if holder_mm > 0.0 else 0.0
+        drawn = bar_balls(artefact.count, length_mm, math.radians(tilt_deg), holder_mm)
+        off_drawing = np.abs(drawn - artefact.balls).max()
+        if off_drawing > _ALIKE_MM:
+            raise DataError(
+                f"'{artefact.name}' is no bar of equally pitched balls on tilted holders: its balls are up to "
+                f"{off_drawing:.1f} mm from where such a bar has them",
+                hint="this study changes the bar's balls and their tilt; take a bar such as config/artefacts/"
+                "ball-bar-1500.toml",
+            )
+        return cls(artefact, length_mm, tilt_deg)
+
+    @property
+    def standard_uncertainty_mm(self) -> float:
+        """Of one coordinate in the certificate, on average."""
+        return float(np.sqrt(np.diagonal(self.certified.covariance).mean()))
+
+    def with_(self, balls: int | None = None, tilt_deg: float | None = None) -> Artefact:
+        """The bar as drawn, with another number of balls over the same length, or with other tilted holders."""
+        count = self.certified.count if balls is None else balls
+        tilt = self.tilt_deg if tilt_deg is None else tilt_deg
+        artefact = self.certified
+        return ball_bar(
+            f"{artefact.name}, {count} balls at {tilt:g}°",
+            balls=count,
+            length_mm=self.length_mm,
+            tilt_rad=math.radians(tilt),
+            holder_length_mm=artefact.holder_length_mm,
+            ball_diameter_mm=artefact.ball_diameter_mm,
+            standard_uncertainty_mm=self.standard_uncertainty_mm,
+            reference_temperature_c=artefact.reference_temperature_c,
+            cte_per_k=artefact.cte_per_k,
+            cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
+            sag_mm=artefact.sag_mm,
+        )

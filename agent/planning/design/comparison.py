@@ -1,0 +1,54 @@
+"""One design for each way to measure, and which of them serves the goal best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from agent.planning.design.design_problem import Setting
+from agent.planning.design.design_result import Designed, Say, designed
+from agent.planning.design.variants import Variant
+from drivers.errors import UserError
+from twin.design.goals import Goal, Target
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """`design` None: the goal cannot be reached this way, for the `reason` given."""
+
+    variant: Variant
+    design: Designed | None
+    reason: str = ""
+    best: bool = False
+
+    @property
+    def found(self) -> Designed:
+        """The design of a choice that has one."""
+        if self.design is None:
+            raise ValueError(self.reason)
+        return self.design
+
+
+def compared(variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify: bool, say: Say) -> list[Choice]:
+    """A choice for each variant, one of them the best. Raises the first variant's error where none reaches the goal."""
+    choices: list[Choice] = []
+    errors: list[UserError] = []
+    for variant in variants:
+        try:
+            setting = Setting(variant.jobs, grid_deg)
+            found = designed(setting, goal, verify=verify, rehearsable=not variant.made_up, say=say)
+            choices.append(Choice(variant, found))
+        except UserError as error:
+            errors.append(error)
+            choices.append(Choice(variant, None, error.message))
+    if len(errors) == len(choices):
+        raise errors[0]
+    reached = [number for number, choice in enumerate(choices) if choice.design is not None]
+    best = min(reached, key=lambda number: _rank(choices[number].found, goal))
+    choices[best] = replace(choices[best], best=True)
+    return choices
+
+
+def _rank(found: Designed, goal: Goal) -> tuple[float, float]:
+    vce, minutes = found.valuation.after.aligned_mm, found.minutes
+    return (minutes, vce) if isinstance(goal, Target) else (vce, minutes)

@@ -1,0 +1,41 @@
+"""The files of a design: the position set, one for each tool, the held-out set, the front as CSV, PNG and SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from agent.figures.study_style import picture
+from agent.files import write_all_atomically
+from agent.planning.design.design_result import Designed
+from agent.planning.design.pareto_figure import Rival, draw_front
+from agent.planning.design.pareto_front import format_front
+from drivers.errors import InputError
+from twin.formats.position_set_file import format_positions
+
+FIGURE_SIZE_IN = (7.0, 4.2)
+
+
+def check_target(path: Path) -> None:
+    """Raise InputError for a name that `calibrate` would not take for a position file."""
+    if path.suffix != ".csv":
+        raise InputError("a position set is written as CSV", hint=f"call it {path.stem}.csv", key="--out")
+
+
+def write_design(found: Designed, rivals: Sequence[Rival], path: Path) -> list[Path]:
+    """Write all files beside `path` or none; their paths, the position set first (one for each tool where there are
+    several, since a run has one tool)."""
+    contents: dict[str, str | bytes] = {}
+    by_tool = list(found.setting.by_tool(found.positions))
+    for job, positions in by_tool:
+        name = path.name if len(by_tool) == 1 else f"{path.stem}-{job.settings.tool}.csv"
+        contents[name] = format_positions(positions)
+    if found.held_out:
+        contents[f"{path.stem}-verify.csv"] = format_positions(found.held_out)
+    drawn = picture(path.stem, partial(draw_front, points=found.front, rivals=rivals), FIGURE_SIZE_IN)
+    contents[f"{path.stem}-front.csv"] = format_front(found.front)
+    contents[f"{path.stem}-front.png"] = drawn.png
+    contents[f"{path.stem}-front.svg"] = drawn.svg
+    write_all_atomically(path.parent, contents)
+    return [path.parent / name for name in contents]

@@ -1,0 +1,128 @@
+"""What a design chooses from: the candidates of a job, what each costs, and whether it can really be measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from agent.planning.cycle_time import machine_minutes
+from agent.planning.design.feasibility import Vetting
+from agent.planning.job import Job
+from twin.artefact.position_set import Position
+from twin.design.candidates import Candidates, candidates_of, orientation_grid
+from twin.design.measuring_cost import Prices
+from twin.design.procedure import Procedure
+from twin.design.search import Search
+from twin.identification import Options
+from twin.machine.volumetric import evaluation_grid
+
+_TOOL_STRIDE = 10_000  # each tool is a run of its own, so its stations cost carries of their own
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """`jobs`: tool → job with that tool, the tool of the settings first; `refused`: what a preflight has refused;
+    `vettings`: by tool, kept while positions are refused."""
+
+    jobs: Mapping[str, Job]
+    grid_deg: float
+    refused: frozenset[Position] = frozenset()
+    vettings: dict[str, Vetting] = field(default_factory=dict, repr=False)
+
+    @property
+    def job(self) -> Job:
+        return next(iter(self.jobs.values()))
+
+    @property
+    def options(self) -> Options:
+        """Of the closed form that is minimised: centres, everything as stated."""
+        return Options(estimate_scales=False, outliers="none")
+
+    @property
+    def procedure(self) -> Procedure:
+        layouts = {name: job.layout for name, job in self.jobs.items()}
+        return replace(self.job.procedure, layouts=layouts)
+
+    def refusing(self, position: Position) -> Setting:
+        return replace(self, refused=self.refused | {position})
+
+    def vetting(self, position: Position) -> Vetting:
+        """That of the position's tool."""
+        name = position.tool or next(iter(self.jobs))
+        if name not in self.vettings:
+            self.vettings[name] = Vetting(self.jobs[name])
+        return self.vettings[name]
+
+    @cached_property
+    def candidates(self) -> Candidates:
+        """What each position of the grid tells of the field. TwinError where none is within reach."""
+        job = self.job
+        grid = evaluation_grid(job.machine.model.ranges_mm)
+        offered = [position for position in self._offered() if position not in self.refused]
+        return candidates_of(self.procedure, offered, job.machine.family, self.options, grid, job.tool_offset_mm)
+
+    @cached_property
+    def search(self) -> Search:
+        candidates = self.candidates
+        return Search(candidates, self.prices(candidates), lambda index: self.passes(candidates.positions[index]))
+
+    def passes(self, position: Position) -> bool:
+        """Whether nothing is hit on the way through a position."""
+        return not self.vetting(position).hit(position)
+
+    def prices(self, candidates: Candidates) -> Prices:
+        tools = list(self.jobs)
+        minutes = np.array([self.vetting(position).minutes(position) for position in candidates.positions])
+        codes = [_TOOL_STRIDE * (tools.index(p.tool) if p.tool else 0) + p.station for p in candidates.positions]
+        return Prices(
+            minutes=minutes,
+            stations=np.array(codes),
+            carry_minutes=self.job.settings.timing.carrying_minutes,
+            standing_at=self.job.settings.stations.standing_at,
+        )
+
+    def in_order(self, chosen: Sequence[Position]) -> tuple[Position, ...]:
+        """Tool by tool, station by station, at each the mount turned little from one to the next."""
+        ordered: list[Position] = []
+        for name in self.jobs:
+            tool = None if name == self.job.settings.tool else name
+            of_tool = [position for position in chosen if position.tool == tool]
+            for station in sorted({position.station for position in of_tool}):
+                ordered += _nearest_first([position for position in of_tool if position.station == station])
+        return tuple(ordered)
+
+    def by_tool(self, chosen: Sequence[Position]) -> Iterator[tuple[Job, tuple[Position, ...]]]:
+        """The job of each tool that is used, and its positions as a run with that tool knows them."""
+        for name, job in self.jobs.items():
+            tool = None if name == self.job.settings.tool else name
+            own = tuple(replace(position, tool=None) for position in chosen if position.tool == tool)
+            if own:
+                yield job, own
+
+    def minutes(self, chosen: Sequence[Position]) -> float:
+        """Machine minutes of the whole set in its order, by the run's own plan."""
+        return sum(machine_minutes(job, own).total for job, own in self.by_tool(chosen))
+
+    def _offered(self) -> Iterator[Position]:
+        job = self.job
+        stations = job.settings.procedure.stations or sorted(job.layout.places_mm)
+        held_out = set(job.held_out)
+        for name in self.jobs:
+            tool = None if name == job.settings.tool else name
+            for station in stations:
+                for azimuth, elevation in orientation_grid(self.grid_deg):
+                    if Position(station, azimuth, elevation) not in held_out:
+                        yield Position(station, azimuth, elevation, tool)
+
+
+def _nearest_first(positions: list[Position]) -> list[Position]:
+    left, ordered, azimuth, elevation = list(positions), [], 0.0, 0.0
+    while left:
+        nearest = min(left, key=lambda p: max(abs(p.azimuth_deg - azimuth), abs(p.elevation_deg - elevation)))
+        left.remove(nearest)
+        ordered.append(nearest)
+        azimuth, elevation = nearest.azimuth_deg, nearest.elevation_deg
+    return ordered

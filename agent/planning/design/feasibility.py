@@ -1,0 +1,104 @@
+"""Whether a position can be measured without a collision, and in how many minutes: its own plan, walked in thought.
+
+The preflight rehearses the finished set with physics. A search looks at hundreds of positions, so here the straight
+moves of the plan are checked against the bodies as they stand, which takes milliseconds.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agent.execution.steps import MoveTo, TouchTowards
+from agent.planning.cycle_time import position_minutes, walked
+from agent.planning.job import Job
+from agent.probing.ball import point
+from agent.probing.run_plan import MeasuringOrder, measure_positions
+from twin.arrays import Array
+from twin.artefact.position_set import Position
+from twin.collision.accessibility import AT_CONTACT_MM, standing_scene
+from twin.collision.bodies import TIP, ball_name
+from twin.collision.collision import Scene
+from twin.collision.geometry import Point, added
+
+CLEARANCE_MM = 1.0
+"""What every move keeps from everything: the mount never stands exactly where it is said to."""
+
+_PREFIX = "vetted"
+_BALL = re.compile(r"/ball-(\d+)")
+_Key = tuple[float, float, float, float, float, bytes]
+
+
+@dataclass(frozen=True, eq=False)
+class Vetting:
+    """Vets the positions of a job. Stations at the same depth and height, with the same way to the parking place,
+    differ only in what is within reach, so what was found at one of them holds at the others."""
+
+    job: Job
+    _minutes: dict[_Key, float] = field(default_factory=dict, init=False, repr=False)
+    _hits: dict[_Key, str] = field(default_factory=dict, init=False, repr=False)
+
+    def minutes(self, position: Position) -> float:
+        """Machine minutes at a station where the mount stands already."""
+        key = self._key(position)
+        if key not in self._minutes:
+            self._minutes[key] = position_minutes(self.job, position)
+        return self._minutes[key]
+
+    def hit(self, position: Position) -> str:
+        """What would hit what on the way, for people; empty where all is clear."""
+        key = self._key(position)
+        if key not in self._hits:
+            self._hits[key] = self._first_hit(position)
+        return self._hits[key]
+
+    def _key(self, position: Position) -> _Key:
+        layout = self.job.layout
+        x, y, z = point(layout.place(position.station))
+        park = self.job.rules.course.park_mm[position.station] - x
+        reached = layout.reachable(position, layout.nominal(position))
+        return position.azimuth_deg, position.elevation_deg, park, y, z, reached.tobytes()
+
+    def _first_hit(self, position: Position) -> str:
+        """Over every straight move. What touches stops at its own ball, and draws back from there."""
+        job, scene = self.job, self._scene(position)
+        resting_mm = job.layout.contact_mm - job.layout.overtravel_mm
+        balls, tool = job.layout.nominal(position), point(job.tool_offset_mm)
+        at, touched = point(job.rules.course.parked(balls.mean(axis=0), position.station)), ""
+        order = MeasuringOrder(_PREFIX, (position,), position.station)
+        _, timed = walked(job, measure_positions(order, job.layout, job.rules), at)
+        for step in (one.step for one in timed):
+            if not isinstance(step, (MoveTo, TouchTowards)):
+                continue
+            target, own = step.target_mm, touched
+            if isinstance(step, TouchTowards):
+                number = int(_BALL.findall(step.key)[0])
+                target, own = _at_rest(at, balls[number], resting_mm), ball_name(number)
+            meant = {(TIP, own), ("stem", own)} if own else set()
+            apart_mm = AT_CONTACT_MM if own else CLEARANCE_MM
+            hit = scene.first_hit(added(at, tool), added(target, tool), clearance_mm=apart_mm, ignored=meant)
+            if hit is not None:
+                return f"{hit.moving} with {hit.obstacle}"
+            at, touched = target, own if isinstance(step, TouchTowards) else ""
+        return ""
+
+    def _scene(self, position: Position) -> Scene:
+        settings = self.job.settings
+        _, scene = standing_scene(
+            self.job.artefact,
+            settings.probe,
+            settings.mount,
+            place_mm=self.job.layout.place(position.station),
+            azimuth_rad=math.radians(position.azimuth_deg),
+            elevation_rad=math.radians(position.elevation_deg),
+        )
+        return scene
+
+
+def _at_rest(start: Point, centre: Array, resting_mm: float) -> Point:
+    """Where the tip that comes from `start` stands after a touch; touches go towards the centre."""
+    away = np.array(start) - centre
+    return point(centre + away * (resting_mm / np.linalg.norm(away)))

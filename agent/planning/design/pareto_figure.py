@@ -1,0 +1,48 @@
+"""The Pareto front as a figure: expected VCE against machine minutes, with the design and the set it competes with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, from_zero
+from agent.planning.design.pareto_front import FrontPoint
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A set that is there already, such as that of the settings."""
+
+    name: str
+    minutes: float
+    vce_um: float
+
+
+def draw_front(figure: Figure, points: Sequence[FrontPoint], rivals: Sequence[Rival]) -> None:
+    """On an empty figure under the house style."""
+    axes = figure.subplots()
+    best = [point for point in points if point.best]
+    axes.plot([p.minutes for p in best], [p.vce_um for p in best], "-o", color=BLUE, label="Pareto front of the design")
+    for point in best[:: max(1, len(best) // 8)]:
+        axes.annotate(
+            f"{point.positions}", (point.minutes, point.vce_um), (3, 5), textcoords="offset points", color=BLUE
+        )
+    for point in (point for point in points if point.design):
+        axes.plot(
+            point.minutes, point.vce_um, "s", color=ORANGE, markersize=8, label=f"written: {point.positions} positions"
+        )
+    for rival in rivals:
+        axes.plot(rival.minutes, rival.vce_um, "D", color=GREEN, markersize=7, label=rival.name)
+    axes.axhline(_before(points), color=INK, linewidth=0.8, linestyle=":", label="without compensation")
+    axes.set_xlabel("machine time / min")
+    axes.set_xlim(left=0.0)
+    axes.set_title("Expected VCE against machine time (numbers: positions)")
+    from_zero(axes, "expected VCE, rigidly aligned / µm")
+    axes.legend()
+
+
+def _before(points: Sequence[FrontPoint]) -> float:
+    """µm of the family, from any point: its VCE and by how much that is less."""
+    return points[0].vce_um / (1.0 - points[0].valuation / 100.0)

@@ -1,0 +1,29 @@
+"""What any set of positions is worth, before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agent.files import translated
+from agent.planning.job import Job
+from drivers.errors import ConfigurationError
+from twin.artefact.position_set import Position
+from twin.design.valuation import Valuation, valuation
+from twin.identification import Options
+from twin.machine.volumetric import evaluation_grid
+
+
+def valuation_of(job: Job, positions: Sequence[Position]) -> Valuation:
+    """Of a set measured as the job measures, identified from ball centres with the prior.
+
+    Raises ConfigurationError where none of it is within reach.
+    """
+    with translated(ConfigurationError, key="procedure.position_set"):
+        return valuation(
+            job.machine.family,
+            job.artefact,
+            job.procedure.planned(positions).observations,
+            Options(estimate_scales=False, outliers="none"),
+            evaluation_grid(job.machine.model.ranges_mm),
+            job.tool_offset_mm,
+        )

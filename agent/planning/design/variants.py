@@ -1,0 +1,65 @@
+"""Other ways to measure than the settings': touches a ball, number of balls, tilt of the holders, tools."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+from agent.files import translated
+from agent.planning.design.bar_variants import Bar
+from agent.planning.job import Job, prepare_job
+from drivers.errors import ConfigurationError
+from twin.artefact.artefact import Artefact
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """`jobs`: tool → job; `theta_deg` None and not `made_up`: the artefact that the settings name."""
+
+    touches: int
+    balls: int
+    theta_deg: float | None
+    jobs: Mapping[str, Job]
+    made_up: bool
+
+
+def variants_of(
+    job: Job,
+    base: Path,
+    *,
+    tools: Sequence[str] = (),
+    touches: Sequence[int] = (),
+    balls: Sequence[int] = (),
+    thetas_deg: Sequence[float] = (),
+) -> list[Variant]:
+    """Every combination; what is not given stays as the job has it. Raises ConfigurationError for an unknown tool."""
+    made_up = bool(balls or thetas_deg)
+    with translated(ConfigurationError, file=str(job.settings.artefact)):
+        bar = Bar.of(job.artefact) if made_up else None
+    tilts: list[float | None] = [*thetas_deg] or [None if bar is None else bar.tilt_deg]
+    found = []
+    for count, number, theta in product(
+        touches or [job.settings.procedure.touches_per_ball], balls or [job.artefact.count], tilts
+    ):
+        with translated(ConfigurationError, key="--touches, --balls or --theta-deg"):
+            artefact = job.artefact if bar is None else bar.with_(number, theta)
+            jobs = {tool: _job(job, base, tool, count, artefact) for tool in tools or [job.settings.tool]}
+        found.append(Variant(count, number, theta, jobs, made_up))
+    return found
+
+
+def _job(job: Job, base: Path, tool: str, touches: int, artefact: Artefact) -> Job:
+    if tool not in job.machine.tools:
+        raise ConfigurationError(
+            f"the machine has no tool {tool!r}",
+            key="--tool",
+            hint=f"tools of {job.machine.name}: {', '.join(sorted(job.machine.tools))}",
+        )
+    chosen = job.settings.procedure
+    if (tool, touches, artefact) == (job.settings.tool, chosen.touches_per_ball, job.artefact):
+        return job
+    procedure = chosen.model_copy(update={"touches_per_ball": touches})
+    own = prepare_job(job.settings.model_copy(update={"procedure": procedure, "tool": tool}), base)
+    return replace(own, artefact=artefact, layout=replace(own.layout, artefact=artefact))

@@ -1,0 +1,85 @@
+"""A machine without errors that does each step at once and says how long it would have taken: no physics, no device.
+
+It plays the engine's actions, so that the very plans of a run can be walked to know their time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from agent.execution import steps as s
+from agent.execution.engine import Action
+from agent.planning.time_model import TimeModel
+from drivers.roles import Miss, Orientation, Touch
+from twin.artefact.position_set import Position
+from twin.collision.geometry import Point, point
+from twin.collision.measuring_layout import Layout
+from twin.collision.motion_law import Path, entry, straight
+
+
+class IdealMachine:
+    """Axes at `start_mm`, the mount's at zero; mounts at every station begin where they are turned to first.
+
+    `spent(step, motion_s, beyond_s)` hears of every step that takes time. Every ball stands where `layout` has it; the
+    probe trips at contact.
+    """
+
+    def __init__(
+        self, layout: Layout, model: TimeModel, start_mm: Point, spent: Callable[[s.Step, float, float], None]
+    ) -> None:
+        self._layout = layout
+        self._model = model
+        self._spent = spent
+        self._at_mm = start_mm
+        self._turned_deg: dict[int, tuple[float, float]] = {}
+        self._balls: list[Point] = []
+
+    def actions(self) -> dict[type, Action]:
+        """For the engine; the steps of a plan that measures."""
+        return {
+            s.MoveTo: self._move,
+            s.TouchTowards: self._touch,
+            s.OrientTo: self._orient,
+            s.ReadTemperatures: lambda _: {"artefact": self._layout.artefact.reference_temperature_c},
+            s.ReadClock: lambda _: 0.0,
+            s.ReadPosition: lambda _: self._at_mm,
+            s.CheckPermissions: lambda _: None,
+            s.CheckProbe: lambda _: None,
+            s.AskOperator: lambda step: self._took(step, 0.0),
+            s.Record: lambda _: None,
+        }
+
+    def _move(self, step: s.MoveTo) -> None:
+        self._took(step, self._model.move_s(self._at_mm, step.target_mm, step.feed_mm_per_s))
+        self._at_mm = step.target_mm
+
+    def _touch(self, step: s.TouchTowards) -> Touch | Miss:
+        path = straight(self._at_mm, step.target_mm)
+        trip_mm = self._contact(path)
+        motion_s, self._at_mm = self._model.touch_s(path, step.feed_mm_per_s, trip_mm)
+        self._took(step, motion_s)
+        return Miss(self._at_mm) if trip_mm is None else Touch(path.at(trip_mm))
+
+    def _orient(self, step: s.OrientTo) -> Orientation:
+        target_deg = (step.azimuth_deg, step.elevation_deg)
+        own_mounts = bool(self._layout.around)
+        mount = step.station if own_mounts else 0
+        before_deg = self._turned_deg.get(mount, target_deg if own_mounts else (0.0, 0.0))
+        self._took(step, self._model.turn_s(before_deg, target_deg))
+        self._turned_deg[mount] = target_deg
+        nominal = self._layout.nominal(Position(step.station, step.azimuth_deg, step.elevation_deg))
+        self._balls = [point(ball) for ball in nominal]
+        return Orientation(*target_deg)
+
+    def _contact(self, path: Path) -> float | None:
+        """Distance along `path` at which the first ball is met."""
+        reach, first = self._layout.contact_mm, math.inf
+        for ball in self._balls:
+            distance = entry(path.start, path, ball, reach)
+            if distance is not None and distance < first:
+                first = distance
+        return first if first < math.inf else None
+
+    def _took(self, step: s.Step, motion_s: float) -> None:
+        self._spent(step, motion_s, self._model.beyond_motion_s(step))

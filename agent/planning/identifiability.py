@@ -1,0 +1,183 @@
+"""What a procedure will see of a machine before anything is measured: from files and names to a set-up and its rank."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from agent.files import load_positions, translated
+from agent.planning.case_file import load_case
+from agent.planning.job import Job
+from agent.probing.run_plan import position_key
+from agent.settings.load import POSITION_FILES
+from drivers.errors import ConfigurationError, InputError
+from twin.arrays import Array
+from twin.artefact.position_set import Position, positions_of
+from twin.design.identifiability import Visibility, visibility
+from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
+from twin.design.procedure import Planned, Procedure
+from twin.design.setup_advice import UM_PER_MM, effect, proposal
+from twin.design.setup_trials import Gain, gains, viewpoints
+from twin.identification import predicted_vce
+from twin.identification.options import Formulation
+from twin.machine.volumetric import Volumetric, evaluation_grid
+
+
+@dataclass(frozen=True)
+class Question:
+    """The files and choices of a rank. `position_set`: names joined by + or a position file, None for that of the
+    settings; `tools`: names in the machine file, none for that of the settings; `stations`: evenly along X instead of
+    those of the settings."""
+
+    config: Path
+    machine: Path | None = None
+    artefact: Path | None = None
+    position_set: str | None = None
+    stations: int | None = None
+    tools: tuple[str, ...] = ()
+    formulation: Formulation | None = None
+    grid_shape: tuple[int, int, int] = (60, 20, 20)
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """`vce`: to expect at each field of `seen`; `advice`: best first."""
+
+    job: Job
+    position_set: str
+    set_up: SetUp
+    planned: Planned
+    seen: Visibility
+    vce: tuple[Volumetric, ...]
+    advice: tuple[Gain, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        seen, planned = self.seen, self.planned
+        return {
+            "position_set": self.position_set,
+            "formulation": self.set_up.options.formulation,
+            "tools": list(self.set_up.procedure.layouts),
+            "positions": len(planned.positions),
+            "left_out": [position_key(position) for position in planned.left_out],
+            "unreachable_balls": planned.unreachable_balls,
+            "balls": planned.observations.size,
+            "rank": seen.rank,
+            "parameters": seen.model.size,
+            "conditioning": seen.conditioning,
+            "null_summary": list(seen.null_summary),
+            "null_directions": [
+                {"text": d.text, "changes_field": d.changes_field, "loadings": dict(d.loadings)}
+                for d in seen.null_directions
+            ],
+            "sigma": _sigma_json(seen),
+            "fields": [
+                {**field, "predicted_vce_um": vce.aligned_um}
+                for field, vce in zip(_fields_json(seen), self.vce, strict=True)
+            ],
+            "advice": [_advice_json(gain) for gain in self.advice],
+        }
+
+
+def rank(question: Question) -> Ranking:
+    """Raises UserError naming file, key and what is known for whatever cannot be used, or sees nothing."""
+    job = load_case(
+        question.config,
+        machine=question.machine,
+        artefact=question.artefact,
+        stations=question.stations,
+        tool=question.tools[0] if question.tools else None,
+    )
+    with translated(ConfigurationError, key="grid"):
+        grid = evaluation_grid(job.machine.model.ranges_mm, question.grid_shape)
+    name = question.position_set or job.settings.procedure.position_set
+    with translated(InputError, set=name):
+        set_up = _set_up(job, question, name)
+        return _ranked(job, name, set_up, grid)
+
+
+def _ranked(job: Job, name: str, set_up: SetUp, grid: Array) -> Ranking:
+    estimate, views = set_up.estimate(), viewpoints(set_up, grid)
+    seen = visibility(estimate, views)
+    return Ranking(
+        job=job,
+        position_set=name,
+        set_up=set_up,
+        planned=set_up.planned(),
+        seen=seen,
+        vce=tuple(predicted_vce(estimate, grid, view.form.tool_offset) for view in views),
+        advice=gains(set_up, seen, views),
+    )
+
+
+def _set_up(job: Job, question: Question, name: str) -> SetUp:
+    """Every position is measured with every tool asked for, unless a file says with which."""
+    positions = _positions(job, question, name)
+    asked = tuple(dict.fromkeys(question.tools)) or (job.settings.tool,)
+    named = [position.tool for position in positions if position.tool]
+    bare = SetUp(job.machine.model, job.machine.family, job.procedure, ())
+    used = dict.fromkeys((*asked, *named))
+    with translated(ConfigurationError, file=str(job.settings.machine)):
+        layouts = {tool: layout_for(job.layout, job.machine.tool(tool), bare.tool_axis) for tool in used}
+    chosen = question.formulation or job.settings.identification.formulation
+    return replace(
+        bare,
+        procedure=Procedure(layouts, job.procedure.covariance_mm2),
+        positions=_with_tools(positions, asked),
+        options=replace(AS_STATED, formulation=chosen),
+    )
+
+
+def _positions(job: Job, question: Question, name: str) -> tuple[Position, ...]:
+    if question.position_set is None:
+        return job.positions
+    if name.endswith(POSITION_FILES):
+        return load_positions(Path(name))
+    everywhere = positions_of(name, len(job.layout.places_mm))
+    stations = job.settings.procedure.stations or sorted(job.layout.places_mm)
+    return tuple(position for position in everywhere if position.station in stations)
+
+
+def _with_tools(positions: Sequence[Position], tools: Sequence[str]) -> tuple[Position, ...]:
+    """One tool after the other, as they are changed by hand; what names its tool keeps it."""
+    free = [position for position in positions if position.tool is None]
+    bound = [position for position in positions if position.tool is not None]
+    return (*(replace(position, tool=tool) for tool in tools for position in free), *bound)
+
+
+def _fields_json(seen: Visibility) -> list[dict[str, Any]]:
+    return [
+        {
+            "tool": at.tool,
+            "tool_offset_mm": at.tool_offset.tolist(),
+            "measured": at.measured,
+            "prior_um": UM_PER_MM * at.prior_mm,
+            "unseen_um": UM_PER_MM * at.unseen_mm,
+            "blind_um": UM_PER_MM * at.blind_mm,
+        }
+        for at in seen.fields
+    ]
+
+
+def _sigma_json(seen: Visibility) -> dict[str, dict[str, Any]]:
+    return {
+        parameter.name: {"unit": parameter.unit, "prior": float(prior), "posterior": float(posterior)}
+        for parameter, prior, posterior in zip(
+            seen.model.parameters, seen.prior_sigma, seen.posterior_sigma, strict=True
+        )
+    }
+
+
+def _advice_json(gain: Gain) -> dict[str, Any]:
+    tool = gain.trial.tool
+    return {
+        "proposal": proposal(gain.trial),
+        "effect": effect(gain),
+        "tool_offset_mm": None if tool is None else tool.offset.tolist(),
+        "added_set": gain.trial.added or None,
+        "positions": gain.positions,
+        "rank_gained": gain.rank,
+        "unseen_removed_um": UM_PER_MM * gain.unseen_removed_mm,
+        "fields": _fields_json(gain.after),
+    }

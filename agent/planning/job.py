@@ -1,0 +1,221 @@
+"""From settings and the files they name to everything a run needs to know. Reads files, touches no device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from agent.execution.steps import Plan
+from agent.files import load_machine, load_positions, translated
+from agent.planning.measuring_order import Ordering
+from agent.planning.procedure_rules import course_of, layout_of, preparation_of, probing_of
+from agent.planning.stations import check_stations, load_artefacts, station_change
+from agent.planning.temperature_rules import drift_limits_of, settling_of
+from agent.planning.time_model import time_model
+from agent.probing.position import MeasuredBall, PositionRules
+from agent.probing.preparation import Preparation, Prepared, prepare_probe
+from agent.probing.repeated_positions import ClosingRules
+from agent.probing.run_plan import Measured, MeasuringOrder, by_station
+from agent.settings.gate_limits import GateLimits
+from agent.settings.load import POSITION_FILES
+from agent.settings.schema import Settings
+from drivers.errors import ConfigurationError
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import Position, positions_of
+from twin.artefact.touch_pattern import centre_covariance
+from twin.collision.measuring_layout import Layout
+from twin.design.procedure import FEWEST_BALLS, Procedure
+from twin.machine.machine_description import MachineDescription
+
+
+@dataclass(frozen=True)
+class Job:
+    """A calibration that can be listed, rehearsed and carried out. `held_out` is never used for the estimate."""
+
+    settings: Settings
+    machine: MachineDescription
+    artefact: Artefact
+    positions: tuple[Position, ...]
+    held_out: tuple[Position, ...]
+    stations: tuple[int, ...]
+    verified_stations: tuple[int, ...]
+    layout: Layout
+    rules: PositionRules
+    preparation: Preparation
+    gate_limits: GateLimits
+
+    @property
+    def tool_offset_mm(self) -> Array:
+        return np.asarray(self.machine.tools[self.settings.tool], dtype=np.float64)
+
+    @property
+    def procedure(self) -> Procedure:
+        """The same as the mathematics sees it: no devices, no order."""
+        probing = self.rules.probing
+        covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
+        return Procedure({self.settings.tool: self.layout}, covariance)
+
+    @cached_property
+    def measuring(self) -> MeasuringOrder:
+        """The set, and at the verified stations the held-out positions as they are before."""
+        both = (*self.positions, *self.held_out)
+        carried = self.rules.change.moves_artefact
+        standing_at = self.settings.stations.standing_at if carried else None
+        if not self.settings.procedure.reorder:
+            return MeasuringOrder("measure", by_station(both, self.stations), standing_at)
+        stations = self._ordering.stations(self.stations, standing_at, self.verified_stations)
+        return MeasuringOrder("measure", self._ordering.positions(both, stations), standing_at)
+
+    @cached_property
+    def _ordering(self) -> Ordering:
+        return Ordering(self.layout, self.rules, time_model(self.machine, self.settings.timing))
+
+    @property
+    def closing(self) -> ClosingRules:
+        """When the first position is measured again at the end: one of the set, never a held-out one."""
+        chosen = self.settings.temperature
+        return ClosingRules(chosen.close_run_k, chosen.declared_change_k, chosen.close_positions, self.positions)
+
+    def preparing(self) -> Plan[Prepared]:
+        """The probe check and the qualification before everything else."""
+        return prepare_probe(self.measuring, self.layout, self.rules, self.preparation)
+
+    def verifying(self, standing_at: int | None) -> MeasuringOrder:
+        """The held-out positions again, beginning where the artefact stands."""
+        order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
+        if not self.settings.procedure.reorder:
+            return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
+        return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
+
+    def balls_of(self, measured: Measured, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
+        """The balls of the held-out positions, or of all others, numbered as `artefact` has them; `again`: with those
+        that were found again at the end of their positions."""
+        kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
+        return [
+            replace(ball, ball=ball.ball + self.layout.first_ball(ball.station))
+            for position in measured.positions
+            for ball in (position.all_balls if again else position.balls)
+            if ((ball.station, ball.azimuth_deg, ball.elevation_deg) in kept_out) is held_out
+        ]
+
+
+def prepare_job(settings: Settings, base: Path) -> Job:
+    """Load what the settings name and check that it fits together. Raises ConfigurationError.
+
+    `base`: where a relative path of a position file starts.
+    """
+    check_stations(settings)
+    machine = load_machine(settings.machine)
+    artefacts = load_artefacts(settings)
+    if settings.tool not in machine.tools:
+        raise ConfigurationError(
+            f"the machine has no tool {settings.tool!r}",
+            key="tool",
+            hint=f"tools of {settings.machine.name}: {', '.join(sorted(machine.tools))}",
+        )
+    stations = tuple(settings.procedure.stations or range(1, len(settings.stations.places_mm) + 1))
+    positions = _positions(settings, stations, base)
+    verified = tuple(settings.verification.stations or stations)
+    held_out = tuple(
+        Position(station, azimuth, elevation)
+        for station in verified
+        for azimuth, elevation in settings.verification.positions_deg
+    )
+    _refuse_overlap(positions, held_out)
+    used = tuple(dict.fromkeys((*stations, *(p.station for p in positions), *verified)))
+    probing = probing_of(settings, artefacts.kind)
+    job = Job(
+        settings=settings,
+        machine=machine,
+        artefact=artefacts.all,
+        positions=positions,
+        held_out=held_out,
+        stations=used,
+        verified_stations=verified,
+        layout=layout_of(settings, machine, artefacts, probing),
+        preparation=preparation_of(settings, machine, artefacts, probing),
+        rules=PositionRules(
+            probing,
+            course_of(settings, machine),
+            drift_limits_of(settings),
+            settling_of(settings),
+            station_change(settings),
+        ),
+        gate_limits=GateLimits(**settings.gates.model_dump()),
+    )
+    _refuse_nothing_reachable(job)
+    if settings.procedure.position_set.endswith(POSITION_FILES):
+        _refuse_unreachable_entry(job)
+    return job
+
+
+def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple[Position, ...]:
+    """Named sets, or a file of positions."""
+    name = settings.procedure.position_set
+    if name.endswith(POSITION_FILES):
+        listed = load_positions(base / name)
+        unknown = sorted({p.station for p in listed} - set(range(1, len(settings.stations.places_mm) + 1)))
+        if unknown:
+            raise ConfigurationError(
+                f"the position file names station {unknown[0]}, which has no place",
+                file=name,
+                key="stations.places_mm",
+            )
+        return tuple(_with_tool_of_run(p, number, settings) for number, p in enumerate(listed, start=1))
+    with translated(ConfigurationError, key="procedure.position_set"):
+        everywhere = positions_of(name, len(settings.stations.places_mm))
+    return tuple(p for p in everywhere if p.station in stations)
+
+
+def _with_tool_of_run(position: Position, number: int, settings: Settings) -> Position:
+    if position.tool not in (None, settings.tool):
+        raise ConfigurationError(
+            f"position {number} is to be measured with tool '{position.tool}', the run has '{settings.tool}'",
+            file=settings.procedure.position_set,
+            key="tool",
+            hint="a run has one tool: make one file for each, and fuse the runs' estimates",
+        )
+    return replace(position, tool=None)
+
+
+def _refuse_overlap(positions: Sequence[Position], held_out: Sequence[Position]) -> None:
+    common = set(positions) & set(held_out)
+    if common:
+        first = min(common, key=lambda p: p.station)
+        raise ConfigurationError(
+            f"position az {first.azimuth_deg:g}° el {first.elevation_deg:g}° is measured for the estimate, "
+            "so it cannot prove it",
+            key="verification.positions_deg",
+            hint="choose orientations that the position set does not contain",
+        )
+
+
+def _refuse_nothing_reachable(job: Job) -> None:
+    if all(_reached(job, position) < FEWEST_BALLS for position in job.positions):
+        raise ConfigurationError(
+            "no position has three balls within the travel",
+            key="stations.places_mm",
+            hint="check the stations' places, the mount's shaft and the tool offset",
+        )
+
+
+def _refuse_unreachable_entry(job: Job) -> None:
+    """A named set leaves out what a machine cannot reach, and counts it; a list of one's own means every entry."""
+    for number, position in enumerate(job.positions, start=1):
+        reached = _reached(job, position)
+        if reached < FEWEST_BALLS:
+            raise ConfigurationError(
+                f"position {number} (station {position.station}, azimuth {position.azimuth_deg:g}°, elevation "
+                f"{position.elevation_deg:g}°) has {reached} balls within reach, three are needed",
+                file=job.settings.procedure.position_set,
+                hint="leave it out, or choose another orientation or station",
+            )
+
+
+def _reached(job: Job, position: Position) -> int:
+    return int(job.layout.reachable(position, job.layout.nominal(position)).sum())

@@ -1,0 +1,167 @@
+"""What a finished run says of the time model: predicted and observed seconds of each step, and latencies from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from agent.execution.journal_reading import JournaledStep
+from agent.execution.steps import Point
+from agent.planning.time_model import S_PER_MIN, TimeModel
+from drivers.roles import OperatorTask
+from twin.collision.motion_law import straight
+
+MOVE, TOUCH, TURN, CARRY = "MoveTo", "TouchTowards", "OrientTo", "AskOperator"
+KINDS = (MOVE, TOUCH, TURN, CARRY)
+"""Steps that take time, as the journal names them."""
+
+_Angles: TypeAlias = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ObservedStep:
+    """`motion_s`: what the motion law says of it; `observed_s`: what the run took."""
+
+    kind: str
+    motion_s: float
+    observed_s: float
+
+
+@dataclass(frozen=True)
+class KindOfStep:
+    """All steps of one kind. Seconds; latencies beyond the motion of each (of an AskOperator all of it), as set and as
+    suggested; `rest_s`: rms of what the suggested one leaves of a step."""
+
+    kind: str
+    count: int
+    observed_s: float
+    predicted_s: float
+    latency_s: float
+    suggested_latency_s: float
+    rest_s: float
+
+
+def observed_steps(steps: Iterable[JournaledStep], model: TimeModel) -> list[ObservedStep]:
+    """Replay a run's motions from where the axes and the mount stood; what begins from nobody knows where, and what
+    did not end, says nothing."""
+    replay = _Replay(model)
+    return [observed for step in steps if (observed := replay.observed(step)) is not None]
+
+
+def refit(model: TimeModel, observed: Sequence[ObservedStep]) -> TimeModel:
+    """The same motion with the latencies that fit best, kind by kind; kinds that were not observed keep theirs.
+
+    With motion known, what is left of a step is its latency, and the least-squares estimate of a constant is the mean;
+    a mean below zero (the machine is faster than its file says) counts as none.
+    """
+    return replace(
+        model,
+        command_latency_s=_fitted(MOVE, model.command_latency_s, observed),
+        touch_latency_s=_fitted(TOUCH, model.touch_latency_s, observed),
+        turn_latency_s=_fitted(TURN, model.turn_latency_s, observed),
+        carrying_s=_fitted(CARRY, model.carrying_s, observed),
+    )
+
+
+def _fitted(kind: str, given_s: float, observed: Sequence[ObservedStep]) -> float:
+    beyond = [step.observed_s - step.motion_s for step in observed if step.kind == kind]
+    return max(0.0, math.fsum(beyond) / len(beyond)) if beyond else given_s
+
+
+def kinds_of_steps(model: TimeModel, observed: Sequence[ObservedStep]) -> list[KindOfStep]:
+    """Prediction by `model` against what was observed, for every kind that was."""
+    given, fitted = _latencies(model), _latencies(refit(model, observed))
+    table = []
+    for kind in KINDS:
+        of_kind = [step for step in observed if step.kind == kind]
+        if of_kind:
+            table.append(_summary(kind, of_kind, given[kind], fitted[kind]))
+    return table
+
+
+def suggested_settings(model: TimeModel) -> dict[str, float]:
+    """The keys of the settings' `timing` that are not the mount's motion."""
+    return {
+        "command_latency_s": round(model.command_latency_s, 4),
+        "touch_latency_s": round(model.touch_latency_s, 4),
+        "turn_latency_s": round(model.turn_latency_s, 4),
+        "carrying_minutes": round(model.carrying_s / S_PER_MIN, 2),
+    }
+
+
+def _latencies(model: TimeModel) -> dict[str, float]:
+    return {
+        MOVE: model.command_latency_s,
+        TOUCH: model.touch_latency_s,
+        TURN: model.turn_latency_s,
+        CARRY: model.carrying_s,
+    }
+
+
+def _summary(kind: str, steps: Sequence[ObservedStep], latency_s: float, suggested_s: float) -> KindOfStep:
+    rest = [step.observed_s - step.motion_s - suggested_s for step in steps]
+    return KindOfStep(
+        kind=kind,
+        count=len(steps),
+        observed_s=math.fsum(step.observed_s for step in steps),
+        predicted_s=math.fsum(step.motion_s + latency_s for step in steps),
+        latency_s=latency_s,
+        suggested_latency_s=suggested_s,
+        rest_s=math.sqrt(math.fsum(value * value for value in rest) / len(rest)),
+    )
+
+
+class _Replay:
+    """Where axes and mount stand while a run's steps pass by; None before it is known."""
+
+    def __init__(self, model: TimeModel) -> None:
+        self._model = model
+        self._at_mm: Point | None = None
+        self._turned_deg: _Angles | None = None
+
+    def observed(self, step: JournaledStep) -> ObservedStep | None:
+        if step.finished_s is None:
+            self._at_mm = self._turned_deg = None
+            return None
+        motion_s = self._motion_s(step)
+        return None if motion_s is None else ObservedStep(step.kind, motion_s, step.finished_s - step.begun_s)
+
+    def _motion_s(self, step: JournaledStep) -> float | None:
+        """Seconds of pure motion, where it can be told; what is known afterwards is kept."""
+        match step.kind:
+            case "ReadPosition":
+                self._at_mm = _triple(step.result)
+            case "MoveTo":
+                return self._move_s(_triple(step.detail["target_mm"]), step.detail["feed_mm_per_s"])
+            case "TouchTowards":
+                return self._touch_s(step)
+            case "OrientTo":
+                return self._turn_s((step.detail["azimuth_deg"], step.detail["elevation_deg"]))
+            case "AskOperator" if step.detail["request"]["task"] == OperatorTask.MOVE_ARTEFACT.value:
+                return 0.0
+        return None
+
+    def _move_s(self, target_mm: Point, feed_mm_per_s: float | None) -> float | None:
+        start_mm, self._at_mm = self._at_mm, target_mm
+        return None if start_mm is None else self._model.move_s(start_mm, target_mm, feed_mm_per_s)
+
+    def _touch_s(self, step: JournaledStep) -> float | None:
+        start_mm, self._at_mm = self._at_mm, None
+        if start_mm is None:
+            return None
+        latched = step.result.get("touch")
+        trip_mm = None if latched is None else math.dist(start_mm, latched)
+        path = straight(start_mm, _triple(step.detail["target_mm"]))
+        motion_s, self._at_mm = self._model.touch_s(path, step.detail["feed_mm_per_s"], trip_mm)
+        return motion_s
+
+    def _turn_s(self, target_deg: _Angles) -> float | None:
+        start_deg, self._turned_deg = self._turned_deg, target_deg
+        return None if start_deg is None else self._model.turn_s(start_deg, target_deg)
+
+
+def _triple(values: Sequence[float]) -> Point:
+    x, y, z = values
+    return x, y, z

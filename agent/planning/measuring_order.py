@@ -1,0 +1,127 @@
+"""In which order stations and positions are measured: what takes least machine time, decided once before a run.
+
+Nothing but settings goes in, so that a run that is gone on with has the same order again. Between two positions it
+costs the turn of the mount, and the ways from the last ball to a place clear of the turning artefact and on to the
+next; between two stations the artefact is carried.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise, permutations
+
+from agent.planning.time_model import TimeModel
+from agent.probing.paths.approach_points import Spot
+from agent.probing.paths.free_paths import Stand, Traffic
+from agent.probing.position import PositionRules
+from twin.artefact.position_set import Position
+from twin.collision.geometry import point
+from twin.collision.measuring_layout import Layout
+from twin.collision.travelling_salesman import shortest_tour
+from twin.design.procedure import FEWEST_BALLS
+
+MOST_PERMUTED = 7
+"""More stations than this are measured as they are listed."""
+
+FAR_S = 20.0
+"""About what the way over a parking place takes."""
+
+AT_REST_DEG = (0.0, 0.0)
+
+Angles = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Ordering:
+    """Orders the positions of one layout. Where all ways between positions go by the retreat plane, they cost about the
+    same, and only the turns differ."""
+
+    layout: Layout
+    rules: PositionRules
+    times: TimeModel
+
+    def stations(self, listed: Sequence[int], standing_at: int | None, last_at: Sequence[int]) -> tuple[int, ...]:
+        """`listed` from where the artefact stands, with as few carries as can be, the next measurement being at
+        `last_at`; among equals the shortest ways along the machine, then as listed."""
+        if len(listed) > MOST_PERMUTED:
+            return (*(s for s in listed if s == standing_at), *(s for s in listed if s != standing_at))
+        return min(permutations(listed), key=lambda order: self._carrying(order, standing_at, last_at))
+
+    def positions(self, positions: Sequence[Position], stations: Sequence[int]) -> tuple[Position, ...]:
+        """Station by station; within each what takes least time, the mount standing as the station before left it."""
+        angles, done = AT_REST_DEG, list[Position]()
+        for station in stations:
+            here = [position for position in positions if position.station == station]
+            reached = [position for position in here if self._ends(position)]
+            order = self._at_station(reached, angles)
+            done += [*order, *(position for position in here if position not in order)]
+            angles = _angles(order[-1]) if order else angles
+        return tuple(done)
+
+    def _carrying(
+        self, order: Sequence[int], standing_at: int | None, last_at: Sequence[int]
+    ) -> tuple[bool, int, float]:
+        elsewhere = bool(order) and standing_at in order and order[0] != standing_at
+        carries = sum(1 for station in order[:1] if station != standing_at) + len(order) - 1
+        carries += len(set(last_at)) - (1 if order and order[-1] in last_at else 0)
+        places = [float(self.layout.place(station)[0]) for station in order]
+        return elsewhere, carries, sum(abs(b - a) for a, b in pairwise(places))
+
+    def _at_station(self, positions: Sequence[Position], angles: Angles) -> list[Position]:
+        begin = Position(positions[0].station, *angles, tool="mount") if positions else None
+        if begin is None:
+            return []
+        turn = cache(self._turn_s)
+        way = self._ways(begin)
+        return shortest_tour(positions, begin, None, lambda a, b: turn(a, b) + way(a, b), turn)
+
+    def _turn_s(self, before: Position, after: Position) -> float:
+        return self.times.turn_s(_angles(before), _angles(after))
+
+    def _ways(self, begin: Position) -> Callable[[Position, Position], float]:
+        """Seconds of the ways from one position to the next; none to the first, which is reached from outside."""
+        roads = self.rules.course.roads
+        if roads is None:
+            return lambda _, __: 0.0
+        traffic = roads.among(self.layout)
+
+        @cache
+        def seconds(before: Position, after: Position) -> float:
+            if before == begin:
+                return 0.0
+            stands = self._stand(traffic, before), self._stand(traffic, after)
+            starts, ends = self._last_spots(before), self._first_spots(after)
+            key = (*stands, tuple(starts), tuple(ends))
+            if key not in traffic.estimates:
+                traffic.estimates[key] = traffic.least_turning_seconds(stands[0], starts, stands[1], ends)
+            # Where nothing before the turning artefact is clear, the way is over the parking place; that is far.
+            found = traffic.estimates[key]
+            return found if math.isfinite(found) else FAR_S
+
+        return seconds
+
+    def _last_spots(self, position: Position) -> list[Spot]:
+        probing = self.rules.probing
+        away = point(probing.directions[-1])
+        return [Spot(ball, away, probing.contact_mm, touching=True) for ball in self._ends(position)]
+
+    def _first_spots(self, position: Position) -> list[Spot]:
+        probing = self.rules.probing
+        out_mm = probing.contact_mm + probing.wide.approach_mm
+        return [Spot(ball, point(probing.directions[0]), out_mm) for ball in self._ends(position)]
+
+    def _ends(self, position: Position) -> tuple[int, ...]:
+        """Both end balls; none where too few are within reach."""
+        reached = self.layout.reachable(position, self.layout.nominal(position)).nonzero()[0].tolist()
+        return (reached[0], reached[-1]) if len(reached) >= FEWEST_BALLS else ()
+
+    @staticmethod
+    def _stand(traffic: Traffic, position: Position) -> Stand:
+        return traffic.standing(position.station, position.azimuth_deg, position.elevation_deg)
+
+
+def _angles(position: Position) -> Angles:
+    return position.azimuth_deg, position.elevation_deg

@@ -1,0 +1,123 @@
+"""Preflight: the complete plan on the simulated machine with virtual time, before anything moves.
+
+The simulated machine moves as the real one does; what its commands cost besides, `agent.planning.time_model` adds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from agent.execution.engine import Engine
+from agent.execution.steps import Plan, Point, Step
+from agent.planning.cycle_time import TimedStep
+from agent.planning.job import Job
+from agent.planning.preflight_rig import assemble_rehearsal
+from agent.planning.safety_rules import lawful
+from agent.planning.time_model import TimeModel, time_model
+from agent.probing.repeated_positions import measure_closed
+from agent.probing.run_plan import Measured, measure_positions
+from drivers.clock import VirtualClock, wall_seconds
+from drivers.errors import Aborted, ConfigurationError, DeviceError, Interrupted, MeasurementFault, PlanRefused
+
+Procedure = Callable[[Job], Plan[tuple[Measured, Measured]]]
+"""Everything of a run that moves: what is measured, and what is measured to prove it."""
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What the run will be. `timeline`: step key → seconds of machine time when that step is done; `steps`: those that
+    take time, in order."""
+
+    measured: Measured
+    verified: Measured
+    timeline: Mapping[str, float]
+    steps: Sequence[TimedStep]
+    machine_seconds: float
+    wall_seconds: float
+    commands: int
+
+    @property
+    def machine_minutes(self) -> float:
+        return self.machine_seconds / 60.0
+
+
+def unwatched() -> None:
+    """Nobody wants to break off."""
+
+
+def rehearse(
+    job: Job,
+    start_mm: Point | None = None,
+    procedure: Procedure | None = None,
+    watch: Callable[[], None] = unwatched,
+) -> Rehearsal:
+    """Run the whole procedure, by default that of a calibration, on a machine without errors.
+
+    `start_mm`: where the real machine stands; None for where the simulated one begins. Raises PlanRefused
+    naming the step, and the two bodies where one would hit the other; and what `watch` raises, which is called at every
+    step.
+    """
+    plan = (procedure or whole_procedure)(job)
+    began = wall_seconds()
+    clock = VirtualClock()
+    rig = assemble_rehearsal(job, clock, start_mm)
+    times = _Times(clock, time_model(job.machine, job.settings.timing), watch)
+    rig.open()
+    try:
+        measured, verified = Engine(rig.actions(), observer=times.note).run(lawful(plan, job.settings))
+    except (Aborted, Interrupted) as end:  # at no step of the machine's
+        raise type(end)(end.message, hint=end.hint) from end
+    except (DeviceError, MeasurementFault) as error:
+        raise PlanRefused(f"preflight: {error.message}", hint=_what_to_do(job), **error.where) from error
+    finally:
+        rig.close()
+    _require_proof(verified)
+    wall_s = wall_seconds() - began
+    return Rehearsal(measured, verified, times.timeline, times.steps, clock.now(), wall_s, len(times.timeline))
+
+
+def _what_to_do(job: Job) -> str:
+    if job.settings.procedure.paths == "plain":
+        return 'nothing was moved; plain ways are not proved; `procedure.paths = "shortest"` looks for free ones'
+    return "nothing was moved; the plan must change"
+
+
+class _Times:
+    """Notes when each step is done. The simulated machine's motion has moved the clock; the rest is added here."""
+
+    def __init__(self, clock: VirtualClock, model: TimeModel, watch: Callable[[], None]) -> None:
+        self._clock = clock
+        self._model = model
+        self._watch = watch
+        self._last_s = clock.now()
+        self.timeline: dict[str, float] = {}
+        self.steps: list[TimedStep] = []
+
+    def note(self, step: Step, _: object) -> None:
+        self._watch()
+        motion_s, beyond_s = self._clock.now() - self._last_s, self._model.beyond_motion_s(step)
+        self._clock.sleep(beyond_s)
+        self._last_s = self.timeline[step.key] = self._clock.now()
+        if motion_s or beyond_s:
+            self.steps.append(TimedStep(step, motion_s, beyond_s))
+
+
+def _require_proof(verified: Measured) -> None:
+    """Raise ConfigurationError where nothing could be measured with the new table active: it would act unproved."""
+    if not verified.positions:
+        raise ConfigurationError(
+            "no held-out position has three balls within reach, so a new table could not be proved",
+            key="verification.positions_deg",
+            hint="choose orientations that the machine reaches at the stations of `verification`",
+        )
+
+
+def whole_procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
+    """Everything that moves: the probe's preparation, the set with the held-out positions, then these again."""
+    prepared = yield from job.preparing()
+    order = replace(job.measuring, standing_at=prepared.standing_at)
+    measured = yield from measure_closed(order, job.layout, prepared.rules, job.closing)
+    order = job.verifying(measured.standing_at)
+    verified = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
+    return measured, verified

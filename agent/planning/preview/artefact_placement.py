@@ -1,0 +1,79 @@
+"""The artefact as it stands in one position: its bodies, and of each ball whether the probe gets at it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from agent.planning.job import Job
+from agent.planning.preview.scene import Placing, PreviewBall
+from twin.arrays import Array
+from twin.artefact.position_set import Pose, Position, mount_pose
+from twin.collision.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
+from twin.collision.collision import Scene
+from twin.collision.geometry import point, separation
+
+_LOOKED_AT_MM = 25.0
+"""Bodies farther from each other than this are no reason for anything."""
+
+
+def placing_of(job: Job, position: Position, *, held_out: bool) -> Placing:
+    around = standing_bodies(job, position)
+    nominal = job.layout.nominal(position)
+    centres = nominal + job.tool_offset_mm
+    reached = job.layout.reachable(position, nominal)
+    scene = Scene(job.layout.probe.bodies(), around)
+    balls = tuple(
+        PreviewBall(number, point(centre), "" if within else why_not(job, scene, number, axes))
+        for number, (centre, axes, within) in enumerate(zip(centres, nominal, reached.tolist(), strict=True))
+    )
+    return Placing(position, held_out, balls, tuple(body for body in around if body.name != TABLE))
+
+
+def standing_bodies(job: Job, position: Position) -> tuple[Body, ...]:
+    """Artefact, mount and table of `position`, where the mount is said to stand."""
+    place = job.layout.place(position.station)
+    pose = _pose(job, position, place)
+    geometry = job.layout.mount
+    artefact = job.layout.artefact_at(position.station)
+    around = job.layout.around.get(position.station, ())
+    return (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place, pose), *around)
+
+
+def why_not(job: Job, scene: Scene, number: int, axes_mm: Array) -> str:
+    """In words, what keeps the probe from ball `number` whose axis position is `axes_mm` (3,)."""
+    layout = job.layout
+    ends = zip("XYZ", axes_mm.tolist(), layout.lower_mm.tolist(), layout.upper_mm.tolist(), strict=True)
+    outside = [
+        f"{axis} {_tenths(at)} mm ({low:.1f} to {high:.1f})" for axis, at, low, high in ends if not low <= at <= high
+    ]
+    if outside:
+        return f"outside the travel: {', '.join(outside)}"
+    pair = _closest_pair(job, scene, number, axes_mm)
+    return f"no access: {pair[0]} too close to {pair[1]}" if pair else "no access: something is in the probe's way"
+
+
+def _tenths(value_mm: float) -> str:
+    """A tiny negative number is zero, not minus zero."""
+    return f"{round(value_mm, 1) + 0.0:.1f}"
+
+
+def _closest_pair(job: Job, scene: Scene, number: int, axes_mm: Array) -> tuple[str, str] | None:
+    """Names of the two bodies that come closest where the touches of a ball begin."""
+    meant = {(TIP, ball_name(number)), ("stem", ball_name(number))}
+    away = job.layout.contact_mm + job.layout.approach_mm
+    closest, named = math.inf, None
+    for direction in job.rules.probing.directions:
+        tip = point(axes_mm + job.tool_offset_mm - away * np.asarray(direction))
+        for i, j in scene.near(tip, tip, _LOOKED_AT_MM):
+            pair = (scene.moving[i].name, scene.obstacles[j].name)
+            distance = separation(scene.moving[i].shape.moved(tip), scene.obstacles[j].shape)[0]
+            if pair not in meant and distance < closest:
+                closest, named = distance, pair
+    return named
+
+
+def _pose(job: Job, position: Position, place_mm: Array) -> Pose:
+    azimuth, elevation = math.radians(position.azimuth_deg), math.radians(position.elevation_deg)
+    return mount_pose(place_mm, job.layout.mount, azimuth, elevation)

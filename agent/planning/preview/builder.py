@@ -1,0 +1,108 @@
+"""From a job to its preview: every position, the path through them, and where preflight said no."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+
+from agent.planning.job import Job
+from agent.planning.preview.artefact_placement import placing_of, standing_bodies
+from agent.planning.preview.refusal import refusal_of
+from agent.planning.preview.scene import PathPoint, Placing, Preview, Refusal, Visit
+from agent.planning.preview.tip_path import Waypoint, walk
+from agent.probing.run_plan import position_key
+from drivers.errors import PlanRefused
+from twin.artefact.position_set import Position
+from twin.collision.bodies import TABLE
+from twin.collision.geometry import Box, point
+from twin.design.procedure import FEWEST_BALLS
+
+MARGIN_MM = 200.0
+"""By so much the drawn part of the table is larger than what stands on it."""
+
+
+def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
+    """The plan of `job` to look at; `refused`: what preflight had to say against it. `waypoints`: of a path that has
+    been rehearsed already; None: that of the whole calibration."""
+    if waypoints is None:
+        waypoints = walk(job, refused)
+    positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))
+    held_out = set(job.held_out)
+    placings = tuple(placing_of(job, position, held_out=position in held_out) for position in positions)
+    walked = _walked(waypoints, positions)
+    visits = (*walked, *_unvisited(placings, walked, refused))
+    refusal = refusal_of(job, refused, waypoints, max(len(walked) - 1, 0)) if refused else None
+    return Preview(
+        machine=job.machine.name,
+        artefact=job.artefact.name,
+        position_set=job.settings.procedure.position_set,
+        travel=_travel(job),
+        table=_table(job),
+        probe=job.layout.probe.bodies(),
+        placings=placings,
+        visits=visits,
+        path=_path(waypoints, refusal),
+        refusal=refusal,
+    )
+
+
+def _path(waypoints: Sequence[Waypoint], refusal: Refusal | None) -> tuple[PathPoint, ...]:
+    """A refused plan ends where the two bodies meet."""
+    path = [PathPoint(w.tip_mm, w.ends_s, w.ball, w.touches) for w in waypoints]
+    if path and refusal:
+        path[-1] = replace(path[-1], tip_mm=refusal.tip_mm, touch=False)
+    return tuple(path)
+
+
+def _walked(waypoints: Sequence[Waypoint], positions: Sequence[Position]) -> tuple[Visit, ...]:
+    """Consecutive steps of one position; what comes between two positions (carrying) begins the next one."""
+    known = {position_key(position): number for number, position in enumerate(positions)}
+    visits: list[Visit] = []
+    index = 0
+    for (phase, key), steps in groupby(waypoints, key=lambda waypoint: _phase_and_position(waypoint.step.key)):
+        first, index = index, index + sum(1 for _ in steps)
+        if key in known:
+            begins = visits[-1].end if visits else 0
+            visits.append(Visit(phase, known[key], min(begins, first), index))
+    return tuple(visits)
+
+
+def _phase_and_position(key: str) -> tuple[str, str]:
+    """``measure`` and ``station-1/az45-el0`` of ``measure/station-1/az45-el0/ball-03/touch-2``."""
+    phase, *rest = key.split("/")
+    return phase, "/".join(rest[:2])
+
+
+def _unvisited(placings: Sequence[Placing], walked: Sequence[Visit], refused: PlanRefused | None) -> list[Visit]:
+    """Positions where nothing is measured, each with the reason."""
+    seen = {visit.placing for visit in walked}
+    end = walked[-1].end if walked else 0
+    visits = []
+    for number, placing in enumerate(placings):
+        if number in seen:
+            continue
+        if placing.reachable < FEWEST_BALLS:
+            note = f"left out: {placing.reachable} of its balls can be reached, {FEWEST_BALLS} are needed"
+        else:
+            note = "not rehearsed: the plan was refused before" if refused else "not part of the plan"
+        visits.append(Visit("", number, end, end, note))
+    return visits
+
+
+def _travel(job: Job) -> Box:
+    low, high = zip(*job.machine.limits, strict=True)
+    return Box(point(low + job.tool_offset_mm), point(high + job.tool_offset_mm))
+
+
+def _table(job: Job) -> Box:
+    """The table under the travel and everything that stands on it."""
+    travel = _travel(job)
+    bodies = [body for station in job.stations for body in standing_bodies(job, Position(station, 0.0, 0.0))]
+    [table, *_] = [body.shape for body in bodies if body.name == TABLE]
+    standing = [body.shape for body in bodies if body.name != TABLE]
+    low = [min(travel.lower[i], *(shape.lower[i] for shape in standing)) - MARGIN_MM for i in range(2)]
+    high = [max(travel.upper[i], *(shape.upper[i] for shape in standing)) + MARGIN_MM for i in range(2)]
+    low = [max(value, end) for value, end in zip(low, table.lower, strict=False)]
+    high = [min(value, end) for value, end in zip(high, table.upper, strict=False)]
+    return Box((low[0], low[1], table.lower[2]), (high[0], high[1], table.upper[2]))

@@ -1,0 +1,61 @@
+"""Where a plan is refused: the step, the two bodies, and where the tip stands when they meet."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from agent.execution.steps import MoveTo, TouchTowards
+from agent.planning.job import Job
+from agent.planning.preview.artefact_placement import standing_bodies
+from agent.planning.preview.scene import Refusal
+from agent.planning.preview.tip_path import Waypoint, lower_end
+from drivers.errors import PlanRefused
+from twin.collision.bodies import TIP, Body, ball_name
+from twin.collision.collision import Hit, Scene
+from twin.collision.geometry import Point, added, point
+
+
+def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], visit: int) -> Refusal:
+    """`waypoints`: as walked up to the refused step, which is the last one; `visit`: the one that it belongs to."""
+    bodies: tuple[str, ...] = ()
+    tip = added(lower_end(job), point(job.tool_offset_mm))
+    if waypoints:
+        last, tip = waypoints[-1], waypoints[-1].tip_mm
+        around = standing_bodies(job, last.standing)
+        moving = job.layout.probe.bodies()
+        start = waypoints[-2].tip_mm if len(waypoints) > 1 else tip
+        hit = _hit(Scene(moving, around), start, _goal(job, last), last)
+        if hit is not None:
+            tip = _between(start, _goal(job, last), hit.fraction)
+        bodies = named_in(refused.message, moving, around) or ((hit.moving, hit.obstacle) if hit else ())
+    return Refusal(str(refused), refused.where.get("step", ""), bodies, tip, visit)
+
+
+def named_in(message: str, moving: Sequence[Body], standing: Sequence[Body]) -> tuple[str, ...]:
+    """The moving and the standing body that a message names; empty unless it names both."""
+    groups = [{body.name for body in group if _has(message, body.name)} for group in (moving, standing)]
+    return tuple(max(names, key=len) for names in groups) if all(groups) else ()
+
+
+def _has(message: str, name: str) -> bool:
+    return re.search(rf"\b{re.escape(name)}\b", message) is not None
+
+
+def _goal(job: Job, waypoint: Waypoint) -> Point:
+    """Where the step was to lead the tip; a mount that turns leaves it where it is."""
+    step = waypoint.step
+    if isinstance(step, MoveTo | TouchTowards):
+        return added(step.target_mm, point(job.tool_offset_mm))
+    return waypoint.tip_mm
+
+
+def _hit(scene: Scene, start: Point, goal: Point, waypoint: Waypoint) -> Hit | None:
+    meant = set()
+    if waypoint.touches and waypoint.ball is not None:
+        meant = {(TIP, ball_name(waypoint.ball)), ("stem", ball_name(waypoint.ball))}
+    return scene.first_hit(start, goal, ignored=meant)
+
+
+def _between(start: Point, end: Point, fraction: float) -> Point:
+    return point(s + fraction * (e - s) for s, e in zip(start, end, strict=True))

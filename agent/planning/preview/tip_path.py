@@ -1,0 +1,99 @@
+"""Where a plan's steps lead the stylus tip, walked on the machine without errors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
+from typing import Any
+
+from agent.execution.engine import Engine
+from agent.execution.steps import ACTING, AskOperator, OrientTo, ReadPosition, Step, TouchTowards
+from agent.planning.ideal_machine import IdealMachine
+from agent.planning.job import Job
+from agent.planning.preflight import whole_procedure
+from agent.planning.time_model import time_model
+from drivers.errors import PlanRefused, VolcalError
+from twin.artefact.position_set import Position
+from twin.collision.geometry import Point, added, point
+
+_BALL = re.compile(r"/ball-(\d+)")
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """What a step leaves behind: the tip centre (workpiece frame), seconds since the plan began, and how the artefact
+    then stands."""
+
+    step: Step
+    tip_mm: Point
+    ends_s: float
+    standing: Position
+
+    @property
+    def touches(self) -> bool:
+        return isinstance(self.step, TouchTowards)
+
+    @property
+    def ball(self) -> int | None:
+        """The ball that the step belongs to."""
+        named = _BALL.search(self.step.key)
+        return int(named.group(1)) if named else None
+
+
+def walk(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
+    """Every step that moves something or takes time, in order; of a refused plan, up to the step that was refused.
+
+    Such a plan need not get that far here either: then this is as far as it gets.
+    """
+    walker = _Walker(job)
+    last = refused.where.get("step") if refused else None
+    with suppress(VolcalError) if refused else nullcontext():
+        Engine(walker.actions, observer=walker.note).run(_up_to(whole_procedure(job), last))
+    return tuple(walker.waypoints)
+
+
+def lower_end(job: Job) -> Point:
+    """Axis positions at which a plan is taken to begin, as the rehearsal does."""
+    return point(low for low, _ in job.machine.limits)
+
+
+def _up_to(plan: Generator[Step, Any, Any], last: str | None) -> Generator[Step, Any, None]:
+    result: Any = None
+    try:
+        while True:
+            step = plan.send(result)
+            result = yield step
+            if step.key == last:
+                return
+    except StopIteration:
+        return
+    finally:
+        plan.close()
+
+
+class _Walker:
+    """Keeps where the ideal machine stands after each step."""
+
+    def __init__(self, job: Job) -> None:
+        machine = IdealMachine(job.layout, time_model(job.machine, job.settings.timing), lower_end(job), self._spent)
+        self.actions = machine.actions()
+        self.waypoints: list[Waypoint] = []
+        self._offset = point(job.tool_offset_mm)
+        self._elapsed_s = 0.0
+        self._standing = Position(job.settings.stations.standing_at or 1, 0.0, 0.0)
+
+    def note(self, step: Step, _: object) -> None:
+        if not isinstance(step, ACTING):
+            return
+        if isinstance(step, OrientTo):
+            self._standing = Position(step.station, step.azimuth_deg, step.elevation_deg)
+        elif isinstance(step, AskOperator) and step.request.station is not None:
+            was = self._standing
+            self._standing = Position(step.request.station, was.azimuth_deg, was.elevation_deg)
+        tip = added(self.actions[ReadPosition](None), self._offset)
+        self.waypoints.append(Waypoint(step, tip, self._elapsed_s, self._standing))
+
+    def _spent(self, _: Step, motion_s: float, beyond_s: float) -> None:
+        self._elapsed_s += motion_s + beyond_s

@@ -1,0 +1,138 @@
+"""The procedure as the settings have it: how balls are touched, what is looked at before, where it is safe to be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from agent.planning.stations import Artefacts, bodies_around
+from agent.planning.time_model import time_model
+from agent.probing.paths.free_paths import Roads
+from agent.probing.paths.retreat import Course
+from agent.probing.preparation import Preparation
+from agent.probing.probe_check import ProbeCheck
+from agent.probing.probing_parameters import BallLimits, FindFirst, Probing, Search
+from agent.probing.qualification import QualificationRules
+from agent.probing.reversal import ReversalCheck
+from agent.settings.schema import Settings
+from drivers.errors import ConfigurationError
+from twin.artefact.artefact import Artefact
+from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, directions_of
+from twin.collision.accessibility import STYLUS_AXIS
+from twin.collision.free_paths import Dynamics
+from twin.collision.measuring_layout import Layout
+from twin.machine.machine_description import MachineDescription
+
+MM_PER_UM = 1e-3
+
+
+def probing_of(settings: Settings, artefact: Artefact) -> Probing:
+    """By the same vectors on every ball."""
+    chosen = settings.procedure
+    return Probing(
+        directions=approach_directions(chosen.touches_per_ball, STYLUS_AXIS),
+        stylus_axis=STYLUS_AXIS,
+        ball_radius_mm=artefact.ball_radius_mm,
+        tip_radius_mm=settings.probe.tip_radius_mm,
+        narrow=Search(chosen.approach_mm, chosen.search_mm),
+        wide=Search(chosen.wide_approach_mm, chosen.wide_search_mm),
+        feed_mm_per_s=chosen.touch_feed_mm_per_min / 60.0,
+        retract_mm=chosen.retract_mm,
+        touch_sigma_mm=chosen.touch_sigma_um * MM_PER_UM,
+        limits=BallLimits(
+            chosen.radius_limit_um * MM_PER_UM,
+            chosen.form_limit_um * MM_PER_UM,
+            chosen.touch_limit_um * MM_PER_UM,
+            chosen.pole_limit_um * MM_PER_UM,
+        ),
+        recentre_mm=chosen.recentre_mm,
+        repeats=chosen.repeats,
+        stop_on_failure=chosen.on_failure == "stop",
+        careful_mm_per_s=chosen.careful_feed_mm_per_min / 60.0,
+        find=FindFirst(chosen.find_feed_mm_per_min / 60.0, chosen.back_off_mm) if chosen.touch_stages == 2 else None,
+    )
+
+
+def preparation_of(
+    settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing
+) -> Preparation:
+    """Raises ConfigurationError for a datum ball that the artefact does not have."""
+    _refuse_unknown_datum(settings, artefacts.kind)
+    check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
+    dense = replace(probing, directions=directions_of(QUALIFYING_RINGS, STYLUS_AXIS))
+    limit_mm = qualifying.limit_um * MM_PER_UM
+    limits = BallLimits(probing.limits.radius_deviation_mm, limit_mm, limit_mm, limit_mm)
+    spread_mm = qualifying.ball_spread_um * MM_PER_UM
+    rules = QualificationRules(dense.directions, qualifying.ball, qualifying.pretravel_map, limits, spread_mm)
+    return Preparation(
+        check=ProbeCheck(check.touches, check.limit_um * MM_PER_UM) if check.enabled else None,
+        qualification=rules if qualifying.enabled else None,
+        layout=layout_of(settings, machine, artefacts, dense),
+        reversal=ReversalCheck(turning.touches, turning.limit_um * MM_PER_UM, turning.on_excess == "stop")
+        if turning.enabled
+        else None,
+    )
+
+
+def _refuse_unknown_datum(settings: Settings, artefact: Artefact) -> None:
+    ball = settings.qualification.ball
+    if ball is not None and ball >= artefact.count:
+        raise ConfigurationError(
+            f"the artefact has no ball {ball}",
+            key="qualification.ball",
+            hint=f"balls are counted from 0 to {artefact.count - 1}",
+        )
+
+
+def layout_of(settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing) -> Layout:
+    """What the pattern of `probing` needs of the travel is taken off it."""
+    travel = np.array(machine.limits)
+    below, above = probing.room_mm
+    return Layout(
+        artefact=artefacts.all,
+        mount=settings.mount,
+        probe=settings.probe,
+        places_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
+        tool_offset_mm=np.asarray(machine.tools[settings.tool], dtype=np.float64),
+        lower_mm=travel[:, 0] + below,
+        upper_mm=travel[:, 1] - above,
+        contact_mm=probing.contact_mm,
+        approach_mm=probing.wide.approach_mm,
+        directions=probing.directions,
+        overtravel_mm=probing.fastest_mm_per_s**2 / (2.0 * min(machine.acceleration_mm_per_s2)),
+        own_artefacts=artefacts.own,
+        around=bodies_around(settings, artefacts),
+    )
+
+
+def course_of(settings: Settings, machine: MachineDescription) -> Course:
+    """Park to the side that the travel allows, the farther from the middle the station the more so."""
+    (x_low, x_high), (y_low, _), _ = machine.limits
+    park = {}
+    for number, (x, _, _) in enumerate(settings.stations.places_mm, start=1):
+        away = settings.stations.park_distance_mm
+        target = x + away if x + away <= x_high else x - away
+        if not x_low <= target <= x_high:
+            raise ConfigurationError(
+                f"there is no room to park {away:g} mm beside station {number}",
+                key="stations.park_distance_mm",
+            )
+        park[number] = target
+    roads = roads_of(settings, machine) if settings.procedure.paths == "shortest" else None
+    return Course(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park, roads=roads)
+
+
+def roads_of(settings: Settings, machine: MachineDescription) -> Roads:
+    """By the same dynamics and latencies that machine time is reckoned with."""
+    chosen, times = settings.procedure, time_model(machine, settings.timing)
+    travel = np.array(machine.limits)
+    return Roads(
+        stylus_axis=STYLUS_AXIS,
+        lower_mm=travel[:, 0],
+        upper_mm=travel[:, 1],
+        dynamics=Dynamics(times.rapid_mm_per_s, times.acceleration_mm_per_s2, times.command_latency_s),
+        clearance_mm=chosen.clearance_mm,
+        known_mm=chosen.recentre_mm,
+        unknown_mm=chosen.wide_approach_mm,
+    )

@@ -1,0 +1,98 @@
+"""What no plan that measures may do, whatever a simulated machine would let pass; asked of each step in the dry run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from agent.execution import steps as s
+from agent.settings.schema import Settings
+from drivers.errors import PlanRefused
+from drivers.roles import OperatorTask
+
+T = TypeVar("T")
+
+SECONDS_A_MINUTE = 60.0
+
+
+def lawful(plan: s.Plan[T], settings: Settings) -> s.Plan[T]:
+    """The same plan; PlanRefused, naming the step, where one of its steps breaks a rule."""
+    rules = _Rules(settings, stands_at=settings.stations.standing_at)
+    result: Any = None
+    try:
+        while True:
+            try:
+                step = plan.send(result)
+            except StopIteration as stop:
+                conclusion: T = stop.value
+                return conclusion
+            for complaint in rules.broken_by(step):
+                raise PlanRefused(
+                    f"preflight: {complaint}", hint="nothing was moved; the plan must change", step=step.key
+                )
+            result = yield step
+    finally:
+        plan.close()
+
+
+@dataclass
+class _Rules:
+    """What the steps so far have made known. `stands_at`: where the one artefact stands; None: nobody has said."""
+
+    settings: Settings
+    stands_at: int | None
+    _keys: set[str] = field(default_factory=set)
+    _permitted: bool = False
+    _probe_seen: bool = False
+
+    def broken_by(self, step: s.Step) -> Iterator[str]:
+        if step.key in self._keys:
+            yield "two steps have the same key, so a run could not be gone on with"
+        self._keys.add(step.key)
+        match step:
+            case s.MoveTo():
+                yield from self._moved(step)
+            case s.TouchTowards():
+                yield from self._touched(step)
+            case s.CheckPermissions():
+                self._permitted = True
+            case s.CheckProbe():
+                self._probe_seen = True
+            case s.AskOperator() if step.request.task is OperatorTask.MOVE_ARTEFACT:
+                self.stands_at = step.request.station
+            case s.OrientTo() | s.HomeMount():
+                yield from self._turned(step.station)
+            case s.Dwell() if not 0.0 <= step.duration_s < math.inf:
+                yield f"a wait of {step.duration_s} s"
+            case s.StageTable() | s.ActivateBank():
+                yield "a plan that measures must not write or activate a compensation table"
+
+    def _moved(self, step: s.MoveTo) -> Iterator[str]:
+        yield from self._without_permission("moves")
+        if not step.guarded:
+            yield "an unguarded move: what the probe meets on its way must stop it"
+        if step.feed_mm_per_s is not None and not 0.0 < step.feed_mm_per_s < math.inf:
+            yield f"a feed of {step.feed_mm_per_s} mm/s"
+
+    def _touched(self, step: s.TouchTowards) -> Iterator[str]:
+        yield from self._without_permission("touches")
+        if not self._probe_seen:
+            yield "touches before the probe has been looked at"
+        chosen = self.settings.procedure
+        fastest = max(chosen.touch_feed_mm_per_min, chosen.find_feed_mm_per_min) / SECONDS_A_MINUTE
+        if not 0.0 < step.feed_mm_per_s <= fastest * (1.0 + 1e-9):
+            yield f"a touch at {step.feed_mm_per_s} mm/s, the settings allow up to {fastest:g} mm/s"
+
+    def _turned(self, station: int) -> Iterator[str]:
+        yield from self._without_permission("turns the mount")
+        count = len(self.settings.stations.places_mm)
+        if not 1 <= station <= count:
+            yield f"the mount at station {station}, there are {count}"
+        elif isinstance(self.settings.roles.mount, str) and self.stands_at not in (None, station):
+            yield f"the mount at station {station}, but the artefact stands at station {self.stands_at}"
+
+    def _without_permission(self, what: str) -> Iterator[str]:
+        if not self._permitted:
+            yield f"{what} before the permissions have been read"

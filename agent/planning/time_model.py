@@ -1,0 +1,89 @@
+"""How long each step takes: the motion law by the machine's own limits, and what every command costs beyond it.
+
+Motion is reckoned as the axes run (`twin.collision.motion_law`): straight lines from rest to rest, a touch braked at
+the trip. What cannot be known from a data sheet, the time a controller takes to begin and to report the end, is a
+latency for each kind of command.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from agent.execution.steps import AskOperator, MoveTo, OrientTo, Point, Step, TouchTowards
+from agent.settings.schema import TimingSettings
+from drivers.roles import OperatorTask
+from twin.collision.motion_law import Path, straight, trapezoid, travel_s
+from twin.machine.machine_description import MachineDescription
+
+S_PER_MIN = 60.0
+
+
+@dataclass(frozen=True)
+class TimeModel:
+    """`rapid_mm_per_s` and `acceleration_mm_per_s2` (X, Y, Z) of the machine file; the mount's speed and acceleration
+    hold for each of its axes, which turn at once. The latencies come on top of each move, touch and turn (the mount's
+    settling included); `carrying_s` is what a person takes to put artefact and mount at another station.
+    """
+
+    rapid_mm_per_s: Point
+    acceleration_mm_per_s2: Point
+    turn_deg_per_s: float
+    turn_deg_per_s2: float
+    command_latency_s: float = 0.0
+    touch_latency_s: float = 0.0
+    turn_latency_s: float = 0.0
+    carrying_s: float = 0.0
+
+    def move_s(self, start_mm: Point, target_mm: Point, feed_mm_per_s: float | None) -> float:
+        """Straight from rest to rest, latency not included; rapid without a feed."""
+        path = straight(start_mm, target_mm)
+        speed = min(feed_mm_per_s or math.inf, path.largest(self.rapid_mm_per_s))
+        return travel_s(path.length, speed, path.largest(self.acceleration_mm_per_s2))
+
+    def touch_s(self, path: Path, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
+        """Seconds, latency not included, and where the axes stand afterwards.
+
+        `trip_mm`: distance along `path` at which the probe trips and the axes brake; None for a miss.
+        """
+        speed = min(feed_mm_per_s, path.largest(self.rapid_mm_per_s))
+        acceleration = path.largest(self.acceleration_mm_per_s2)
+        law = trapezoid(0.0, path.length, speed, acceleration)
+        if trip_mm is None:
+            return law.end_s, path.at(path.length)
+        trip_s = law.time_at(trip_mm)
+        speed = law.speed_at(trip_s)
+        return trip_s + speed / acceleration, path.at(trip_mm + 0.5 * speed * speed / acceleration)
+
+    def turn_s(self, start_deg: tuple[float, float], target_deg: tuple[float, float]) -> float:
+        """Azimuth and elevation at once, latency not included."""
+        way_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
+        return travel_s(way_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
+
+    def beyond_motion_s(self, step: Step) -> float:
+        """What `step` takes besides motion: its latency, or the operator's time."""
+        match step:
+            case MoveTo():
+                return self.command_latency_s
+            case TouchTowards():
+                return self.touch_latency_s
+            case OrientTo():
+                return self.turn_latency_s
+            case AskOperator(request=request) if request.task is OperatorTask.MOVE_ARTEFACT:
+                return self.carrying_s
+        return 0.0
+
+
+def time_model(machine: MachineDescription, timing: TimingSettings) -> TimeModel:
+    """Dynamics of the machine file, the rest of the settings."""
+    x, y, z = machine.rapid_mm_per_min
+    return TimeModel(
+        rapid_mm_per_s=(x / S_PER_MIN, y / S_PER_MIN, z / S_PER_MIN),
+        acceleration_mm_per_s2=machine.acceleration_mm_per_s2,
+        turn_deg_per_s=timing.speed_deg_per_s,
+        turn_deg_per_s2=timing.acceleration_deg_per_s2,
+        command_latency_s=timing.command_latency_s,
+        touch_latency_s=timing.touch_latency_s,
+        turn_latency_s=timing.turn_latency_s,
+        carrying_s=timing.carrying_minutes * S_PER_MIN,
+    )

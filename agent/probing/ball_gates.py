@@ -1,0 +1,80 @@
+"""What a fitted ball must satisfy, and which of its touches to doubt where it does not. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.probing.probing_parameters import Probing
+from twin.artefact.sphere_fit import SphereFit
+
+UM_PER_MM = 1e3
+TIED = 0.95
+"""Touches whose weighed residual reaches this part of the largest cannot be told apart: their directions are off the
+pattern's by the distance at which a ball is measured again, some percent of its radius."""
+POLE_SHOWN_FROM = 0.05
+"""Redundancy of the pole below which nothing but the pole itself says where it should be."""
+
+
+@dataclass(frozen=True)
+class Tripped:
+    """A gate of one ball that did not let it pass."""
+
+    gate: str
+    figure_um: float
+    limit_um: float
+    text: str
+
+    def payload(self, ball: str, then: str) -> dict[str, object]:
+        """For the journal. `ball`: key of the ball in the run; `then`: what is done about it."""
+        return {
+            "ball": ball,
+            "gate": self.gate,
+            "figure_um": round(self.figure_um, 3),
+            "limit_um": self.limit_um,
+            "reason": self.text,
+            "then": then,
+        }
+
+
+def tripped_gate(fit: SphereFit, probing: Probing) -> Tripped | None:
+    """The first limit that `fit`, its radius free, breaks; None where it keeps them all."""
+    limits = probing.limits
+    deviation = fit.radius - probing.expected_radius_mm
+    worst = int(np.abs(fit.residuals).argmax())
+    pole = pole_error_mm(fit, probing)
+    checks = (
+        ("radius", deviation, limits.radius_deviation_mm, "radius is off by"),
+        ("form", fit.form, limits.form_mm, "form is"),
+        ("touch", fit.residuals[worst], limits.touch_mm, f"touch {worst} is off the sphere by"),
+        ("pole", 0.0 if pole is None else pole, limits.pole_mm, "the pole is off the sphere through the rest by"),
+    )
+    for gate, value_mm, limit_mm, words in checks:
+        figure_um, limit_um = float(value_mm) * UM_PER_MM, limit_mm * UM_PER_MM
+        if abs(figure_um) > limit_um:
+            text = f"{words} {figure_um:.1f} µm, allowed {limit_um:.1f} µm"
+            return Tripped(gate, figure_um, limit_um, text)
+    return None
+
+
+def pole_error_mm(fit: SphereFit, probing: Probing) -> float | None:
+    """Pole against equator: distance of the pole's touch from the sphere through all others, the pole left out.
+
+    To first order residual / redundancy. None for the five-point pattern: four touches in one plane fix no sphere, so
+    that a pole that trips late is a ball that stands farther in.
+    """
+    share = float(probing.redundancies[0])
+    return float(fit.residuals[0]) / share if share > POLE_SHOWN_FROM else None
+
+
+def doubtful(fit: SphereFit, probing: Probing) -> tuple[int, ...]:
+    """Numbers of the touches to repeat: the worst, and those that the pattern cannot tell from it.
+
+    Weighed by √redundancy (Baarda's test). On five points with a free radius every wrong touch of the equator shows on
+    all four alike, so all four are doubted.
+    """
+    shown = np.sqrt(probing.redundancies)
+    weighed = np.divide(np.abs(fit.residuals), shown, out=np.zeros_like(shown), where=shown > 0.0)
+    largest = weighed.max()
+    return tuple(int(i) for i in np.flatnonzero(weighed >= TIED * largest)) if largest > 0.0 else ()

@@ -1,0 +1,1 @@
+"""Collision-free tip paths between touches, balls and positions."""

@@ -1,0 +1,399 @@
+"""The shortest free ways of one run: from touch to touch, from ball to ball, and out of one pose into the next.
+
+Ways are sought among the bodies as they stand by the drawings, in coordinates that begin at the place of the mount,
+so that what was found once holds at every station and however often a position is measured. What is known better or
+worse about the pose goes into the clearance. The corners are then carried over to where the artefact was found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.probing.paths.approach_points import LEAVES_BY_MM, Spot, leaves, leaving, round_the_ball, squared_out
+from twin.artefact.artefact import Artefact
+from twin.collision.accessibility import AT_CONTACT_MM, standing_scene
+from twin.collision.bodies import TIP, ProbeGeometry, ball_name, post_name
+from twin.collision.free_paths import Apart, Candidates, Dynamics, Surroundings, Way, direct, fastest, retracted
+from twin.collision.geometry import Point, Shape, point
+from twin.collision.measuring_layout import Layout
+from twin.collision.motion_law import travel_times
+from twin.collision.swept_volume import CELL_MM, Cover, TurnSweep, cover_of, turn_sweep
+
+Array = NDArray[np.float64]
+
+UNCERTAIN_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""What a pose is off by is rounded up to one of these, so that few ways serve many."""
+
+NEAR_ENOUGH = 0.95
+"""A place to wait while the mount turns is not bettered for less than this."""
+
+_TURNING_PLACES_TRIED = 24
+_GRID_MM = 80.0
+
+
+@dataclass(frozen=True)
+class Stand:
+    """How the artefact stands: the mount's angles, and depth and height of its place (workpiece frame).
+
+    `among`: the station, where something else than this mount stands in the workspace; 0 where all stations are alike.
+    """
+
+    azimuth_deg: float
+    elevation_deg: float
+    depth_mm: float
+    height_mm: float
+    among: int = 0
+
+
+@dataclass(frozen=True)
+class TurningWay:
+    """Out of the old pose, and from where the tip waits while the mount turns, into the new one. Corners and `waiting`
+    relative to the place of the mount; `seconds` of both ways."""
+
+    out: tuple[Point, ...]
+    waiting: Point
+    into: tuple[Point, ...]
+    seconds: float
+
+
+@dataclass(eq=False)
+class _Pose:
+    """Ball centres (N, 3), also one by one, and all bodies, relative to the place of the mount."""
+
+    centres: Array
+    places: Sequence[Point]
+    among: Surroundings
+
+
+@dataclass(frozen=True, eq=False)
+class Roads:
+    """`stylus_axis` (3,): unit vector along which the stylus points. `lower_mm`, `upper_mm` (3,): travel of the axes.
+    `clearance_mm`: what every two bodies keep on every way, beside what the pose may be off by: `known_mm` once the end
+    balls are found, `unknown_mm` before.
+    """
+
+    stylus_axis: Array
+    lower_mm: Array
+    upper_mm: Array
+    dynamics: Dynamics
+    clearance_mm: float
+    known_mm: float
+    unknown_mm: float
+    _traffic: dict[Layout, Traffic] = field(default_factory=dict, init=False, repr=False)
+
+    def among(self, layout: Layout) -> Traffic:
+        """The ways among what stands as `layout` says; the same each time, with all that was found."""
+        if layout not in self._traffic:
+            self._traffic[layout] = Traffic(layout, self)
+        return self._traffic[layout]
+
+
+@dataclass(frozen=True, eq=False)
+class Traffic:
+    """Every way that was asked for is kept: the same ones are asked for at every station, and again in every proof."""
+
+    layout: Layout
+    roads: Roads
+    estimates: dict[object, float] = field(default_factory=dict, init=False, repr=False)
+    sequences: dict[object, list[int]] = field(default_factory=dict, init=False, repr=False)
+    _covers: dict[int, Cover] = field(default_factory=dict, init=False, repr=False)
+    _poses: dict[Stand, _Pose] = field(default_factory=dict, init=False, repr=False)
+    _sweeps: dict[object, TurnSweep] = field(default_factory=dict, init=False, repr=False)
+    _ways: dict[object, Way | None] = field(default_factory=dict, init=False, repr=False)
+    _turning: dict[object, TurningWay | None] = field(default_factory=dict, init=False, repr=False)
+
+    def standing(self, station: int, azimuth_deg: float, elevation_deg: float) -> Stand:
+        _, depth, height = point(self.layout.place(station))
+        alone = not (self.layout.around or self.layout.own_artefacts)
+        return Stand(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
+
+    def axes_at(self, station: int, corner: Point) -> Array:
+        """(3,) axis positions of a tip centre relative to the place of the mount at `station`."""
+        return np.asarray(self.layout.place(station) - self.layout.tool_offset_mm + corner)
+
+    def nominal(self, stand: Stand, station: int) -> Array:
+        """(N, 3) axis positions of all balls."""
+        return np.asarray(self._pose(stand).centres + self.axes_at(station, (0.0, 0.0, 0.0)))
+
+    def at(self, stand: Stand, spot: Spot) -> Point:
+        """Tip centre at `spot`, relative to the place of the mount."""
+        (x, y, z), (along_x, along_y, along_z) = self._pose(stand).places[spot.ball], spot.direction
+        return x - along_x * spot.out_mm, y - along_y * spot.out_mm, z - along_z * spot.out_mm
+
+    def between(self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, place_x_mm: float) -> Way | None:
+        """The fastest free way, relative to the place of the mount at `place_x_mm`; None where no way is proved to be
+        free. `uncertain_mm`: by so much the artefact may stand off.
+        """
+        uncertain_mm = rounded_up(uncertain_mm)
+        anywhere = self._known_way(stand, start, end, uncertain_mm, (-math.inf, math.inf))
+        low, high = self._room(place_x_mm)
+        if anywhere is None or all(low <= x <= high for x, _, _ in anywhere.corners):
+            return anywhere
+        return self._known_way(stand, start, end, uncertain_mm, (low, high))
+
+    def _known_way(
+        self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, room: tuple[float, float]
+    ) -> Way | None:
+        key = (stand, start, end, uncertain_mm, room)
+        if key not in self._ways:
+            self._ways[key] = self._sought(*key)
+        return self._ways[key]
+
+    def straight_seconds(self, stand: Stand, starts: Sequence[Spot], ends: Sequence[Spot]) -> Array:
+        """(n, m): no way from one to the other is faster."""
+        first, last = (np.array([self.at(stand, spot) for spot in spots]) for spots in (starts, ends))
+        return self._straight(first[:, None], last[None])
+
+    def turning(
+        self, before: Stand, start: Spot, after: Stand, end: Spot, place_x_mm: float, faster_than_s: float = math.inf
+    ) -> TurningWay | None:
+        """From `start` in one pose to `end` in the next; None where nothing proved to be free was found that takes less
+        than `faster_than_s`."""
+        (low, high), reach = self._room(place_x_mm), self._reach_mm(after)
+        key = (before, start, after, end, (max(low, -reach), min(high, reach)))
+        if key not in self._turning:
+            found = self._waiting_place(*key, faster_than_s)
+            if found is None and faster_than_s < math.inf:
+                return None
+            self._turning[key] = found
+        way = self._turning[key]
+        return way if way is not None and way.seconds < faster_than_s else None
+
+    def least_turning_seconds(self, before: Stand, starts: Sequence[Spot], after: Stand, ends: Sequence[Spot]) -> float:
+        """From the best of `starts` to the best of `ends`, as if every way before the turning artefact were free; the
+        turn itself not included. What `turning` finds is rarely much slower."""
+        reach = self._reach_mm(after)
+        pairs = product([self.at(before, start) for start in starts], [self.at(after, end) for end in ends])
+        first, last = (np.array(one) for one in zip(*pairs, strict=True))
+        places, clear = self._offered(before, after, first, last, (-reach, reach))
+        return float(np.where(clear, self._by_way_of(places, first, last), math.inf).min())
+
+    def _room(self, place_x_mm: float) -> tuple[float, float]:
+        """Travel of the tip along X, relative to the place."""
+        low, high = (
+            float(end[0] + self.layout.tool_offset_mm[0]) - place_x_mm
+            for end in (self.roads.lower_mm, self.roads.upper_mm)
+        )
+        return low, high
+
+    # ------------------------------------------------------------------ touches and balls
+
+    def _sought(
+        self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, room: tuple[float, float]
+    ) -> Way | None:
+        pose = self._pose(stand)
+        first, last = self.at(stand, start), self.at(stand, end)
+        groups = self._corners(stand, start, last, end.out_mm - start.out_mm)
+        if start.ball == end.ball:
+            groups.append(round_the_ball(pose.centres[start.ball], start, end, self.roads.stylus_axis))
+        candidates = leaving(first, Candidates.of(groups), start)
+        low, high = self._travel(stand)
+        low[0], high[0] = room
+        candidates = candidates.inside(low, high)
+        for apart in self._aparts(start, end, uncertain_mm):
+            way = self._straight_way(pose, first, last, start, apart)
+            way = way or fastest(pose.among, self.roads.dynamics, first, last, candidates, apart)
+            if way is not None:
+                return way
+        return None
+
+    def _straight_way(self, pose: _Pose, first: Point, last: Point, start: Spot, apart: Apart) -> Way | None:
+        """None where it does not leave the surface at once, too."""
+        if not leaves(first, last, start):
+            return None
+        return direct(pose.among.scene, self.roads.dynamics, first, last, apart)
+
+    def _corners(self, stand: Stand, start: Spot, last: Point, beside_mm: float) -> list[Array]:
+        """Candidates (n, k, 3) from `start`, from a touch such as leave the surface by `beside_mm` first if need be."""
+        aside = -beside_mm * np.array(start.direction) if start.touching else None
+        least = float(self._travel(stand)[0] @ np.abs(self.roads.stylus_axis))
+        return retracted(self.at(stand, start), last, -self.roads.stylus_axis, least, aside)
+
+    def _aparts(self, start: Spot, end: Spot, uncertain_mm: float) -> Iterator[Apart]:
+        """What is kept from everything; less from the balls at both ends, whose surface the touch is to find, and
+        from their holders, which stand by their balls wherever these are."""
+        apart_mm = self.roads.clearance_mm + uncertain_mm
+        balls = {start.ball, end.ball}
+        begins_mm = min(apart_mm, end.out_mm - self._contact_mm - 1e-3)
+        near = {(body, ball_name(ball)): begins_mm for body in (TIP, "stem") for ball in balls}
+        yield Apart(apart_mm, near)
+        holders = {(body, post_name(ball)): self.roads.clearance_mm for body in (TIP, "stem") for ball in balls}
+        yield Apart(apart_mm, near | holders)
+
+    # ------------------------------------------------------------------ turning
+
+    def _waiting_place(
+        self,
+        before: Stand,
+        start: Spot,
+        after: Stand,
+        end: Spot,
+        between_mm: tuple[float, float],
+        faster_than_s: float,
+    ) -> TurningWay | None:
+        """The first of the places, by what they cost at least, to which and from which a way is free."""
+        first, last = (np.array([self.at(*one)]) for one in ((before, start), (after, end)))
+        (offered,), (clear,) = self._offered(before, after, first, last, between_mm)
+        places = offered[clear]
+        least = self._by_way_of(places[None], first, last)[0]
+        best: TurningWay | None = None
+        worth_s = faster_than_s
+        for index in np.argsort(least, kind="stable")[:_TURNING_PLACES_TRIED].tolist():
+            if least[index] >= worth_s:
+                break
+            better = self._waiting_at(point(places[index]), before, start, after, end, faster_than_s)
+            if better is not None:
+                best, faster_than_s, worth_s = better, better.seconds, NEAR_ENOUGH * better.seconds
+        return best
+
+    def _waiting_at(
+        self, waiting: Point, before: Stand, start: Spot, after: Stand, end: Spot, faster_than_s: float
+    ) -> TurningWay | None:
+        """The way there and on, where both are free and it is faster than that."""
+        out = self.to_place(before, start, waiting)
+        if out is None or out.seconds + self._straight_s(waiting, self.at(after, end)) >= faster_than_s:
+            return None
+        into = self.to_place(after, end, waiting)
+        if into is None or out.seconds + into.seconds >= faster_than_s:
+            return None
+        return TurningWay(out.corners, waiting, into.corners[::-1], out.seconds + into.seconds)
+
+    def _by_way_of(self, places: Array, first: Array, last: Array) -> Array:
+        """(c, n) seconds at the least from `first` (c, 3) to `places` (c, n, 3) and on to `last` (c, 3)."""
+        return self._straight(first[:, None], places) + self._straight(places, last[:, None])
+
+    def _offered(
+        self, before: Stand, after: Stand, first: Array, last: Array, between_mm: tuple[float, float]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """(c, n, 3) for ends (c, 3): places before everything that turns, a grid and straight before both ends; (c, n)
+        whether each is inside the travel."""
+        low, high = self._travel(before)
+        low[0], high[0] = between_mm
+        x, z = (self._grid(first[:, k], last[:, k], low[k], high[k]) for k in (0, 2))
+        x, z = np.broadcast_arrays(x[:, None, :], z[:, :, None])
+        deepest = np.maximum(first[:, 1], last[:, 1])[:, None, None]
+        y = np.minimum(self._sweep(before, after).at(x, z), deepest)
+        places = np.stack([x, y, z], axis=-1).reshape(len(first), -1, 3)
+        return places, places[..., 1] >= low[1]
+
+    @staticmethod
+    def _grid(first: Array, last: Array, low: float, high: float) -> Array:
+        """(c, n) along one axis: at both ends (c,), in between, and every so often."""
+        steps = np.arange(low, high, _GRID_MM)
+        every = np.broadcast_to(steps, (len(first), len(steps)))
+        return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))
+
+    def to_place(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
+        """Out from `spot` to a place relative to that of the mount, before the artefact; None where no way is proved
+        to be free. The way in is the same backwards."""
+        key = (stand, spot, waiting)
+        if key not in self._ways:
+            self._ways[key] = self._sought_to_place(*key)
+        return self._ways[key]
+
+    def _sought_to_place(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
+        apart_mm = self.roads.clearance_mm + self.roads.unknown_mm
+        near_mm = min(apart_mm, max(spot.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
+        names = ball_name(spot.ball), post_name(spot.ball)
+        apart = Apart(apart_mm, {(body, name): near_mm for body in (TIP, "stem") for name in names})
+        pose, first = self._pose(stand), self.at(stand, spot)
+        way = self._straight_way(pose, first, waiting, spot, apart)
+        if way is not None:
+            return way
+        groups = [*self._corners(stand, spot, waiting, LEAVES_BY_MM), squared_out(first, waiting, spot)]
+        candidates = leaving(first, Candidates.of(groups), spot)
+        return fastest(pose.among, self.roads.dynamics, first, waiting, candidates, apart)
+
+    def _sweep(self, before: Stand, after: Stand) -> TurnSweep:
+        low, high = (
+            tuple(choose(a, b) for a, b in zip(_angles(before), _angles(after), strict=True)) for choose in (min, max)
+        )
+        key = (low, high, after.depth_mm, after.height_mm, after.among)
+        if key not in self._sweeps:
+            self._sweeps[key] = turn_sweep(
+                self._cover(after),
+                self.layout.probe,
+                self._standing_still(after),
+                (low[0], low[1]),
+                (high[0], high[1]),
+                clearance_mm=self.roads.clearance_mm + self.roads.unknown_mm,
+            )
+        return self._sweeps[key]
+
+    def _standing_still(self, stand: Stand) -> list[Shape]:
+        """What does not turn with the mount: its pedestal, the table and what else is there."""
+        scene = self._pose(stand).among.scene
+        carried = self._artefact(stand).count
+        turning = {"shaft", "bar", *map(ball_name, range(carried)), *map(post_name, range(carried))}
+        return [body.shape for body in scene.obstacles if body.name not in turning]
+
+    def _straight(self, start: Array, end: Array) -> Array:
+        dynamics = self.roads.dynamics
+        return travel_times(start, end, dynamics.rapid_mm_per_s, dynamics.acceleration_mm_per_s2) + dynamics.command_s
+
+    def _straight_s(self, start: Point, end: Point) -> float:
+        return float(self._straight(np.array(start), np.array(end)))
+
+    def _travel(self, stand: Stand) -> tuple[Array, Array]:
+        """Of the tip, relative to the place, along X to the table; less what the artefact may stand off."""
+        place = np.array([0.0, stand.depth_mm, stand.height_mm])
+        shift, room = self.layout.tool_offset_mm - place, self.roads.unknown_mm
+        return self.roads.lower_mm + shift + room, self.roads.upper_mm + shift - room
+
+    # ------------------------------------------------------------------ bodies
+
+    def _cover(self, stand: Stand) -> Cover:
+        if stand.among not in self._covers:
+            self._covers[stand.among] = cover_of(self._artefact(stand), self.layout.mount)
+        return self._covers[stand.among]
+
+    def _artefact(self, stand: Stand) -> Artefact:
+        return self.layout.artefact_at(stand.among)
+
+    def _reach_mm(self, stand: Stand) -> float:
+        return (
+            self._cover(stand).reach_mm + self.layout.probe.ram_half_width_mm + self.roads.unknown_mm + 10.0 * CELL_MM
+        )
+
+    @property
+    def _probe(self) -> ProbeGeometry:
+        """With a stem as thick as the tip: then what the tip sweeps straight back, from anywhere, is free."""
+        probe = self.layout.probe
+        return replace(probe, stem_radius_mm=max(probe.stem_radius_mm, probe.tip_radius_mm))
+
+    @property
+    def _contact_mm(self) -> float:
+        return self.layout.contact_mm
+
+    def _pose(self, stand: Stand) -> _Pose:
+        if stand not in self._poses:
+            x = float(self.layout.place(stand.among)[0]) if stand.among else 0.0
+            centres, scene = standing_scene(
+                self._artefact(stand),
+                self._probe,
+                self.layout.mount,
+                place_mm=np.array([x, stand.depth_mm, stand.height_mm]),
+                azimuth_rad=math.radians(stand.azimuth_deg),
+                elevation_rad=math.radians(stand.elevation_deg),
+                further=self.layout.around.get(stand.among, ()),
+            )
+            back = (-x, -stand.depth_mm, -stand.height_mm)
+            self._poses[stand] = _Pose(
+                centres + back, [point(centre) for centre in centres + back], Surroundings.of(scene.shifted(back))
+            )
+        return self._poses[stand]
+
+
+def rounded_up(uncertain_mm: float) -> float:
+    """To the next of `UNCERTAIN_MM`, beyond the last as it is."""
+    return next((value for value in UNCERTAIN_MM if uncertain_mm <= value), uncertain_mm)
+
+
+def _angles(stand: Stand) -> tuple[float, float]:
+    return stand.azimuth_deg, stand.elevation_deg

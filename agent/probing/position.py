@@ -1,0 +1,206 @@
+"""One position of the artefact: park, turn the mount, find both ends, align, measure the rest, end where begun."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import Plan, Record
+from agent.probing.ball import BallFound, BallLost, measure_ball
+from agent.probing.paths.path_planner import Pilot, PlainPilot
+from agent.probing.paths.retreat import Course
+from agent.probing.position_drift import DriftLimits, judge_drift
+from agent.probing.probing_parameters import Probing, Search
+from agent.probing.station_change import StationChange
+from agent.probing.temperature_readings import Conditions, read_conditions
+from agent.probing.thermal_settling import SettlingRules, settled
+from drivers.errors import MeasurementFault
+from twin.artefact.end_ball_alignment import align_to_ends
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PositionTask:
+    """One position to be measured. `predicted_mm` (N, 3): axis positions of all balls; `reachable` (N,). `found`:
+    whether any ball has been found at this station since the artefact was put there."""
+
+    key: str
+    index: int
+    station: int
+    azimuth_deg: float
+    elevation_deg: float
+    predicted_mm: Array
+    reachable: NDArray[np.bool_]
+    found: bool = True
+
+    @property
+    def balls(self) -> list[int]:
+        return [int(i) for i in np.flatnonzero(self.reachable)]
+
+
+@dataclass(frozen=True)
+class MeasuredBall:
+    """One ball centre in one position, ready for identification."""
+
+    position: int
+    station: int
+    azimuth_deg: float
+    elevation_deg: float
+    ball: int
+    found: BallFound
+    conditions: Conditions
+
+    @property
+    def temperature_c(self) -> float:
+        """Of the artefact."""
+        return self.conditions.artefact_c
+
+    def record(self, key: str) -> dict[str, object]:
+        return {
+            "key": key,
+            "position": self.position,
+            "station": self.station,
+            "azimuth_deg": self.azimuth_deg,
+            "elevation_deg": self.elevation_deg,
+            "ball": self.ball,
+            "centre_mm": self.found.centre_mm,
+            "covariance_mm2": self.found.covariance_mm2,
+            "radius_mm": self.found.radius_mm,
+            "form_mm": self.found.form_mm,
+            "temperature_c": self.temperature_c,
+            "machine_c": self.conditions.machine_c,
+            "instant_s": self.conditions.instant_s,
+        }
+
+
+@dataclass(frozen=True)
+class MeasuredPosition:
+    """What one position gave; `drift_mm` (3,): by how much the first ball was found elsewhere at the end, `again`."""
+
+    balls: tuple[MeasuredBall, ...]
+    lost: int
+    touches: int
+    drift_mm: Array
+    again: MeasuredBall | None = None
+
+    @property
+    def all_balls(self) -> tuple[MeasuredBall, ...]:
+        """`balls`, and the first one found again."""
+        return self.balls if self.again is None else (*self.balls, self.again)
+
+    @property
+    def ball_numbers(self) -> list[int]:
+        return [ball.ball for ball in self.balls]
+
+    @property
+    def centres_mm(self) -> Array:
+        """(n, 3) axis positions as displayed, in the order of `balls`."""
+        return np.array([ball.found.centre_mm for ball in self.balls])
+
+
+@dataclass(frozen=True)
+class PositionRules:
+    probing: Probing
+    course: Course
+    drift: DriftLimits
+    settling: SettlingRules = field(default_factory=SettlingRules)
+    change: StationChange = field(default_factory=StationChange)
+
+
+def measure_position(
+    task: PositionTask,
+    here: Array,
+    rules: PositionRules,
+    before: Sequence[Conditions] = (),
+    pilot: Pilot | None = None,
+) -> Plan[MeasuredPosition]:
+    """Measure every reachable ball of `task`; ends at the retreat plane, where `pilot` does not go on to the next.
+
+    `here` (3,): the axis positions at which the machine stands when the plan begins. Both end balls come first
+    (wide search), the rest is aligned to them; the first ball is measured again last, for drift. `before`: conditions
+    in which the position before was measured; where the artefact has not settled, nothing moves until it has.
+    """
+    own = pilot or PlainPilot(rules.course, rules.probing)
+    first, between, last = own.sequence(task)
+    yield from own.turn(task, here)
+    yield from settled(task.key, rules.settling, before)
+    measuring = _Measuring(task, rules, own)
+    yield from own.enter(task, first)
+    found_first = yield from measuring.end_ball(first, rules.probing.wide if task.found else rules.probing.unknown)
+    found_last = yield from measuring.end_ball(last, rules.probing.wide)
+    aligned = align_to_ends(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
+    own.align(aligned)
+    for ball in between:
+        yield from measuring.ball(ball, aligned[ball])
+    drift = yield from measuring.drift(first, found_first, rules.drift)
+    if pilot is None:
+        yield from own.leave(task.key, found_first.centre_mm)
+    return MeasuredPosition(tuple(measuring.found), measuring.lost, measuring.touches, drift, measuring.again)
+
+
+class _Measuring:
+    """Measures balls of one position and keeps what was found, lost and touched."""
+
+    def __init__(self, task: PositionTask, rules: PositionRules, pilot: Pilot) -> None:
+        self._task = task
+        self._probing = rules.probing
+        self._pilot = pilot
+        self._thermometers = rules.settling.thermometers
+        self.found: list[MeasuredBall] = []
+        self.again: MeasuredBall | None = None
+        self.lost = 0
+        self.touches = 0
+
+    def end_ball(self, ball: int, search: Search) -> Plan[BallFound]:
+        """Both ends must be found: without them nothing is known about where the artefact stands."""
+        result = yield from self.ball(ball, self._task.predicted_mm[ball], search)
+        if isinstance(result, BallLost):
+            raise MeasurementFault(
+                f"end ball {ball} was not found where it was expected: {result.reason}",
+                hint="check the station's place in the settings, the mount's zero and the artefact's seat",
+                step=f"{self._task.key}/ball-{ball:02d}",
+            )
+        return result
+
+    def ball(self, ball: int, predicted: Array, search: Search | None = None) -> Plan[BallFound | BallLost]:
+        """One ball for the record; journaled as soon as it is known."""
+        key = f"{self._task.key}/ball-{ball:02d}"
+        result = yield from self._approach_and_measure(key, ball, predicted, search or self._probing.narrow)
+        if isinstance(result, BallLost):
+            self.lost += 1
+            yield Record(f"{key}/lost", "event", {"ball": ball, "reason": result.reason})
+            return result
+        measured = yield from self._measured(key, ball, result)
+        self.found.append(measured)
+        yield Record(f"{key}/centre", "ball", measured.record(key))
+        return result
+
+    def drift(self, first: int, found: BallFound, limits: DriftLimits) -> Plan[Array]:
+        """The first ball again: (3,) mm by which it seems to have moved; NaN where it was lost."""
+        key = f"{self._task.key}/ball-{first:02d}/again"
+        again = yield from self._approach_and_measure(key, first, found.centre_mm, self._probing.narrow)
+        if isinstance(again, BallLost):
+            yield Record(f"{key}/lost", "event", {"ball": first, "reason": again.reason})
+            return np.full(3, np.nan)
+        self.again = yield from self._measured(key, first, again)
+        drift: Array = again.centre_mm - found.centre_mm
+        yield from judge_drift(key, drift, limits)
+        return drift
+
+    def _measured(self, key: str, ball: int, found: BallFound) -> Plan[MeasuredBall]:
+        conditions = yield from read_conditions(key, self._thermometers)
+        task = self._task
+        return MeasuredBall(task.index, task.station, task.azimuth_deg, task.elevation_deg, ball, found, conditions)
+
+    def _approach_and_measure(
+        self, key: str, ball: int, predicted: Array, search: Search
+    ) -> Plan[BallFound | BallLost]:
+        yield from self._pilot.to_ball(key, predicted)
+        result = yield from measure_ball(key, predicted, self._probing, search, self._pilot.way_at(ball))
+        self.touches += result.touches
+        yield from self._pilot.from_ball(key, result.centre_mm if isinstance(result, BallFound) else predicted)
+        return result

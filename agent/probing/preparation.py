@@ -1,0 +1,165 @@
+"""Before anything is measured: find one ball, see that the probe repeats, qualify the stylus, turn the axes on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
+from agent.probing.ball import BallFound, BallLost, measure_ball, point
+from agent.probing.paths.shortest_path import pilot_of
+from agent.probing.position import PositionRules
+from agent.probing.probe_check import ProbeCheck, Repeatability, check_repeatability
+from agent.probing.qualification import Qualification, QualificationRules, qualify_stylus
+from agent.probing.reversal import AxisReversal, Reversal, ReversalCheck, measure_reversal
+from agent.probing.run_plan import MeasuringOrder, position_key
+from agent.probing.station_change import change_station, park_mounts
+from drivers.errors import MeasurementFault
+from twin.artefact.position_set import Position
+from twin.collision.measuring_layout import Layout
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """What is to be looked at before a run; None: not at all. `layout`: with the dense pattern's vectors and room."""
+
+    check: ProbeCheck | None
+    qualification: QualificationRules | None
+    layout: Layout
+    reversal: ReversalCheck | None = None
+
+    @property
+    def nothing(self) -> bool:
+        return self.check is None and self.qualification is None and self.reversal is None
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """`rules` with what is known of the stylus now; `standing_at`: where the artefact stands now."""
+
+    rules: PositionRules
+    standing_at: int | None
+    repeatability: Repeatability | None = None
+    qualification: Qualification | None = None
+    reversal: Reversal | None = None
+
+    @property
+    def reversals(self) -> tuple[AxisReversal, ...]:
+        """Of X, Y, Z; empty where they were not asked for."""
+        return () if self.reversal is None else self.reversal.axes
+
+
+PREFIX = "probe"
+
+
+def prepare_probe(
+    order: MeasuringOrder, layout: Layout, rules: PositionRules, preparation: Preparation
+) -> Plan[Prepared]:
+    """Check and qualify on the datum ball of `order`; begins anywhere, ends at the retreat plane before that ball.
+
+    Raises MeasurementFault where the ball is not found, the probe does not repeat, or the ball is no ball.
+    """
+    yield from _mounts_parked(rules)
+    if preparation.nothing:
+        return Prepared(rules, order.standing_at)
+    position, ball, preparation = yield from _datum(order, layout, preparation)
+    key = f"{PREFIX}/{position_key(position)}"
+    yield CheckPermissions(f"{key}/permissions")
+    yield CheckProbe(f"{key}/probe")
+    if position.station != order.standing_at:
+        here = np.array((yield ReadPosition(f"{key}/before")))
+        yield from change_station(
+            PREFIX, rules.change, rules.course, here, leaving=order.standing_at, to=position.station, index=0
+        )
+    predicted = layout.nominal(position)[ball]
+    yield from _go_to(key, position, predicted, rules)
+    found = yield from _found(f"{key}/ball-{ball:02d}", predicted, rules)
+    prepared = yield from _looked_at(f"{key}/ball-{ball:02d}", found.centre_mm, rules, preparation)
+    pilot = pilot_of(rules.course, rules.probing, layout)
+    yield from pilot.beside(key, position, ball, found.centre_mm)
+    yield from pilot.leave(key, found.centre_mm)
+    return replace(prepared, standing_at=position.station)
+
+
+def _mounts_parked(rules: PositionRules) -> Plan[None]:
+    """Nobody knows how mounts stand that a person or an earlier run has left."""
+    if rules.change.own_mounts:
+        yield CheckPermissions(f"{PREFIX}/mounts/permissions")
+        here = np.array((yield ReadPosition(f"{PREFIX}/mounts/here")))
+        yield from park_mounts(PREFIX, "mounts", rules.change, rules.course, here, rules.change.own_mounts)
+
+
+def _looked_at(key: str, centre: Array, rules: PositionRules, preparation: Preparation) -> Plan[Prepared]:
+    repeatability = qualification = reversal = None
+    probing = rules.probing
+    if preparation.check is not None:
+        repeatability = yield from check_repeatability(f"{key}/check", centre, probing, preparation.check)
+    if preparation.qualification is not None:
+        qualification = yield from qualify_stylus(f"{key}/qualify", centre, probing, preparation.qualification)
+        probing = probing.qualified(qualification.stylus)
+    if preparation.reversal is not None:
+        reversal = yield from measure_reversal(f"{key}/reversal", centre, probing, preparation.reversal)
+    return Prepared(replace(rules, probing=probing), None, repeatability, qualification, reversal)
+
+
+def _go_to(key: str, position: Position, predicted: Array, rules: PositionRules) -> Plan[None]:
+    course = rules.course
+    here = np.array((yield ReadPosition(f"{key}/here")))
+    yield MoveTo(f"{key}/retreat", point(course.retreated(here)))
+    yield MoveTo(f"{key}/park", point(course.parked(here, position.station)))
+    yield OrientTo(f"{key}/orient", position.station, position.azimuth_deg, position.elevation_deg)
+    above = course.above(predicted, rules.probing)
+    yield MoveTo(f"{key}/enter", point(course.retreated(above)))
+    yield MoveTo(f"{key}/approach", point(above))
+
+
+def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[BallFound]:
+    """Where the ball really stands: the wide search by the pattern of the run."""
+    result = yield from measure_ball(key, predicted, rules.probing, rules.probing.unknown)
+    if isinstance(result, BallLost):
+        raise MeasurementFault(
+            f"the ball for the probe check was not found where it was expected: {result.reason}",
+            hint="check the station's place in the settings, the mount's zero and the artefact's seat",
+            step=key,
+        )
+    yield Record(f"{key}/found", "event", {"centre_mm": result.centre_mm, "form_um": result.form_mm * 1e3})
+    return result
+
+
+def _datum(order: MeasuringOrder, layout: Layout, preparation: Preparation) -> Plan[tuple[Position, int, Preparation]]:
+    """Position and ball: the first that can be touched from everywhere the dense pattern asks for.
+
+    Without one there is no qualification, which is an error; the reversal alone is given up, and the check is made on
+    any ball.
+    """
+    wanted = preparation.qualification.ball if preparation.qualification else None
+    free = _first_free(order, (preparation.layout, layout), wanted)
+    if free is not None:
+        return *free, preparation
+    anywhere = _first_free(order, (layout,), wanted) if preparation.qualification is None else None
+    if anywhere is not None:
+        reason = "reversal of the axes cannot be told: no ball of this run is free all around"
+        yield Record(f"{PREFIX}/no-free-ball", "event", {"reason": reason})
+        return *anywhere, replace(preparation, reversal=None)
+    name = "no ball" if wanted is None else f"ball {wanted} in no position"
+    raise MeasurementFault(
+        f"the stylus cannot be qualified: {name} of this run is free all around",
+        hint="name another ball in qualification.ball, add a position where the artefact stands free, or switch the "
+        "qualification off",
+    )
+
+
+def _first_free(order: MeasuringOrder, layouts: Sequence[Layout], wanted: int | None) -> tuple[Position, int] | None:
+    """Within reach in all of `layouts`."""
+    for position in order.positions:
+        nominal = layouts[0].nominal(position)
+        free = np.logical_and.reduce([layout.reachable(position, nominal) for layout in layouts])
+        balls = [int(ball) for ball in np.flatnonzero(free) if wanted in (None, int(ball))]
+        if balls:
+            return position, balls[0]
+    return None

@@ -1,0 +1,105 @@
+"""Does the probe repeat? n touches of the same place, their 2σ against a limit, and how sure so few of them are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import Plan, Record
+from agent.probing.ball_gates import UM_PER_MM
+from agent.probing.probing_parameters import Probing
+from agent.probing.touch import touch_ball
+from drivers.errors import MeasurementFault
+from twin.artefact.repeatability import Scatter, scatter_of
+
+Vector = NDArray[np.float64]
+
+SURE_ENOUGH = 0.99
+"""A run is refused only where the probe is beyond its limit with this confidence: five touches of a probe exactly at
+its limit exceed it every second night."""
+
+
+@dataclass(frozen=True)
+class ProbeCheck:
+    """`touches` of the pole; `limit_mm` for 2σ."""
+
+    touches: int
+    limit_mm: float
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """2σ of `touches` touches at the pole; the true one lies in `interval_um` with `confidence`."""
+
+    two_sigma_um: float
+    limit_um: float
+    touches: int
+    interval_um: tuple[float, float]
+    confidence: float
+    verdict: str
+
+    @property
+    def text(self) -> str:
+        low, high = self.interval_um
+        return (
+            f"2σ {self.two_sigma_um:.2f} µm of {self.touches} touches ({self.confidence:.0%} confidence: {low:.2f} to "
+            f"{high:.2f} µm), limit {self.limit_um:g} µm: {self.verdict}"
+        )
+
+
+def check_repeatability(key: str, centre: Vector, probing: Probing, check: ProbeCheck) -> Plan[Repeatability]:
+    """Touch the pole of the ball at `centre` again and again; as often once more where those were too far apart.
+
+    Raises MeasurementFault where a touch misses, and where all of them together are surely beyond the limit.
+    """
+    depths = yield from _depths(key, 0, centre, probing, check)
+    if 2.0 * scatter_of(depths).sigma > check.limit_mm:
+        reason = _judged(scatter_of(depths), check).text
+        yield Record(f"{key}/again", "event", {"reason": reason, "then": f"{check.touches} touches more"})
+        depths += yield from _depths(key, check.touches, centre, probing, check)
+    scatter = scatter_of(depths)
+    result = _judged(scatter, check)
+    yield Record(f"{key}/repeatability", "decision", {**vars(result), "depths_um": [d * UM_PER_MM for d in depths]})
+    if 2.0 * scatter.sigma > check.limit_mm and scatter.surely_above(0.5 * check.limit_mm, SURE_ENOUGH):
+        raise MeasurementFault(
+            f"the probe does not repeat: {result.text}",
+            hint="check that the stylus is tight and the ball clean, then the probe's battery, cable and seat",
+            step=key,
+        )
+    return result
+
+
+def _depths(key: str, first: int, centre: Vector, probing: Probing, check: ProbeCheck) -> Plan[list[float]]:
+    """Latched positions along the stylus, mm from the ball's centre."""
+    pole = probing.directions[0]
+    depths = []
+    for number in range(first, first + check.touches):
+        touched = yield from touch_ball(f"{key}/touch-{number}", centre, pole, probing, probing.narrow)
+        if touched.latched_mm is None:
+            raise MeasurementFault(
+                "a touch met nothing where the ball had just been found",
+                hint="check the probe's signal and that the artefact is clamped",
+                step=f"{key}/touch-{number}",
+            )
+        depths.append(float((np.array(touched.latched_mm) - centre) @ probing.stylus_axis))
+    return depths
+
+
+def _judged(scatter: Scatter, check: ProbeCheck) -> Repeatability:
+    limit = 0.5 * check.limit_mm
+    if scatter.sigma <= limit:
+        verdict = "within"
+    elif scatter.surely_above(limit, SURE_ENOUGH):
+        verdict = "beyond"
+    else:
+        verdict = "above, but not surely beyond"
+    return Repeatability(
+        two_sigma_um=2.0 * scatter.sigma * UM_PER_MM,
+        limit_um=check.limit_mm * UM_PER_MM,
+        touches=scatter.count,
+        interval_um=(2.0 * scatter.lower * UM_PER_MM, 2.0 * scatter.upper * UM_PER_MM),
+        confidence=scatter.confidence,
+        verdict=verdict,
+    )

@@ -1,0 +1,113 @@
+"""The stylus, qualified on one ball touched densely: effective radius, and where wanted the pretravel by direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import Plan, Record
+from agent.probing.ball import BallFound, measure_ball
+from agent.probing.ball_gates import UM_PER_MM
+from agent.probing.probing_parameters import BallLimits, Probing, Stylus
+from twin.artefact.pretravel import PretravelMap, fit_pretravel
+from twin.artefact.sphere_fit import fit_sphere
+from twin.artefact.touch_pattern import centre_covariance, known_radius_covariance
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class QualificationRules:
+    """`directions` (k, 3) of the dense pattern, the pole first. `ball`: number of the datum ball; None: the first that
+    is free all around. `spread_mm`: standard deviation of the radii of the artefact's balls."""
+
+    directions: Array
+    ball: int | None
+    with_map: bool
+    limits: BallLimits
+    spread_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Qualification:
+    """What one dense ball said of the stylus. `trace_*_um2`: of a ball centre's covariance by the pattern of the run,
+    with a free and with the qualified radius; the smaller one decides which is used."""
+
+    stylus: Stylus
+    datum_mm: Array
+    form_um: float
+    directions: Array
+    residuals_um: Array
+    trace_free_um2: float
+    trace_fixed_um2: float
+
+    @property
+    def text(self) -> str:
+        stylus = self.stylus
+        how = "fixed" if stylus.fixed else "free"
+        text = (
+            f"effective radius {stylus.radius_mm:.4f} mm ± {2.0 * stylus.radius_sigma_mm * UM_PER_MM:.1f} µm (2σ), "
+            f"form {self.form_um:.1f} µm of {len(self.directions)} touches; spheres are fitted with the radius {how} "
+            f"(trace of a centre's covariance {self.trace_fixed_um2:.2f} µm² fixed, {self.trace_free_um2:.2f} µm² free)"
+        )
+        if stylus.pretravel is not None:
+            text += (
+                f"; pretravel map up to {stylus.pretravel.largest_mm * UM_PER_MM:.1f} µm, "
+                f"{stylus.pretravel.noise_mm * UM_PER_MM:.1f} µm rms left"
+            )
+        return text
+
+
+def qualify_stylus(key: str, centre: Array, probing: Probing, rules: QualificationRules) -> Plan[Qualification]:
+    """Touch the ball at `centre` by the dense pattern. A datum ball that keeps breaking a limit raises
+    MeasurementFault: nothing could be trusted after it."""
+    dense = replace(probing, directions=rules.directions, limits=rules.limits, stylus=None, stop_on_failure=True)
+    found = yield from measure_ball(key, centre, dense, dense.narrow)
+    assert isinstance(found, BallFound)  # noqa: S101  a lost one stops
+    result = qualification_of(found, probing, rules)
+    yield Record(f"{key}/stylus", "decision", _payload(key, result))
+    return result
+
+
+def qualification_of(found: BallFound, probing: Probing, rules: QualificationRules) -> Qualification:
+    """What the densely touched ball says. The radius is fixed in later fits where that makes centres better known."""
+    sigma_mm = probing.touch_sigma_mm
+    dense = fit_sphere(-rules.directions, sigma_mm)
+    radius_sigma_mm = float(np.hypot(np.sqrt(dense.covariance[3, 3]), rules.spread_mm))
+    free = float(np.trace(centre_covariance(probing.directions, sigma_mm)))
+    fixed = float(np.trace(known_radius_covariance(probing.directions, sigma_mm, radius_sigma_mm)))
+    stylus = Stylus(found.radius_mm, radius_sigma_mm, fixed < free, _map(found, probing, rules))
+    return Qualification(
+        stylus=stylus,
+        datum_mm=found.centre_mm,
+        form_um=found.form_mm * UM_PER_MM,
+        directions=rules.directions,
+        residuals_um=found.residuals_mm * UM_PER_MM,
+        trace_free_um2=free * UM_PER_MM**2,
+        trace_fixed_um2=fixed * UM_PER_MM**2,
+    )
+
+
+def _map(found: BallFound, probing: Probing, rules: QualificationRules) -> PretravelMap | None:
+    if not rules.with_map:
+        return None
+    return fit_pretravel(rules.directions, found.residuals_mm, probing.stylus_axis)
+
+
+def _payload(key: str, result: Qualification) -> dict[str, object]:
+    stylus = result.stylus
+    payload: dict[str, object] = {
+        "text": result.text,
+        "ball": key,
+        "datum_mm": result.datum_mm,
+        "radius_mm": stylus.radius_mm,
+        "radius_sigma_um": stylus.radius_sigma_mm * UM_PER_MM,
+        "radius_fixed": stylus.fixed,
+        "form_um": result.form_um,
+        "residuals_um": result.residuals_um,
+    }
+    if stylus.pretravel is not None:
+        payload["pretravel_um"] = stylus.pretravel.coefficients_mm * UM_PER_MM
+    return payload

@@ -1,0 +1,183 @@
+"""Reversal of the linear axes on the datum ball: oblique places touched with each axis pre-loaded from either side.
+
+No ball centre shows it: each touch goes the same way on every ball, so that lost motion moves all centres alike and no
+free artefact sees a common motion. Therefore it is measured apart, and what cannot be measured so is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import MoveTo, Plan, Record, TouchTowards
+from agent.probing.ball_gates import UM_PER_MM
+from agent.probing.probing_parameters import Probing
+from agent.probing.touch import point
+from drivers.errors import MeasurementFault
+from drivers.roles import Touch
+from twin.artefact.reversal import SLOPE, ObliqueTouch, lost_motion, oblique_touches
+
+Vector = NDArray[np.float64]
+
+PRELOAD_MM = 1.0
+"""Far more than any play of a machine that is worth a calibration, and still clear of the ball."""
+WITHIN, BEYOND = "within", "beyond"
+SURE = 2.0
+"""Standard uncertainties: beyond the limit by as many is surely beyond."""
+UNSEEN = (
+    "not seen: reversal elsewhere along the travel, of the axes' angles apart from their effect at this place, of the "
+    "mount's axes; none of it is in the table, which holds for the middle of both directions"
+)
+
+
+@dataclass(frozen=True)
+class ReversalCheck:
+    """`touches` from either side at each of two places an axis; `limit_mm`: largest lost motion without a warning;
+    `stop`: whether one that is surely beyond it ends the run before anything is measured."""
+
+    touches: int
+    limit_mm: float
+    stop: bool
+
+
+@dataclass(frozen=True)
+class AxisReversal:
+    """Lost motion of one axis, µm, positive where it lags, and its standard uncertainty; None where a touch missed."""
+
+    axis: str
+    lost_um: float | None
+    sigma_um: float | None
+    verdict: str
+
+    @property
+    def text(self) -> str:
+        if self.lost_um is None or self.sigma_um is None:
+            return f"{self.axis} {self.verdict}"
+        return f"{self.axis} {self.lost_um:+.1f} µm ± {SURE * self.sigma_um:.1f} µm (2σ): {self.verdict}"
+
+
+@dataclass(frozen=True)
+class Reversal:
+    """What the datum ball at axis position `at_mm` said of X, Y, Z."""
+
+    axes: tuple[AxisReversal, ...]
+    limit_um: float
+    at_mm: tuple[float, float, float]
+
+    @property
+    def noticed(self) -> tuple[AxisReversal, ...]:
+        """Above the limit, or not to be told."""
+        return tuple(one for one in self.axes if one.verdict != WITHIN)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return tuple(self._warning(one) for one in self.noticed)
+
+    def _warning(self, one: AxisReversal) -> str:
+        if one.lost_um is None:
+            return f"The reversal of axis {one.text}."
+        return f"Lost motion of axis {one.text}; limit {self.limit_um:g} µm. No compensation table takes it off."
+
+    @property
+    def text(self) -> str:
+        at = ", ".join(f"{value:.0f}" for value in self.at_mm)
+        found = "; ".join(one.text for one in self.axes)
+        return f"lost motion at ({at}) mm: {found}; limit {self.limit_um:g} µm; {UNSEEN}"
+
+
+def measure_reversal(key: str, centre: Vector, probing: Probing, check: ReversalCheck) -> Plan[Reversal]:
+    """Begins and ends in the plane before the ball at `centre`, along the stylus.
+
+    Raises MeasurementFault where the check says stop and an axis is surely beyond the limit.
+    """
+    axes = []
+    for axis, name in enumerate("XYZ"):
+        axes.append((yield from _measured(f"{key}/{name}", name, axis, centre, probing, check)))
+    result = Reversal(tuple(axes), check.limit_mm * UM_PER_MM, point(centre))
+    yield Record(f"{key}/reversal", "decision", _payload(result))
+    for one, warning in zip(result.noticed, result.warnings, strict=True):
+        yield Record(f"{key}/{one.axis}/reversal", "event", {"reason": warning})
+    beyond = [one.text for one in result.axes if one.verdict == BEYOND]
+    if beyond and check.stop:
+        raise MeasurementFault(
+            f"an axis loses too much motion when it turns round: {', '.join(beyond)}; limit {result.limit_um:g} µm",
+            hint="have the controller's backlash compensation, the screw and its bearings looked at",
+            step=key,
+        )
+    return result
+
+
+@dataclass
+class _Readings:
+    """Touches of one axis so far, as `lost_motion` takes them."""
+
+    ratios: list[float] = field(default_factory=list)
+    upwards: list[bool] = field(default_factory=list)
+    places: list[int] = field(default_factory=list)
+    latched_mm: list[float] = field(default_factory=list)
+
+    def add(self, place: int, touch: ObliqueTouch, upwards: bool, latched_mm: float) -> None:
+        self.places.append(place)
+        self.ratios.append(touch.ratio)
+        self.upwards.append(upwards)
+        self.latched_mm.append(latched_mm)
+
+
+def _measured(
+    key: str, name: str, axis: int, centre: Vector, probing: Probing, check: ReversalCheck
+) -> Plan[AxisReversal]:
+    """Up, down, down, up …, so that a steady drift drops out."""
+    readings = _Readings()
+    for place, touch in enumerate(oblique_touches(axis, probing.stylus_axis)):
+        for number in range(2 * check.touches):
+            upwards = number % 4 in (0, 3)
+            step = f"{key}/place-{place}/touch-{number}"
+            latched = yield from _touched(step, centre, touch, upwards, probing)
+            if latched is None:
+                yield Record(f"{step}/missed", "event", {"reason": f"reversal of {name}: a touch met nothing"})
+                return AxisReversal(name, None, None, "cannot be told: a touch met nothing")
+            readings.add(place, touch, upwards, latched)
+    lost = lost_motion(
+        readings.ratios, readings.upwards, readings.places, readings.latched_mm, probing.touch_sigma_mm / SLOPE
+    )
+    return _judged(name, lost.value_mm, lost.sigma_mm, check.limit_mm)
+
+
+def _touched(key: str, centre: Vector, touch: ObliqueTouch, upwards: bool, probing: Probing) -> Plan[float | None]:
+    """Before the ball, past the start by the pre-load, back to it by the axis asked for alone, then the touch."""
+    approach_mm = max(probing.narrow.approach_mm, 3.0 * PRELOAD_MM)
+    contact = centre + touch.normal * probing.contact_mm
+    start = contact - touch.direction * approach_mm
+    beside = start.copy()
+    beside[touch.axis] += -PRELOAD_MM if upwards else PRELOAD_MM
+    plane = probing.contact_mm + approach_mm + 2.0 * PRELOAD_MM
+    above = beside - probing.stylus_axis * (plane + float((beside - centre) @ probing.stylus_axis))
+    yield MoveTo(f"{key}/above", point(above))
+    yield MoveTo(f"{key}/beside", point(beside))
+    yield MoveTo(f"{key}/start", point(start))
+    target = contact + touch.direction * probing.narrow.beyond_mm
+    result = yield TouchTowards(key, point(target), probing.feed_mm_per_s)
+    yield MoveTo(f"{key}/back", point(above))
+    return result.position_mm[touch.along] if isinstance(result, Touch) else None
+
+
+def _judged(name: str, lost_mm: float, sigma_mm: float, limit_mm: float) -> AxisReversal:
+    if abs(lost_mm) <= limit_mm:
+        verdict = WITHIN
+    elif abs(lost_mm) - SURE * sigma_mm > limit_mm:
+        verdict = BEYOND
+    else:
+        verdict = "above, but not surely beyond"
+    return AxisReversal(name, lost_mm * UM_PER_MM, sigma_mm * UM_PER_MM, verdict)
+
+
+def _payload(result: Reversal) -> Mapping[str, object]:
+    return {
+        "text": result.text,
+        "limit_um": result.limit_um,
+        "at_mm": result.at_mm,
+        "axes": [dict(vars(one)) for one in result.axes],
+    }

@@ -1,0 +1,70 @@
+"""Waiting until the artefact has settled: where it is too far from 20 °C or changes too fast, nothing is measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from agent.execution.steps import Dwell, Plan, Record
+from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_per_h, read_conditions
+from drivers.errors import MeasurementFault
+
+S_PER_MIN = 60.0
+SHORTEST_S = 60.0
+"""Readings over less than this say more of the thermometer's noise than of a rate."""
+WINDOW_S = 600.0
+
+
+@dataclass(frozen=True)
+class SettlingRules:
+    """Limits of the artefact's rate and of its departure from 20 °C; how often a held run looks, how long at most."""
+
+    thermometers: Thermometers = field(default_factory=Thermometers)
+    largest_rate_k_per_h: float = math.inf
+    largest_departure_k: float = math.inf
+    look_every_s: float = 60.0
+    deadline_s: float = 3600.0
+
+    def complaint(self, trace: Sequence[Conditions]) -> str:
+        """Why the last reading of `trace` must be waited on; empty where it need not."""
+        now = trace[-1]
+        if abs(now.departure_k) > self.largest_departure_k:
+            return (
+                f"the artefact has {now.artefact_c:.2f} °C, {abs(now.departure_k):.2f} K from 20 °C, "
+                f"allowed {self.largest_departure_k:g} K"
+            )
+        recent = [one for one in trace if now.instant_s - one.instant_s <= WINDOW_S]
+        if now.instant_s - recent[0].instant_s < SHORTEST_S:
+            return ""
+        rate = rate_k_per_h(recent)
+        if rate is not None and abs(rate) > self.largest_rate_k_per_h:
+            return f"the artefact changes by {rate:+.1f} K/h, allowed {self.largest_rate_k_per_h:g} K/h"
+        return ""
+
+
+def settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Plan[Conditions]:
+    """Conditions in which the artefact may be measured: at once, or after a wait with nothing moving.
+
+    `history`: readings that came with the balls before, oldest first. Raises MeasurementFault at the deadline.
+    """
+    trace = [*history, (yield from read_conditions(key, rules.thermometers))]
+    looks = math.ceil(rules.deadline_s / rules.look_every_s)
+    for look in range(1, looks + 1):
+        complaint = rules.complaint(trace)
+        if not complaint:
+            return trace[-1]
+        here = f"{key}/settle-{look}"
+        if look == 1:
+            note = f"waiting until the artefact has settled: {complaint}"
+            yield Record(f"{here}/held", "event", {"note": note, "deadline_minutes": rules.deadline_s / S_PER_MIN})
+        yield Dwell(f"{here}/wait", rules.look_every_s)
+        trace.append((yield from read_conditions(here, rules.thermometers)))
+    complaint = rules.complaint(trace)
+    if complaint:
+        raise MeasurementFault(
+            f"the artefact has not settled within {rules.deadline_s / S_PER_MIN:g} min: {complaint}",
+            hint="leave the artefact on the table until it has the temperature of the machine, keep doors closed and "
+            "coolant off, then start again; limits are in [temperature] of the settings",
+        )
+    return trace[-1]

@@ -1,0 +1,72 @@
+"""An estimate read back from the journal, as a report wants it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.formats.estimate_file import StoredEstimate
+from twin.identification import Misfit, Scales
+from twin.machine.error_model import ErrorModel
+
+
+@dataclass(frozen=True, eq=False)
+class KeptEstimate:
+    """What `agent.reports.page.ReportedEstimate` asks for. `misfit`: None where it was switched off."""
+
+    model: ErrorModel
+    formulation: str
+    parameters: Array
+    covariance: Array
+    misfit: Misfit | None
+    chi2_normalised: float
+    degrees_of_freedom: float
+    rejected: tuple[tuple[int, int, int], ...]
+    scales: Scales
+    rank: int
+    conditioning: float
+    null_summary: tuple[str, ...]
+    scales_at_bounds: tuple[str, ...]
+
+    @property
+    def standard_uncertainty(self) -> Array:
+        """(p,) of each parameter."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+
+
+def kept_estimate(stored: StoredEstimate, unresolved_mm2: float) -> KeptEstimate:
+    """`unresolved_mm2`: variance per direction of what is too short in space for the misfit's modes."""
+    document = stored.document
+    return KeptEstimate(
+        model=stored.model,
+        formulation=document.formulation,
+        parameters=stored.parameters,
+        covariance=stored.covariance,
+        misfit=_misfit(stored, unresolved_mm2),
+        chi2_normalised=document.chi2_normalised,
+        degrees_of_freedom=document.degrees_of_freedom,
+        rejected=tuple((row.position, row.ball, row.tool) for row in document.rejected),
+        scales=Scales(**document.scales.model_dump()),
+        rank=document.rank,
+        conditioning=document.conditioning,
+        null_summary=document.null_summary,
+        scales_at_bounds=document.scales_at_bounds,
+    )
+
+
+def _misfit(stored: StoredEstimate, unresolved_mm2: float) -> Misfit | None:
+    unknowns = stored.unknowns
+    if unknowns.modes is None:
+        return None
+    own, misfit = unknowns.blocks.parameters, unknowns.blocks.misfit
+    covariance = stored.z_covariance
+    return Misfit(
+        modes=unknowns.modes,
+        amplitude_mm=unknowns.misfit_mm,
+        coefficients=stored.z[misfit],
+        covariance=covariance[misfit, misfit],
+        cross_covariance=unknowns.scale[:, None] * covariance[own, misfit],
+        unresolved_mm2=unresolved_mm2,
+    )

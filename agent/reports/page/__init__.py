@@ -1,0 +1,33 @@
+"""The report of a run: what was measured, identified, decided and proved, on one printable page."""
+
+from agent.reports.page.data import (
+    Asked,
+    EventLine,
+    Header,
+    Identified,
+    NightFacts,
+    Provenance,
+    ReportData,
+    ReportedEstimate,
+    RunFacts,
+    TemperatureTrace,
+    Verification,
+    VerifiedPosition,
+)
+from agent.reports.page.position_naming import name_of_positions
+
+__all__ = [
+    "Asked",
+    "EventLine",
+    "Header",
+    "Identified",
+    "NightFacts",
+    "Provenance",
+    "ReportData",
+    "ReportedEstimate",
+    "RunFacts",
+    "TemperatureTrace",
+    "Verification",
+    "VerifiedPosition",
+    "name_of_positions",
+]

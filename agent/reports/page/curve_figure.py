@@ -1,0 +1,97 @@
+"""The geometric error functions: rows are axes, columns the six errors of ISO 230-1, all in shared units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from agent.figures.report_style import BAND_OPACITY, BLUE, INK, ORANGE, Drawing
+from agent.reports.page.error_curves import ErrorCurve
+
+Array = NDArray[np.float64]
+
+AXES = "XYZ"
+COLUMNS = ("EX", "EY", "EZ", "EA", "EB", "EC")
+DISPLACEMENTS = 3
+"""The first three columns are displacements, the others rotations."""
+
+
+def draw_error_curves(curves: Sequence[ErrorCurve]) -> str:
+    """SVG of the 18 functions of one axis each; an error that the model does not have stays an empty panel."""
+    by_name = {curve.name: curve for curve in curves}
+    drawing = Drawing("error-curves", 10.4, 4.9)
+    with drawing as figure:
+        figure.subplots_adjust(wspace=0.16, hspace=0.5)
+        panels = _panels(figure)
+        for axis, row in zip(AXES, panels, strict=True):
+            for kind, panel in zip(COLUMNS, row, strict=True):
+                _panel(panel, by_name.get(kind + axis), kind + axis)
+        for row in panels:
+            _share_scale(row[:DISPLACEMENTS], _reach(curves, "µm"))
+            _share_scale(row[DISPLACEMENTS:], _reach(curves, "µrad"))
+        _label(panels)
+    return drawing.svg()
+
+
+def draw_cross_effect(curves: Sequence[ErrorCurve]) -> str:
+    """SVG of the ram–column terms at full overhang, over the height."""
+    drawing = Drawing("cross-effect", 5.6, 1.9)
+    with drawing as figure:
+        figure.subplots_adjust(wspace=0.35)
+        panels = np.atleast_1d(figure.subplots(1, len(curves)))
+        for panel, curve in zip(panels, curves, strict=True):
+            _panel(panel, curve, curve.name)
+            panel.set_ylabel(curve.unit)
+            panel.set_xlabel(f"{curve.argument} / mm")
+    return drawing.svg()
+
+
+def _panels(figure: Figure) -> list[list[Axes]]:
+    """(3, 6) panels with a gap between displacements and rotations, where the scale changes."""
+    layout = figure.add_gridspec(3, 7, width_ratios=[1.0, 1.0, 1.0, 0.28, 1.0, 1.0, 1.0])
+    columns = (0, 1, 2, 4, 5, 6)
+    return [[figure.add_subplot(layout[row, column]) for column in columns] for row in range(3)]
+
+
+def _panel(panel: Axes, curve: ErrorCurve | None, title: str) -> None:
+    panel.set_title(title, loc="left", pad=3)
+    panel.axhline(0.0, color=INK, linewidth=0.6)
+    if curve is None:
+        panel.text(0.5, 0.6, "not in the model", transform=panel.transAxes, ha="center", fontsize=7)
+        return
+    colour = BLUE if curve.unit == "µm" else ORANGE
+    low, high = curve.value - 2.0 * curve.sigma, curve.value + 2.0 * curve.sigma
+    panel.fill_between(curve.position_mm, low, high, color=colour, alpha=BAND_OPACITY, linewidth=0)
+    (line,) = panel.plot(curve.position_mm, curve.value, color=colour)
+    line.set_gid(f"curve-{curve.name}")
+    low_mm, high_mm = float(curve.position_mm[0]), float(curve.position_mm[-1])
+    panel.set_xlim(low_mm, high_mm)
+    panel.set_xticks([low_mm, 0.5 * (low_mm + high_mm), high_mm])
+    first, _, last = panel.get_xticklabels()  # inwards, so that numbers of neighbouring panels do not meet
+    first.set_horizontalalignment("left")
+    last.set_horizontalalignment("right")
+
+
+def _reach(curves: Sequence[ErrorCurve], unit: str) -> float:
+    return max((curve.reach for curve in curves if curve.unit == unit), default=0.0) or 1.0
+
+
+def _share_scale(panels: Sequence[Axes], reach: float) -> None:
+    """The same scale for panels side by side, with its numbers at the first."""
+    for count, panel in enumerate(panels):
+        panel.set_ylim(-1.05 * reach, 1.05 * reach)
+        panel.locator_params(axis="y", nbins=5)
+        if count:
+            panel.tick_params(axis="y", labelleft=False, length=0)
+
+
+def _label(panels: Sequence[Sequence[Axes]]) -> None:
+    for axis, row in zip(AXES, panels, strict=True):
+        row[0].set_ylabel("µm", labelpad=0)
+        row[DISPLACEMENTS].set_ylabel("µrad", labelpad=0)
+        for panel in row:
+            panel.set_xlabel(f"{axis} / mm", labelpad=1)

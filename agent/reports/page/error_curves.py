@@ -1,0 +1,84 @@
+"""Error functions with their uncertainty, out of an estimate's parameters and covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.machine.error_model import DIRECTIONS, ErrorModel, series_orders
+from twin.machine.legendre import legendre_values, normalised
+
+Array = NDArray[np.float64]
+
+SAMPLES = 81
+MICRO = {"mm": ("µm", 1e3), "rad": ("µrad", 1e6)}
+
+
+@dataclass(frozen=True)
+class ErrorCurve:
+    """One error function with its standard uncertainty, (n,) each; `unit` is µm or µrad."""
+
+    name: str
+    argument: str
+    unit: str
+    position_mm: Array
+    value: Array
+    sigma: Array
+
+    @property
+    def reach(self) -> float:
+        """Largest absolute value the ±2σ band comes to."""
+        return float(np.max(np.abs(self.value) + 2.0 * self.sigma))
+
+
+def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
+    """The error motions of X, then Y, then Z; those that have no coefficient in the model are left out."""
+    curves = []
+    for axis, limits in zip("XYZ", model.ranges_mm, strict=True):
+        place = np.linspace(*limits, SAMPLES)
+        for direction in DIRECTIONS:
+            error = f"E{direction}{axis}"
+            orders = series_orders(error, model.orders[error])
+            if len(orders):
+                rows = legendre_values(normalised(place, limits), orders[-1])[orders.start :].T
+                block = model.block[error]
+                unit = "rad" if direction in "ABC" else "mm"
+                curves.append(
+                    _curve(
+                        error,
+                        axis,
+                        unit,
+                        place,
+                        rows=rows,
+                        coefficients=parameters[block],
+                        covariance=covariance[block, block],
+                    )
+                )
+    return tuple(curves)
+
+
+def cross_effect_curves(model: ErrorModel, parameters: Array, covariance: Array) -> tuple[ErrorCurve, ...]:
+    """What the cross-effect adds to EYZ and EAZ at full overhang (v = 1), over z; empty when not in the model."""
+    place = np.linspace(*model.ranges_mm[2], SAMPLES)
+    w = (place - place[0]) / (place[-1] - place[0])
+    curves = []
+    for letter, error, unit in (("b", "E_YZ", "mm"), ("c", "E_AZ", "rad")):
+        terms = [term for term in model.cross_effect if term[0] == letter]
+        if terms:
+            rows = np.stack([w ** int(term[1]) for term in terms], axis=1)
+            chosen = [model.index(f"CROSS[{term}]") for term in terms]
+            part = covariance[np.ix_(chosen, chosen)]
+            curves.append(_curve(error, "Z", unit, place, rows=rows, coefficients=parameters[chosen], covariance=part))
+    return tuple(curves)
+
+
+def _curve(
+    name: str, argument: str, unit: str, place: Array, *, rows: Array, coefficients: Array, covariance: Array
+) -> ErrorCurve:
+    """`rows` (n, k) are the functions that `coefficients` (k,) weigh."""
+    micro, scale = MICRO[unit]
+    variance = np.einsum("nk,kl,nl->n", rows, covariance, rows)
+    sigma = scale * np.sqrt(np.maximum(variance, 0.0))
+    return ErrorCurve(name, argument, micro, place, scale * (rows @ coefficients), sigma)

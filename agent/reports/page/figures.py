@@ -1,0 +1,72 @@
+"""Which figures a report holds, drawn from its data."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.reports.page.curve_figure import draw_cross_effect, draw_error_curves
+from agent.reports.page.data import Identified, ReportData
+from agent.reports.page.error_curves import cross_effect_curves, geometric_error_curves
+from agent.reports.page.map_figure import draw_planes
+from agent.reports.page.probe_figure import draw_qualification
+from agent.reports.page.residual_figures import BallResiduals, draw_by_position, draw_distribution
+from agent.reports.page.run_figures import draw_position_temperatures, draw_temperatures
+from agent.reports.page.workspace_maps import workspace_maps
+
+Array = NDArray[np.float64]
+
+
+def report_figures(data: ReportData) -> dict[str, str]:
+    """SVG by the name that the page's template gives it; an empty text where there is nothing to draw."""
+    traces, probe, found = data.run.temperatures, data.run.probe, data.found
+    figures = {
+        "qualification": draw_qualification(probe) if probe and probe.rings else "",
+        "temperatures": draw_temperatures(traces, data.run.drifts_um) if traces else "",
+        "trend": data.run.trend,
+    }
+    if found is None:
+        return figures
+    seen = found.observations
+    if not traces:
+        figures["temperatures"] = draw_position_temperatures(seen.position, seen.temperature_c)
+    return {**figures, **_of_estimate(found, np.asarray(data.tool_offset))}
+
+
+def _of_estimate(found: Identified, tool_offset: Array) -> dict[str, str]:
+    estimate = found.estimate
+    model, values, covariance = estimate.model, estimate.parameters, estimate.covariance
+    residuals = ball_residuals(found)
+    maps = workspace_maps(estimate, tool_offset, found.observations.axis_positions)
+    cross = cross_effect_curves(model, values, covariance)
+    return {
+        "curves": draw_error_curves(geometric_error_curves(model, values, covariance)),
+        "cross": draw_cross_effect(cross) if cross else "",
+        "deviation_map": draw_planes("error-map", maps.deviation, "deviation / µm", dots=False),
+        "uncertainty_map": draw_planes("vce-map", maps.uncertainty, "σ / µm", dots=True),
+        "residuals_by_position": draw_by_position(residuals),
+        "residual_distribution": draw_distribution(residuals),
+    }
+
+
+def ball_residuals(found: Identified) -> BallResiduals:
+    """Residuals in µm and in standard deviations, with what was rejected and where a new station begins."""
+    seen, estimate = found.observations, found.estimate
+    gone = set(estimate.rejected)
+    keys = zip(seen.position.tolist(), seen.ball.tolist(), seen.tool.tolist(), strict=True)
+    kept = np.array([key not in gone for key in keys])
+    stations = [position.station for position in found.positions]
+    return BallResiduals(
+        position=seen.position,
+        ball=seen.ball,
+        residual_um=1e3 * found.residuals_mm,
+        standardised=found.residuals_mm / _expected_spread(found, int(kept.sum())),
+        kept=kept,
+        station_starts=tuple(count for count in range(1, len(stations)) if stations[count] != stations[count - 1]),
+    )
+
+
+def _expected_spread(found: Identified, kept: int) -> Array:
+    """(n, 3) mm: touch noise as found, less what the fit takes up with its poses and parameters."""
+    sigma = np.sqrt(np.einsum("nii->ni", found.observations.covariance)) * found.estimate.scales.noise
+    return np.asarray(sigma * np.sqrt(found.estimate.degrees_of_freedom / (3.0 * kept)))

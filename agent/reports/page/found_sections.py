@@ -1,0 +1,119 @@
+"""Sections about what was identified: before and after, squareness, residuals, fit, null space, table, parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.reports.page.data import Identified, ReportData
+from agent.reports.page.figures import ball_residuals
+from agent.reports.page.number_format import COVERAGE, Rows, Table, fixed, micrometres, number, plural, point
+from agent.reports.page.texts import Texts
+from agent.results.facts import Quantity
+from twin.machine.error_model import SQUARENESS
+
+
+def summary_table(data: ReportData, found: Identified, t: Texts) -> Table:
+    summary, proof = found.volumetric, data.run.verification
+    rows: list[tuple[str, Quantity | None, Quantity | None]] = [
+        (t["ve_aligned"], summary.before_aligned, summary.after_aligned),
+        (t["ve_raw"], summary.before_raw, summary.after_raw),
+    ]
+    if proof is not None:
+        rows.append((t["held_out"], proof.before, proof.after))
+    cells = tuple((name, micrometres(before), micrometres(after)) for name, before, after in rows)
+    return Table((t["quantity"], t["before"], t["after"]), cells, (t["before"], t["after"]))
+
+
+def squareness(found: Identified) -> Table:
+    estimate = found.estimate
+    places = [estimate.model.index(name) for name in SQUARENESS]
+    sigma = estimate.standard_uncertainty
+    rows = tuple(
+        (name, fixed(1e6 * estimate.parameters[i], 2), fixed(COVERAGE * 1e6 * sigma[i], 2))
+        for name, i in zip(SQUARENESS, places, strict=True)
+    )
+    return Table(("error", "µrad", "±2σ"), rows, ("µrad", "±2σ"))
+
+
+def residual_note(found: Identified) -> str:
+    kept = ball_residuals(found).kept
+    rms = 1e3 * np.sqrt(np.mean(found.residuals_mm[kept] ** 2, axis=0))
+    text = f"rms by component: x {rms[0]:.2f}, y {rms[1]:.2f}, z {rms[2]:.2f} µm over the balls that were kept"
+    return f"{text}. Dotted lines part the stations." if len({p.station for p in found.positions}) > 1 else f"{text}."
+
+
+def rejected(found: Identified) -> Table | None:
+    if not found.estimate.rejected:
+        return None
+    rows = []
+    for position, ball, tool in found.estimate.rejected:
+        place = found.positions[position]
+        where = f"station {place.station}, azimuth {place.azimuth_deg:g}°, elevation {place.elevation_deg:g}°"
+        residual = _residual_of(found, position, ball, tool)
+        rows.append((str(position), where, str(ball), f"{residual:.1f}"))
+    heads = ("position", "orientation", "ball", "residual / µm")
+    return Table(heads, tuple(rows), ("position", "ball", "residual / µm"))
+
+
+def _residual_of(found: Identified, position: int, ball: int, tool: int) -> float:
+    seen = found.observations
+    row = (seen.position == position) & (seen.ball == ball) & (seen.tool == tool)
+    return float(1e3 * np.linalg.norm(found.residuals_mm[row]))
+
+
+def fit(found: Identified) -> Rows:
+    estimate = found.estimate
+    misfit = "not looked for"
+    if estimate.misfit is not None:
+        rms = 1e3 * estimate.misfit.amplitude_mm * estimate.scales.misfit
+        misfit = f"about {number(rms, 2)} µm rms that the model cannot represent"
+    return [
+        ("Normalised χ²", fixed(estimate.chi2_normalised, 3)),
+        ("Degrees of freedom", fixed(estimate.degrees_of_freedom, 0)),
+        ("Touch noise", f"{fixed(estimate.scales.noise, 2)} times as stated"),
+        ("Family", f"{fixed(estimate.scales.prior, 2)} times as wide as stated"),
+        ("Beside the model", misfit),
+        ("Conditioning", number(estimate.conditioning, 3)),
+        ("Rank", f"{estimate.rank} of {estimate.model.size}"),
+        ("Rejected balls", str(len(estimate.rejected))),
+    ]
+
+
+def null_intro(found: Identified) -> str:
+    size, rank = found.estimate.model.size, found.estimate.rank
+    if rank == size:
+        return f"All {size} parameters of the model are seen."
+    missing = plural(size - rank, "direction")
+    return (
+        f"Of {size} parameters {rank} combinations are seen. The other {missing} are held by the family of the machine "
+        "alone; they change nothing at the balls that were measured:"
+    )
+
+
+def table_rows(found: Identified) -> Rows | None:
+    table = found.table
+    if table is None:
+        return None
+    largest = ", ".join(f"{axis} {value:.1f}" for axis, value in zip("XYZ", table.largest_um, strict=True))
+    x, y, z = table.nodes
+    return [
+        ("Grid", f"{x} × {y} × {z} nodes"),
+        ("Largest correction", f"{largest} µm"),
+        ("Anchor", f"zero at {point(table.anchor_mm)}; primary {table.primary}, secondary {table.secondary}"),
+        ("Tool offset", point(table.tool_offset_mm)),
+        ("Beyond the measured region", f"{table.extrapolated} of {table.cells} nodes"),
+        ("Sign", "values are added to the commanded position"),
+        ("CRC-32 of the CSV file", table.crc32),
+    ]
+
+
+def parameters(found: Identified) -> list[list[tuple[str, str, str, str]]]:
+    """Three columns of name, value, σ, unit."""
+    estimate = found.estimate
+    sigma = estimate.standard_uncertainty
+    rows = []
+    for parameter, value, spread in zip(estimate.model.parameters, estimate.parameters, sigma, strict=True):
+        scale, unit = (1e3, "µm") if parameter.unit == "mm" else (1e6, "µrad")
+        rows.append((parameter.name, fixed(scale * value, 2), fixed(scale * spread, 2), unit))
+    height = -(-len(rows) // 3)
+    return [rows[start : start + height] for start in range(0, len(rows), height)]

@@ -1,0 +1,111 @@
+"""Who, what and when; the first lines of a report, its tiles, and what the result holds for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.reports.page.data import Identified, ReportData
+from agent.reports.page.number_format import Rows, fixed, micrometres, number, plural, point
+from agent.reports.page.texts import Texts
+from agent.results.facts import Quantity
+
+
+def tiles(data: ReportData, t: Texts) -> list[dict[str, str]]:
+    """Four figures at the top."""
+    found, night = data.found, data.run.night
+    if found is not None:
+        shown = _of_estimate(data, found, t)
+    elif night is not None and night.ve_now_um is not None:
+        shown = [
+            (t["tile_ve_now"], micrometres(Quantity(night.ve_now_um))),
+            (t["tile_ve_before"], micrometres(_quantity(night.ve_before_um))),
+            *_of_run(data, t)[:2],
+        ]
+    else:
+        shown = [(t["tile_state"], data.header.state), *_of_run(data, t)]
+    return [{"text": text, "value": value} for text, value in shown]
+
+
+def _of_estimate(data: ReportData, found: Identified, t: Texts) -> list[tuple[str, str]]:
+    proof, estimate = data.run.verification, found.estimate
+    third = (
+        (t["tile_chi2"], fixed(estimate.chi2_normalised, 2))
+        if proof is None
+        else (t["tile_held_out"], micrometres(proof.after))
+    )
+    return [
+        (t["tile_before"], micrometres(found.volumetric.before_aligned)),
+        (t["tile_after"], micrometres(found.volumetric.after_aligned)),
+        third,
+        (t["tile_seen"], t["of_value"].format(value=estimate.rank, all=estimate.model.size)),
+    ]
+
+
+def _of_run(data: ReportData, t: Texts) -> list[tuple[str, str]]:
+    run = data.run
+    minutes = "–" if run.machine_minutes is None else f"{fixed(run.machine_minutes, 1)} min"
+    return [
+        (t["tile_balls"], _count(run.balls)),
+        (t["tile_minutes"], minutes),
+        (t["tile_touches"], _count(run.touches)),
+    ]
+
+
+def _count(value: int | None) -> str:
+    return "–" if value is None else str(value)
+
+
+def _quantity(value_um: float | None) -> Quantity | None:
+    return None if value_um is None else Quantity(value_um)
+
+
+def identity(data: ReportData) -> Rows:
+    artefact, run, found = data.artefact, data.run, data.found
+    rows = [("Run", data.header.run_id), *run.times]
+    if run.provenance is not None:
+        rows.append(("Started by", run.provenance.started_by))
+    if found is not None:
+        rows += _machine(found)
+    rows += [
+        ("Tool offset", f"{data.tool_name} {point(data.tool_offset)}"),
+        ("Artefact", f"{artefact.name}, {artefact.balls} balls of {number(artefact.ball_diameter_mm, 5)} mm"),
+        ("Certificate", artefact.certificate),
+        ("Position set", data.header.position_set),
+    ]
+    if found is not None:
+        measured = f"{plural(found.observations.size, 'ball centre')} in {plural(len(found.positions), 'position')}"
+        rows += [("Measured", measured), ("Formulation", found.estimate.formulation)]
+    rows += data.header.settings.items()
+    if run.touches is not None:
+        rows.append(("Touches", str(run.touches)))
+    if run.machine_minutes is not None:
+        rows.append(("Machine time", f"{fixed(run.machine_minutes, 0)} min"))
+    rows += run.banks
+    rows.append(("Software", f"volcal {data.header.software_version}"))
+    return rows
+
+
+def _machine(found: Identified) -> Rows:
+    model = found.estimate.model
+    ranges = ", ".join(
+        f"{axis} {number(low, 6)} to {number(high, 6)}"
+        for axis, (low, high) in zip("XYZ", model.ranges_mm, strict=True)
+    )
+    return [("Kinematic chain", str(model.chain)), ("Workspace", f"{ranges} mm")]
+
+
+def validity(data: ReportData, found: Identified) -> list[str]:
+    """For which tool and which region the result holds."""
+    seen = found.observations
+    used = [seen.tool_offsets[tool] for tool in np.unique(seen.tool)]
+    lengths = " and ".join(point(offset) for offset in used)
+    if len(used) == 1:
+        first = (
+            f"Measured with one tool offset, {lengths}. The result and its table hold for this offset only: with "
+            "another stylus or tool the rotations act on another arm, and some of them were not seen apart."
+        )
+    else:
+        first = f"Measured with {len(used)} tool offsets, {lengths}; the table is made for {point(data.tool_offset)}."
+    low, high = seen.axis_positions.min(axis=0), seen.axis_positions.max(axis=0)
+    spans = ", ".join(f"{axis} {low[i]:.0f} to {high[i]:.0f}" for i, axis in enumerate("XYZ"))
+    return [first, f"Balls were found between axis positions {spans} mm; elsewhere the model goes on by itself."]

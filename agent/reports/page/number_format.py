@@ -1,0 +1,61 @@
+"""Numbers and names as people read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.results.facts import Quantity
+
+COVERAGE = 2.0
+"""Coverage factor of every expanded uncertainty in the page (GUM, about 95 %)."""
+Rows = list[tuple[str, str]]
+MINUS = "\N{MINUS SIGN}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Column heads, rows of ready text, and which columns hold numbers, long codes in fine print, and what is not to be
+    broken over lines."""
+
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    numeric: tuple[str, ...] = ()
+    fine: tuple[str, ...] = ()
+    code: tuple[str, ...] = ()
+
+
+def number(value: float, digits: int = 3) -> str:
+    """To so many significant digits, never in exponents for what a page shows, with a real minus sign."""
+    if value == 0.0:
+        return "0"
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        text = f"{float(text):.0f}" if abs(value) >= 1.0 else f"{value:.1e}"
+    return text.replace("-", MINUS)
+
+
+def fixed(value: float, decimals: int) -> str:
+    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", MINUS)
+
+
+def micrometres(quantity: Quantity | None) -> str:
+    """`12.3 ± 0.8 µm`, expanded uncertainty; a dash for what is not known."""
+    if quantity is None:
+        return "–"
+    decimals = 1 if quantity.value_um >= 10.0 else 2
+    value = fixed(quantity.value_um, decimals)
+    if quantity.standard_uncertainty_um is None:
+        return f"{value} µm"
+    return f"{value} ± {fixed(COVERAGE * quantity.standard_uncertainty_um, decimals)} µm"
+
+
+def point(values: Sequence[float] | NDArray[np.float64]) -> str:
+    return "(" + ", ".join(number(float(value), 6) for value in values) + ") mm"
+
+
+def plural(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -1,0 +1,72 @@
+"""The values of the page, section by section."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from agent.reports.page import found_sections, run_sections
+from agent.reports.page.data import Identified, ReportData
+from agent.reports.page.identity import identity, tiles, validity
+from agent.reports.page.number_format import plural
+from agent.reports.page.texts import Texts
+
+GOOD_STATES = ("complete", "idle", "held")
+
+
+def page_values(data: ReportData, t: Texts) -> dict[str, Any]:
+    """Every value that the template names, except the figures."""
+    failed = [gate for gate in data.gates if not gate.passed] if data.gates_enforced else []
+    proof, night, header = data.run.verification, data.run.night, data.header
+    good = header.state in GOOD_STATES and not failed and (proof is None or proof.accepted)
+    state = header.state
+    if failed:
+        state = t["gates_failed"].format(state=state, gates=plural(len(failed), "gate"))
+    return {
+        "t": t,
+        "header": header,
+        "machine": data.machine,
+        "date": header.timestamp.replace("T", " ")[:16] + " UTC",
+        "state": state,
+        "good": good and (night is None or night.good),
+        "reason": data.run.reason,
+        "tiles": tiles(data, t),
+        "identity": identity(data),
+        "warnings": data.warnings,
+        "verification": run_sections.verification(proof, t),
+        "night": run_sections.night(night, t),
+        "probe": data.run.probe.rows if data.run.probe else (),
+        "temperature_note": run_sections.temperature_note(data.artefact, _temperatures(data)),
+        "gates": run_sections.gates(data),
+        "gate_note": "" if data.gates_enforced else t["gates_informative"],
+        "consents": run_sections.consents(data, t),
+        "inputs": run_sections.inputs(data.run.provenance, t),
+        "events": run_sections.events(data, t),
+        "signatures": run_sections.signatures(t),
+        "found": None if data.found is None else _found(data, data.found, t),
+    }
+
+
+def _found(data: ReportData, found: Identified, t: Texts) -> dict[str, Any]:
+    """Values of the sections that need an estimate."""
+    return {
+        "summary": found_sections.summary_table(data, found, t),
+        "validity": validity(data, found),
+        "squareness": found_sections.squareness(found),
+        "residual_note": found_sections.residual_note(found),
+        "rejected": found_sections.rejected(found),
+        "fit": found_sections.fit(found),
+        "null_intro": found_sections.null_intro(found),
+        "null_directions": found.estimate.null_summary,
+        "table": found_sections.table_rows(found),
+        "parameters": found_sections.parameters(found),
+    }
+
+
+def _temperatures(data: ReportData) -> np.ndarray:
+    """Of the artefact, of everything that was measured."""
+    if data.found is not None:
+        return data.found.observations.temperature_c
+    traces = [trace.temperature_c for trace in data.run.temperatures if trace.name == "artefact"]
+    return np.concatenate(traces) if traces else np.empty(0)

@@ -1,0 +1,29 @@
+"""A name for a list of positions: the sets that it is made of, where it is made of sets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+from twin.artefact.position_set import SETS, Position
+
+SAME_ANGLE_DEG = 0.01
+
+
+def name_of_positions(positions: Sequence[Position]) -> str:
+    """`S3, 4 stations` where every station has all orientations of S3, else the number of positions."""
+    stations: dict[int, set[tuple[float, float]]] = {}
+    for position in positions:
+        stations.setdefault(position.station, set()).add((position.azimuth_deg, position.elevation_deg))
+    for count in range(1, len(SETS) + 1):
+        for names in combinations(SETS, count):
+            wanted = {pair for name in names for pair in SETS[name]}
+            if all(_same(found, wanted) for found in stations.values()):
+                return f"{'+'.join(names)}, {len(stations)} station{'s' if len(stations) != 1 else ''}"
+    return f"{len(positions)} positions of its own choice"
+
+
+def _same(found: set[tuple[float, float]], wanted: set[tuple[float, float]]) -> bool:
+    return len(found) == len(wanted) and all(
+        any(abs(a - c) < SAME_ANGLE_DEG and abs(b - d) < SAME_ANGLE_DEG for c, d in wanted) for a, b in found
+    )

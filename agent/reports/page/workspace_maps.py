@@ -1,0 +1,63 @@
+"""Deviation and predicted uncertainty over XY planes of the workspace, with the best rigid motion taken out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.reports.page.data import ReportedEstimate
+from twin.identification import field_uncertainty
+from twin.machine.forward_model import exact_deviation
+from twin.machine.volumetric import evaluation_grid, rigid_part
+
+Array = NDArray[np.float64]
+
+PLANE_SHAPE = (49, 25)
+
+
+@dataclass(frozen=True)
+class PlaneMap:
+    """Lengths in µm, (nx, ny), over x and y in mm at height `z_mm`; `measured` (m, 2) are x, y of balls near it."""
+
+    z_mm: float
+    x_mm: Array
+    y_mm: Array
+    length_um: Array
+    measured: Array
+
+
+@dataclass(frozen=True)
+class WorkspaceMaps:
+    deviation: tuple[PlaneMap, ...]
+    uncertainty: tuple[PlaneMap, ...]
+
+
+def workspace_maps(estimate: ReportedEstimate, tool_offset: Array, measured: Array) -> WorkspaceMaps:
+    """Maps at the bottom, the middle and the top of Z; `measured` (n, 3) axis positions go to the nearest plane."""
+    heights = np.linspace(*estimate.model.ranges_mm[2], 3)
+    planes = [_plane(estimate, float(height)) for height in heights]
+    points = np.concatenate([plane_points for _, _, plane_points in planes])
+    # the rigid motion is that of the grid on which every volumetric error is stated
+    grid = evaluation_grid(estimate.model.ranges_mm)
+    found, everywhere = (exact_deviation(estimate.model, at, tool_offset, estimate.parameters) for at in (points, grid))
+    left = found - rigid_part(grid + tool_offset, everywhere, points + tool_offset)
+    unknown = field_uncertainty(estimate, points, tool_offset, aligned_over=grid)
+    nearest = np.abs(measured[:, 2:] - heights).argmin(axis=1)
+
+    def maps(field: Array) -> tuple[PlaneMap, ...]:
+        lengths_um = 1e3 * np.linalg.norm(field, axis=1).reshape(len(heights), *PLANE_SHAPE)
+        return tuple(
+            PlaneMap(float(height), x, y, lengths_um[count], measured[nearest == count, :2])
+            for count, (height, (x, y, _)) in enumerate(zip(heights, planes, strict=True))
+        )
+
+    return WorkspaceMaps(maps(left), maps(unknown))
+
+
+def _plane(estimate: ReportedEstimate, height: float) -> tuple[Array, Array, Array]:
+    ranges = estimate.model.ranges_mm[:2]
+    x, y = (np.linspace(*limits, count) for limits, count in zip(ranges, PLANE_SHAPE, strict=True))
+    grid = np.stack(np.meshgrid(x, y, [height], indexing="ij"), axis=-1).reshape(-1, 3)
+    return x, y, grid

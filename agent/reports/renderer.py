@@ -1,0 +1,16 @@
+"""Who makes the files of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+Reports = Callable[[Path, str], Mapping[str, str | bytes]]
+"""State directory and identity of the run → name and content of its files."""
+
+
+def rebuilt_here(directory: Path, run_id: str) -> Mapping[str, str | bytes]:
+    """In this process, which from then on holds all that drawing needs."""
+    from agent.reports.render_from_journal import rebuilt  # noqa: PLC0415  drawing is loaded where somebody draws
+
+    return rebuilt(directory, run_id, pdf=False)

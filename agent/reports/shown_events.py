@@ -1,0 +1,54 @@
+"""Which events a report tells, and in what words.
+
+What happens at every position as it should (the first ball found again within its limit) is counted in one line;
+everything that asked for a decision is told as it was.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.execution.record_text import in_words
+from agent.execution.run_record import Note, RunRecord
+from agent.reports.page import EventLine
+
+
+def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
+    kept = [note for note in record.events if not _routine(note)]
+    drifts = [note for note in record.events if _drift_um(note) is not None]
+    lines = [EventLine(note.at, note.kind, _told(note)) for note in kept]
+    if drifts:
+        largest = max(_drift_um(note) or 0.0 for note in drifts)
+        text = f"the first ball was found again in {len(drifts)} positions, at most {largest:.1f} µm away"
+        lines.append(EventLine(drifts[-1].at, "event", text))
+    return tuple(sorted(lines, key=lambda line: line.timestamp))
+
+
+def drifts_um(record: RunRecord) -> tuple[float, ...]:
+    """By how much the first ball of each position had moved at its end, in the order measured."""
+    found = (_drift_um(note) for note in record.events)
+    return tuple(one for one in found if one is not None)
+
+
+def _routine(note: Note) -> bool:
+    record = note.record
+    drift_um = _drift_um(note)
+    if drift_um is not None:
+        return "note" not in record and bool(drift_um <= record["limit_um"])
+    return note.kind == "asked" or str(record.get("step", "")).endswith("/found")
+
+
+def _drift_um(note: Note) -> float | None:
+    values = note.record.get("drift_um")
+    return None if values is None or "limit_um" not in note.record else float(np.linalg.norm(values))
+
+
+def _told(note: Note) -> str:
+    """A change of state by its name, everything else in words."""
+    if note.kind == "state":
+        reason = note.record.get("reason")
+        return f"{note.record['state']}: {reason}" if reason else str(note.record["state"])
+    if note.kind == "note":
+        others = in_words({name: value for name, value in note.record.items() if name != "text"})
+        return f"{note.record['text']} ({others})" if others else str(note.record["text"])
+    return in_words(note.record)

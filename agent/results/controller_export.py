@@ -1,0 +1,128 @@
+"""A compensation table for a controller: read, checked, reduced, valued, written into a folder whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.files import read_text, translated, write_all_atomically
+from drivers.errors import InputError
+from twin.arrays import Array
+from twin.compensation.controllers.export_format import Choices, Exported, Identified, Source
+from twin.compensation.controllers.grids import Shape, require_small, resampled
+from twin.compensation.controllers.loss import Loss, loss, require_same_machine, telling_point
+from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.table import CompensationTable
+from twin.compensation.table_file import checksum, format_table, parse_table
+from twin.formats.estimate_file import parse_estimate
+
+RECORD = "export.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """`origin`: where the table comes from, for people. `estimate_file` None: the table speaks for itself.
+
+    `resolution_mm`: of the counts that a controller kept it in, 0 for a file.
+    """
+
+    table: CompensationTable
+    origin: str
+    estimate_file: Path | None
+    resolution_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class Request:
+    """`points` None: the table's own grid. `largest_um`: corrections beyond it are refused."""
+
+    format: str
+    out: Path
+    points: Shape | None
+    largest_um: float
+    choices: Choices
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """`check`: where most is added, and how much, in mm."""
+
+    request: Request
+    material: Material
+    exported: Exported
+    loss: Loss
+    check: tuple[Array, Array]
+    table_crc32: str
+
+    def as_json(self) -> dict[str, Any]:
+        """What `--json` prints; `export.json` in the folder says the same."""
+        table, found = self.material.table, self.loss
+        points = self.request.points or table.corrections.shape[:3]
+        return {
+            "format": self.request.format,
+            "table": self.material.origin,
+            "table_crc32": self.table_crc32,
+            "estimate": None if self.material.estimate_file is None else str(self.material.estimate_file),
+            "points": list(points),
+            "tool_offset_mm": table.tool_offset.tolist(),
+            "largest_um": round(1e3 * float(np.abs(table.corrections).max()), 3),
+            "extrapolated_percent": round(100.0 * float(np.mean(table.extrapolated)), 1),
+            "opposite_sign": self.request.choices.opposite_sign,
+            "ve_before_um": round(found.before.aligned_um, 3),
+            "ve_full_um": round(found.full.aligned_um, 3),
+            "ve_reduced_um": round(found.reduced.aligned_um, 3),
+            "ve_before_raw_um": round(found.before.raw_um, 3),
+            "ve_full_raw_um": round(found.full.raw_um, 3),
+            "ve_reduced_raw_um": round(found.reduced.raw_um, 3),
+            "kept_percent": round(100.0 * found.kept_share, 1),
+            "unknown_um": None if found.unknown_mm is None else round(1e3 * found.unknown_mm, 3),
+            "check_at_mm": [round(value, 3) for value in self.check[0].tolist()],
+            "check_moves_um": [round(1e3 * value, 1) + 0.0 for value in self.check[1].tolist()],
+            "lost": list(self.exported.lost),
+            "facts": dict(self.exported.facts),
+            "files": [str(self.request.out / name) for name in self.exported.files],
+        }
+
+
+def table_in_files(path: Path, estimate: Path | None) -> Material:
+    """The table of a run's folder or of a CSV file, with the estimate named or the one that lies beside it."""
+    if path.is_dir():
+        path = path / "table.csv"
+    side = path.with_suffix(".json")
+    text, side_text = read_text(path), read_text(side)
+    with translated(InputError, file=str(path)):
+        table = parse_table(text, side_text, str(path), str(side))
+    beside = path.parent / "estimate.json"
+    return Material(table, str(path), estimate or (beside if beside.exists() else None))
+
+
+def export_table(material: Material, request: Request) -> Result:
+    """Write the files of a format and `export.json` into `request.out`. Raises UserError; then nothing is written."""
+    with translated(InputError, file=material.origin):
+        whole = Source(material.table, _identified(material.estimate_file))
+        require_small(whole.table, 1e-3 * request.largest_um)
+        require_same_machine(whole, material.resolution_mm)
+        table = whole.table if request.points is None else resampled(whole.table, request.points)
+        exported = WRITERS[request.format](Source(table, whole.identified), request.choices)
+        found, check = loss(whole, exported.correction), telling_point(table, exported.correction)
+    result = Result(request, material, exported, found, check, checksum(format_table(material.table)))
+    write_all_atomically(request.out, _contents(result))
+    return result
+
+
+def _contents(result: Result) -> Mapping[str, str]:
+    record = {"software": f"volcal {version('volcal')}", **result.as_json()}
+    return {**result.exported.files, RECORD: json.dumps(record, indent=2, ensure_ascii=False) + "\n"}
+
+
+def _identified(path: Path | None) -> Identified | None:
+    if path is None:
+        return None
+    stored = parse_estimate(read_text(path), str(path))
+    return Identified(stored.model, stored.parameters, stored.covariance)

@@ -1,0 +1,122 @@
+"""Facts of a run as frozen values, as the journal keeps them and reports show them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.compensation.table import CompensationTable
+from twin.machine.volumetric import Volumetric
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A length in µm with its standard uncertainty (None: not known)."""
+
+    value_um: float
+    standard_uncertainty_um: float | None = None
+
+
+@dataclass(frozen=True)
+class VolumetricSummary:
+    """VE of the bare machine as estimated (before), VCE as predicted (after); as defined and rigidly aligned."""
+
+    before_raw: Quantity
+    before_aligned: Quantity
+    after_raw: Quantity
+    after_aligned: Quantity
+
+    @property
+    def before(self) -> Volumetric:
+        return Volumetric(1e-3 * self.before_raw.value_um, 1e-3 * self.before_aligned.value_um)
+
+    @property
+    def after(self) -> Volumetric:
+        return Volumetric(1e-3 * self.after_raw.value_um, 1e-3 * self.after_aligned.value_um)
+
+
+@dataclass(frozen=True)
+class ArtefactFacts:
+    """The artefact as its certificate has it; `balls` is their number."""
+
+    name: str
+    certificate: str
+    balls: int
+    ball_diameter_mm: float
+    reference_temperature_c: float
+    cte_per_k: float
+    cte_standard_uncertainty_per_k: float
+
+    @classmethod
+    def of(cls, artefact: Artefact) -> Self:
+        return cls(
+            name=artefact.name,
+            certificate=artefact.certificate,
+            balls=artefact.count,
+            ball_diameter_mm=artefact.ball_diameter_mm,
+            reference_temperature_c=artefact.reference_temperature_c,
+            cte_per_k=artefact.cte_per_k,
+            cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
+        )
+
+
+@dataclass(frozen=True)
+class TableFacts:
+    """A compensation table in a few figures. `largest_um`: of the correction of each axis; `crc32`: of its CSV file."""
+
+    nodes: tuple[int, int, int]
+    largest_um: tuple[float, float, float]
+    anchor_mm: tuple[float, float, float]
+    primary: str
+    secondary: str
+    tool_offset_mm: tuple[float, float, float]
+    extrapolated: int
+    crc32: str
+
+    @classmethod
+    def of(cls, table: CompensationTable, crc32: str) -> Self:
+        x, y, z = table.extrapolated.shape
+        anchor = table.anchor
+        return cls(
+            nodes=(x, y, z),
+            largest_um=triple(1e3 * np.abs(table.corrections).max(axis=(0, 1, 2))),
+            anchor_mm=triple(anchor.point_mm),
+            primary=anchor.primary,
+            secondary=anchor.secondary,
+            tool_offset_mm=triple(table.tool_offset),
+            extrapolated=int(table.extrapolated.sum()),
+            crc32=crc32,
+        )
+
+    @property
+    def cells(self) -> int:
+        return int(np.prod(self.nodes))
+
+
+def triple(values: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)
+
+
+@dataclass(frozen=True)
+class ProbeRing:
+    """Touches of the qualification at one latitude (90°: the pole): (k,) angles about the stylus and residuals; the
+    pretravel map along the ring, (m,) each, empty without one."""
+
+    latitude_deg: float
+    angle_deg: Array
+    residual_um: Array
+    map_angle_deg: Array
+    map_um: Array
+
+
+@dataclass(frozen=True)
+class ProbeFacts:
+    """What was found of probe and stylus before the run: name and text, and the touches of the qualification."""
+
+    rows: tuple[tuple[str, str], ...]
+    rings: tuple[ProbeRing, ...] = ()

@@ -1,0 +1,147 @@
+"""Gates between an estimate and a machine: each a number, its limit and a sentence. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.settings.gate_limits import GateLimits
+from drivers.errors import GateRefused
+from drivers.roles import StoreLimits
+from twin.compensation.table import CompensationTable
+from twin.identification import Estimate
+from twin.machine.volumetric import Volumetric
+
+CHANGE = "change"
+"""The gate that an operator may open: a machine that was mended or hit has changed, and has to be calibrated."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One condition. `passed` is the verdict on `value` against `limit`, both in the unit the text names."""
+
+    name: str
+    passed: bool
+    value: float
+    limit: float
+    text: str
+
+
+def estimate_gates(
+    estimate: Estimate, expected: Volumetric, before: Volumetric, limits: GateLimits
+) -> tuple[Gate, ...]:
+    """What the estimate itself must satisfy.
+
+    `before`: the VE of the bare machine that the estimate shows, uncertainty not added; `expected`: the VCE with
+    the table active. Both aligned: a rigid motion of the workspace is no fault of a machine.
+    """
+    share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")
+    return (
+        Gate(
+            "fit",
+            estimate.chi2_normalised <= limits.largest_chi2,
+            estimate.chi2_normalised,
+            limits.largest_chi2,
+            "normalised χ² of the residuals: the model and the stated noise explain what was measured",
+        ),
+        Gate(
+            "redundancy",
+            estimate.degrees_of_freedom >= limits.smallest_freedom,
+            float(estimate.degrees_of_freedom),
+            float(limits.smallest_freedom),
+            "degrees of freedom left: enough measurements to notice a wrong one",
+        ),
+        Gate(
+            "gain",
+            share <= limits.largest_remaining_share,
+            share,
+            limits.largest_remaining_share,
+            f"predicted VCE {expected.aligned_mm * 1e3:.2f} µm as a share of the VE before "
+            f"{before.aligned_mm * 1e3:.2f} µm (aligned): the improvement must stand out of its uncertainty",
+        ),
+    )
+
+
+def change_gate(change_um: float, expected_um: float, limits: GateLimits) -> Gate:
+    """How far the field has moved since the last accepted night (rms, aligned), against what uncertainty and the drift
+    of the nights between lead one to expect."""
+    share = change_um / expected_um if expected_um > 0.0 else float("inf")
+    return Gate(
+        CHANGE,
+        share <= limits.largest_change,
+        share,
+        limits.largest_change,
+        f"change against the last accepted night, {change_um:.2f} µm, in units of its uncertainty {expected_um:.2f} µm",
+    )
+
+
+def table_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits) -> tuple[Gate, ...]:
+    """What the table must satisfy before it is written."""
+    return (*shape_gates(table, store, limits), extrapolation_gate(table, limits))
+
+
+def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits) -> tuple[Gate, ...]:
+    """What its values must satisfy."""
+    largest_um = float(np.abs(table.corrections).max()) * 1e3
+    allowed_um = min(limits.largest_correction_um, store.max_correction_mm * 1e3)
+    slope = _largest_slope_um_per_mm(table)
+    return (
+        Gate(
+            "correction",
+            largest_um <= allowed_um,
+            largest_um,
+            allowed_um,
+            "largest correction of one axis in µm",
+        ),
+        Gate(
+            "slope",
+            slope <= limits.largest_slope_um_per_mm,
+            slope,
+            limits.largest_slope_um_per_mm,
+            "steepest change between neighbouring nodes in µm/mm",
+        ),
+    )
+
+
+def extrapolation_gate(table: CompensationTable, limits: GateLimits) -> Gate:
+    """Whether it may say something where nothing was measured."""
+    outside = float(np.mean(table.extrapolated))
+    return Gate(
+        "extrapolation",
+        outside == 0.0 or limits.allow_extrapolation,
+        outside,
+        1.0 if limits.allow_extrapolation else 0.0,
+        "share of nodes outside the measured region, where only the prior and the polynomials speak",
+    )
+
+
+def consented(gates: Sequence[Gate]) -> list[Gate]:
+    """The same with the gate on the change open: somebody has consented."""
+    return [
+        replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
+        for gate in gates
+    ]
+
+
+def require(gates: Sequence[Gate]) -> None:
+    """Raise GateRefused naming every gate that did not pass."""
+    failed = [gate for gate in gates if not gate.passed]
+    if failed:
+        reasons = "; ".join(
+            f"gate {gate.name}: {gate.value:.3g} against {gate.limit:.3g} ({gate.text})" for gate in failed
+        )
+        raise GateRefused(
+            f"no table was written: {reasons}",
+            hint="more positions or another position set lower the predicted VCE; see the report",
+        )
+
+
+def _largest_slope_um_per_mm(table: CompensationTable) -> float:
+    steepest = 0.0
+    for axis, nodes in enumerate((table.x, table.y, table.z)):
+        change = np.abs(np.diff(table.corrections, axis=axis))
+        spacing = np.diff(nodes).reshape([-1 if i == axis else 1 for i in range(4)])
+        steepest = max(steepest, float((change / spacing).max(initial=0.0)))
+    return steepest * 1e3

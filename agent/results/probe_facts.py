@@ -1,0 +1,59 @@
+"""What a report says of probe and stylus."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.probing.preparation import Prepared
+from agent.probing.qualification import Qualification
+from agent.results.facts import ProbeFacts, ProbeRing
+from twin.arrays import Array
+from twin.artefact.pretravel import direction_at
+from twin.artefact.touch_pattern import perpendiculars
+
+MAP_STEP_DEG = 3.0
+UM_PER_MM = 1e3
+
+
+def probe_facts(prepared: Prepared | None) -> ProbeFacts | None:
+    """None where nothing was looked at before the run."""
+    if prepared is None:
+        return None
+    looked_at = (
+        ("Repeatability", prepared.repeatability),
+        ("Stylus", prepared.qualification),
+        ("Reversal of the axes", prepared.reversal),
+    )
+    rows = tuple((name, found.text) for name, found in looked_at if found is not None)
+    if prepared.qualification is None:
+        return ProbeFacts(rows) if rows else None
+    return ProbeFacts(rows, _rings(prepared.qualification, prepared.rules.probing.stylus_axis))
+
+
+def _rings(found: Qualification, stylus_axis: Array) -> tuple[ProbeRing, ...]:
+    """Touches by latitude, the pole first."""
+    first, second = perpendiculars(stylus_axis)
+    normals = -found.directions
+    latitude = np.degrees(np.arcsin(np.clip(found.directions @ stylus_axis, -1.0, 1.0)))
+    angle = np.degrees(np.arctan2(normals @ second, normals @ first)) % 360.0
+    rounded = np.round(latitude, 6)
+    return tuple(
+        ProbeRing(
+            float(value),
+            angle[rounded == value],
+            found.residuals_um[rounded == value],
+            *_along(found, stylus_axis, float(value)),
+        )
+        for value in sorted(set(rounded.tolist()), reverse=True)
+    )
+
+
+def _along(found: Qualification, stylus_axis: Array, latitude_deg: float) -> tuple[Array, Array]:
+    """Angles (m,) in degrees and the map (m,) in µm there; empty without a map."""
+    pretravel = found.stylus.pretravel
+    if pretravel is None:
+        return np.empty(0), np.empty(0)
+    angles_deg = np.arange(0.0, 360.0 + MAP_STEP_DEG, MAP_STEP_DEG)
+    latitude = np.radians(latitude_deg)
+    around = np.array([direction_at(stylus_axis, latitude, angle) for angle in np.radians(angles_deg)])
+    return angles_deg, pretravel.offsets_mm(around) * UM_PER_MM

@@ -1,0 +1,147 @@
+"""What a run came to, and the one JSON object that a machine reads of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from agent.execution.states import RunState
+from agent.probing.reversal import AxisReversal
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Held-out positions with the new table: rms residual per ball, µm, before and after; χ² against prediction."""
+
+    accepted: bool
+    before_um: float
+    after_um: float
+    predicted_um: float
+    chi2_normalised: float
+    reason: str
+
+
+class Decision(Enum):
+    """What a night came to."""
+
+    WITHIN = "within limits"
+    OUT = "out of limits"
+    FUSED = "fused, table kept"
+    WRITTEN = "fused, table written"
+    RESTORED = "former table restored"
+    FULL_NEEDED = "full calibration needed"
+    FULL_DONE = "full calibration done"
+
+
+@dataclass(frozen=True)
+class SuspectedError:
+    """One error that has jumped: its ISO 230-1 name, by how much, and how sure that is (ln of the likelihood ratio)."""
+
+    error: str
+    change: float
+    unit: str
+    evidence: float
+
+    @property
+    def text(self) -> str:
+        return f"{self.error} changed by {self.change:+.1f} {self.unit}"
+
+
+@dataclass(frozen=True)
+class NightReport:
+    """What a night found against the last accepted one, run `since`, and decided.
+
+    µm: `ve_before_um`: VE with the acting table as that night left it, `ve_now_um` as it is now, `ve_after_um` with
+    what is known now written, all expected and aligned; `held_out_um` rms of the held-out balls as displayed against
+    `held_out_predicted_um`. `chi2_normalised` of all ball centres against what was predicted. `jumped`: errors that
+    must have jumped; `likeliest`: those that explain most if one has, the likeliest first.
+    """
+
+    decision: Decision
+    since: str
+    nights: float
+    station: int
+    positions: int
+    reason: str = ""
+    ve_before_um: float | None = None
+    ve_now_um: float | None = None
+    ve_after_um: float | None = None
+    held_out_um: float | None = None
+    held_out_predicted_um: float | None = None
+    chi2_normalised: float | None = None
+    jumped: tuple[SuspectedError, ...] = ()
+    likeliest: tuple[SuspectedError, ...] = ()
+
+    def as_json(self) -> dict[str, object]:
+        """Keys as documented in docs/reference/json.md."""
+        return {
+            **{name: value for name, value in vars(self).items() if name not in ("decision", "jumped", "likeliest")},
+            "decision": self.decision.value,
+            "jumped": [vars(one) for one in self.jumped],
+            "likeliest": [vars(one) for one in self.likeliest],
+        }
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """State, figures and places. None: the run did not come so far."""
+
+    state: RunState
+    run_id: str
+    position_set: str
+    formulation: str
+    balls: int
+    touches: int
+    machine_minutes: float
+    wall_seconds: float
+    predicted_minutes: float | None
+    table_bank: int | None
+    report: Path | None
+    rank: int | None = None
+    parameters: int | None = None
+    estimated_ve_um: float | None = None
+    predicted_vce_um: float | None = None
+    chi2_normalised: float | None = None
+    rejected: tuple[tuple[int, int, int], ...] = ()
+    proof: Proof | None = None
+    night: NightReport | None = None
+    reversal: tuple[AxisReversal, ...] = ()
+    kind: str = "calibrate"
+    reason: str = ""
+
+    def as_json(self) -> dict[str, object]:
+        """Keys as documented in docs/reference/json.md; `verified`: true, false, or null where not proved."""
+        return {
+            "kind": self.kind,
+            "state": self.state.value,
+            "run_id": self.run_id,
+            "position_set": self.position_set,
+            "formulation": self.formulation,
+            "balls": self.balls,
+            "touches": self.touches,
+            "machine_minutes": round(self.machine_minutes, 3),
+            "predicted_minutes": None if self.predicted_minutes is None else round(self.predicted_minutes, 3),
+            "wall_seconds": round(self.wall_seconds, 3),
+            "rank": self.rank,
+            "parameters": self.parameters,
+            "estimated_ve_um": self.estimated_ve_um,
+            "predicted_vce_um": self.predicted_vce_um,
+            "chi2_normalised": self.chi2_normalised,
+            "rejected": [list(row) for row in self.rejected],
+            "verified": None if self.proof is None else self.proof.accepted,
+            "verification": None
+            if self.proof is None
+            else {
+                "before_um": self.proof.before_um,
+                "after_um": self.proof.after_um,
+                "predicted_um": self.proof.predicted_um,
+                "chi2_normalised": self.proof.chi2_normalised,
+                "reason": self.proof.reason,
+            },
+            "night": None if self.night is None else self.night.as_json(),
+            "reversal": [dict(vars(axis)) for axis in self.reversal],
+            "table_bank": self.table_bank,
+            "report": None if self.report is None else str(self.report),
+            "reason": self.reason,
+        }

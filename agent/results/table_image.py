@@ -1,0 +1,47 @@
+"""Between the twin's compensation table and the integers that a controller stores."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.errors import GateRefused
+from drivers.roles import StoreLimits, TableImage
+from twin.arrays import Array
+from twin.compensation.table import Anchor, CompensationTable
+
+
+def image_of(table: CompensationTable, limits: StoreLimits) -> TableImage:
+    """Counts of the store's resolution. Raises GateRefused where the grid is too large for the store."""
+    shape = table.corrections.shape[:3]
+    if any(n > most for n, most in zip(shape, limits.max_nodes, strict=True)) or (
+        np.prod(shape) > limits.max_total_nodes
+    ):
+        raise GateRefused(
+            f"a table of {shape[0]} × {shape[1]} × {shape[2]} nodes does not fit the controller "
+            f"(at most {limits.max_nodes}, {limits.max_total_nodes} in all)",
+            key="table.step_mm",
+            hint="choose a wider step",
+        )
+    origin, step = zip(*((float(n[0]), float(n[1] - n[0])) for n in table.nodes), strict=True)
+    counts = np.rint(table.corrections / limits.resolution_mm).astype(np.int32)
+    return TableImage((origin[0], origin[1], origin[2]), (step[0], step[1], step[2]), limits.resolution_mm, counts)
+
+
+def table_of(image: TableImage, tool_offset_mm: Array) -> CompensationTable:
+    """What a controller adds, as it interpolates it: trilinear, constant beyond the border.
+
+    A controller stores neither anchor nor region: the anchor is the grid's first node, nothing counts as extrapolated.
+    """
+    nodes = [
+        origin + step * np.arange(count, dtype=np.float64)
+        for origin, step, count in zip(image.origin_mm, image.step_mm, image.shape, strict=True)
+    ]
+    return CompensationTable(
+        x=nodes[0],
+        y=nodes[1],
+        z=nodes[2],
+        corrections=image.counts.astype(np.float64) * image.resolution_mm,
+        tool_offset=tool_offset_mm,
+        anchor=Anchor(np.array(image.origin_mm)),
+        extrapolated=np.zeros(image.shape, dtype=bool),
+    )

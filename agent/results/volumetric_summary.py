@@ -1,0 +1,40 @@
+"""The volumetric error of the bare machine as estimated, and of the compensated one as predicted."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.results.facts import Quantity, VolumetricSummary
+from twin.identification import Estimate, predicted_vce
+from twin.machine.volumetric import QuadraticForm, evaluation_grid
+
+Array = NDArray[np.float64]
+
+
+def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:
+    """VE of the estimate and the VCE expected after compensating it, over the standard grid, in µm."""
+    grid = evaluation_grid(estimate.model.ranges_mm)
+    form = QuadraticForm.build(estimate.model, grid, tool_offset)
+    before = form.value(estimate.parameters)
+    after = predicted_vce(estimate, grid, tool_offset)
+    return VolumetricSummary(
+        before_raw=_of_estimate(before.raw_mm, form.raw, estimate),
+        before_aligned=_of_estimate(before.aligned_mm, form.aligned, estimate),
+        after_raw=_expected(after.raw_mm, form.raw, estimate.covariance),
+        after_aligned=_expected(after.aligned_mm, form.aligned, estimate.covariance),
+    )
+
+
+def _of_estimate(value_mm: float, form: Array, estimate: Estimate) -> Quantity:
+    """First-order propagation through v = sqrt(E'QE): u² = E'Q P Q E / v²."""
+    gradient = form @ estimate.parameters / max(value_mm, 1e-12)
+    variance = float(gradient @ estimate.covariance @ gradient)
+    return Quantity(1e3 * value_mm, 1e3 * float(np.sqrt(max(variance, 0.0))))
+
+
+def _expected(value_mm: float, form: Array, covariance: Array) -> Quantity:
+    """How much one machine's rms varies about the expected one: var(e'Qe) = 2 trace(QPQP), e normal."""
+    product = form @ covariance
+    variance = 2.0 * float(np.einsum("ij,ji->", product, product))
+    return Quantity(1e3 * value_mm, 1e3 * float(np.sqrt(max(variance, 0.0))) / (2.0 * max(value_mm, 1e-12)))

@@ -1,0 +1,1 @@
+"""Runs on a machine: start, carry out, resume, abandon; and identification from files."""

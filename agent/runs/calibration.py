@@ -1,0 +1,131 @@
+"""A calibration from permission to proof: measure, identify, gate, stage, activate, verify, accept or restore."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from agent.execution.states import RunState
+from agent.files import translated
+from agent.planning.job import Job
+from agent.probing import publish
+from agent.probing.position import MeasuredBall
+from agent.probing.repeated_positions import measure_closed
+from agent.probing.run_plan import Measured, measure_positions
+from agent.results.estimation import Finding, find_machine, prove, provenance
+from agent.results.gates import Gate, change_gate, consented, estimate_gates, require, table_gates
+from agent.results.journal_entries import record_held_out, record_identified
+from agent.results.run_outcome import Proof
+from agent.results.table_image import image_of
+from agent.results.thermal_drift import balls_for_estimate
+from agent.runs.change_since_reference import change_since
+from agent.runs.consent import Consent, asked, granted
+from agent.runs.guarded_run import GuardedRun, Means
+from agent.runs.reference_state import Accepted, LastAccepted, record_accepted
+from drivers.errors import MeasurementFault, NotActiveYet
+from drivers.roles import TableImage
+from twin.formats.estimate_file import format_estimate
+
+
+class CalibrationRun(GuardedRun):
+    """Carries out one `Job`. `last`: the last accepted night of this machine, against which the change is judged."""
+
+    def __init__(
+        self,
+        job: Job,
+        means: Means,
+        last: LastAccepted | None = None,
+        nights: float = 0.0,
+        consent: Consent = Consent.ASK,
+    ) -> None:
+        super().__init__(job, means)
+        self._last = last
+        self._nights = nights
+        self._consent = consent
+
+    def _work(self) -> None:
+        self._begin()
+        prepared = self._prepare_probe()
+        self.calibrate(prepared.standing_at)
+
+    def calibrate(self, standing_at: int | None) -> None:
+        """From the first position of the set on; the machine is measuring, and what acts has been read."""
+        job, progress = self._job, self.progress
+        order = replace(job.measuring, standing_at=standing_at)
+        progress.measured = self._engine.run(measure_closed(order, job.layout, self._rules, job.closing))
+        self._conduct.enter(RunState.IDENTIFYING)
+        balls = balls_for_estimate(job, progress.measured)
+        with translated(MeasurementFault):
+            finding = find_machine(job, balls, self._correction)
+        self._keep_estimate(finding, balls)
+        gates = table_gates(finding.table, self._rig.store.store_limits(), job.gate_limits)
+        self._pass_gates((*self._estimate_gates(finding), *gates))
+        self._write_and_prove(finding, progress.measured)
+
+    def _keep_estimate(self, finding: Finding, balls: Sequence[MeasuredBall]) -> None:
+        self.progress.finding = finding
+        record_identified(self._journal, balls, finding)
+        self._journal.estimate(format_estimate(finding.estimate, provenance(self._job, self._journal.run_id)))
+
+    def _estimate_gates(self, finding: Finding) -> tuple[Gate, ...]:
+        predicted, before = finding.volumetric.after, finding.volumetric.before
+        gates = estimate_gates(finding.estimate, predicted, before, self._job.gate_limits)
+        if self._last is None:
+            return gates
+        change = change_since(self._job, self._last, self._nights, finding.estimate)
+        return (*gates, change_gate(change.found_um, change.expected_um, self._job.gate_limits))
+
+    def _pass_gates(self, gates: Sequence[Gate]) -> None:
+        """Journal every gate; GateRefused where one stays closed. That of the change opens by consent."""
+        self.progress.gates += gates
+        given = any(granted(gate, self._consent) for gate in gates)
+        if given or (self._consent is Consent.ASK and self._engine.run(asked(gates))):
+            self.progress.gates = consented(self.progress.gates)
+        for gate in self.progress.gates:
+            self._journal.decision("gate", vars(gate))
+        require(self.progress.gates)
+
+    def _write_and_prove(self, finding: Finding, measured: Measured) -> None:
+        """Stage, activate, and measure the held-out positions again; the former bank acts again where they disagree."""
+        progress, enter = self.progress, self._conduct.enter
+        assert progress.found is not None  # noqa: S101  read before anything is measured
+        image = image_of(finding.table, self._rig.store.store_limits())
+        enter(RunState.STAGING)
+        bank = publish.choose_bank(self._rig.store.store_limits().banks, progress.found.bank)
+        self._engine.run(publish.stage_table(bank, image))
+        self._journal.table("staged", bank, image)
+        enter(RunState.ACTIVATING)
+        progress.active_bank = bank
+        try:
+            self._engine.run(publish.activate("activate", bank, self.activation))
+        except NotActiveYet as waiting:
+            # Nothing has gone wrong: the run is gone on with when the controller has done its part.
+            progress.error = waiting
+            enter(RunState.WRITTEN, str(waiting))
+            return
+        enter(RunState.VERIFYING)
+        self._verify(finding, measured, image)
+
+    def _verify(self, finding: Finding, measured: Measured, image: TableImage) -> None:
+        job, progress = self._job, self.progress
+        order = job.verifying(measured.standing_at)
+        progress.verified = self._engine.run(measure_positions(order, job.layout, self._rules, measured.standings))
+        before = job.balls_of(measured, held_out=True)
+        after = job.balls_of(progress.verified, held_out=True)
+        progress.proof = self._proof(finding, before, after)
+        self._journal.decision("proof", vars(progress.proof))
+        record_held_out(self._journal, job, before, after)
+        if progress.proof.accepted:
+            self._accept(finding, image)
+            self._conduct.enter(RunState.COMPLETE, progress.proof.reason)
+            return
+        self._conduct.enter(RunState.RESTORING, progress.proof.reason)
+        self._restore(after_fault=False)
+        self._conduct.enter(RunState.COMPLETE, f"restored: {progress.proof.reason}")
+
+    def _proof(self, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
+        return prove(self._job, finding, before, after)
+
+    def _accept(self, finding: Finding, image: TableImage) -> None:
+        """From now on this is what the machine is compared with."""
+        record_accepted(self._journal, Accepted.of(self._job, finding.estimate.parameters, image))

@@ -1,0 +1,32 @@
+"""Consent to a machine that has changed: given with the request, asked for at the machine, or not to be had."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+
+from agent.execution.steps import AskOperator, Plan
+from agent.results.gates import CHANGE, Gate
+from drivers.roles import OperatorRequest, OperatorTask
+
+
+class Consent(Enum):
+    ASK = "ask"
+    GIVEN = "given"
+    REFUSED = "refused"
+
+
+def granted(gate: Gate, consent: Consent) -> bool:
+    """Whether a closed gate opens without a question."""
+    return gate.name == CHANGE and not gate.passed and consent is Consent.GIVEN
+
+
+def asked(gates: Sequence[Gate]) -> Plan[bool]:
+    """Whether the operator consents, where it is the change alone that keeps a gate closed; else nobody is asked. A no
+    ends the run as an abort does."""
+    closed = [gate for gate in gates if not gate.passed]
+    if [gate.name for gate in closed] != [CHANGE]:
+        return False
+    text = f"The machine is not what it was: {closed[0].text}. Write the new compensation table?"
+    yield AskOperator("consent/change", OperatorRequest(OperatorTask.CONSENT, text))
+    return True

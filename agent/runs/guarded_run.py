@@ -1,0 +1,196 @@
+"""A run on a machine that is left as it was found, whatever happens: what every kind of run has in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agent.execution.engine import Engine
+from agent.execution.journal import RunJournal
+from agent.execution.rig import Rig
+from agent.execution.run_state import Conduct
+from agent.execution.states import RunState
+from agent.execution.steps import Step
+from agent.execution.supervisor import Supervisor
+from agent.planning.job import Job
+from agent.probing import publish
+from agent.probing.position import PositionRules
+from agent.probing.preparation import Prepared
+from agent.probing.recovery import withdraw
+from agent.probing.run_plan import Measured
+from agent.results.estimation import Finding
+from agent.results.gates import Gate
+from agent.results.journal_entries import record_probe
+from agent.results.observations import Correction, no_correction
+from agent.results.run_outcome import NightReport, Proof
+from agent.results.table_image import table_of
+from drivers.clock import Clock
+from drivers.errors import Aborted, GateRefused, JournalFailed, LinkError, PlanDiverged, PlanRefused, VolcalError
+from drivers.roles import Activation
+
+
+@dataclass
+class Progress:
+    """What has been reached so far; filled in as the run goes, so that a fault loses nothing.
+
+    `job`: what `measured` was measured for, where it is not the job that the run began with.
+    """
+
+    found: publish.FoundState | None = None
+    prepared: Prepared | None = None
+    measured: Measured | None = None
+    finding: Finding | None = None
+    gates: list[Gate] = field(default_factory=list)
+    verified: Measured | None = None
+    proof: Proof | None = None
+    night: NightReport | None = None
+    active_bank: int | None = None
+    job: Job | None = None
+    error: VolcalError | None = None
+
+
+@dataclass(frozen=True)
+class Means:
+    """What a run is carried out with: one open rig, the engine on it, the run's journal, state and requests."""
+
+    rig: Rig
+    engine: Engine
+    journal: RunJournal
+    conduct: Conduct
+    supervisor: Supervisor
+    clock: Clock
+
+
+class GuardedRun(ABC):
+    """The compensation that was found is restored on every way out but the accepted one, and read back."""
+
+    def __init__(self, job: Job, means: Means) -> None:
+        self._job = job
+        self._rig = means.rig
+        self._engine = means.engine
+        self._journal = means.journal
+        self._conduct = means.conduct
+        self._supervisor = means.supervisor
+        self._clock = means.clock
+        self.progress = Progress()
+
+    @abstractmethod
+    def _work(self) -> None:
+        """Everything from permission to a final state. GateRefused where the run itself says no."""
+
+    def carry_out(self) -> Progress:
+        """Run to a final state. Errors of the house end in `progress.error`, never in a traceback."""
+        try:
+            self._work_or_refuse()
+        except VolcalError as error:
+            self.progress.error = error
+            self._leave_safely(error)
+        except BaseException as defect:
+            # A defect of ours must be seen as one, but never before the machine is as it was found.
+            self._leave_safely(VolcalError(f"defect in the agent: {defect!r}", hint="please report it"))
+            raise
+        return self.progress
+
+    def _work_or_refuse(self) -> None:
+        try:
+            self._work()
+        except GateRefused as refusal:
+            self.progress.error = refusal
+            self._journal.decision("refused", {"reason": str(refusal)})
+            self._conduct.enter(RunState.REFUSED, str(refusal))
+
+    def _begin(self) -> publish.FoundState:
+        """Read what acts, completely, before anything moves."""
+        self._conduct.enter(RunState.MEASURING)
+        found = self.progress.found = self._engine.run(publish.read_state("before"))
+        self.progress.active_bank = found.bank
+        self._journal.table("backup", found.bank, found.table)
+        return found
+
+    def _prepare_probe(self) -> Prepared:
+        """Probe check and qualification; what they tell holds for all that is measured after."""
+        prepared = self.progress.prepared = self._engine.run(self._job.preparing())
+        record_probe(self._journal, prepared)
+        return prepared
+
+    def too_late(self, following: Step) -> PlanRefused | None:
+        """Asked when a run that broke off is about to move again: why there is no more time for `following`."""
+        return None
+
+    @property
+    def activation(self) -> Activation:
+        """When an activated bank takes effect."""
+        return self._rig.store.store_limits().activation
+
+    @property
+    def rules(self) -> PositionRules:
+        """With what is known of the stylus by now."""
+        return self._rules
+
+    @property
+    def _rules(self) -> PositionRules:
+        prepared = self.progress.prepared
+        return self._job.rules if prepared is None else prepared.rules
+
+    @property
+    def _correction(self) -> Correction:
+        """What the table that was found adds to displayed axis positions."""
+        found = self.progress.found
+        assert found is not None  # noqa: S101  read before anything is measured
+        return no_correction if found.table is None else table_of(found.table, self._job.tool_offset_mm).at
+
+    def _leave_safely(self, error: VolcalError) -> None:
+        """Stop, withdraw, restore; whatever cannot be done is said beside the first cause."""
+        aborted = isinstance(error, Aborted)
+        self._supervisor.shield()
+        self._engine, self._journal = self._engine.aside(), self._journal.aside()
+        if isinstance(error, JournalFailed):
+            self._engine = self._engine.without_journal()
+        complaints = attempt("record the state", lambda: self._conduct.enter(RunState.ABORTING, str(error)))
+        complaints += self._rig.stop()
+        complaints += attempt("bring the axes to a standstill", self._rig.await_standstill)
+        if not isinstance(error, (LinkError, PlanDiverged)):
+            complaints += attempt("withdraw the probe", self._withdraw)
+        not_restored = self._attempt_restore()
+        complaints += not_restored
+        reason = "; ".join([str(error), *complaints])
+        end = RunState.ABORTED if aborted and not not_restored else RunState.FAULTED
+        attempt("record the end", lambda: self._conduct.enter(end, reason))
+
+    def _withdraw(self) -> None:
+        probing = self._job.rules.probing
+        came = self._rig.last_motion
+        self._engine.run(withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, came))
+
+    def _attempt_restore(self) -> list[str]:
+        """Empty where the former bank acts; a journal that fails on the way is done without."""
+        found = self.progress.found
+        if found is None or self.progress.active_bank == found.bank:
+            return []
+        try:
+            self._restore(after_fault=True)
+        except JournalFailed:
+            self._engine = self._engine.without_journal()
+            return self._attempt_restore()
+        except VolcalError as failure:
+            return [f"bank {found.bank} could not be made active again: {failure}"]
+        return []
+
+    def _restore(self, *, after_fault: bool) -> None:
+        found = self.progress.found
+        assert found is not None  # noqa: S101  read before anything is written
+        self._engine.run(publish.restore(found.bank, after_fault=after_fault, activation=self.activation))
+        self.progress.active_bank = found.bank
+        attempt("record what was restored", lambda: self._journal.table("restored", found.bank, found.table))
+
+
+def attempt(what: str, action: Callable[[], None]) -> list[str]:
+    """The complaint where `action` fails; the first cause of the way out must not be lost over it."""
+    try:
+        action()
+    except VolcalError as failure:
+        return [f"could not {what}: {failure}"]
+    return []

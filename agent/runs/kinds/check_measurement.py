@@ -1,0 +1,48 @@
+"""What verification and night have in common: the table that acts must be the one last accepted, and the ball centres
+are held against what is known before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from agent.execution.encoding import table_digest
+from agent.execution.engine import Engine
+from agent.planning.job import Job
+from agent.probing.position import PositionRules
+from agent.probing.publish import FoundState
+from agent.probing.run_plan import Measured, measure_positions
+from agent.results.observations import Correction
+from agent.runs.kinds.drift_check import Judge, Judgement
+from agent.runs.kinds.night_plan import NightPlan
+from agent.runs.reference_state import LastAccepted
+from drivers.errors import GateRefused
+from twin.artefact.mount_pose_estimate import Standing
+from twin.artefact.position_set import Position
+
+
+def require_table_of(last: LastAccepted, found: FoundState) -> None:
+    """GateRefused where another table acts than the one that was last accepted."""
+    if found.table is None or table_digest(found.table) != last.accepted.crc32:
+        raise GateRefused(
+            f"bank {found.bank} acts, and it does not hold the table accepted in run {last.run_id}",
+            hint="make that table active again, or run `volcal calibrate`",
+        )
+
+
+def measure(
+    engine: Engine,
+    plan: NightPlan,
+    prefix: str,
+    positions: Sequence[Position],
+    job: Job,
+    rules: PositionRules,
+    standings: Mapping[int, Standing] | None = None,
+) -> Measured:
+    """Some of a night's positions, their keys beginning with `prefix`."""
+    return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, standings))
+
+
+def judged(judge: Judge, plan: NightPlan, job: Job, measured: Measured, correction: Correction) -> Judgement:
+    """All balls `measured`, held-out ones included, against the last accepted night."""
+    held = job.balls_of(measured, held_out=True)
+    return judge.judged(plan.station, [*held, *job.balls_of(measured, held_out=False)], held, correction)

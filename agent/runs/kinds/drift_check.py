@@ -1,0 +1,137 @@
+"""Whether a machine is still what the last accepted night leads one to expect, and what has changed where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from agent.files import translated
+from agent.planning.job import Job
+from agent.probing.position import MeasuredBall
+from agent.results.observations import Correction, no_correction, observations_of
+from agent.results.run_outcome import Decision, NightReport, SuspectedError
+from agent.runs.change_since_reference import known_tonight
+from agent.runs.reference_state import LastAccepted
+from drivers.errors import MeasurementFault
+from twin.arrays import Array
+from twin.artefact.held_out_check import held_out, held_out_test
+from twin.identification import CarriedOver, Estimate
+from twin.machine.machine_population import Family
+from twin.machine.volumetric import evaluation_grid
+from twin.monitoring.residual_with_active_table import ActingError, acting_covariance, unwritten
+from twin.monitoring.step_detection import Innovation, Suspect, innovation
+
+UM_PER_MM = 1e3
+_LIKELIEST = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """For people and the journal, and what it rests on. The report's reason is empty where all is within limits."""
+
+    report: NightReport
+    found: Innovation
+
+    @property
+    def within(self) -> bool:
+        return not self.report.reason
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Judges the ball centres of one night; `nights` have passed since the last accepted one."""
+
+    job: Job
+    last: LastAccepted
+    nights: float
+
+    @cached_property
+    def known(self) -> CarriedOver:
+        """What is known before tonight."""
+        return known_tonight(self.job, self.last, self.nights)
+
+    @cached_property
+    def family(self) -> Family:
+        return self.job.machine.with_model(self.known.unknowns.model).family
+
+    @cached_property
+    def acting(self) -> ActingError:
+        known = self.known
+        grid = evaluation_grid(known.unknowns.model.ranges_mm)
+        return ActingError.build(known.unknowns, known.scales, grid, self.job.tool_offset_mm)
+
+    @property
+    def before_um(self) -> float:
+        """VE with the acting table, as the last accepted night left it."""
+        known = self.last.known
+        return self.acting.of(known.z, known.z_covariance, self.last.accepted.written).aligned_um
+
+    def left_um(self, estimate: Estimate, written: Array) -> float:
+        """VE that an estimate expects with these parameters (p,) in the table."""
+        return self.acting.of(estimate.z, estimate.z_covariance, written).aligned_um
+
+    def judged(
+        self, station: int, balls: Sequence[MeasuredBall], held: Sequence[MeasuredBall], correction: Correction
+    ) -> Judgement:
+        """`balls`: all that were measured with the acting table, `held`: those of them that are held out; `correction`:
+        what the table adds.
+
+        Raises MeasurementFault where too little was found to say anything.
+        """
+        with translated(MeasurementFault):
+            observations = observations_of(balls, self.job.tool_offset_mm, correction)
+            found = innovation(self.family, observations, self.job.artefact, self.known)
+            found_um, predicted_um = self._held_out(held, correction)
+        limits = self.job.settings.nightly
+        jumped = found.jumped(limits.step_evidence)
+        now_um = self.acting.of(found.mean_after, found.covariance_after, self.last.accepted.written).aligned_um
+        reason = self._reason(found, jumped, now_um)
+        report = NightReport(
+            decision=Decision.OUT if reason else Decision.WITHIN,
+            since=self.last.run_id,
+            nights=self.nights,
+            station=station,
+            positions=len(np.unique(observations.position)),
+            reason=reason,
+            ve_before_um=self.before_um,
+            ve_now_um=now_um,
+            held_out_um=found_um,
+            held_out_predicted_um=predicted_um,
+            chi2_normalised=found.chi2_normalised,
+            jumped=tuple(_named(one) for one in jumped),
+            likeliest=tuple(_named(one) for one in found.suspects()[:_LIKELIEST]),
+        )
+        return Judgement(report, found)
+
+    def _held_out(self, held: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
+        """rms of a held-out ball as the controller displays it, and what was to be expected, µm."""
+        offset, artefact, known = self.job.tool_offset_mm, self.job.artefact, self.known
+        displayed, bare = (observations_of(held, offset, shift) for shift in (no_correction, correction))
+        result = held_out(displayed, displayed.axis_positions + offset, artefact)
+        left = unwritten(known.unknowns, known.mean, self.last.accepted.written)
+        covariance = acting_covariance(
+            known.unknowns, known.scales, left, known.covariance, bare.axis_positions, offset
+        )
+        expected = held_out_test(bare, result, artefact, covariance)
+        return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_mm
+
+    def _reason(self, found: Innovation, jumped: Sequence[Suspect], now_um: float) -> str:
+        """Why the machine is out of limits; empty where it is not."""
+        limits = self.job.settings.nightly
+        reasons = []
+        if jumped:
+            reasons.append(f"the machine has changed at once: {', '.join(one.text for one in jumped)}")
+        if found.chi2_normalised > limits.largest_chi2:
+            chi2 = found.chi2_normalised
+            reasons.append(f"ball centres are not as predicted, χ² {chi2:.2f}, allowed {limits.largest_chi2:.2f}")
+        if now_um > limits.largest_growth * self.before_um:
+            times = now_um / self.before_um
+            reasons.append(f"VE is {times:.2f} times that of the last night, allowed {limits.largest_growth:.2f}")
+        return "; ".join(reasons)
+
+
+def _named(suspect: Suspect) -> SuspectedError:
+    return SuspectedError(suspect.error, suspect.change, suspect.unit, suspect.evidence)

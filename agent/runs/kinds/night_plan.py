@@ -1,0 +1,179 @@
+"""What a night is going to measure, decided and rehearsed before anything moves: where no knowledge of the machine but
+its covariance is needed, nothing has to be decided on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from agent.execution.steps import Plan
+from agent.planning.job import Job
+from agent.planning.preflight import Procedure, Rehearsal, rehearse
+from agent.probing.repeated_positions import joined
+from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
+from agent.runs.kinds.drift_check import Judge
+from agent.runs.kinds.position_choice import Chooser
+from agent.runs.start_conditions import Outset
+from drivers.errors import ConfigurationError, PlanRefused
+from twin.artefact.position_set import Position
+
+LOOK, FURTHER = "look", "further"
+FEWEST_FUSED = 2
+"""Fewer positions cannot tell machine from artefact."""
+
+_AHEAD = 1.3  # choose for so much more time: what positions cost together is less than one by one
+_MOST_TRIES = 6
+_MOST = 100
+
+
+@dataclass(frozen=True, eq=False)
+class NightPlan:
+    """At `station`: `held_out` and `looked_at` first (the verification), then `further`, then `held_out` again."""
+
+    station: int
+    held_out: tuple[Position, ...]
+    looked_at: tuple[Position, ...]
+    further: tuple[Position, ...] = ()
+
+    @property
+    def first(self) -> tuple[Position, ...]:
+        return (*self.held_out, *self.looked_at)
+
+    def job(self, job: Job) -> Job:
+        """The job of the night: what is fused, and what is held out."""
+        return replace(
+            standing(job, self.station),
+            positions=(*self.looked_at, *self.further),
+            held_out=self.held_out,
+            stations=(self.station,),
+            verified_stations=(self.station,),
+        )
+
+    def order(self, prefix: str, positions: Sequence[Position]) -> MeasuringOrder:
+        return MeasuringOrder(prefix, tuple(positions), self.station)
+
+
+def standing(job: Job, station: int) -> Job:
+    """The same with the artefact at `station`; a slot is too short for the reversal of the axes."""
+    stations = job.settings.stations.model_copy(update={"standing_at": station})
+    preparation = replace(job.preparation, reversal=None)
+    return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
+
+
+def station_of(job: Job, named: int | None) -> int:
+    """Where the artefact stands: as named, or as the settings say. ConfigurationError where nobody knows."""
+    station = named if named is not None else job.settings.stations.standing_at
+    if station is None:
+        raise ConfigurationError(
+            "nobody has said at which station the artefact stands, and at night nobody carries it",
+            key="stations.standing_at",
+            hint="set it, or give --standing-at",
+        )
+    if station not in job.layout.places_mm:
+        raise ConfigurationError(f"there is no station {station}", key="stations.places_mm")
+    return station
+
+
+def looking_plan(chooser: Chooser, judge: Judge) -> NightPlan:
+    """The verification alone."""
+    chosen = chooser.job.settings.nightly
+    held = _held_out(chooser, chosen.held_out)
+    looked = chooser.noticing(judge.known, chosen.looked_at, held)
+    return NightPlan(chooser.station, held, looked)
+
+
+def night_plan(chooser: Chooser, judge: Judge, slot_minutes: float, outset: Outset) -> tuple[NightPlan, Rehearsal]:
+    """As many positions as the slot holds by the rehearsal, its reserve kept. PlanRefused where it is too short."""
+    chosen = chooser.job.settings.nightly
+    held = _held_out(chooser, chosen.held_out)
+    room = slot_minutes - chosen.reserve_minutes
+    budget = max(room - 2.0 * chooser.minutes(held), 0.0)
+    looked = chooser.noticing(judge.known, chosen.looked_at, held)
+    ahead = _AHEAD * max(budget - chooser.minutes(looked), 0.0)
+    best = chooser.best(judge.known, most=_MOST, minutes=ahead, measured=looked, left_out=(*held, *looked))
+    offered = (*looked, *best)
+    count, tried = _fitting(chooser, offered, budget), dict[int, tuple[NightPlan, Rehearsal]]()
+    for _ in range(_MOST_TRIES):
+        count = max(count, FEWEST_FUSED, len(looked))
+        if count in tried or count > len(offered):
+            break
+        plan = NightPlan(chooser.station, held, offered[: chosen.looked_at], offered[chosen.looked_at : count])
+        own = plan.job(chooser.job)
+        tried[count] = plan, rehearse(own, outset.start_mm, whole_night(plan), outset.watch)
+        left = room - tried[count][1].machine_minutes
+        more = offered[count : count + 1]
+        count += 1 if more and left > chooser.minutes(more) else -1 if left < 0.0 else 0
+    fits = [number for number, (_, rehearsal) in tried.items() if rehearsal.machine_minutes <= room]
+    if not fits:
+        raise _too_short(slot_minutes, chosen.reserve_minutes, tried)
+    return tried[max(fits)]
+
+
+def whole_night(plan: NightPlan) -> Procedure:
+    """Everything of a night that moves: verification, the rest, and the proof."""
+
+    def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
+        prepared = yield from job.preparing()
+        measured = yield from measure_positions(plan.order(LOOK, plan.first), job.layout, prepared.rules)
+        if plan.further:
+            order = plan.order(FURTHER, plan.further)
+            more = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
+            measured = joined(measured, more)
+        again = job.verifying(plan.station)
+        verified = yield from measure_positions(again, job.layout, prepared.rules, measured.standings)
+        return measured, verified
+
+    return procedure
+
+
+def only_looking(plan: NightPlan) -> Procedure:
+    """A verification; what it measures is what it judges by."""
+
+    def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
+        prepared = yield from job.preparing()
+        measured = yield from measure_positions(plan.order(LOOK, plan.first), job.layout, prepared.rules)
+        return measured, measured
+
+    return procedure
+
+
+def only_these(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
+    """Some more positions, after the probe was checked."""
+
+    def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
+        measured = yield from measure_positions(plan.order(prefix, positions), job.layout, job.rules)
+        return measured, measured
+
+    return procedure
+
+
+def positions_in(measured: Measured) -> tuple[Position, ...]:
+    """What has been measured."""
+    first = [position.balls[0] for position in measured.positions if position.balls]
+    return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)
+
+
+def _held_out(chooser: Chooser, count: int) -> tuple[Position, ...]:
+    held = chooser.held_out(count)
+    if not held:
+        raise ConfigurationError(
+            f"none of the held-out orientations can be measured at station {chooser.station}",
+            key="verification.positions_deg",
+            hint="choose orientations with three balls within reach there",
+        )
+    return held
+
+
+def _fitting(chooser: Chooser, offered: Sequence[Position], budget: float) -> int:
+    count = 0
+    while count < len(offered) and chooser.minutes(offered[: count + 1]) <= budget:
+        count += 1
+    return count
+
+
+def _too_short(slot: float, reserve: float, tried: dict[int, tuple[NightPlan, Rehearsal]]) -> PlanRefused:
+    shortest = min((rehearsal.machine_minutes for _, rehearsal in tried.values()), default=float("nan"))
+    return PlanRefused(
+        f"a slot of {slot:g} min is too short: the shortest night takes {shortest:.1f} min and {reserve:g} min reserve",
+        hint="give a longer slot, fewer touches, or run `volcal verify`",
+    )

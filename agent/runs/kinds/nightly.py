@@ -1,0 +1,261 @@
+"""`nightly`: verify, then use the rest of the slot for what is least known, and fuse it with the nights before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from agent.execution.states import RunState
+from agent.execution.steps import Step
+from agent.files import translated
+from agent.planning.job import Job
+from agent.planning.preflight import Procedure, Rehearsal, rehearse
+from agent.probing.position import MeasuredBall
+from agent.probing.repeated_positions import joined
+from agent.probing.run_plan import Measured
+from agent.results.estimation import Finding, find
+from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
+from agent.results.run_outcome import Decision, NightReport, Proof
+from agent.results.thermal_drift import balls_for_estimate, going_on, observed
+from agent.runs.calibration import CalibrationRun
+from agent.runs.change_since_reference import change_since
+from agent.runs.consent import Consent
+from agent.runs.guarded_run import Means
+from agent.runs.kinds.check_measurement import judged, measure, require_table_of
+from agent.runs.kinds.drift_check import Judge, Judgement
+from agent.runs.kinds.full_calibration import Slot, calibrate_in_full, ready_for_full, refusal_until_full
+from agent.runs.kinds.kind import Ready, nights_since
+from agent.runs.kinds.night_plan import (
+    FEWEST_FUSED,
+    FURTHER,
+    LOOK,
+    NightPlan,
+    night_plan,
+    only_these,
+    positions_in,
+    standing,
+    station_of,
+)
+from agent.runs.kinds.position_choice import Chooser
+from agent.runs.kinds.step_proof import prove_step
+from agent.runs.reference_state import full_needed, record_accepted, record_full_needed, require_accepted
+from agent.runs.start_conditions import Outset
+from drivers.errors import MeasurementFault, PlanRefused
+from twin.artefact.position_set import Position
+
+DIAGNOSIS = "diagnosis"
+SUSPECTS = 8
+"""Errors that are told apart where one of them has jumped."""
+
+S_PER_MIN = 60.0
+
+
+@dataclass(frozen=True)
+class Night:
+    """`slot_minutes`, `full_allowed`: None as the settings say; the rest as for a verification.
+
+    `full_allowed`: somebody carries the artefact tonight, and consents to a machine that has changed.
+    """
+
+    slot_minutes: float | None = None
+    full_allowed: bool | None = None
+    station: int | None = None
+    nights: float | None = None
+    name: str = "nightly"
+
+    def ready(self, job: Job, outset: Outset) -> Ready:
+        chosen = job.settings.nightly
+        last = require_accepted(job, outset.run)
+        station = station_of(job, self.station)
+        here = standing(job, station)
+        judge = Judge(job, last, nights_since(last, self.nights, outset.at))
+        slot = Slot(
+            chosen.slot_minutes if self.slot_minutes is None else self.slot_minutes,
+            chosen.full_allowed if self.full_allowed is None else self.full_allowed,
+            chosen.reserve_minutes,
+        )
+        pending = full_needed(job.settings.state_directory, outset.run)
+        if pending is not None:
+            return ready_for_full(here, station, judge, slot, pending, outset)
+        chooser = Chooser(here, station)
+        plan, rehearsal = night_plan(chooser, judge, slot.minutes, outset)
+        own = plan.job(job)
+        return Ready(own, rehearsal, lambda means: NightlyRun(own, means, judge, plan, chooser, rehearsal, slot))
+
+
+class NightlyRun(CalibrationRun):
+    """Verification, the rest of the slot, fusion, proof."""
+
+    def __init__(
+        self,
+        job: Job,
+        means: Means,
+        judge: Judge,
+        plan: NightPlan,
+        chooser: Chooser,
+        rehearsal: Rehearsal,
+        slot: Slot,
+    ) -> None:
+        super().__init__(job, means, judge.last, judge.nights, Consent.REFUSED)
+        self._means = means
+        self._judge = judge
+        self._plan = plan
+        self._chooser = chooser
+        self._rehearsal = rehearsal
+        self._slot = slot
+        self._began_s = self._clock.now()
+
+    # ------------------------------------------------------------------ measuring
+
+    def _work(self) -> None:
+        plan = self._plan
+        require_table_of(self._judge.last, self._begin())
+        self._prepare_probe()
+        measured = self._measure(LOOK, plan.first)
+        judgement = self._judged(measured)
+        if judgement.within:
+            measured, judgement = self._use_rest(measured, judgement)
+        if not judgement.within:
+            self._out_of_limits(measured, judgement)
+            return
+        self._conduct.enter(RunState.IDENTIFYING)
+        self._fuse(measured, judgement.report)
+
+    def _use_rest(self, measured: Measured, judgement: Judgement) -> tuple[Measured, Judgement]:
+        further = self._still_fitting()
+        if not further:
+            return measured, judgement
+        measured = joined(measured, self._measure(FURTHER, further, measured))
+        return measured, self._judged(measured)
+
+    def _still_fitting(self) -> tuple[Position, ...]:
+        """Of the positions to come, those for which there is time, that of the proof kept."""
+        further = list(self._plan.further)
+        needed = self._rehearsed_after(LOOK)
+        while further and needed > self._left_minutes:
+            needed -= self._chooser.minutes([further.pop()])
+        return tuple(further)
+
+    def too_late(self, following: Step) -> PlanRefused | None:
+        """A slot goes on while nothing runs. What was measured for the verification is of use only if the rest of it
+        can be measured too."""
+        at_s = self._rehearsal.timeline.get(following.key)
+        needed = 0.0 if at_s is None else (self._rehearsal.machine_seconds - at_s) / S_PER_MIN
+        needed -= self._rehearsed_after(LOOK)
+        if max(needed, 0.0) > self._left_minutes or self._left_minutes <= 0.0:
+            return PlanRefused(
+                f"the night cannot be gone on with: {self._left_minutes:.1f} min are left of its slot of "
+                f"{self._slot.minutes:g} min, the verification alone needs {max(needed, 0.0):.1f} min more",
+                hint="wait for the next night; what was measured stays in the journal",
+            )
+        return None
+
+    def _rehearsed_after(self, prefix: str) -> float:
+        """Minutes from the end of a part of the night to the end of all, by the rehearsal."""
+        done = [seconds for key, seconds in self._rehearsal.timeline.items() if key.startswith(f"{prefix}/")]
+        return (self._rehearsal.machine_seconds - max(done, default=0.0)) / S_PER_MIN
+
+    @property
+    def _left_minutes(self) -> float:
+        passed = (self._clock.now() - self._began_s) / S_PER_MIN
+        return self._slot.minutes - self._slot.reserve - passed
+
+    def _measure(self, prefix: str, positions: Sequence[Position], before: Measured | None = None) -> Measured:
+        standings = None if before is None else before.standings
+        return measure(self._engine, self._plan, prefix, positions, self._job, self._rules, standings)
+
+    def _judged(self, measured: Measured) -> Judgement:
+        self.progress.measured = measured
+        judgement = judged(self._judge, self._plan, self._job, measured, self._correction)
+        self.progress.night = judgement.report
+        return judgement
+
+    # ------------------------------------------------------------------ out of limits
+
+    def _out_of_limits(self, measured: Measured, judgement: Judgement) -> None:
+        """Calibrate in full where that is permitted and fits; else find out what has changed, and ask for it."""
+        full = standing(self._judge.job, self._plan.station)
+        if self._slot.full_allowed and self._minutes_of(full) <= self._left_minutes:
+            report = replace(judgement.report, decision=Decision.FULL_DONE)
+            calibrate_in_full(self, full, self._means, self._judge, report)
+            return
+        report = self._diagnosed(measured, judgement)
+        self._conduct.enter(RunState.IDENTIFYING)
+        self.progress.night = replace(report, decision=Decision.FULL_NEEDED)
+        self._journal.decision("night", self.progress.night.as_json())
+        record_full_needed(self._journal, report.reason)
+        raise refusal_until_full(report.reason)
+
+    def _diagnosed(self, measured: Measured, judgement: Judgement) -> NightReport:
+        """The rest of the slot for the positions that tell apart what may have jumped."""
+        done, report = positions_in(measured), judgement.report
+        chosen = list(
+            self._chooser.telling_apart(
+                self._judge.known,
+                judgement.found.suspects()[:SUSPECTS],
+                minutes=self._left_minutes,
+                measured=done,
+            )
+        )
+        while chosen:
+            if self._minutes_of(self._job, only_these(self._plan, DIAGNOSIS, chosen)) <= self._left_minutes:
+                break
+            chosen.pop()
+        if not chosen:
+            return report
+        self._job = replace(self._job, positions=(*self._job.positions, *chosen))
+        again = self._judged(joined(measured, self._measure(DIAGNOSIS, chosen, measured)))
+        return again.report if not again.within else replace(again.report, reason=report.reason)
+
+    def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
+        """By a rehearsal, which an abort breaks off."""
+        return rehearse(job, procedure=procedure, watch=self._supervisor.look).machine_minutes
+
+    # ------------------------------------------------------------------ fusion
+
+    def _fuse(self, measured: Measured, report: NightReport) -> None:
+        job, judge = self._job, self._judge
+        balls = balls_for_estimate(job, measured)
+        if len({ball.position for ball in balls}) < FEWEST_FUSED:
+            self._end(replace(report, reason="too little time was left to fuse anything"))
+            return
+        chosen = job.settings
+        with translated(MeasurementFault):
+            observations = observed(job, balls, self._correction)
+            options = going_on(chosen, observations, judge.known)
+            order = chosen.identification.order
+            finding = find(job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order)
+        self._keep_estimate(finding, balls)
+        limits = self._rig.store.store_limits()
+        self._pass_gates((*self._estimate_gates(finding), *shape_gates(finding.table, limits, job.gate_limits)))
+        written = judge.last.accepted.written
+        now_um = judge.left_um(finding.estimate, written)
+        after_um = judge.left_um(finding.estimate, finding.estimate.parameters)
+        report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
+        worth = 1.0 - after_um / now_um >= chosen.nightly.smallest_gain
+        if not worth or self._rehearsed_after(FURTHER if self._plan.further else LOOK) > self._left_minutes:
+            record_accepted(self._journal, judge.last.accepted)
+            self._end(replace(report, decision=Decision.FUSED))
+            return
+        self.progress.night = report
+        self._write_and_prove(finding, measured)
+
+    def _estimate_gates(self, finding: Finding) -> tuple[Gate, ...]:
+        limits = self._job.gate_limits
+        gates = estimate_gates(finding.estimate, finding.volumetric.after, finding.volumetric.before, limits)
+        change = change_since(self._job, self._judge.last, self._nights, finding.estimate, fused=True)
+        return (*gates, change_gate(change.found_um, change.expected_um, limits))
+
+    def _proof(self, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
+        proof = prove_step(self._job, finding, before, after)
+        report = self.progress.night
+        assert report is not None  # noqa: S101  judged before anything was fused
+        decision = Decision.WRITTEN if proof.accepted else Decision.RESTORED
+        self.progress.night = replace(report, decision=decision, reason="" if proof.accepted else proof.reason)
+        self._journal.decision("night", self.progress.night.as_json())
+        return proof
+
+    def _end(self, report: NightReport) -> None:
+        self.progress.night = report
+        self._journal.decision("night", report.as_json())
+        self._conduct.enter(RunState.COMPLETE, report.reason or report.decision.value)

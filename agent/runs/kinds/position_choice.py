@@ -1,0 +1,126 @@
+"""Which positions a night measures: those that lower the predicted uncertainty most, given what is known already."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
+
+import numpy as np
+
+from agent.files import translated
+from agent.planning.design.feasibility import Vetting
+from agent.planning.job import Job
+from drivers.errors import ConfigurationError
+from twin.artefact.position_set import Position
+from twin.design.candidates import candidates_of, orientation_grid
+from twin.design.measuring_cost import Prices
+from twin.design.procedure import FEWEST_BALLS
+from twin.design.search import Search, Selection
+from twin.identification import CarriedOver, Options
+from twin.machine.volumetric import evaluation_grid
+from twin.monitoring.discriminating_positions import Questions, most_telling
+from twin.monitoring.step_detection import Suspect
+
+
+@dataclass(frozen=True, eq=False)
+class Chooser:
+    """Chooses at one `station`, where the artefact stands and nobody carries it."""
+
+    job: Job
+    station: int
+
+    @cached_property
+    def vetting(self) -> Vetting:
+        return Vetting(self.job)
+
+    def minutes(self, positions: Sequence[Position]) -> float:
+        return sum(self.vetting.minutes(position) for position in positions)
+
+    def held_out(self, count: int) -> tuple[Position, ...]:
+        """The first orientations of the verification that can be measured here."""
+        found = [
+            Position(self.station, azimuth, elevation)
+            for azimuth, elevation in self.job.settings.verification.positions_deg
+        ]
+        return tuple(position for position in found if self._usable(position))[:count]
+
+    def best(
+        self,
+        known: CarriedOver,
+        *,
+        most: int,
+        minutes: float = np.inf,
+        measured: Sequence[Position] = (),
+        left_out: Sequence[Position] = (),
+    ) -> Iterator[Position]:
+        """One after the other, by gain per minute, until there are `most` or no more fits into the `minutes`; given
+        what is `known` and what will have been `measured`; none of those `left_out`."""
+        offered = [position for position in self._offered() if position not in left_out]
+        search, places = self._search(known, [*measured, *offered])
+        first = Selection.of(search.candidates, places[: len(measured)])
+        paid = search.prices.total(first.chosen)
+
+        def room(chosen: Sequence[int]) -> np.ndarray:
+            fits = search.prices.total(chosen) - paid + search.prices.adding(chosen) <= minutes
+            return np.asarray(fits & (len(chosen) - len(first.chosen) < most))
+
+        for selection in search.grown(first, room, per_minute=True):
+            yield search.candidates.positions[selection.chosen[-1]]
+
+    def noticing(self, known: CarriedOver, count: int, measured: Sequence[Position]) -> tuple[Position, ...]:
+        """The `count` that show most surely whether any error has jumped, beside those `measured` anyway."""
+        telling = self._telling(known, Questions.whether(known.unknowns), measured)
+        return tuple(islice(telling, count))
+
+    def telling_apart(
+        self, known: CarriedOver, suspects: Sequence[Suspect], *, minutes: float, measured: Sequence[Position]
+    ) -> tuple[Position, ...]:
+        """Those that show which of the `suspects` it is, as many as fit into the `minutes`; none that is `measured`."""
+        names, scale = known.unknowns.model.names, known.unknowns.scale
+        jumps = np.zeros((len(suspects), known.unknowns.blocks.size))
+        for row, suspect in zip(jumps, suspects, strict=True):
+            for name, value in suspect.coefficients.items():
+                row[names.index(name)] = value / scale[names.index(name)]
+        found: list[Position] = []
+        for position in self._telling(known, Questions.which(jumps), measured):
+            if self.minutes([*found, position]) > minutes:
+                break
+            found.append(position)
+        return tuple(found)
+
+    def _telling(self, known: CarriedOver, questions: Questions, measured: Sequence[Position]) -> Iterator[Position]:
+        search, places = self._search(known, [*measured, *self._offered()])
+        candidates, done = search.candidates, places[: len(measured)]
+        allowed = np.ones(candidates.count, dtype=bool)
+        allowed[done] = False
+        for index in most_telling(candidates, done, questions, allowed, search.prices.minutes):
+            if search.passes(index):
+                yield candidates.positions[index]
+
+    def _search(self, known: CarriedOver, positions: Sequence[Position]) -> tuple[Search, list[int]]:
+        """With the place of each of the `positions` among the candidates."""
+        job = self.job
+        machine = job.machine.with_model(known.unknowns.model)
+        options = Options(carried_over=known, estimate_scales=False, outliers="none")
+        grid = evaluation_grid(machine.model.ranges_mm)
+        with translated(ConfigurationError, key="stations.places_mm"):
+            candidates = candidates_of(job.procedure, positions, machine.family, options, grid, job.tool_offset_mm)
+        place = {position: index for index, position in enumerate(candidates.positions)}
+        prices = Prices(
+            minutes=np.array([self.vetting.minutes(position) for position in candidates.positions]),
+            stations=np.array([position.station for position in candidates.positions]),
+            standing_at=self.station,
+        )
+        clear = Search(candidates, prices, lambda index: not self.vetting.hit(candidates.positions[index]))
+        return clear, [place[position] for position in positions if position in place]
+
+    def _offered(self) -> list[Position]:
+        grid = orientation_grid(self.job.settings.nightly.grid_deg)
+        return [Position(self.station, azimuth, elevation) for azimuth, elevation in grid]
+
+    def _usable(self, position: Position) -> bool:
+        layout = self.job.layout
+        reached = int(layout.reachable(position, layout.nominal(position)).sum())
+        return reached >= FEWEST_BALLS and not self.vetting.hit(position)

@@ -1,0 +1,72 @@
+"""Whether a table that goes on from the last one acts as it should: by held-out positions, a night's worth of them.
+
+A full calibration takes most of the error away, and the proof asks for that. From one night to the next a table
+changes by less than the touches scatter, so here the held-out balls must not have become worse than their noise can
+make them, and they must be as predicted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent.files import translated
+from agent.planning.job import Job
+from agent.probing.position import MeasuredBall
+from agent.results.estimation import Finding
+from agent.results.observations import no_correction, observations_of
+from agent.results.run_outcome import Proof
+from drivers.errors import MeasurementFault
+from twin.artefact.held_out_check import HeldOut, held_out, held_out_test
+from twin.artefact.observations import Observations
+from twin.identification import left_covariance
+
+UM_PER_MM = 1e3
+_COVERAGE = 3.0
+
+
+def prove_step(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
+    """Held-out balls `before` and `after` the new table was made active. MeasurementFault where there are too few."""
+    for balls, when in ((before, "before"), (after, "with the new table active")):
+        if not balls:
+            raise MeasurementFault(f"no ball of a held-out position was measured {when}")
+    with translated(MeasurementFault):
+        observed = observations_of(after, job.tool_offset_mm, finding.table.at)
+        result, former = _left(job, after), _left(job, before)
+        covariance = left_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm)
+        expected = held_out_test(observed, result, job.artefact, covariance)
+    doubts = [_doubt(one, observed, finding.estimate.scales.noise) for one in (former, result)]
+    worse = result.rms_mm**2 - former.rms_mm**2 > _COVERAGE * math.hypot(*doubts)
+    limit = job.settings.verification.largest_chi2
+    reason = ""
+    if worse:
+        before_um, after_um = UM_PER_MM * former.rms_mm, UM_PER_MM * result.rms_mm
+        reason = f"held-out positions became worse, {before_um:.2f} to {after_um:.2f} µm, by more than their noise"
+    elif expected.chi2_normalised > limit:
+        found = expected.chi2_normalised
+        reason = f"held-out positions are not as predicted: normalised χ² {found:.2f}, allowed {limit:.2f}"
+    return Proof(
+        accepted=not reason,
+        before_um=UM_PER_MM * former.rms_mm,
+        after_um=UM_PER_MM * result.rms_mm,
+        predicted_um=UM_PER_MM * expected.predicted_mm,
+        chi2_normalised=expected.chi2_normalised,
+        reason=reason or "no worse than before and as predicted",
+    )
+
+
+def _doubt(result: HeldOut, observed: Observations, scale: float) -> float:
+    """Standard deviation (mm²) of the mean square of a ball, from touch noise σ alone: |s + n|² varies by
+    4 |s|² σ² + 2 f σ⁴ about its mean for f independent components."""
+    variance = scale**2 * float(np.einsum("nii->n", observed.covariance).mean()) / 3.0
+    freedom = result.freedom
+    square = result.rms_mm**2 * freedom / 3.0
+    still = max(square - freedom * variance, 0.0)
+    return 3.0 / freedom * math.sqrt(4.0 * still * variance + 2.0 * freedom * variance**2)
+
+
+def _left(job: Job, balls: Sequence[MeasuredBall]) -> HeldOut:
+    displayed = observations_of(balls, job.tool_offset_mm, no_correction)
+    return held_out(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact)

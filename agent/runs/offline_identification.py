@@ -1,0 +1,274 @@
+"""Identification from files, with no device: ball centres in, estimate, table and report out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.files import (
+    check_folder,
+    load_artefact,
+    load_balls,
+    load_machine,
+    read_text,
+    translated,
+    write_all_atomically,
+)
+from agent.reports.page import Header, Identified, ReportData, name_of_positions
+from agent.results.estimation import Finding, find, order_text, scale_warnings
+from agent.results.facts import ArtefactFacts, TableFacts, triple
+from agent.results.gates import Gate, estimate_gates, table_gates
+from agent.settings.gate_limits import GateLimits
+from agent.settings.schema import GateSettings, Order, TableSettings
+from drivers.errors import ConfigurationError, InputError
+from drivers.roles import Activation, StoreLimits
+from twin.artefact.artefact import Artefact
+from twin.compensation.table_file import checksum, format_side_file, format_table
+from twin.formats.ball_file import BallFile
+from twin.formats.estimate_file import format_estimate, parse_estimate
+from twin.identification import CarriedOver, Options, process_noise
+from twin.machine.machine_description import MachineDescription
+
+NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
+"""A file holds corrections of any size."""
+
+MM_PER_UM = 1e-3
+
+
+@dataclass(frozen=True)
+class Request:
+    """The files and how to identify. `tool` None: the tool with which most balls were found.
+
+    `carried_over`: an earlier estimate as prior, the machine having changed since by `process_noise_um` (rms of the
+    field over the workspace, rigidly aligned).
+    """
+
+    balls: Path
+    machine: Path
+    artefact: Path
+    out: Path
+    options: Options
+    tool: str | None = None
+    order: Order = "evidence"
+    carried_over: Path | None = None
+    process_noise_um: float = 0.0
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the files say, and the tool for which the table is to be made."""
+
+    machine: MachineDescription
+    artefact: Artefact
+    balls: BallFile
+    tool: str
+    options: Options
+
+
+@dataclass(frozen=True)
+class Result:
+    run_id: str
+    timestamp: str
+    position_set: str
+    material: Material
+    finding: Finding
+    gates: tuple[Gate, ...]
+    report: Path
+
+    def as_json(self, wall_seconds: float) -> dict[str, Any]:
+        """The keys that every command ends with; None for what only a machine can give."""
+        estimate, volumetric = self.finding.estimate, self.finding.volumetric
+        return {
+            "state": "complete",
+            "run_id": self.run_id,
+            "position_set": self.position_set,
+            "formulation": estimate.formulation,
+            "balls": self.material.balls.observations.size,
+            "touches": None,
+            "machine_minutes": None,
+            "wall_seconds": round(wall_seconds, 3),
+            "rank": estimate.rank,
+            "parameters": estimate.model.size,
+            "orders": dict(estimate.model.orders),
+            "order_evidence": {str(entry.order): entry.relative_log for entry in estimate.order_evidence},
+            "estimated_ve_um": volumetric.before_aligned.value_um,
+            "predicted_vce_um": volumetric.after_aligned.value_um,
+            "predicted_vce_raw_um": volumetric.after_raw.value_um,
+            "verified": None,
+            "table_bank": None,
+            "report": str(self.report),
+            "chi2_normalised": estimate.chi2_normalised,
+            "rejected": [list(row) for row in estimate.rejected],
+            "gates": {gate.name: gate.passed for gate in self.gates},
+        }
+
+
+def identify_files(request: Request, timestamp: str) -> Result:
+    """Read, identify and write estimate.json, table.csv, table.json and report.html into `request.out`.
+
+    `timestamp` (ISO 8601 UTC) dates the results. Raises UserError for wrong input; then nothing is written.
+    """
+    check_folder(request.out)
+    material = read_material(request)
+    with translated(file=str(request.balls)):
+        finding, gates = _gated(material, request.order)
+    result = Result(
+        run_id=f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z",
+        timestamp=timestamp,
+        position_set=name_of_positions(material.balls.positions),
+        material=material,
+        finding=finding,
+        gates=gates,
+        report=request.out / "report.html",
+    )
+    write_all_atomically(request.out, _texts(result, request))
+    return result
+
+
+def read_material(request: Request) -> Material:
+    """Raises UserError naming file and place for whatever cannot be used."""
+    machine = load_machine(request.machine)
+    artefact = load_artefact(request.artefact)
+    balls = load_balls(request.balls, machine)
+    if not machine.family.half_widths.any():
+        hint = "give the half-widths that machines of this kind have"
+        message = "every half-width of the family is zero, so there is nothing to identify"
+        raise ConfigurationError(message, hint=hint, file=str(request.machine), key="model.family")
+    tool = _table_tool(request, machine, balls)
+    options = request.options
+    if request.carried_over is not None:
+        known = _carried_over(request.carried_over, machine, tool, request.process_noise_um)
+        with translated(ConfigurationError):
+            options = replace(options, carried_over=known)
+    return Material(machine, artefact, balls, tool, options)
+
+
+def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOver:
+    """What an estimate file knows of this machine, the machine having changed since."""
+    text = read_text(path)
+    with translated(InputError, file=str(path)):
+        known = parse_estimate(text, str(path)).carried_over()
+        family = machine.with_model(known.unknowns.model).family
+        return known.after(process_noise(family, MM_PER_UM * process_noise_um, machine.tool(tool)))
+
+
+def _gated(material: Material, order: Order) -> tuple[Finding, tuple[Gate, ...]]:
+    """Estimate and table, and what the gates of a machine would say. Raises TwinError."""
+    finding = find(
+        material.machine,
+        material.artefact,
+        material.tool,
+        material.balls.observations,
+        material.options,
+        TableSettings(),
+        order,
+    )
+    limits = GateLimits(**GateSettings().model_dump())
+    gates = (
+        *estimate_gates(finding.estimate, finding.volumetric.after, finding.volumetric.before, limits),
+        *table_gates(finding.table, NO_STORE, limits),
+    )
+    return finding, gates
+
+
+def _table_tool(request: Request, machine: MachineDescription, balls: BallFile) -> str:
+    names = list(machine.tools)
+    if request.tool is None:
+        return names[int(np.bincount(balls.observations.tool).argmax())]
+    if request.tool not in names:
+        hint = f"Known tools: {', '.join(names)}"
+        raise ConfigurationError(f"the machine has no tool '{request.tool}'", hint=hint, file=str(request.machine))
+    return request.tool
+
+
+def _texts(result: Result, request: Request) -> dict[str, str]:
+    """The four files, by name."""
+    from agent.reports.page.render import render_report  # noqa: PLC0415  what is refused waits for no drawing library
+
+    table = format_table(result.finding.table)
+    return {
+        "estimate.json": format_estimate(result.finding.estimate, _provenance(result, request)),
+        "table.csv": table,
+        "table.json": format_side_file(result.finding.table),
+        "report.html": render_report(_report_data(result, request, checksum(table))),
+    }
+
+
+def _provenance(result: Result, request: Request) -> dict[str, str]:
+    return {
+        "run_id": result.run_id,
+        "time": result.timestamp,
+        "software": f"volcal {version('volcal')}",
+        "balls": request.balls.name,
+        "machine": request.machine.name,
+        "artefact": request.artefact.name,
+        "certificate": result.material.artefact.certificate,
+        "prior": _prior_text(request),
+        "weights": request.options.weights,
+        "order": "carried over" if request.carried_over is not None else str(request.order),
+        "table_tool": result.material.tool,
+    }
+
+
+def _prior_text(request: Request) -> str:
+    if request.carried_over is not None:
+        return f"{request.carried_over.name}, changed since by {request.process_noise_um:g} µm rms"
+    return "family of the machine" if request.options.use_prior else "none"
+
+
+def _report_data(result: Result, request: Request, crc32: str) -> ReportData:
+    material, finding, options = result.material, result.finding, request.options
+    settings = {
+        "Prior": _prior_text(request),
+        "Weights": "full covariances" if options.weights == "full" else "all alike",
+        "Legendre order": order_text(finding.estimate),
+        "Ball centres from": request.balls.name,
+    }
+    header = Header(
+        title="Identification from files",
+        run_id=result.run_id,
+        timestamp=result.timestamp,
+        software_version=version("volcal"),
+        state="complete",
+        position_set=result.position_set,
+        settings=settings,
+    )
+    return ReportData(
+        header=header,
+        machine=material.machine.name,
+        artefact=ArtefactFacts.of(material.artefact),
+        tool_name=material.tool,
+        tool_offset=triple(material.machine.tool(material.tool)),
+        found=Identified.of(
+            material.balls.observations,
+            finding.estimate,
+            material.balls.positions,
+            finding.volumetric,
+            TableFacts.of(finding.table, crc32),
+        ),
+        gates=result.gates,
+        gates_enforced=False,
+        warnings=_warnings(material, finding, options),
+    )
+
+
+def _warnings(material: Material, finding: Finding, options: Options) -> tuple[str, ...]:
+    """What somebody should know before the table is loaded into a machine."""
+    notes = ["Nothing was measured with the table active: what is said about the time after is a prediction."]
+    share = float(np.mean(finding.table.extrapolated))
+    if share > 0.0:
+        notes.append(f"{100.0 * share:.0f} % of the table's nodes lie outside the measured region.")
+    if material.tool not in _used_tools(material):
+        notes.append(f"The table is made for the tool {material.tool}, with which nothing was measured.")
+    if not options.use_prior:
+        notes.append("Without the family what was not seen counts as zero: the stated uncertainties leave it out.")
+    return (*notes, *scale_warnings(finding.estimate))
+
+
+def _used_tools(material: Material) -> set[str]:
+    names = list(material.machine.tools)
+    return {names[tool] for tool in np.unique(material.balls.observations.tool)}

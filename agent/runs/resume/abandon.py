@@ -1,0 +1,26 @@
+"""An unfinished run that nobody wants to go on with: the former table acts again, and the journal says so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agent.execution.journal import Journal
+from agent.execution.rig import Rig
+from agent.execution.states import RunState
+from agent.runs.reconcile import reconcile
+from agent.runs.reconcile_result import Done, Reconciliation
+
+
+def give_up(rig: Rig, state_directory: Path, reason: str) -> Reconciliation:
+    """Restore what has to be restored, then end the run as aborted. Where the former table could not be made to act
+    the run stays unfinished. `rig` is open; nothing moves. Raises as `reconcile`."""
+    result = reconcile(rig, state_directory)
+    run = result.unfinished
+    if run is not None and result.done is not Done.LEFT:
+        journal = Journal(state_directory)
+        try:
+            record, _ = journal.continue_run(run.run, run.run_id, rig.clock)
+            record.aside().state(RunState.ABORTED, f"given up: {reason}", final=True)
+        finally:
+            journal.close()
+    return result

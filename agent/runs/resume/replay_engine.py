@@ -1,0 +1,145 @@
+"""The engine of a run that is gone on with: recorded steps are answered from the journal, the rest is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from agent.execution.encoding import encode_step, table_digest
+from agent.execution.engine import Action, Engine, Observer
+from agent.execution.journal import RunJournal
+from agent.execution.replay_log import Recorded, RecordedStep
+from agent.execution.steps import ActivateBank, AwaitActive, ReadActiveBank, ReadTable, Record, StageTable, Step
+from agent.runs.resume.replay_clock import ResumedClock
+from agent.runs.resume.step_trace import Trace
+from drivers.errors import PlanDiverged
+from drivers.roles import TableImage
+
+WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
+"""Steps of the compensation's store: nothing moves for them."""
+
+
+class Return(Protocol):
+    """Brings the machine back to where the next step can be done."""
+
+    def compensation(self, following: Step) -> bool:
+        """Have the bank act that acted; nothing moves. True where `following` has taken effect already."""
+        ...
+
+    def machine(self, following: Step) -> None:
+        """Out, and back to where the step began."""
+        ...
+
+
+class Replay:
+    """Compares what the rebuilt plan asks for with what was recorded. `broken_off`: the step that began and did not
+    end, once everything before it has been replayed."""
+
+    def __init__(self, recorded: Recorded, clock: ResumedClock, trace: Trace) -> None:
+        self._recorded = recorded
+        self._clock = clock
+        self.trace = trace
+        self.broken_off = recorded.broken
+
+    @property
+    def over(self) -> bool:
+        return not self._recorded.steps
+
+    def next(self, step: Step) -> RecordedStep:
+        """The recorded step that `step` is. PlanDiverged where it is another one."""
+        recorded = self._recorded.steps.popleft()
+        _require_same(recorded, step)
+        if recorded.finished_s is not None:
+            self._clock.replayed_to(recorded.finished_s)
+        return recorded
+
+    def require_broken_off(self, step: Step) -> None:
+        if self.broken_off is not None:
+            _require_same(self.broken_off, step)
+
+
+class ReplayingEngine(Engine):
+    """`stored`: a table that the journal or the controller still has, by bank and CRC-32."""
+
+    def __init__(
+        self,
+        actions: Mapping[type, Action],
+        journal: RunJournal,
+        observer: Observer | None,
+        replay: Replay,
+        stored: Callable[[int, int], TableImage],
+    ) -> None:
+        super().__init__(actions, journal, observer)
+        self._writer = journal
+        self._replay = replay
+        self._stored = stored
+        self._returning: Return | None = None
+        self._compensated = self._arrived = False
+
+    def returns_by(self, returning: Return) -> None:
+        """To be said before the first plan is run."""
+        self._returning = returning
+
+    def _do_durably(self, step: Step) -> Any:
+        result = self._done_or_recorded(step)
+        if not self._arrived:
+            self._replay.trace.see(step, result)
+        return result
+
+    def _done_or_recorded(self, step: Step) -> Any:
+        if isinstance(step, Record):
+            # What the plan concluded costs nothing; the journal knows which of it has been written.
+            return super()._do_durably(step)
+        if not self._replay.over:
+            return self._recorded(step)
+        if self._come_back(step):
+            # It had taken effect before the run broke off: a writing step is never done twice.
+            self._writer.begin(step)
+            self._writer.finish(step, None, begun=True)
+            return None
+        return super()._do_durably(step)
+
+    def _recorded(self, step: Step) -> Any:
+        result = self._replay.next(step).result
+        if isinstance(step, ReadTable) and result is not None:
+            return self._stored(step.bank, result["crc32"])
+        return result
+
+    def _come_back(self, step: Step) -> bool:
+        """The compensation first, the machine only for a step that needs it; each once. True where nothing is left of
+        `step` to be done."""
+        returning, done = self._returning, False
+        if returning is None or self._arrived:
+            return done
+        if not self._compensated:
+            self._replay.require_broken_off(step)
+            self._compensated = True
+            done = returning.compensation(step)
+        if not isinstance(step, WRITING):
+            self._arrived = True
+            returning.machine(step)
+        return done
+
+
+def _require_same(recorded: RecordedStep, step: Step) -> None:
+    key, kind = step.key, type(step).__name__
+    if (recorded.key, recorded.kind) == (key, kind) and recorded.detail == encode_step(step):
+        return
+    asked = f"{kind} {key}" if (recorded.key, recorded.kind) != (key, kind) else f"{key} with other figures"
+    raise PlanDiverged(
+        f"the journal has {recorded.kind} {recorded.key} where the rebuilt plan asks for {asked}",
+        hint="settings, files or software are not those the run began with; start a new run",
+        recorded=recorded.key,
+        asked=key,
+    )
+
+
+def require_crc(image: TableImage | None, bank: int, crc32: int) -> TableImage:
+    """PlanDiverged where a bank does not hold what it held."""
+    if image is None or table_digest(image) != crc32:
+        raise PlanDiverged(
+            f"bank {bank} does not hold the table any more that it held when the run read it",
+            hint="somebody has written it since; start a new run",
+            bank=bank,
+        )
+    return image

@@ -1,0 +1,120 @@
+"""From wherever a run broke off to where its next step can be done as if nothing had happened.
+
+Out along the stylus first; then the mount is turned back, the last ball is touched again, and every axis comes to its
+place from the side from which it had come: so the play of the axes is what it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.execution.steps import (
+    AskOperator,
+    CheckProbe,
+    MoveTo,
+    OrientTo,
+    Plan,
+    ReadPosition,
+    Record,
+    Retrace,
+    Step,
+)
+from agent.probing.ball import BallLost, measure_ball, point
+from agent.probing.position import PositionRules
+from agent.probing.recovery import WITHDRAW_FEED_MM_PER_S, withdraw
+from agent.runs.resume.step_trace import AxisMove, Trace
+from drivers.errors import MeasurementFault
+
+Array = NDArray[np.float64]
+
+UM_PER_MM = 1e3
+
+
+@dataclass(frozen=True)
+class WayBack:
+    """`prefix` begins every key; `tolerance_mm` of the datum ball."""
+
+    prefix: str
+    trace: Trace
+    rules: PositionRules
+    tolerance_mm: float
+
+    def plan(self, following: Step) -> Plan[None]:
+        """Ends where `following` began. Raises MeasurementFault where the artefact is not where it was."""
+        trace, rules = self.trace, self.rules
+        if not trace.moved:
+            return
+        probing = rules.probing
+        yield from withdraw(rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, trace.came)
+        yield CheckProbe(f"{self.prefix}/probe")
+        if trace.pose is not None and not isinstance(following, (OrientTo, AskOperator)):
+            yield from self._turned_back(trace.pose)
+            if trace.datum_mm is not None:
+                yield from self._datum(np.array(trace.datum_mm))
+        if trace.at_mm is not None:
+            yield from self._arrive(np.array(trace.at_mm))
+
+    def _turned_back(self, pose: OrientTo) -> Plan[None]:
+        """A mount without power may have sunk, and the drives may have been in the middle of a turn."""
+        here = np.array((yield ReadPosition(f"{self.prefix}/here")))
+        yield MoveTo(f"{self.prefix}/park", point(self.rules.course.parked(here, pose.station)))
+        yield OrientTo(f"{self.prefix}/orient", pose.station, pose.azimuth_deg, pose.elevation_deg)
+
+    def _datum(self, expected: Array) -> Plan[None]:
+        """The last ball centre found in this pose, found again."""
+        probing, course = self.rules.probing, self.rules.course
+        key = f"{self.prefix}/datum"
+        above = course.above(expected, probing)
+        yield MoveTo(f"{key}/enter", point(course.retreated(above)))
+        yield MoveTo(f"{key}/approach", point(above))
+        found = yield from measure_ball(key, expected, probing, probing.narrow)
+        if isinstance(found, BallLost):
+            raise self._moved(f"was not found: {found.reason}")
+        moved_um = UM_PER_MM * (found.centre_mm - expected)
+        yield Record(f"{key}/found", "event", {"of": self.trace.datum_key, "moved_um": moved_um})
+        yield MoveTo(f"{key}/leave", point(course.retreated(course.above(found.centre_mm, probing))))
+        way_um = float(np.linalg.norm(moved_um))
+        if way_um > UM_PER_MM * self.tolerance_mm:
+            raise self._moved(f"is {way_um:.1f} µm from where it was, allowed {UM_PER_MM * self.tolerance_mm:.1f} µm")
+
+    def _moved(self, how: str) -> MeasurementFault:
+        return MeasurementFault(
+            f"the ball of {self.trace.datum_key} {how}",
+            hint="artefact, mount or machine have moved since the run broke off: start a new run",
+        )
+
+    def _arrive(self, goal: Array) -> Plan[None]:
+        """Across at the retreat plane, then along the stylus; each axis as it came."""
+        course, axes = self.rules.course, self.trace.axes
+        along = course.retreat_axis
+        across = [axis for axis in range(3) if axis != along]
+        side = course.retreated(goal)
+        for axis in across:
+            side[axis] = axes[axis][0].beside_mm if axes[axis] else goal[axis]
+        yield MoveTo(f"{self.prefix}/beside", point(side))
+        for axis in across:
+            yield from self._axis(axis, side, axes[axis], goal[axis])
+        if axes[along]:
+            yield from self._down(along, side, goal)
+
+    def _down(self, along: int, here: Array, goal: Array) -> Plan[None]:
+        """Only by the way that the run would leave by. On the retreat plane itself nothing needs to be as it was: an
+        axis that goes in from there forgets."""
+        moves = self.trace.axes[along]
+        inwards = np.sign(goal[along] - here[along])
+        if inwards == 0.0:
+            return
+        if inwards != moves[0].sign:
+            here[along] = moves[0].beside_mm
+            yield MoveTo(f"{self.prefix}/down", point(here), WITHDRAW_FEED_MM_PER_S)
+        yield from self._axis(along, here, moves, goal[along])
+
+    def _axis(self, axis: int, here: Array, moves: list[AxisMove], goal: float) -> Plan[None]:
+        """`here` is moved along."""
+        for number, move in enumerate(moves):
+            here[axis] = goal if move is moves[-1] else move.end_mm
+            yield Retrace(f"{self.prefix}/{'xyz'[axis]}-{number}", point(here), move.key, WITHDRAW_FEED_MM_PER_S)
+        here[axis] = goal

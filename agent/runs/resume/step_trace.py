@@ -1,0 +1,126 @@
+"""What the recorded steps of a run have left behind: where the machine stood, how it came there, what acted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agent.execution.encoding import table_digest
+from agent.execution.steps import (
+    ActivateBank,
+    AskOperator,
+    MoveTo,
+    OrientTo,
+    Point,
+    ReadActiveBank,
+    ReadPosition,
+    ReadTable,
+    Record,
+    StageTable,
+    Step,
+    TouchTowards,
+)
+from agent.execution.tip_trace import LastMotion
+from drivers.roles import Miss, TableImage, Touch
+
+LONG_MM = 1.0
+"""A way along one axis that surely takes up its play: what it did before has no effect any more."""
+CLEAR_MM = 1.0
+"""So far from its start, at most, a touch is gone into again on the way back: short of the surface."""
+
+
+@dataclass(frozen=True)
+class AxisMove:
+    """One axis went to `end_mm` in step `key`."""
+
+    key: str
+    start_mm: float
+    end_mm: float
+
+    @property
+    def sign(self) -> float:
+        return 1.0 if self.end_mm > self.start_mm else -1.0
+
+    @property
+    def beside_mm(self) -> float:
+        """Where to begin in order to come to the end as this move did; the move has been there."""
+        return self.end_mm - self.sign * min(2.0 * LONG_MM, abs(self.end_mm - self.start_mm))
+
+
+@dataclass
+class Trace:
+    """Follows a run step by step. `at_mm` None: nobody has asked yet; `came` how the tip came
+    there; `pose` the last finished turn of the mount;
+    `datum_mm` the last ball centre found in this pose with the table that acts; `contents` bank → CRC-32."""
+
+    at_mm: Point | None = None
+    axes: tuple[list[AxisMove], list[AxisMove], list[AxisMove]] = field(default_factory=lambda: ([], [], []))
+    moved: bool = False
+    came: LastMotion = field(default_factory=LastMotion)
+    pose: OrientTo | None = None
+    datum_mm: Point | None = None
+    datum_key: str = ""
+    active_bank: int | None = None
+    contents: dict[int, int | None] = field(default_factory=dict)
+    staged: StageTable | None = None
+
+    def see(self, step: Step, result: object) -> None:
+        """Take a finished step in."""
+        match step:
+            case MoveTo():
+                self.came.begins(step.target_mm, touch=False)
+                self.came.ends(step.target_mm)
+                self._went(step.key, step.target_mm)
+            case TouchTowards():
+                self._touched(step, result)
+            case ReadPosition() if self.at_mm is None and isinstance(result, tuple):
+                self.at_mm = result
+                self.came.stands(result)
+            case OrientTo():
+                self.pose, self.datum_mm = step, None
+            case AskOperator():
+                self.pose = self.datum_mm = None
+            case Record():
+                self._found(step)
+            case ReadActiveBank() if isinstance(result, int):
+                self.active_bank = result
+            case ReadTable() if isinstance(result, TableImage):
+                self.contents[step.bank] = table_digest(result)
+            case StageTable():
+                self.contents[step.bank], self.staged = table_digest(step.table), step
+            case ActivateBank():
+                self.active_bank, self.datum_mm = step.bank, None
+
+    def _went(self, key: str, end: Point) -> None:
+        start = self.at_mm
+        self.at_mm, self.moved = end, True
+        if start is None:
+            return
+        for moves, before, after in zip(self.axes, start, end, strict=True):
+            if before == after:
+                continue
+            if abs(after - before) >= LONG_MM:
+                moves.clear()
+            moves.append(AxisMove(key, before, after))
+
+    def _touched(self, step: TouchTowards, result: object) -> None:
+        """The place short of the surface: to stand there is as good as to stand where the touch has ended."""
+        if self.at_mm is None or not isinstance(result, (Touch, Miss)):
+            return
+        self.came.begins(step.target_mm, touch=True)
+        self.came.ends(result.position_mm)
+        start = np.array(self.at_mm)
+        way = np.array(result.position_mm) - start
+        length = float(np.linalg.norm(way))
+        share = min(0.5, CLEAR_MM / length) if length > 0.0 else 0.0
+        # An axis that the touch does not move keeps its very coordinate.
+        still = np.array(step.target_mm) == start
+        x, y, z = np.where(still, start, start + share * way).tolist()
+        self._went(step.key, (x, y, z))
+
+    def _found(self, step: Record) -> None:
+        centre = step.payload.get("centre_mm")
+        if centre is not None:
+            x, y, z = (float(value) for value in centre)
+            self.datum_mm, self.datum_key = (x, y, z), step.key

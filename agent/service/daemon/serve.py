@@ -1,0 +1,92 @@
+"""The life of the service: lock, owner, doors, then signals and systemd until somebody wants it to end."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import structlog
+from fastapi import FastAPI
+
+from agent.execution.run_lock import Ownership, ownership
+from agent.files import load_machine
+from agent.service.control import Control
+from agent.service.daemon.endpoints import opened
+from agent.service.daemon.extensions import further_doors, http_extensions
+from agent.service.daemon.main_loop import Life, heard_signals
+from agent.service.daemon.sd_notify import Notifier
+from agent.service.http.app import create_app
+from agent.service.http.app_state import Site
+from agent.service.http.endpoint import HttpDoor
+from agent.service.owner.health import Health
+from agent.service.owner.owner import Owner
+from agent.service.owner.owner_parts import Household, here_and_now
+from agent.service.owner.unattended import Circumstances
+from agent.service.state.archive import Archive
+from agent.service.state.event_log import Bulletin
+from agent.service.state.journal_state import Past
+from agent.service.state.live_view import Scenes
+from agent.service.state.reports import Reports
+from agent.service.state.status_board import Board
+from agent.service.token import make_token, read_token, token_path
+from agent.settings.load import load_settings
+from agent.settings.schema import Settings
+from drivers.clock import RealClock
+
+log = structlog.get_logger()
+S_PER_MIN = 60.0
+REPORT_WITHIN_S = 15.0
+"""A report takes some five seconds; who stops the service does not wait for more than this."""
+
+
+def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_now) -> None:
+    """Until SIGTERM or SIGINT. Busy where somebody else owns the machine; ConfigurationError for bad settings.
+    `circumstances`: hour and warm-up by which starts without consent are permitted."""
+    config = config.resolve()
+    settings = load_settings(config)
+    directory = settings.state_directory
+    with heard_signals() as signals, ownership(directory, f"the service (process {os.getpid()})") as owned:
+        make_token(settings)
+        household = _household(settings, config, owned, circumstances)
+        owner = Owner(settings, household)
+        token = read_token(token_path(settings))
+        site = Site(
+            owner,
+            household.bulletin,
+            Archive(directory, household.reports.path),
+            household.scenes,
+            lambda: owner.settings,
+            config,
+            token,
+        )
+
+        def make_app(_: Control) -> FastAPI:
+            names = (*settings.service.host_names, settings.service.reached_at)
+            return create_app(site, names, http_extensions(settings))
+
+        http = HttpDoor(settings.service, directory, make_app)
+        with opened([http, *further_doors(settings)], owner):
+            log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
+            Life(owner, household.health, Notifier(), signals, config).live()
+            household.bulletin.close()
+        if not household.reports.close(REPORT_WITHIN_S):
+            log.warning("a report was left unmade; it is made when somebody asks for it")
+
+
+def _household(
+    settings: Settings, config: Path, owned: Ownership, circumstances: Callable[[], Circumstances]
+) -> Household:
+    service, bulletin = settings.service, Bulletin()
+    computing_s = S_PER_MIN * service.computing_minutes
+    return Household(
+        config=config,
+        bulletin=bulletin,
+        board=Board(load_machine(settings.machine).name, bulletin),
+        health=Health(RealClock().now, hung_after_s=service.hung_after_s, computing_s=computing_s),
+        ownership=owned,
+        past=Past(settings.state_directory),
+        reports=Reports(settings.state_directory),
+        scenes=Scenes(),
+        circumstances=circumstances,
+    )

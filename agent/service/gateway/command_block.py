@@ -1,0 +1,93 @@
+"""What the command registers say, read into a request; values that cannot be are refused before anybody is asked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+from agent.service.control import KINDS, Source, StartRequest
+from agent.service.gateway.register_codec import plain_text, whole_number
+from agent.service.gateway.registers import COMMAND, IN_COMMAND, Command, Form
+
+T = TypeVar("T")
+FIRST: Final = COMMAND[0].address
+SIZE: Final = COMMAND[-1].end - FIRST
+# Names of sets, joined by +. A panel names no files: what it writes must not choose what the agent opens.
+_SET_NAMES = re.compile(r"[A-Za-z0-9_.+-]*")
+_COMMANDS = {command.value: command for command in Command}
+_FULL_ALLOWED = {0: None, 1: False, 2: True}
+
+
+class ValueNotAllowed(Exception):
+    """A command register holds what it cannot hold; the message names it."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """One command as it was written. `text` None where the characters were none."""
+
+    numbers: Mapping[str, int]
+    text: str | None
+
+    @property
+    def sequence(self) -> int:
+        return self.numbers["sequence"]
+
+    @property
+    def access_code(self) -> int:
+        return self.numbers["access_code"]
+
+    @property
+    def content(self) -> tuple[int | str | None, ...]:
+        """All that was written except the access code, to be told from another command with the same number."""
+        return (*(value for name, value in self.numbers.items() if name != "access_code"), self.text)
+
+    def command(self) -> Command | None:
+        return _COMMANDS.get(self.numbers["command"])
+
+    def start_request(self) -> StartRequest:
+        """Raises ValueNotAllowed."""
+        return StartRequest(
+            kind=_one_of("kind", self.numbers["kind"], dict(enumerate(KINDS, start=1))),
+            source=Source.PANEL,
+            position_set=self._position_set(),
+            stations=_stations(self.numbers["stations"]),
+            slot_minutes=self.numbers["slot"] / 10 if self.numbers["slot"] else None,
+            full_allowed=_one_of("full_allowed", self.numbers["full_allowed"], _FULL_ALLOWED),
+            consent=_one_of("consent", self.numbers["consent"], {0: False, 1: True}),
+        )
+
+    def answer(self) -> tuple[int, bool]:
+        """Number of the question, and whether it is answered with yes. Raises ValueNotAllowed."""
+        return self.numbers["question_number"], _one_of("answer", self.numbers["answer"], {1: True, 2: False})
+
+    def _position_set(self) -> str | None:
+        if self.text is None or not _SET_NAMES.fullmatch(self.text):
+            raise ValueNotAllowed("position_set: names of sets joined by +, in ASCII")
+        return self.text or None
+
+
+def read_order(words: Sequence[int]) -> Order:
+    """From the words of the whole command block."""
+    numbers: dict[str, int] = {}
+    for register in COMMAND:
+        if register.form is not Form.TEXT:
+            numbers[register.name] = whole_number(_of(words, register.name))
+    return Order(numbers, plain_text(_of(words, "position_set")))
+
+
+def _of(words: Sequence[int], name: str) -> Sequence[int]:
+    register = IN_COMMAND[name]
+    return words[register.address - FIRST : register.end - FIRST]
+
+
+def _one_of(name: str, value: int, known: Mapping[int, T]) -> T:
+    if value not in known:
+        raise ValueNotAllowed(f"{name}: {value}, known are {', '.join(map(str, known))}")
+    return known[value]
+
+
+def _stations(mask: int) -> tuple[int, ...] | None:
+    return tuple(bit + 1 for bit in range(16) if mask >> bit & 1) or None

@@ -1,0 +1,113 @@
+"""Where commands are handed in: each number once, with its access code, and its result kept for everybody to read."""
+
+from __future__ import annotations
+
+import threading
+
+import structlog
+
+from agent.service.alarms import alarm_code
+from agent.service.control import Control, Source
+from agent.service.gateway.access import AccessCode
+from agent.service.gateway.command_block import Order, ValueNotAllowed
+from agent.service.gateway.frames import ExceptionCode, RegisterError
+from agent.service.gateway.registers import FREE_COMMANDS, Command, Result
+from agent.service.gateway.sequence_ledger import SequenceLedger, next_sequence
+from drivers.errors import InputError, VolcalError
+
+ABORT_REASON = "abort from a panel"
+log = structlog.get_logger()
+
+
+class CommandDesk:
+    """Shared by all connections; any thread may hand in, one order is looked at at a time. Abort waits for nobody."""
+
+    def __init__(self, control: Control, ledger: SequenceLedger, access: AccessCode) -> None:
+        self._control = control
+        self._ledger = ledger
+        self._access = access
+        self._one_at_a_time = threading.Lock()
+        self._state: tuple[int, int] = (ledger.accepted, Result.NONE)
+        self._latest_start: str | None = None
+
+    @property
+    def latest_start(self) -> str | None:
+        """Identity of the run that a panel began or resumed last."""
+        return self._latest_start
+
+    def state(self) -> tuple[int, int]:
+        """Accepted number and result of one and the same command, the last that is through."""
+        return self._state
+
+    def abort(self) -> None:
+        log.info("abort from a panel")
+        self._control.abort(ABORT_REASON)
+
+    def hand_in(self, order: Order) -> None:
+        """Look at an order whose number is the next one, and keep its result.
+
+        The same order again does nothing: its answer was lost. Raises RegisterError for any other number, and where
+        the number could not be recorded; nothing has been done then.
+        """
+        with self._one_at_a_time:
+            if order.sequence == self._ledger.accepted and order.content == self._ledger.content:
+                return
+            if order.sequence != next_sequence(self._ledger.accepted):
+                raise RegisterError(ExceptionCode.VALUE)
+            self._record(order)
+            result = self._perform(order)
+            self._state = (order.sequence, result)
+            log.info("command from a panel", sequence=order.sequence, command=order.command(), result=result)
+
+    def _record(self, order: Order) -> None:
+        try:
+            self._ledger.record(order.sequence, order.content)
+        except InputError as error:
+            log.error("command from a panel not accepted", reason=str(error))
+            raise RegisterError(ExceptionCode.FAILURE) from error
+
+    def _perform(self, order: Order) -> int:
+        command = order.command()
+        if command is None:
+            return Result.UNKNOWN_COMMAND
+        if command not in FREE_COMMANDS and (refusal := self._refusal(order.access_code)):
+            return refusal
+        try:
+            self._give(command, order)
+        except ValueNotAllowed as error:
+            log.info("command from a panel refused", reason=str(error))
+            return Result.VALUE_NOT_ALLOWED
+        except VolcalError as error:
+            log.info("command from a panel refused", reason=str(error))
+            return alarm_code(error).code
+        except Exception as error:
+            log.exception("command from a panel failed")
+            return alarm_code(error).code
+        return Result.DONE
+
+    def _refusal(self, code: int) -> Result | None:
+        if not self._access.is_set:
+            return Result.NO_CODE_SET
+        if self._access.locked:
+            return Result.LOCKED
+        if not self._access.fits(code):
+            log.warning("wrong access code from a panel")
+            return Result.WRONG_CODE
+        return None
+
+    def _give(self, command: Command, order: Order) -> None:
+        control = self._control
+        if command is Command.START:
+            self._latest_start = control.start(order.start_request())
+        elif command is Command.RESUME_RUN:
+            self._latest_start = control.resume_run(Source.PANEL)
+        elif command is Command.ANSWER:
+            control.answer(*order.answer())
+        elif command is Command.ABORT:
+            self.abort()
+        elif command is Command.HOLD:
+            control.hold()
+        elif command is Command.RESUME:
+            control.resume()
+        elif command is Command.RESET:
+            control.reset()

@@ -1,0 +1,82 @@
+"""The gateway as a door of the service: opened on a control, closed with the service."""
+
+from __future__ import annotations
+
+import ipaddress
+import threading
+from pathlib import Path
+from typing import Final
+
+import structlog
+
+from agent.service.control import Control
+from agent.service.gateway.access import AccessCode, access_code_path, read_access_code
+from agent.service.gateway.command_handler import CommandDesk
+from agent.service.gateway.gateway import Gateway
+from agent.service.gateway.heartbeat import Watch
+from agent.service.gateway.sequence_ledger import SequenceLedger
+from agent.service.gateway.server import JOIN_S, ModbusServer
+from agent.service.gateway.session import Session
+from agent.settings.panel_gateway import GatewaySettings
+
+TICK_S: Final = 1.0
+log = structlog.get_logger()
+
+
+class GatewayDoor:
+    """Panels and PLCs over Modbus TCP."""
+
+    def __init__(self, settings: GatewaySettings, state_directory: Path) -> None:
+        self._settings = settings
+        self._state_directory = state_directory
+        self._stopped = threading.Event()
+        self._server: ModbusServer | None = None
+        self._ticker: threading.Thread | None = None
+
+    @property
+    def name(self) -> str:
+        return "panel gateway"
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port actually listened on; only while it is open."""
+        if self._server is None:
+            raise RuntimeError("the gateway is not open")
+        return self._server.address
+
+    def start(self, control: Control) -> None:
+        """Raises ConfigurationError: address, access code file or the recorded sequence number."""
+        gateway = self._gateway(control)
+        settings = self._settings
+        self._server = ModbusServer(
+            (settings.host, settings.port),
+            [ipaddress.ip_network(client) for client in settings.clients],
+            lambda: Session(gateway),
+            most_clients=settings.most_clients,
+            idle_s=settings.idle_s,
+        )
+        self._stopped.clear()
+        self._ticker = threading.Thread(target=self._tick_forever, args=(gateway,), name="gateway tick", daemon=True)
+        self._ticker.start()
+        self._server.start()
+        log.info("panel gateway open", address="{}:{}".format(*self.address), commands=gateway.access.is_set)
+
+    def stop(self) -> None:
+        """Idempotent."""
+        self._stopped.set()
+        if self._server is not None:
+            self._server.stop()
+            self._server = None
+        if self._ticker is not None:
+            self._ticker.join(JOIN_S)
+            self._ticker = None
+
+    def _gateway(self, control: Control) -> Gateway:
+        code_file = access_code_path(self._settings)
+        access = AccessCode(None if code_file is None else read_access_code(code_file))
+        desk = CommandDesk(control, SequenceLedger(self._state_directory), access)
+        return Gateway(control, desk, access, Watch(self._settings.silence_s), self._settings.on_silence)
+
+    def _tick_forever(self, gateway: Gateway) -> None:
+        while not self._stopped.wait(TICK_S):
+            gateway.tick()

@@ -1,0 +1,84 @@
+"""Uvicorn on a thread of its own, on a socket that is bound before anybody says that the service is ready."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI
+
+from agent.service import address_file
+from agent.service.control import Control
+from agent.settings.service import ServiceSettings
+from drivers.errors import ConfigurationError
+
+OPEN_WITHIN_S = 10.0
+GRACE_S = 2
+LARGEST_CONCURRENCY = 64
+
+
+class HttpDoor:
+    """`make_app` is handed the control; `told` is called with the address that was bound (port 0 means any)."""
+
+    name = "http"
+
+    def __init__(self, settings: ServiceSettings, directory: Path, make_app: Callable[[Control], FastAPI]) -> None:
+        self._settings = settings
+        self._directory = directory
+        self._make_app = make_app
+        self._server: uvicorn.Server | None = None
+        self._thread: threading.Thread | None = None
+        self.url = ""
+
+    def start(self, control: Control) -> None:
+        """ConfigurationError where the address cannot be had."""
+        settings = self._settings
+        bound = self._bound()
+        port = bound.getsockname()[1]
+        self.url = f"{settings.scheme}://{settings.reached_at}:{port}"
+        config = uvicorn.Config(
+            self._make_app(control),
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            proxy_headers=False,
+            limit_concurrency=LARGEST_CONCURRENCY,
+            timeout_graceful_shutdown=GRACE_S,
+            ssl_certfile=settings.certificate_file,
+            ssl_keyfile=settings.key_file,
+        )
+        server = self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]}, name="http", daemon=True)
+        self._thread.start()
+        address_file.tell(self._directory, self.url)
+
+    def stop(self) -> None:
+        address_file.withdraw(self._directory)
+        if self._server is not None and self._thread is not None:
+            self._server.should_exit = True
+            self._thread.join(GRACE_S + OPEN_WITHIN_S)
+
+    @property
+    def alive(self) -> bool:
+        return self._thread is not None and self._thread.is_alive()
+
+    def _bound(self) -> socket.socket:
+        settings = self._settings
+        family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+        listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # asyncio: no delay only if named
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listening.bind((settings.host, settings.port))
+            listening.listen()
+        except OSError as error:
+            listening.close()
+            raise ConfigurationError(
+                f"cannot listen at {settings.host} port {settings.port}: {error.strerror or error}",
+                key="service.port",
+                hint="choose another port, or see which program has it",
+            ) from error
+        return listening

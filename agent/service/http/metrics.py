@@ -1,0 +1,81 @@
+"""`/metrics` for Prometheus: out of history, and what the service knows at the moment. Behind the guard, no token."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from threading import Lock
+from typing import TYPE_CHECKING
+
+from fastapi import FastAPI
+from fastapi.responses import Response
+
+from agent.execution.journal import FILE_NAME
+from agent.service.allowed_requests import AT_REST
+from agent.service.control import Status
+from agent.service.http.app_state import Site
+from agent.settings.schema import Settings
+
+if TYPE_CHECKING:
+    from agent.history.schema import StoredRun
+    from agent.history.store import HistoryStore
+    from agent.history.trends import Trend
+
+PATH = "/metrics"
+
+
+def mount_metrics(app: FastAPI, site: Site) -> None:
+    """An `agent.service.http.app.Extension`. A database's client is loaded when somebody scrapes."""
+    known = _Known()
+
+    @app.get(PATH, include_in_schema=False)
+    def metrics() -> Response:
+        from agent.history.metrics import CONTENT_TYPE  # noqa: PLC0415
+
+        return Response(known.text(site.settings(), site.control.status()), media_type=CONTENT_TYPE)
+
+
+class _Known:
+    """Trends are fitted once for the same runs, however often somebody scrapes."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._key: object = None
+        self._runs: list[StoredRun] = []
+        self._trends: tuple[Trend, ...] = ()
+
+    def text(self, settings: Settings, status: Status) -> str:
+        """LinkLost or ConfigurationError where history cannot be read."""
+        from agent.history.database_url import place_of  # noqa: PLC0415
+        from agent.history.metrics import metrics_text  # noqa: PLC0415
+        from agent.history.store import HistoryStore  # noqa: PLC0415
+
+        with self._lock, closing(HistoryStore(place_of(settings))) as store:
+            self._look(settings, store)
+            return metrics_text(store.place.machine, self._runs, self._trends, live(status))
+
+    def _look(self, settings: Settings, store: HistoryStore) -> None:
+        from agent.execution.run_record import run_ids  # noqa: PLC0415
+        from agent.history.overview import trends_of  # noqa: PLC0415
+        from agent.history.sync import sync  # noqa: PLC0415
+
+        machine = store.place.machine
+        digests = dict(store.digests(machine))
+        directory = settings.state_directory
+        if (directory / FILE_NAME).is_file() and not set(run_ids(directory)) <= set(digests):
+            sync(directory, store)
+            digests = dict(store.digests(machine))
+        key = (settings.history.model_dump_json(), tuple(sorted(digests.items())))
+        if key != self._key:
+            self._runs = list(store.runs(machine))
+            self._trends = trends_of(self._runs, settings.history)
+            self._key = key
+
+
+def live(status: Status) -> dict[str, float]:
+    """Gauges of this moment."""
+    return {
+        "run_under_way": float(status.state not in AT_REST),
+        "run_fraction": status.fraction,
+        "run_unfinished": float(status.unfinished is not None),
+        "alarms_open": float(len(status.alarms)),
+    }

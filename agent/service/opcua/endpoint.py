@@ -1,0 +1,91 @@
+"""OPC UA as a door of the service. asyncua is an optional extra: it is imported when the door opens, not before."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from concurrent.futures import Future
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import structlog
+
+from agent.service.control import Control
+from agent.settings.opcua import OpcUaSettings
+from drivers.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from agent.service.opcua.server import OpcUaServer
+
+OPEN_WITHIN_S: Final = 60.0
+CLOSED_WITHIN_S: Final = 15.0
+log = structlog.get_logger()
+
+
+class OpcUaDoor:
+    """The server's loop in one thread. `token`: the service's, which clients send as their password."""
+
+    def __init__(self, settings: OpcUaSettings, state_directory: Path, token: str) -> None:
+        self._settings = settings
+        self._directory = state_directory / "opcua"
+        self._token = token
+        self._thread: threading.Thread | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stop: asyncio.Event | None = None
+
+    @property
+    def name(self) -> str:
+        return "OPC UA"
+
+    @property
+    def address(self) -> tuple[str, int]:
+        return self._settings.host, self._settings.port
+
+    @property
+    def trusted_clients(self) -> Path:
+        return self._settings.trusted_clients or self._directory / "trusted"
+
+    def start(self, control: Control) -> None:
+        """Raises ConfigurationError: the extra is missing, certificate, address."""
+        opened: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(control, opened), name="opc ua", daemon=True)
+        self._thread.start()
+        try:
+            opened.result(OPEN_WITHIN_S)
+        except BaseException:
+            self.stop()
+            raise
+        log.info("OPC UA open", address="{}:{}".format(*self.address), trusted_clients=str(self.trusted_clients))
+
+    def stop(self) -> None:
+        """Idempotent."""
+        if self._loop is not None and self._stop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._stop.set)
+        if self._thread is not None:
+            self._thread.join(CLOSED_WITHIN_S)
+        self._thread = self._loop = self._stop = None
+
+    def _run(self, control: Control, opened: Future[None]) -> None:
+        try:
+            asyncio.run(self._serve(control, opened))
+        except BaseException as error:
+            if opened.done():
+                log.exception("OPC UA server ended")
+            else:
+                opened.set_exception(error)
+
+    async def _serve(self, control: Control, opened: Future[None]) -> None:
+        try:
+            module = import_module("agent.service.opcua.server")
+        except ModuleNotFoundError as error:
+            raise ConfigurationError(
+                f"opcua.enabled is set, but {error.name} is not installed",
+                key="opcua.enabled",
+                hint="pip install 'volcal[opcua]', or opcua.enabled = false",
+            ) from error
+        self.trusted_clients.mkdir(parents=True, exist_ok=True)
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        place = module.Place(self._directory, self.trusted_clients, self._token)
+        server: OpcUaServer = module.OpcUaServer(self._settings, place, control)
+        await server.serve(self._stop, lambda: opened.set_result(None))

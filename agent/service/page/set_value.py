@@ -1,0 +1,80 @@
+"""What the set of the settings is worth, and by how much the error to be expected grows without each position."""
+
+from __future__ import annotations
+
+from threading import Lock
+from typing import Any
+
+from agent.files import translated
+from agent.planning.cycle_time import machine_minutes
+from agent.planning.job import Job
+from drivers.errors import ConfigurationError
+from twin.artefact.position_set import Position
+from twin.design.candidates import Candidates, candidates_of
+from twin.design.valuation import Valuation
+from twin.identification import Options
+from twin.machine.volumetric import evaluation_grid
+
+Document = dict[str, Any]
+
+
+class Worths:
+    """Any thread may ask; the last set is kept."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._kept: tuple[str, Document] | None = None
+
+    def document(self, job: Job) -> Document:
+        """ConfigurationError where nothing of the set is within reach."""
+        key = job.settings.model_dump_json()
+        with self._lock:
+            if self._kept is None or self._kept[0] != key:
+                self._kept = (key, worth_of(job))
+            return self._kept[1]
+
+
+def worth_of(job: Job) -> Document:
+    """µm, rigidly aligned: what is to be expected of the machine's family before and after the set, and `lost_um` for
+    each position: by how much the latter would grow without it."""
+    with translated(ConfigurationError, key="procedure.position_set"):
+        candidates = candidates_of(
+            job.procedure,
+            job.positions,
+            job.machine.family,
+            Options(estimate_scales=False, outliers="none"),
+            evaluation_grid(job.machine.model.ranges_mm),
+            job.tool_offset_mm,
+        )
+    everything = range(candidates.count)
+    worth = Valuation(candidates.vce([]), candidates.vce(everything))
+    after_um = worth.after.aligned_um
+    return {
+        "position_set": job.settings.procedure.position_set.rpartition("/")[2],
+        "minutes": machine_minutes(job, candidates.positions).total,
+        "balls": int(candidates.balls.sum()),
+        "before_um": worth.before.aligned_um,
+        "after_um": after_um,
+        "percent": worth.percent,
+        "positions": [_position(candidates, index, after_um) for index in everything],
+        "held_out": [_place(position) for position in job.held_out],
+        "out_of_reach": [_place(p) for p in dict.fromkeys(job.positions) if p not in candidates.positions],
+    }
+
+
+def _position(candidates: Candidates, index: int, after_um: float) -> Document:
+    others = [other for other in range(candidates.count) if other != index]
+    return {
+        **_place(candidates.positions[index]),
+        "balls": int(candidates.balls[index]),
+        "lost_um": candidates.vce(others).aligned_um - after_um,
+    }
+
+
+def _place(position: Position) -> Document:
+    return {
+        "station": position.station,
+        "azimuth_deg": position.azimuth_deg,
+        "elevation_deg": position.elevation_deg,
+        "tool": position.tool,
+    }

@@ -1,0 +1,63 @@
+"""The page's files behind the guard of the HTTP door: one document, its assets, the drawing shared with the preview."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
+
+from agent.service.http.app_state import Site
+from agent.service.page.endpoints import page_router
+
+CONTENT_SECURITY_POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' data:",
+        "connect-src 'self'",
+        "font-src 'self'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    )
+)
+"""No script or style stands inside the document, and nothing is fetched from anywhere else."""
+
+
+def mount_page(app: FastAPI, _: Site) -> None:
+    """`/`, `/assets/…`, `/drawing/…` and `/api/page/…`. Versions are not in the names, so browsers ask every time."""
+    own, drawing = _directory("agent.service.page") / "assets", _directory("agent.planning.preview")
+    scripts = {path.name: path for path in drawing.glob("*.js")}
+
+    @app.get("/", include_in_schema=False)
+    def page() -> FileResponse:
+        return FileResponse(own / "index.html", media_type="text/html")
+
+    @app.get("/drawing/{name}", include_in_schema=False)
+    def drawing_script(name: str) -> Response:
+        path = scripts.get(name)
+        return Response(status_code=404) if path is None else FileResponse(path, media_type="text/javascript")
+
+    app.include_router(page_router())
+    app.mount("/assets", StaticFiles(directory=own))
+    app.middleware("http")(_with_policy)
+
+
+async def _with_policy(request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
+    """Reports are documents of their own with a style of their own; everything else comes from files."""
+    response = await call_next(request)
+    if not request.url.path.startswith("/api/"):
+        response.headers["Content-Security-Policy"] = CONTENT_SECURITY_POLICY
+        response.headers["Cache-Control"] = "no-cache"
+    return response
+
+
+def _directory(package: str) -> Path:
+    """Installed packages of ours are directories: the package data is declared for that."""
+    with as_file(files(package)) as path:
+        return path

@@ -1,0 +1,1 @@
+"""Published state of the service: status board, event log, archive and reports."""

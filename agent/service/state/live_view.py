@@ -1,0 +1,97 @@
+"""What the live view draws: machine, artefact in every position, and the path that was rehearsed.
+
+Of the run under way it is what its own preflight has rehearsed; before any run it is the plan of the settings, walked
+once and kept.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
+from agent.planning.cycle_time import TimedStep
+from agent.planning.job import Job, prepare_job
+from agent.planning.preview.blob import document
+from agent.planning.preview.builder import preview_of
+from agent.planning.preview.tip_path import Waypoint
+from agent.runs.kinds.kind import Ready
+from agent.settings.schema import Settings
+from twin.artefact.position_set import Position
+from twin.collision.geometry import added, point
+
+Document = dict[str, Any]
+
+
+class Scenes:
+    """Any thread may ask; what is computed is computed once."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._current: tuple[str, Ready] | None = None
+        self._kept: tuple[tuple[object, ...], Document] | None = None
+
+    def rehearsed(self, run_id: str, ready: Ready) -> None:
+        """The preflight of a run has passed."""
+        self._current = (run_id, ready)
+
+    def forget(self) -> None:
+        """The run is over: what comes next is the plan of the settings again."""
+        self._current = None
+
+    def plan(self, settings: Settings, base: Path) -> Document:
+        """Of the run under way, else of the next one. `run_id` is null for the latter."""
+        current = self._current
+        run_id = None if current is None else current[0]
+        key = (run_id, None if run_id else settings.model_dump_json())
+        with self._lock:
+            if self._kept is None or self._kept[0] != key:
+                self._kept = (
+                    key,
+                    _of_run(current[1]) if current else document(preview_of(prepare_job(settings, base))),
+                )
+            return {"run_id": run_id, **self._kept[1]}
+
+
+def machine_facts(job: Job) -> Document:
+    """Limits, tool and stations, for who draws or chooses."""
+    machine, settings = job.machine, job.settings
+    return {
+        "machine": machine.name,
+        "limits_mm": [list(pair) for pair in machine.limits],
+        "tool": settings.tool,
+        "tool_offset_mm": job.tool_offset_mm.tolist(),
+        "stations_mm": [list(place) for place in settings.stations.places_mm],
+        "standing_at": settings.stations.standing_at,
+        "stations": list(job.stations),
+        "position_set": settings.procedure.position_set,
+        "positions": len(job.positions),
+        "held_out": len(job.held_out),
+        "artefact": job.artefact.name,
+        "balls_mm": job.artefact.balls.tolist(),
+        "ball_radius_mm": job.artefact.ball_radius_mm,
+        "slot_minutes": settings.nightly.slot_minutes,
+        "full_allowed": settings.nightly.full_allowed,
+    }
+
+
+def _of_run(ready: Ready) -> Document:
+    waypoints = tuple(_waypoints(ready.job, ready.rehearsal.steps, ready.rehearsal.timeline))
+    return document(preview_of(ready.job, waypoints=waypoints))
+
+
+def _waypoints(job: Job, steps: Sequence[TimedStep], timeline: Mapping[str, float]) -> Iterator[Waypoint]:
+    offset = point(job.tool_offset_mm)
+    tip = added(point(low for low, _ in job.machine.limits), offset)
+    standing = Position(job.settings.stations.standing_at or 1, 0.0, 0.0)
+    for timed in steps:
+        match timed.step:
+            case MoveTo(target_mm=target) | TouchTowards(target_mm=target):
+                tip = added(target, offset)
+            case OrientTo() as turn:
+                standing = Position(turn.station, turn.azimuth_deg, turn.elevation_deg)
+            case AskOperator(request=request) if request.station is not None:
+                standing = Position(request.station, standing.azimuth_deg, standing.elevation_deg)
+        yield Waypoint(timed.step, tip, timeline[timed.step.key], standing)

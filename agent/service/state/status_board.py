@@ -1,0 +1,176 @@
+"""What there is to see of the machine now, put together from what the run announces and does."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import structlog
+
+from agent.execution.run_state import Announcement
+from agent.execution.states import PACKML, RunState
+from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures, Record, Step, TouchTowards
+from agent.results.run_outcome import Outcome
+from agent.runs.reconcile_result import Reconciliation
+from agent.service.alarms import alarm_of
+from agent.service.allowed_requests import AT_REST, may
+from agent.service.control import Alarm, Question, Source, Status
+from agent.service.state.event_log import Bulletin
+from agent.service.state.status_text import doing
+from drivers.clock import utc_timestamp
+from drivers.errors import StoreError
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the journal knows of the machine between runs. µm, aligned, of the last accepted night."""
+
+    ve_before_um: float | None = None
+    ve_now_um: float | None = None
+    active_bank: int | None = None
+    written_not_active: int | None = None
+    unfinished: str | None = None
+
+
+@dataclass
+class Board:
+    """Written by the run's thread, read by everybody. Every change of state is published."""
+
+    machine: str
+    bulletin: Bulletin
+    _status: Status = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._lock = threading.Lock()
+        self._status = Status(self.machine, RunState.IDLE, PACKML[RunState.IDLE])
+
+    @property
+    def state(self) -> RunState:
+        return self._status.state
+
+    def status(self) -> Status:
+        now = self._status
+        asked = now.question is not None
+        return replace(now, may=may(now.state, unfinished=now.unfinished is not None, asked=asked))
+
+    # ------------------------------------------------------------------ between runs
+
+    def belongs_to(self, machine: str) -> None:
+        """Another machine file, of the runs to come."""
+        self._change(machine=machine)
+
+    def stands(self, standing: Standing) -> None:
+        self._change(**vars(standing))
+
+    def left_behind(self, state: RunState, run_id: str, kind: str, alarm: Alarm) -> None:
+        """What an earlier life of the service has left."""
+        self._change(run_id=run_id, kind=kind, alarms=(alarm,))
+        self.enter(state, alarm.text)
+
+    def idle(self) -> None:
+        self._change(alarms=(), fraction=0.0, minutes_left=None, step="", run_id=None, kind=None, started=None)
+        self._change(balls=0, touches=0)
+        self.enter(RunState.IDLE, "reset")
+
+    def reconciled(self, found: Reconciliation) -> None:
+        """What the controller holds, as it says itself; what is left for a person to do is an alarm."""
+        self._change(active_bank=found.active_bank, written_not_active=found.waiting_bank)
+        self.bulletin.publish("note", found.text, {"found": found.found.value, "done": found.done.value})
+        log.info("reconciled", text=found.text)
+        if found.person:
+            self.alarm(alarm_of(StoreError(found.found.value, hint=found.person)))
+
+    # ------------------------------------------------------------------ a run
+
+    def begins(self, run_id: str, kind: str, source: Source, position_set: str | None) -> None:
+        self._change(
+            run_id=run_id,
+            kind=kind,
+            position_set=position_set,
+            started=utc_timestamp(),
+            step="",
+            fraction=0.0,
+            minutes_left=None,
+            balls=0,
+            touches=0,
+            alarms=(),
+        )
+        self.enter(RunState.PREFLIGHT, f"{kind} asked for by {source.value}")
+
+    def hear(self, announcement: Announcement) -> None:
+        """The run's listener."""
+        data = announcement.data
+        match announcement.kind:
+            case "state":
+                state = RunState(data["state"])
+                if state not in AT_REST:  # the owner enters that when the machine is free again
+                    self.enter(state, announcement.text)
+                return
+            case "progress":
+                self._change(fraction=data["fraction"], minutes_left=data["minutes_left"])
+            case _:
+                log.info(announcement.text, **data)
+        self.bulletin.publish(announcement.kind, announcement.text, data)
+
+    def see(self, step: Step, result: object) -> None:
+        """The engine's observer: at every step, so it must take microseconds."""
+        now = self._status
+        match step:
+            case TouchTowards():
+                self._change(step=step.key, touches=now.touches + 1)
+            case Record():
+                self._see_record(step)
+            case ReadTemperatures():
+                self.bulletin.publish("temperature", step.key, _mapping(result))
+            case ReadActiveBank():
+                self._change(active_bank=result)
+            case ActivateBank():
+                self._change(active_bank=step.bank)
+            case _:
+                self._change(step=step.key)
+
+    def ask(self, question: Question | None, text: str) -> None:
+        """A question is open, or no longer; `text` then says how it ended."""
+        self._change(question=question)
+        data = {} if question is None else {"number": question.number, "station": question.station}
+        self.bulletin.publish("question", text, {"open": question is not None, **data})
+        log.info("question", open=question is not None, text=text)
+
+    def ended(self, outcome: Outcome) -> None:
+        self._change(active_bank=outcome.table_bank, minutes_left=None)
+        self.bulletin.publish("outcome", outcome.reason or outcome.state.value, outcome.as_json())
+
+    def alarm(self, alarm: Alarm) -> None:
+        """The first one stays in front: it is the cause."""
+        self._change(alarms=(*self._status.alarms, alarm))
+        data = {"code": alarm.code, "hint": alarm.hint, "where": dict(alarm.where)}
+        self.bulletin.publish("alarm", alarm.text, data)
+        log.error(alarm.text, **data)
+
+    def enter(self, state: RunState, text: str) -> None:
+        former = self._status.state
+        self._change(state=state, packml=PACKML[state])
+        self.bulletin.publish("state", text, {"state": state.value, "packml": PACKML[state]})
+        log.info("state", state=state.value, former=former.value, text=text)
+
+    # ------------------------------------------------------------------
+
+    def _see_record(self, step: Record) -> None:
+        if step.key.endswith("/lost"):
+            self.bulletin.publish("lost", step.key, step.payload)
+        if step.kind != "ball":
+            return
+        self._change(step=step.key, balls=self._status.balls + 1)
+        self.bulletin.publish("ball", step.key, step.payload)
+
+    def _change(self, **values: Any) -> None:
+        with self._lock:
+            changed = replace(self._status, **values)
+            self._status = replace(changed, doing=doing(changed.state, changed.step, changed.kind))
+
+
+def _mapping(result: object) -> dict[str, Any]:
+    return dict(result) if isinstance(result, dict) else {}

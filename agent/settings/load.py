@@ -1,0 +1,86 @@
+"""Settings from their file, and with what a command line says instead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from agent.files import read_text, translated
+from agent.settings.schema import Settings, parse_settings
+from drivers.errors import ConfigurationError, UserError
+from drivers.registry import check_options
+from twin.formats.toml_reading import validated
+
+POSITION_FILES = (".csv", ".toml")
+
+
+def read_settings(path: Path) -> Settings:
+    """Settings of a file with every path in it made absolute; its devices' options are not looked at, so no driver is
+    loaded. For who only speaks to the service or reads what it kept. Raises ConfigurationError."""
+    text = read_text(path, error=ConfigurationError)
+    with translated(ConfigurationError, file=str(path)):
+        return parse_settings(text, str(path)).resolved(path.resolve().parent)
+
+
+def load_settings(path: Path) -> Settings:
+    """As `read_settings`, with every device's options checked by its driver. Raises ConfigurationError."""
+    settings = read_settings(path)
+    try:
+        _check_devices(settings)
+    except ConfigurationError as error:
+        raise error.at(file=str(path)) from error.__cause__
+    return settings
+
+
+@contextmanager
+def naming(config: Path) -> Iterator[None]:
+    """Errors of the user's making inside name the settings file, unless they name another file already."""
+    try:
+        yield
+    except UserError as error:
+        raise error.at(file=str(config)) from error.__cause__
+
+
+def with_overrides(
+    settings: Settings,
+    *,
+    position_set: str | None = None,
+    stations: Sequence[int] | None = None,
+    formulation: str | None = None,
+) -> Settings:
+    """Settings with what the command line says instead; validated again."""
+    document = settings.model_dump()
+    if position_set is not None:
+        is_file = position_set.endswith(POSITION_FILES)
+        document["procedure"]["position_set"] = str(Path(position_set).resolve()) if is_file else position_set
+    if stations:
+        document["procedure"]["stations"] = list(stations)
+        document["verification"]["stations"] = [
+            s for s in settings.verification.stations or stations if s in stations
+        ] or list(stations)
+    if formulation is not None:
+        document["identification"]["formulation"] = formulation
+    with translated(ConfigurationError):
+        return validated(document, "command line", Settings)
+
+
+def _check_devices(settings: Settings) -> None:
+    """Every driver is installed and takes its options, no two want the same, every role has a device: known before
+    anything is opened."""
+    claimed: dict[str, str] = {}
+    for name, device in settings.devices.items():
+        for claim, option in check_options(device.driver, device.options, name).items():
+            first = claimed.setdefault(claim, name)
+            if first != name:
+                raise ConfigurationError(
+                    f"{claim} belongs to device {first!r} already", key=f"devices.{name}.options.{option}"
+                )
+    for role, named in settings.roles:
+        for name in [named] if isinstance(named, str) else named.values():
+            if name not in settings.devices:
+                raise ConfigurationError(
+                    f"no device {name!r}",
+                    key=f"roles.{role}",
+                    hint=f"devices are: {', '.join(sorted(settings.devices))}",
+                )

@@ -1,0 +1,155 @@
+"""What a procedure is worth: the volumetric error it leaves, in closed form and by simulating it on many machines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from agent.studies.identification_variants import Way
+from agent.studies.monte_carlo import Simulated, Spread, WholeProcedure
+from agent.studies.study import StudyCase
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.artefact.position_set import Position
+from twin.errors import DataError, SingularSet
+from twin.identification import identify
+from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.uncertainty.error_budget import ErrorBudget, budget_of
+from twin.uncertainty.residual_field_form import FieldForm
+
+FEWEST_MACHINES = 2
+"""One machine has no spread."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """An artefact and what would be measured on it; `planned` None where no position has three balls within reach."""
+
+    artefact: Artefact
+    planned: Observations | None
+
+    @classmethod
+    def of(cls, case: StudyCase, artefact: Artefact, positions: Sequence[Position]) -> Trial:
+        procedure = case.procedure.with_artefact(artefact)
+        try:
+            return cls(artefact, procedure.planned(positions).observations)
+        except DataError:
+            return cls(artefact, None)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Of one trial identified in one way: root of the expected mean square VCE in closed form, and the same over
+    simulated `machines` with its standard error. None: not identified, or not simulated."""
+
+    expected: Volumetric | None
+    simulated: Volumetric | None = None
+    standard_error: Volumetric | None = None
+    machines: int = 0
+
+    def checked(self, spread: Spread | None) -> Verdict:
+        """With what simulated machines say; None: some of them could not be identified."""
+        if spread is None:
+            return Verdict(None)
+        return Verdict(self.expected, spread.expected, spread.standard_error, len(spread.raw_mm))
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """Judges trials of a case."""
+
+    case: StudyCase
+
+    @cached_property
+    def field(self) -> FieldForm:
+        """The form of the field left over the published grid; evaluated once for all trials."""
+        case = self.case
+        grid = evaluation_grid(case.machine.model.ranges_mm)
+        return FieldForm.build(case.machine.model, case.reality, grid, case.tool_offset)
+
+    @property
+    def before(self) -> Volumetric:
+        """Root of the expected mean square VE."""
+        return self.field.before()
+
+    def budget(self, trial: Trial, way: Way) -> ErrorBudget | None:
+        """Closed form; None for what `identify` would refuse."""
+        family = self.case.machine.family
+        if trial.planned is None:
+            return None
+        try:
+            identify(family.model, trial.planned, trial.artefact, family, way.options)
+        except SingularSet:
+            return None
+        return budget_of(self.field, family, trial.artefact, trial.planned, way.options)
+
+    def judged(
+        self, trials: Sequence[Trial], chosen: Sequence[Way], simulated: Sequence[int]
+    ) -> list[tuple[Verdict, ...]]:
+        """Verdicts on every trial (rows) in every way; the trials whose numbers are `simulated` are checked by an equal
+        share of the case's machines each, and each by the same ones."""
+        rows = []
+        for number, trial in enumerate(trials):
+            self.case.progress("closed form", number, len(trials))
+            rows.append([self._expected(trial, way) for way in chosen])
+        self.case.progress("closed form", len(trials), len(trials))
+        pairs = [(row, way) for row in simulated for way in range(len(chosen)) if rows[row][way].expected is not None]
+        share = max(self.case.machines // max(len(simulated), 1), FEWEST_MACHINES)
+        for (row, way), spread in zip(pairs, self._spreads(trials, chosen, pairs, share), strict=True):
+            rows[row][way] = rows[row][way].checked(spread)
+        return [tuple(row) for row in rows]
+
+    def _expected(self, trial: Trial, way: Way) -> Verdict:
+        budget = self.budget(trial, way)
+        return Verdict(None if budget is None else budget.expected)
+
+    def _spreads(
+        self, trials: Sequence[Trial], chosen: Sequence[Way], pairs: Sequence[tuple[int, int]], share: int
+    ) -> list[Spread | None]:
+        """VCE of `share` machines for each pair of trial and way; None where one of them is refused."""
+        if not pairs:
+            return []
+        tasks = tuple(self.procedure(trials[row], chosen[way]) for row, way in pairs)
+        items = [(task, machine) for task in range(len(tasks)) for machine in range(share)]
+        found = self.case.map(_Several(tasks), items, "simulated machines")
+        return [self._spread(found[start : start + share]) for start in range(0, len(found), share)]
+
+    def _spread(self, found: Sequence[Simulated | None]) -> Spread | None:
+        machines = [machine for machine in found if machine is not None]
+        return Spread.left(self.field, machines) if len(machines) == len(found) else None
+
+    def procedure(self, trial: Trial, way: Way) -> WholeProcedure:
+        """The trial as a task that simulates it on a machine of a number. DataError where it has nothing to measure."""
+        if trial.planned is None:
+            raise DataError("none of the positions has three balls within reach")
+        case = self.case
+        return WholeProcedure(
+            planned=trial.planned,
+            artefact=trial.artefact,
+            family=case.machine.family,
+            reality=case.reality,
+            options=way.options,
+            tool_offset=case.tool_offset,
+            seed=case.seed,
+        )
+
+
+def identified(procedure: WholeProcedure, machine: int) -> Simulated | None:
+    """What the procedure makes of a machine; None where it is refused: a set that just identifies the machine it was
+    planned for need not identify this one."""
+    try:
+        return procedure(machine)
+    except SingularSet:
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Several:
+    """Task: number of a procedure and of a machine → that procedure on that machine."""
+
+    procedures: tuple[WholeProcedure, ...]
+
+    def __call__(self, item: tuple[int, int]) -> Simulated | None:
+        procedure, machine = item
+        return identified(self.procedures[procedure], machine)

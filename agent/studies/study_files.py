@@ -1,0 +1,70 @@
+"""The files of a study: NAME.png, NAME.svg, NAME.csv and NAME.json, all of them or none."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+
+from agent.figures.study_style import picture
+from agent.files import write_all_atomically
+from agent.studies.study import Cell, StudyResult
+
+DIGITS = 8
+"""Significant digits in the CSV; more than any of its figures is known to."""
+
+
+def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
+    """Write the four files, which appear complete or not at all; their paths by suffix. Raises InputError."""
+    drawn = picture(result.name, result.draw, result.size_in)
+    contents: dict[str, str | bytes] = {
+        "png": drawn.png,
+        "svg": drawn.svg,
+        "csv": format_rows(result),
+        "json": json.dumps(document(result), indent=2, allow_nan=False) + "\n",
+    }
+    write_all_atomically(folder, {f"{result.name}.{suffix}": content for suffix, content in contents.items()})
+    return {suffix: folder / f"{result.name}.{suffix}" for suffix in contents}
+
+
+def document(result: StudyResult) -> dict[str, object]:
+    """The summary as JSON takes it."""
+    plain = {key: as_plain(value) for key, value in result.summary.items()}
+    return {"study": result.name, "title": result.title, **plain}
+
+
+def format_rows(result: StudyResult) -> str:
+    """The table as CSV with one header line."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(result.columns)
+    for row in result.rows:
+        if len(row) != len(result.columns):
+            raise ValueError(f"a row of {result.name} has {len(row)} cells, {len(result.columns)} columns are named")
+        writer.writerow([_cell(value) for value in row])
+    return text.getvalue()
+
+
+def as_plain(value: object) -> object:
+    """Numbers, lists and mappings of numpy as those of Python."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {str(key): as_plain(held) for key, held in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [as_plain(held) for held in value]
+    return value
+
+
+def _cell(value: Cell) -> str | int:
+    plain = as_plain(value)
+    if plain is None:
+        return ""
+    if isinstance(plain, bool):
+        return "yes" if plain else "no"
+    return f"{plain:.{DIGITS}g}" if isinstance(plain, float) else str(plain)

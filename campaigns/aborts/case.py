@@ -1,0 +1,87 @@
+"""The run that is broken off: a small set on the case study with a former table active, in memory throughout."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.planning.job import Job, prepare_job
+from agent.settings.load import load_settings
+from agent.settings.schema import Settings
+from drivers.roles import TableImage
+from simulators.scenario import read_scenario
+from simulators.world.world import World
+
+FORMER_BANK = 1
+FORMER = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
+"""A constant correction: what acted before must act afterwards, and it is not bank 0."""
+POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
+SCALE = 4.0
+"""The machine is so bad, and the gates are so wide, that every run that is left alone is accepted."""
+
+
+def job_of(directory: Path, **sections: dict[str, Any]) -> Job:
+    """Two positions at one station and one held out; nobody knows where the artefact stands, so it is asked for."""
+    listed = directory / "two-positions.csv"
+    listed.write_text(POSITIONS)
+    document = load_settings(CASE_STUDY).model_dump()
+    changes: dict[str, dict[str, Any]] = {
+        "procedure": {"position_set": str(listed), "stations": [1]},
+        "stations": {"standing_at": None},
+        "verification": {"stations": [1], "positions_deg": [(20.0, 25.0)], "largest_share": 1.0, "largest_chi2": 1e3},
+        "gates": {"smallest_freedom": 1, "largest_remaining_share": 1.0, "largest_chi2": 1e3},
+        "table": {"step_mm": (500.0, 325.0, 500.0)},
+    }
+    for name in {*changes, *sections}:
+        document[name] = {**document[name], **changes.get(name, {}), **sections.get(name, {})}
+    settings = Settings.model_validate(document).model_copy(update={"state_directory": directory / "state"})
+    return prepare_job(settings, SHIPPED)
+
+
+def world_of() -> World:
+    """The shipped machine, worse, with the former table in its bank and active."""
+    shipped = read_scenario(SHIPPED / "simulators" / "case-study.toml")
+    truth = shipped.settings.truth.model_copy(update={"scale": SCALE})
+    world = World(replace(shipped, settings=shipped.settings.model_copy(update={"truth": truth})))
+    world.controller.write_bank(FORMER_BANK, FORMER)
+    world.controller.activate(FORMER_BANK)
+    return world
+
+
+@dataclass
+class Memory:
+    """Every SQLite database of this process in one memory: a forked process has a copy of its own."""
+
+    keeper: sqlite3.Connection
+    connect: Callable[..., sqlite3.Connection]
+
+    @classmethod
+    def instead_of_files(cls) -> Memory:
+        """From here on `sqlite3.connect` opens the one database in memory, whatever file is asked for."""
+        real, address = sqlite3.connect, "file:volcal-aborts?mode=memory&cache=shared"
+
+        def connect(_: object, **options: Any) -> sqlite3.Connection:
+            opened: sqlite3.Connection = real(address, **{**options, "uri": True})
+            return opened
+
+        sqlite3.connect = connect  # type: ignore[assignment]
+        return cls(real(address, uri=True, isolation_level=None), real)
+
+    def fill(self) -> None:
+        """From here on the disk is full: what needs another page is refused by SQLite itself."""
+        [pages] = self.keeper.execute("PRAGMA page_count").fetchone()
+        self.keeper.execute(f"PRAGMA max_page_count = {pages}")
+
+    def rows(self, query: str) -> list[tuple[Any, ...]]:
+        return self.keeper.execute(query).fetchall()
+
+    def end(self) -> None:
+        """Files again."""
+        sqlite3.connect = self.connect  # type: ignore[assignment]
+        self.keeper.close()

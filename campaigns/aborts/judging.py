@@ -1,0 +1,96 @@
+"""What must be true after a run was broken off, whatever the way."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from agent.execution.states import RunState
+from agent.runs.session import Ended
+from campaigns.aborts.breaking import Breaking
+from campaigns.aborts.case import FORMER, FORMER_BANK
+from drivers.roles import MotionState
+
+SETTLE_S = 60.0
+AT_PLACE_MM = 0.01
+WORDS = {
+    "abort": "SIGINT",
+    "link": "connection reset",
+    "link once": "connection reset",
+    "fault": "door opened",
+    "refused": "the controller refused",
+    "guard": "probe tripped in a guarded move",
+    "disk full": "the journal cannot be written",
+    "no": "the operator said no",
+    "defect": "a defect of ours",
+}
+BY_REQUEST = ("abort", "no")
+WITHDRAWN = ("abort", "refused", "guard", "disk full", "no", "defect")
+"""Ways after which the axes can and must go back; without a link, or in a fault, nothing moves any more."""
+
+
+def found(breaking: Breaking, ended: Ended | None, defect: BaseException | None) -> dict[str, Any]:
+    """`failures`: what must not be; `completed`: the run was through before anybody noticed."""
+    way, world = breaking.way, breaking.world
+    assert way is not None
+    world.advance_to(world.now + SETTLE_S)
+    if ended is not None and ended.outcome.state is RunState.COMPLETE:
+        return {"completed": True, "failures": [str(c) for c in world.collisions]}
+    failures = [*_machine(breaking), *_compensation(breaking, ended)]
+    if (defect is not None) != (way.how == "defect"):
+        failures.append(f"raised {defect!r}")
+    if way.how != "disk full":
+        failures += _journal(breaking)
+    if ended is not None:
+        expected = RunState.ABORTED if way.how in BY_REQUEST else RunState.FAULTED
+        if ended.outcome.state is not expected:
+            failures.append(f"ended {ended.outcome.state.value}: {ended.error}")
+        if WORDS[way.how] not in str(ended.error):
+            failures.append(f"the first cause is not told: {ended.error}")
+    return {"completed": False, "failures": failures, "active": world.controller.active_bank}
+
+
+def _machine(breaking: Breaking) -> list[str]:
+    world, way = breaking.world, breaking.way
+    assert way is not None
+    failures = [f"collision: {one.body_a} with {one.body_b}" for one in world.collisions]
+    if world.controller.motion not in (MotionState.IDLE, MotionState.FAULT):
+        failures.append(f"left {world.controller.motion.value}")
+    away = abs(float(world.controller.displayed_position()[1]) - world.controller.limits().lower_mm[1])
+    if way.how in WITHDRAWN and away > AT_PLACE_MM and breaking.ordinal > 1:
+        failures.append(f"the axes stand {away:.1f} mm before the retreat plane")
+    return failures
+
+
+def _compensation(breaking: Breaking, ended: Ended | None) -> list[str]:
+    """The former table acts and is whole. Without a link it cannot be brought back, and that must be told."""
+    controller, way = breaking.world.controller, breaking.way
+    assert way is not None
+    failures = []
+    if FORMER_BANK not in controller.banks or not controller.banks[FORMER_BANK].same_as(FORMER):
+        failures.append("the former table is not what it was")
+    if controller.active_bank != FORMER_BANK:
+        reasons = [reason for (reason,) in breaking.memory.rows("SELECT reason FROM runs")]
+        told = any("could not be made active again" in str(reason) for reason in reasons)
+        if way.how != "link" or not told:
+            failures.append(f"bank {controller.active_bank} acts, told: {told}")
+        if controller.active_bank not in controller.banks:
+            failures.append("the bank that acts is empty")
+    return failures
+
+
+def _journal(breaking: Breaking) -> list[str]:
+    """Closed with a final state, and the first cause as its reason."""
+    way, memory = breaking.way, breaking.memory
+    assert way is not None
+    [(state, ended, reason)] = memory.rows("SELECT state, ended, reason FROM runs")
+    expected = "aborted" if way.how in BY_REQUEST else "faulted"
+    events = memory.rows("SELECT record FROM events WHERE kind = 'state' ORDER BY rowid DESC LIMIT 1")
+    failures = []
+    if state != expected or ended is None:
+        failures.append(f"the journal ends {state}, closed {ended}, wanted {expected}")
+    if [json.loads(record)["state"] for (record,) in events] != [expected]:
+        failures.append(f"the last state in the journal is {events}")
+    if WORDS[way.how] not in str(reason).split(";", maxsplit=1)[0]:
+        failures.append(f"the journal's first cause is {reason}")
+    return failures

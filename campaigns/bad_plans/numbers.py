@@ -1,0 +1,47 @@
+"""NaN, infinity and numbers outside their bounds, in every key of the settings that takes a number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from agent.settings.schema import Settings
+from campaigns.bad_plans.mutation import Bad, setting
+from drivers.errors import ConfigurationError
+
+MAY_BE_NEGATIVE = ("mount.table_z_mm",)
+EVERYWHERE = {"nan": math.nan, "inf": math.inf}
+
+
+def in_settings() -> list[Bad]:
+    """From the schema of the settings, so that no key is forgotten."""
+    schema = Settings.model_json_schema()
+    return [bad for path, kind in _numbers(schema, schema, "") for bad in _wrong_at(path, kind)]
+
+
+def _wrong_at(path: str, kind: dict[str, Any]) -> Iterator[Bad]:
+    wrong: dict[str, object] = dict(EVERYWHERE)
+    if path not in MAY_BE_NEGATIVE:
+        wrong["negative"] = kind.get("minimum", 0) - 1
+    if "maximum" in kind:
+        wrong["too large"] = kind["maximum"] + 1
+    if "exclusiveMinimum" in kind:
+        wrong["zero"] = kind["exclusiveMinimum"]
+    for name, value in wrong.items():
+        yield Bad(f"{path} {name}", setting(path, value), ConfigurationError, (path,))
+
+
+def _numbers(schema: dict[str, Any], node: dict[str, Any], path: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Paths of all keys with one number, and what the schema says of each."""
+    if "$ref" in node:
+        node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
+    branches = node.get("anyOf", [])
+    if any(branch.get("enum") or branch.get("const") for branch in branches):
+        return
+    for branch in branches:
+        yield from _numbers(schema, branch, path)
+    if node.get("type") in ("number", "integer") and "enum" not in node:
+        yield path, node
+    for name, part in node.get("properties", {}).items():
+        yield from _numbers(schema, part, f"{path}.{name}".lstrip("."))

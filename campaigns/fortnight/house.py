@@ -1,0 +1,206 @@
+"""The real service as a process of its own, its settings, and everybody who asks it for something."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx
+
+from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.service import address_file
+from agent.service.allowed_requests import AT_REST
+from campaigns.fortnight.almanac import turn_to
+
+Found = TypeVar("Found")
+Document = dict[str, Any]
+
+PATIENCE_S = 300.0
+LOOK_EVERY_S = 0.005
+ASK_EVERY_S = 0.2
+"""A service that is asked all the time has less time for its run."""
+AT_REST_NAMES = frozenset(state.value for state in AT_REST)
+COMMAND = (sys.executable, "-m", "agent.cli.main")
+SECTIONS = """
+[service]
+port = {port}
+hours = ["22:00-05:30"]
+warm_up_minutes = 30
+
+[nightly]
+smallest_gain = 0.0
+
+[history]
+ve_tolerance_um = 5.0
+held_out_tolerance_um = 3.5
+"""
+
+
+def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = LOOK_EVERY_S) -> Found:
+    """What `condition` finds in the end. TimeoutError naming `what` where it finds nothing."""
+    ends_s = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        if time.monotonic() > ends_s:
+            raise TimeoutError(f"waited in vain for {what}")
+        time.sleep(every_s)
+    return found
+
+
+class House:
+    """One state directory with its settings and, most of the time, a service. A context: nothing outlives it."""
+
+    def __init__(self, directory: Path, ready: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> None:
+        self.directory = directory
+        self._changes = changes or {}
+        self.config = directory / "volcal.toml"
+        self.calendar = directory / "calendar"
+        self.state = directory / "state"
+        self.processes: list[subprocess.Popen[str]] = []
+        self.exit_codes: list[int] = []
+        self._service: subprocess.Popen[str] | None = None
+        self._http: httpx.Client | None = None
+        directory.mkdir(parents=True, exist_ok=True)
+        self.config.write_text(settings_text(ready, self._changes), encoding="utf-8")
+
+    def __enter__(self) -> House:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._http is not None:
+            self._http.close()
+        for process in self.processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+    def is_now(self, instant: datetime) -> None:
+        turn_to(self.calendar, instant)
+
+    def copy(self, directory: Path, ready: Mapping[str, Any]) -> House:
+        """Another one with the same past."""
+        shutil.copytree(
+            self.state, directory / "state", ignore=shutil.ignore_patterns(address_file.PLACE_FILE, "*.lock")
+        )
+        other = House(directory, ready, self._changes)
+        shutil.copy(self.calendar, other.calendar)
+        return other
+
+    # ------------------------------------------------------------------ the service
+
+    def serve(self) -> None:
+        """Start it, as systemd would, and wait until it answers."""
+        arguments = ["-m", "campaigns.fortnight.serving", str(self.config), str(self.calendar)]
+        with (self.directory / "service.log").open("a", encoding="utf-8") as log:
+            self._service = self._started([sys.executable, *arguments], stdout=log, stderr=subprocess.STDOUT)
+        address_file.withdraw(self.state)  # of one that was killed
+        wait_for(lambda: (self.state / address_file.PLACE_FILE).exists() or self._ended(), "the service")
+        if self._ended():
+            raise RuntimeError((self.directory / "service.log").read_text(encoding="utf-8")[-2000:])
+        token = (self.state / "token").read_text(encoding="utf-8").strip()
+        self._http = httpx.Client(base_url=address_file.told(self.state), timeout=60.0, trust_env=False)
+        self._token = {"Authorization": f"Bearer {token}"}
+
+    def power_fails(self) -> None:
+        """What a process sees of it: nothing at all."""
+        assert self._service is not None
+        self._service.kill()
+        self._service.wait()
+
+    def stop(self) -> int:
+        """SIGTERM, as `systemctl stop`."""
+        assert self._service is not None
+        self._service.send_signal(signal.SIGTERM)
+        return self._service.wait(PATIENCE_S)
+
+    def _ended(self) -> bool:
+        return self._service is not None and self._service.poll() is not None
+
+    # ------------------------------------------------------------------ who asks
+
+    def status(self) -> Document:
+        return self.get("/api/status")
+
+    def get(self, path: str) -> Document:
+        assert self._http is not None
+        answer = self._http.get(path)
+        answer.raise_for_status()
+        document: Document = answer.json()
+        return document
+
+    def post(self, path: str, body: Mapping[str, Any] | None = None, *, token: bool = True) -> httpx.Response:
+        assert self._http is not None
+        return self._http.post(path, json=body, headers=self._token if token else {})
+
+    def at_rest(self, run_id: str) -> Document:
+        """The status in which the run has ended."""
+
+        def ended() -> Document | None:
+            now = self.status()
+            return now if now["run_id"] == run_id and now["state"] in AT_REST_NAMES else None
+
+        return wait_for(ended, f"the end of run {run_id}", ASK_EVERY_S)
+
+    def command(self, *arguments: str, timer: bool = False) -> subprocess.Popen[str]:
+        """`volcal …` with these settings. `timer`: as systemd's timer starts it."""
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        if timer:
+            environment["INVOCATION_ID"] = "fortnight"
+        command = [*COMMAND, *arguments, "--config", str(self.config)]
+        return self._started(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
+
+    def asked(self, *arguments: str) -> str:
+        """What a command prints, however it ends."""
+        return self.command(*arguments).communicate(timeout=PATIENCE_S)[0]
+
+    def timer(self, kind: str, station: int, *options: str) -> subprocess.Popen[str]:
+        """What the unit of the timer calls."""
+        return self.command("start", "--kind", kind, "--wait", "--stations", str(station), *options, timer=True)
+
+    def _started(self, command: list[str], **how: Any) -> subprocess.Popen[str]:
+        process = subprocess.Popen(command, text=True, **how)  # noqa: S603  our own interpreter and modules
+        self.processes.append(process)
+        return process
+
+    # ------------------------------------------------------------------ the journal
+
+    def rows(self, query: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+        """What another connection reads from the journal."""
+        uri = f"{(self.state / 'journal.sqlite').resolve().as_uri()}?mode=ro"
+        with closing(sqlite3.connect(uri, uri=True, timeout=5.0)) as journal:
+            return journal.execute(query, values).fetchall()
+
+
+def settings_text(ready: Mapping[str, Any], changes: Mapping[str, str]) -> str:
+    """The shipped settings of the case study for a machine on other ports, with the sections of a service."""
+    text = CASE_STUDY.read_text(encoding="utf-8")
+    exchanged = {
+        "port = 5021": f"port = {ready['time']['port']}",
+        "port = 5020\n\n": f"port = {ready['modbus']['port']}\n\n",
+        "port = 29536": f"port = {ready['can']['options']['port']}",
+        "port = 5022\n\n": f"port = {ready['control']['port']}\n\n",
+        '"machines/': f'"{SHIPPED}/machines/',
+        '"artefacts/': f'"{SHIPPED}/artefacts/',
+        '"../runs"': '"state"',
+        **changes,
+    }
+    for former, now in exchanged.items():
+        if former not in text:
+            raise ValueError(f"the shipped settings have no {former!r}")
+        text = text.replace(former, now)
+    return text + SECTIONS.format(port=free_port())
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])

@@ -1,0 +1,10 @@
+"""`python -m campaigns.nights`."""
+
+from __future__ import annotations
+
+import sys
+
+from campaigns.nights.play import main
+
+if __name__ == "__main__":
+    sys.exit(main())

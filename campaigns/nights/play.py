@@ -1,0 +1,229 @@
+"""Nights of one machine that drifts: a full calibration, then short slots, and a collision on the way.
+
+Every night is a whole run of the agent (`volcal nightly`) on the simulated machine as it is that night: in this
+process, on virtual time. What only the simulator knows is told beside it: the true volumetric error with the acting
+table, and what a full calibration that very night would reach.
+
+That reach is found by Monte Carlo at the level of ball centres: the true ball centres of the whole set on a copy of
+that night's machine, found through its exact field with the noise of a touch pattern, identified with the order by
+evidence, written as a table; the mean of `DRAWS` of them. Real full calibrations of the season are told beside it.
+
+    python -m campaigns.nights --nights 30 --step 17 [--figure nights.png] [--csv nights.csv]
+
+ends with one JSON line, and with exit code 0 only where every claim holds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
+from pathlib import Path
+from time import perf_counter
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
+
+
+from agent.execution.rig import Rig
+from agent.planning.case_file import SHIPPED
+from agent.planning.job import Job
+from agent.results.run_outcome import Decision, Outcome
+from agent.runs.kinds.kind import FullCalibration, Kind
+from agent.runs.kinds.night_plan import standing
+from agent.runs.kinds.nightly import Night
+from agent.runs.session import Request, carry_out
+from benchmarks.places import memory_directory, write_csv
+from campaigns.nights.figure import draw
+from campaigns.nights.row import Row
+from campaigns.nights.season import DRAWS, Season, case, reach_um, with_table
+from drivers.clock import Clock, VirtualClock
+from drivers.roles import TableImage
+from simulators.backend import SimulatedMachineDevice
+from simulators.world.ageing import of_night
+from simulators.world.world import World
+
+SLOT_MINUTES = 15.0
+FULL_SLOT_MINUTES = 180.0
+LARGEST_RATIO = 1.5
+
+
+def played(season: Season, report: bool = True) -> list[Row]:
+    """All nights in turn; what full calibrations reach is worked out beside them by a process of its own."""
+    with (
+        ProcessPoolExecutor(1) as pool,
+        memory_directory("nights") as directory,
+    ):
+        reached = [pool.submit(reach_um, season, night) for night in range(season.nights + 1)]
+        rows, machine = [], Machine(season, Path(directory) / "state")
+        for night in range(season.nights + 1):
+            row = machine.row(night)
+            reach = reached[night].result()
+            rows.append(replace(row, reach=reach, ratio=row.true_after / reach))
+            if report:
+                print(_line(rows[-1]), flush=True)
+    return rows
+
+
+class Machine:
+    """One machine with its controller's banks, and the agent that looks after it."""
+
+    def __init__(self, season: Season, state: Path) -> None:
+        self._season = season
+        self._scenario = season.scenario
+        self._state = state
+        self._banks: dict[int, TableImage] = {}
+        self._active = 0
+        self._first: TableImage | None = None
+        self._needs_full = False
+
+    def row(self, night: int) -> Row:
+        world = self._world(night)
+        before = world.truth.true_volumetric_error(self._active)[1]
+        outcome = self._run(world, night)
+        self._banks, self._active = dict(world.controller.banks), world.controller.active_bank
+        if self._first is None:
+            self._first = self._banks[self._active]
+        found = outcome.night
+        self._needs_full = found is not None and found.decision is Decision.FULL_NEEDED
+        return Row(
+            night=night,
+            station=self._season.station(night),
+            decision="calibrated" if found is None else found.decision.value,
+            minutes=outcome.machine_minutes,
+            positions=0 if found is None else found.positions,
+            true_before=before,
+            true_after=world.truth.true_volumetric_error(self._active)[1],
+            untouched=with_table(world, self._first),
+            reach=math.nan,
+            ratio=math.nan,
+            ve_now=None if found is None else found.ve_now_um,
+            ve_after=None if found is None else found.ve_after_um,
+            chi2=None if found is None else found.chi2_normalised,
+            named="" if found is None else ", ".join(one.text for one in found.jumped),
+            reason=outcome.reason or ("" if found is None else found.reason),
+        )
+
+    def _world(self, night: int) -> World:
+        scenario = of_night(self._scenario, night)
+        settings = scenario.settings.model_copy(update={"standing_at": self._season.station(night)})
+        world = World(replace(scenario, settings=settings))
+        for bank, image in self._banks.items():
+            world.controller.write_bank(bank, image)
+        if self._active:
+            world.controller.activate(self._active)
+        return world
+
+    def _run(self, world: World, night: int) -> Outcome:
+        job = standing(case(self._state), self._season.station(night))
+        request = Request(
+            job,
+            SHIPPED,
+            lambda _: None,
+            lambda _: None,
+            kind=self._kind(night),
+            clock=VirtualClock(),
+            rig=lambda _, clock, __: rig_of(world, clock, job),
+            files=False,
+        )
+        ended = carry_out(request)
+        if world.collisions:
+            raise RuntimeError(f"night {night}: {world.collisions[0]}")
+        return ended.outcome
+
+    def _kind(self, night: int) -> Kind:
+        if night == 0:
+            return FullCalibration(nights=1.0)
+        slot = FULL_SLOT_MINUTES if self._needs_full else SLOT_MINUTES
+        return Night(slot_minutes=slot, full_allowed=self._needs_full, nights=1.0)
+
+
+def rig_of(world: World, clock: Clock, job: Job) -> Rig:
+    """One device in this process that plays every role."""
+    device = SimulatedMachineDevice(world, clock)
+    mounts = dict.fromkeys(range(1, len(job.settings.stations.places_mm) + 1), device)
+    return Rig(
+        devices={"twin": device},
+        machine=device,
+        probe=device,
+        mounts=mounts,
+        store=device,
+        thermometer=device,
+        operator=device,
+        clock=clock,
+    )
+
+
+def verdict(season: Season, rows: Sequence[Row]) -> dict[str, object]:
+    """What is claimed of the nights, and whether it holds."""
+    slots = [row for row in rows[1:] if row.night != season.step]
+    worst = max(slots, key=lambda row: row.ratio, default=rows[0])
+    happens = season.step <= season.nights
+    needed = [row.night for row in rows if row.decision == Decision.FULL_NEEDED.value]
+    full = [row.night for row in rows if row.decision == Decision.FULL_DONE.value]
+    named = rows[season.step].named if happens else ""
+    claims = {
+        "ratio_within": worst.ratio <= LARGEST_RATIO,
+        "short_slots_kept": all(row.minutes <= SLOT_MINUTES for row in slots if row.night not in full),
+        "step_noticed_at_next_slot": not happens or needed[:1] == [season.step],
+        "step_named": not happens or named.startswith("B0Z"),
+        "led_to_full_calibration": not happens or season.step == season.nights or full[:1] == [season.step + 1],
+        "no_false_alarm": needed == ([season.step] if happens else []),
+    }
+    return {
+        "passed": all(claims.values()),
+        **claims,
+        "nights": season.nights,
+        "step_night": season.step if happens else None,
+        "step_named_as": named,
+        "worst_ratio": round(worst.ratio, 3),
+        "worst_night": worst.night,
+        "largest_true_vce_um": round(max(row.true_after for row in slots or rows), 3),
+        "largest_without_nights_um": round(max(row.untouched for row in slots or rows), 3),
+        "reach": f"Monte Carlo of ball centres, mean of {DRAWS}",
+        "real_full_calibrations_um": {str(rows[n].night): round(rows[n].true_after, 3) for n in (0, *full)},
+        "per_night": [
+            {
+                "night": row.night,
+                "decision": row.decision,
+                "minutes": round(row.minutes, 2),
+                "true_vce_um": round(row.true_after, 3),
+                "reach_um": round(row.reach, 3),
+                "ratio": round(row.ratio, 3),
+            }
+            for row in rows
+        ],
+    }
+
+
+def _line(row: Row) -> str:
+    says = "" if row.ve_now is None else f" says {row.ve_now:.2f}"
+    chi2 = "" if row.chi2 is None else f" χ² {row.chi2:.2f}"
+    return (
+        f"{row.night:2d} station {row.station}: {row.decision:24s} {row.minutes:6.2f} min, {row.positions} positions"
+        f"{chi2}{says} | true {row.true_before:5.2f} -> {row.true_after:5.2f} µm, full {row.reach:5.2f}, "
+        f"ratio {row.ratio:4.2f} {row.named}"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--nights", type=int, default=30)
+    parser.add_argument("--step", type=int, default=17, help="night of the collision; beyond the last one: none")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--csv", type=Path)
+    given = parser.parse_args(arguments)
+    began = perf_counter()
+    season = Season(given.nights, given.step, given.seed)
+    rows = played(season)
+    if given.csv is not None:
+        write_csv([asdict(row) for row in rows], given.csv)
+    if given.figure is not None:
+        draw(rows, season.step, given.figure)
+    result = {**verdict(season, rows), "wall_seconds": round(perf_counter() - began, 1)}
+    print(json.dumps(result, allow_nan=False))
+    return 0 if result["passed"] else 1

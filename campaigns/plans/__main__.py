@@ -1,0 +1,89 @@
+"""Random plans against a simulated machine with errors; ends with one line of JSON.
+
+    python -m campaigns.plans --count 10000 --seed 1 --workers 2
+    python -m campaigns.plans --only 123        # one plan again, and what came of it
+
+Each plan is drawn from its own seed (machine, probe, artefact, mount, stations, positions, procedure, errors of the
+world), rehearsed, run, and run again with an abort, a hold or an emergency stop at a random instant. Every
+`--judge-every`th run is watched by a second, independent collision check (`campaigns/plans/judge.py`), which is itself
+held against the simulator on random straight moves among the bodies. Exit code 0 only where nothing hit anything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from time import perf_counter
+
+from campaigns.plans.provoking import Provoked, provoked
+from campaigns.plans.trial import Trial, summed, tried
+
+SEEDS_APART = 1_000_000
+MOVES_A_CASE = 20
+REPORT_EVERY = 500
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--first", type=int, default=0, help="number of the first plan")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--judge-every", type=int, default=20)
+    parser.add_argument("--only", type=int, help="seed of one plan, as the JSON line names it")
+    given = parser.parse_args(arguments)
+    if given.only is not None:
+        return _one(given.only)
+    began = perf_counter()
+    seeds = [given.seed * SEEDS_APART + number for number in range(given.first, given.first + given.count)]
+    trials, compared = _all(seeds, given.judge_every, given.workers)
+    wall_s = perf_counter() - began
+    result = {
+        **summed(trials),
+        "judge_compared": compared.moves,
+        "judge_collisions": compared.collisions,
+        "judge_disagrees": list(compared.disagreed),
+        "seed": given.seed,
+        "first": given.first,
+        "wall_seconds": round(wall_s, 1),
+        "plans_per_second": round(len(trials) / wall_s, 2),
+    }
+    failed = result["failed_seeds"] or compared.disagreed
+    print(json.dumps({"passed": not failed, **result}, allow_nan=False))
+    return 1 if failed else 0
+
+
+def _all(seeds: Sequence[int], judge_every: int, workers: int) -> tuple[list[Trial], Provoked]:
+    with ProcessPoolExecutor(workers) as pool:
+        judged = frozenset(seeds[::judge_every])
+        provoking = pool.map(partial(provoked, moves=MOVES_A_CASE), sorted(judged), chunksize=4)
+        trials = []
+        for trial in pool.map(partial(_tried, judged=judged), seeds, chunksize=8):
+            trials.append(trial)
+            _report(trial, len(trials))
+        return trials, Provoked.sum(provoking)
+
+
+def _tried(seed: int, judged: frozenset[int]) -> Trial:
+    return tried(seed, judged=seed in judged)
+
+
+def _report(trial: Trial, count: int) -> None:
+    for failure in trial.failures:
+        print(f"seed {trial.seed}: {failure}", flush=True)
+    if count % REPORT_EVERY == 0:
+        print(f"{count} plans", flush=True)
+
+
+def _one(seed: int) -> int:
+    trial = tried(seed, judged=True)
+    print(json.dumps({**vars(trial), "seen": None if trial.seen is None else vars(trial.seen)}, default=str))
+    return 1 if trial.failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

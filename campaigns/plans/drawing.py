@@ -1,0 +1,339 @@
+"""A random but sensible case: machine, probe, artefact, mount, stations, procedure, and errors of the true world.
+
+What is drawn here is what an engineer could have written; whether it fits together in every detail is for the
+agent's checks and its preflight to say.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.planning.job import Job, prepare_job
+from agent.settings.schema import Settings
+from simulators.scenario import Scenario, ScenarioDocument, build_scenario
+from twin.artefact.position_set import SETS, Position
+
+Document = dict[str, Any]
+ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")
+CANDIDATES = 24
+"""Orientations that are looked at until enough of them are found within reach."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """`job` as the agent has it, `scenario` as the world is: with another start, another hand, other errors.
+
+    `interruption`: what happens in the second run of the plan, and at which part of its time.
+    """
+
+    seed: int
+    job: Job
+    scenario: Scenario
+    interruption: str
+    at_share: float
+
+
+class Dice:
+    """One generator, and the few ways in which it is asked."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng([seed, 20261])
+
+    def between(self, low: float, high: float, digits: int = 1) -> float:
+        return round(float(self._rng.uniform(low, high)), digits)
+
+    def whole(self, low: int, high: int) -> int:
+        """`high` included."""
+        return int(self._rng.integers(low, high + 1))
+
+    def chance(self, probability: float) -> bool:
+        return bool(self._rng.random() < probability)
+
+    def one_of(self, *values: Any) -> Any:
+        return values[int(self._rng.integers(len(values)))]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the rest is laid out around; mm."""
+
+    probe: Document
+    bar: Document
+    ball_diameter: float
+    mount: Document
+    sweep: float
+    offset: float
+    park: float
+
+
+def draw(seed: int, directory: Path) -> Drawn:
+    """The case of `seed`; its files are written into `directory`. UserError where the agent refuses it already."""
+    dice = Dice(seed)
+    sizes = _sizes(dice)
+    machine, places = _machine(dice, sizes)
+    artefact = _artefact(sizes)
+    mount = {**sizes.mount, "table_z_mm": round(places[0][2] - sizes.sweep - dice.between(150, 500), 1)}
+    for name, document in (("machine", machine), ("artefact", artefact)):
+        (directory / f"{name}.toml").write_text(toml(document))
+    settings = {
+        "machine": str(directory / "machine.toml"),
+        "artefact": str(directory / "artefact.toml"),
+        "state_directory": str(directory / "state"),
+        "devices": {"twin": {"driver": "simulated"}},
+        "roles": dict.fromkeys(ROLES, "twin"),
+        "mount": mount,
+        "probe": sizes.probe,
+        "stations": {
+            "places_mm": places,
+            "standing_at": dice.one_of(None, dice.whole(1, len(places))),
+            "park_distance_mm": sizes.park,
+        },
+        **_procedure(dice, sizes),
+    }
+    job = _with_positions(dice, settings, directory)
+    return Drawn(
+        seed,
+        job,
+        _scenario(dice, settings, machine, seed),
+        dice.one_of("abort", "abort", "abort", "hold", "fault"),
+        dice.between(0.0, 1.0, 4),
+    )
+
+
+def _sizes(dice: Dice) -> Sizes:
+    length, balls = dice.between(300, 1800), dice.one_of(3, 3, 3, 3, 4, 5)
+    diameter = dice.between(8, 30)
+    holder = dice.between(max(35.0, 1.5 * diameter), 120)
+    tip = dice.between(1, 4)
+    stem_length, body = dice.between(50, 200), dice.between(15, 32)
+    reach = round(stem_length + 2 * body + dice.between(5, 120), 1)
+    bar_radius = dice.between(6, 18)
+    shaft = dice.between(max(80.0, bar_radius + 50.0), 250)
+    sweep = math.hypot(0.5 * length, holder) + shaft + 40.0
+    half_width = dice.between(50, 120)
+    probe = {
+        "tip_radius_mm": tip,
+        "stem_radius_mm": round(tip * dice.between(0.4, 0.75, 2), 2),
+        "stem_length_mm": stem_length,
+        "body_radius_mm": body,
+        "reach_mm": reach,
+        "ram_half_width_mm": half_width,
+        "ram_length_mm": dice.between(500, 2500),
+    }
+    mount = {
+        "shaft_mm": shaft,
+        "shaft_radius_mm": dice.between(10, 25),
+        "bar_radius_mm": bar_radius,
+        "bar_overhang_mm": dice.between(5, 40),
+        "post_radius_mm": dice.between(1.5, 0.25 * diameter),
+        "pedestal_radius_mm": dice.between(25, 60),
+        "head_mm": dice.between(0, 50),
+    }
+    bar = {
+        "balls": balls,
+        "length_mm": length,
+        "tilt_deg": dice.one_of(0.0, dice.between(0, 25)),
+        "holder_length_mm": holder,
+    }
+    offset = round(reach + dice.one_of(0.0, dice.between(0, 30)), 1)
+    park = round(sweep + half_width + dice.between(10, 200), 1)
+    return Sizes(probe, bar, diameter, mount, sweep, offset, park)
+
+
+def _machine(dice: Dice, sizes: Sizes) -> tuple[Document, list[list[float]]]:
+    """Travel around the stations' places: in front of the first the retreat plane, behind it the bar's far end."""
+    stations, gap = dice.whole(1, 4), dice.between(100, 700)
+    half, sweep = 0.5 * sizes.bar["length_mm"], sizes.sweep
+    x_low, y_low, z_low = (dice.one_of(0.0, dice.between(-600, 300)) for _ in range(3))
+    depth = dice.between(0.95, 1.15, 3) * sweep + 30.0
+    first_x = round(x_low + dice.between(0.3, 1.0, 3) * sweep, 1)
+    last_x = first_x + gap * (stations - 1)
+    place_y = round(y_low + sizes.offset + depth, 1)
+    place_z = round(z_low + dice.between(0.6, 1.1, 3) * half + 40.0, 1)
+    upper = (
+        round(last_x + sizes.park + dice.between(5, 300), 1),
+        round(y_low + depth + dice.between(0.0, 0.9, 3) * half + 30.0, 1),
+        round(place_z + dice.between(0.6, 1.1, 3) * half + 40.0, 1),
+    )
+    rapid, acceleration = dice.between(8000, 40000, 0), dice.between(300, 3000, 0)
+    axes = {
+        axis: {
+            "range_mm": [low, high],
+            "rapid_mm_per_min": rapid,
+            "acceleration_mm_per_s2": round(acceleration * dice.one_of(1.0, 0.7), 0),
+        }
+        for axis, low, high in zip("XYZ", (x_low, y_low, z_low), upper, strict=True)
+    }
+    machine = {
+        "name": "drawn",
+        "chain": "tool-Y-Z-X-bed-workpiece",
+        "axes": axes,
+        "tools": {"probe": {"offset_mm": [0.0, sizes.offset, 0.0]}},
+    }
+    places = [[round(first_x + gap * number, 1), place_y, place_z] for number in range(stations)]
+    return machine, places
+
+
+def _artefact(sizes: Sizes) -> Document:
+    return {
+        "name": "drawn",
+        "cte_per_k": 11.5e-6,
+        "cte_standard_uncertainty_per_k": 3e-7,
+        "ball_diameter_mm": sizes.ball_diameter,
+        "standard_uncertainty_um": 0.8,
+        "bar": sizes.bar,
+    }
+
+
+def _procedure(dice: Dice, sizes: Sizes) -> Document:
+    """Limits wide enough for the noise that is drawn; this is about motion."""
+    approach = dice.between(1.5, 6)
+    touches = dice.one_of(*[5] * 26, 9, 9, 13, 25)
+    return {
+        "procedure": {
+            "touches_per_ball": touches,
+            "touch_feed_mm_per_min": dice.between(150, 900),
+            "approach_mm": approach,
+            "search_mm": dice.between(1.5, 6),
+            "wide_approach_mm": round(approach + dice.between(2, 6), 1),
+            "wide_search_mm": dice.between(4, 10),
+            "recentre_mm": dice.between(0.2, 0.6, 2),
+            "retract_mm": round(sizes.ball_diameter + dice.between(10, 120), 1),
+            "touch_stages": dice.one_of(1, 1, 2),
+            "paths": dice.one_of("shortest", "shortest", "plain"),
+            "careful_feed_mm_per_min": dice.between(500, 6000),
+            "clearance_mm": dice.between(1, 5),
+            "find_feed_mm_per_min": dice.between(600, 2000),
+            "back_off_mm": dice.between(0.5, 2),
+            "form_limit_um": 30.0,
+            "touch_limit_um": 20.0,
+            "pole_limit_um": 40.0,
+            "radius_limit_um": 40.0,
+            "drift_limit_um": 20.0,
+        },
+        "probe_check": {"enabled": dice.chance(0.15), "touches": 3, "limit_um": 6.0},
+        "qualification": {"enabled": dice.chance(0.1)},
+        "reversal": {"enabled": dice.chance(0.1)},
+    }
+
+
+def _with_positions(dice: Dice, settings: Document, directory: Path) -> Job:
+    """Orientations that a look at the layout finds within reach: subsets of S1 to S3, of a grid, and any."""
+    places = len(settings["stations"]["places_mm"])
+    stations = sorted({dice.whole(1, places) for _ in range(dice.whole(1, 2))})
+    provisional = {**settings, "procedure": {**settings["procedure"], "position_set": "S3", "stations": stations}}
+    layout = prepare_job(Settings.model_validate(provisional), directory).layout
+    wanted, listed = dice.one_of(1, 1, 1, 1, 1, 1, 2, 3), list[Position]()
+    held_at = dice.one_of(*stations)
+    held: list[float] | None = None
+    for _ in range(CANDIDATES):
+        station, (azimuth, elevation) = dice.one_of(*stations), _orientation(dice)
+        position = Position(held_at if held is None else station, azimuth, elevation)
+        if layout.reachable(position, layout.nominal(position)).sum() < 3 or position in listed:
+            continue
+        if held is None:
+            held = [azimuth, elevation]
+        elif [azimuth, elevation] != held:
+            listed.append(position)
+        if len(listed) == wanted:
+            break
+    settings["verification"] = {"positions_deg": [held or [30.0, 30.0]], "stations": [held_at]}
+    settings["procedure"] |= {"position_set": _position_file(dice, listed, directory), "stations": stations}
+    return prepare_job(Settings.model_validate(settings), directory)
+
+
+def _orientation(dice: Dice) -> tuple[float, float]:
+    match dice.whole(0, 3):
+        case 0:
+            named: tuple[float, float] = dice.one_of(*SETS["S1"], *SETS["S2"], *SETS["S3"])
+            return named
+        case 1:
+            return 22.5 * dice.whole(-4, 4), 22.5 * dice.whole(-4, 4)
+        case 2:
+            return dice.between(-70, 70), dice.between(-70, 70)
+        case _:
+            return dice.between(-180, 180), dice.between(-90, 90)
+
+
+def _position_file(dice: Dice, listed: list[Position], directory: Path) -> str:
+    """As CSV or as TOML; a named set where nothing of what was drawn is within reach."""
+    if not listed:
+        return str(dice.one_of("S1", "S2", "S3"))
+    listed.sort(key=lambda p: p.station)
+    if dice.chance(0.5):
+        path = directory / "positions.csv"
+        rows = [f"{p.station},{p.azimuth_deg},{p.elevation_deg}" for p in listed]
+        path.write_text("\n".join(["station,azimuth_deg,elevation_deg", *rows]) + "\n")
+        return str(path)
+    path = directory / "positions.toml"
+    keys = ("station", "azimuth_deg", "elevation_deg")
+    path.write_text(toml({"positions": [{key: getattr(p, key) for key in keys} for p in listed]}))
+    return str(path)
+
+
+def _scenario(dice: Dice, settings: Document, machine: Document, seed: int) -> Scenario:
+    """The world as it is: up to half again as wrong as the shipped one."""
+    low = [machine["axes"][axis]["range_mm"][0] for axis in "XYZ"]
+    high = [machine["axes"][axis]["range_mm"][1] for axis in "XYZ"]
+    start = [
+        dice.between(low[0], high[0]),
+        low[1] + dice.one_of(0.0, dice.between(0, 40)),
+        dice.between(low[2], high[2]),
+    ]
+    reach_m = settings["mount"]["shaft_mm"] * 1e-3 + 1.0
+    document = ScenarioDocument.model_validate(
+        {
+            **{name: settings[name] for name in ("machine", "artefact", "mount", "probe")},
+            "stations_mm": settings["stations"]["places_mm"],
+            "standing_at": settings["stations"]["standing_at"] or dice.whole(1, len(settings["stations"]["places_mm"])),
+            "start_mm": start,
+            "seed": seed % 2**31,
+            "truth": {
+                "seed": seed % 2**31,
+                "legendre_order": 5,
+                "scale": dice.one_of(0.0, 0.0, 0.0, dice.between(0, 4)),
+                "deflection": False,
+            },
+            "trigger": {
+                "pretravel_um": dice.between(0, 15),
+                "lobing_um": dice.between(0, 1),
+                "touch_sigma_um": dice.between(0.1, 1.5),
+                "overtravel_mm": dice.between(4, 8),
+            },
+            "axes": {"repeatability_um": dice.between(0, 0.6), "backlash_um": dice.between(0, 2)},
+            "mount_behaviour": {
+                "index_error_deg": dice.between(0, 0.015 / reach_m, 4),
+                "wobble_um": dice.between(0, 30),
+                "place_error_mm": dice.between(0, 0.45, 2),
+                "place_error_deg": dice.between(0, 0.045 / reach_m, 4),
+            },
+            "temperatures": {"artefact_c": dice.between(17, 25), "machine_c": dice.between(17, 25)},
+        }
+    )
+    return build_scenario(document, Path("/"))
+
+
+def with_start(scenario: Scenario, start_mm: tuple[float, float, float]) -> Scenario:
+    return dataclasses.replace(scenario, settings=scenario.settings.model_copy(update={"start_mm": start_mm}))
+
+
+def toml(document: Document) -> str:
+    """A document of tables as TOML, inline from the second level on."""
+    return "".join(f"{name} = {_inline(value)}\n" for name, value in document.items() if value is not None)
+
+
+def _inline(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{name} = {_inline(part)}" for name, part in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_inline(part) for part in value) + "]"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return json.dumps(value)

@@ -1,0 +1,64 @@
+"""A kind of run that only moves: everything that a calibration measures, and nothing is identified or written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from agent.execution.states import RunState
+from agent.planning.job import Job
+from agent.planning.preflight import Rehearsal, rehearse, whole_procedure
+from agent.runs.guarded_run import GuardedRun
+from agent.runs.kinds.kind import Ready
+from agent.runs.start_conditions import Outset
+from drivers.clock import VirtualClock
+
+
+class MovingRun(GuardedRun):
+    """The whole procedure from permission on; its ways out are those of every run."""
+
+    def _work(self) -> None:
+        self._begin()
+        self.progress.measured, self.progress.verified = self._engine.run(whole_procedure(self._job))
+        self._conduct.enter(RunState.IDENTIFYING)
+        self._conduct.enter(RunState.COMPLETE)
+
+
+@dataclass
+class Moving:
+    """Rehearses once, from where the machine stands; a second run of the same plan begins there too."""
+
+    name: str = "moving"
+
+    def __post_init__(self) -> None:
+        self.rehearsal: Rehearsal | None = None
+
+    def ready(self, job: Job, outset: Outset) -> Ready:
+        if self.rehearsal is None:
+            self.rehearsal = rehearse(job, outset.start_mm)
+        return Ready(job, self.rehearsal, lambda means: MovingRun(job, means))
+
+
+class AlarmClock(VirtualClock):
+    """Calls `at(instant)` once time passes it; `watch(before_s, after_s)` sees every advance before it happens."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._alarms: list[tuple[float, Callable[[], None]]] = []
+        self.watch: Callable[[float, float], None] | None = None
+
+    def at(self, instant_s: float, action: Callable[[], None]) -> None:
+        self._alarms.append((instant_s, action))
+
+    def advance_to(self, instant_s: float) -> None:
+        if self.watch is None and not self._alarms:
+            super().advance_to(instant_s)
+            return
+        before = self.now()
+        if self.watch is not None and instant_s > before:
+            self.watch(before, instant_s)
+        super().advance_to(instant_s)
+        due = [alarm for alarm in self._alarms if alarm[0] <= instant_s]
+        self._alarms = [alarm for alarm in self._alarms if alarm[0] > instant_s]
+        for _, action in due:
+            action()

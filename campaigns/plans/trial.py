@@ -1,0 +1,157 @@
+"""One drawn plan: rehearsed, run with errors, run again and interrupted; and what came of it."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+from agent.execution.states import RunState
+from agent.execution.supervisor import Supervisor
+from agent.runs.session import Ended, Request, carry_out
+from benchmarks.places import memory_directory
+from campaigns.nights.play import rig_of
+from campaigns.plans.drawing import Drawn, draw
+from campaigns.plans.judge import Judge, Seen
+from campaigns.plans.moving import AlarmClock, Moving
+from drivers.errors import PlanRefused, UserError, VolcalError
+from simulators.world.world import World
+
+HOLD_S = 3.0
+AT_PLACE_MM = 0.01
+
+
+@dataclass
+class Trial:
+    """`refused`: the reason where the plan never moved; `stopped`: why a run that moved did not end as it should.
+
+    `failures`: what must not be. `seen`: what the judge saw, where it looked.
+    """
+
+    seed: int
+    refused: str = ""
+    stopped: str = ""
+    failures: list[str] = field(default_factory=list)
+    commands: int = 0
+    machine_minutes: float = 0.0
+    wall_seconds: float = 0.0
+    interruption: str = ""
+    seen: Seen | None = None
+
+
+def tried(seed: int, *, judged: bool = False) -> Trial:
+    """Everything about the plan of `seed`. Never raises for what the agent says; a traceback is a failure too."""
+    trial, began = Trial(seed), perf_counter()
+    with memory_directory("plan") as directory:
+        try:
+            drawn = draw(seed, Path(directory))
+            kind = Moving()
+            _run(trial, drawn, kind, judged)
+            if not (trial.refused or trial.stopped):
+                _interrupted(trial, drawn, kind)
+        except (UserError, PlanRefused) as refusal:
+            trial.refused = reason_of(refusal)
+        except Exception as defect:  # noqa: BLE001  a defect of one plan must not hide the others
+            trial.failures.append(f"defect: {defect!r}")
+    trial.wall_seconds = perf_counter() - began
+    return trial
+
+
+def _run(trial: Trial, drawn: Drawn, kind: Moving, judged: bool) -> None:
+    world, clock = World(drawn.scenario), AlarmClock()
+    judge = Judge(world, drawn.job) if judged else None
+    clock.watch = judge.watch if judge else None
+    ended = _carried_out(drawn, kind, world, clock, lambda _: None)
+    if isinstance(ended.error, (PlanRefused, UserError)):
+        trial.refused = reason_of(ended.error)
+        return
+    if kind.rehearsal is not None:
+        trial.commands, trial.machine_minutes = kind.rehearsal.commands, kind.rehearsal.machine_minutes
+    if ended.error is not None:
+        trial.stopped = reason_of(ended.error)
+    _judge_world(trial, "run", world)
+    if judge is not None:
+        trial.seen = judge.seen()
+        trial.failures += [f"run, judged: {text}" for text in trial.seen.collisions]
+
+
+def _interrupted(trial: Trial, drawn: Drawn, kind: Moving) -> None:
+    """Once more from the start, until something comes in between; the way out ends at the retreat plane."""
+    assert kind.rehearsal is not None
+    world, clock = World(drawn.scenario), AlarmClock()
+    instant_s = drawn.at_share * kind.rehearsal.machine_seconds
+    trial.interruption = drawn.interruption
+
+    def prepare(supervisor: Supervisor) -> None:
+        if drawn.interruption == "abort":
+            clock.at(instant_s, lambda: supervisor.request_abort("random instant"))
+        elif drawn.interruption == "hold":
+            clock.at(instant_s, supervisor.request_hold)
+            clock.at(instant_s + HOLD_S, supervisor.request_resume)
+        else:
+            clock.at(instant_s, lambda: world.controller.fail("emergency stop"))
+
+    ended = _carried_out(drawn, kind, world, clock, prepare)
+    _judge_world(trial, drawn.interruption, world)
+    state = ended.outcome.state
+    expected = {"abort": (RunState.ABORTED,), "hold": (RunState.COMPLETE,), "fault": (RunState.FAULTED,)}
+    if state not in (*expected[drawn.interruption], RunState.COMPLETE):
+        trial.failures.append(f"{drawn.interruption}: ended {state.value}: {ended.error}")
+    retreated = abs(float(world.controller.displayed_position()[1]) - world.controller.limits().lower_mm[1])
+    if drawn.interruption == "abort" and retreated > AT_PLACE_MM:
+        trial.failures.append(f"abort: the axes stand {retreated:.1f} mm before the retreat plane")
+
+
+def _judge_world(trial: Trial, what: str, world: World) -> None:
+    world.advance_to(world.now + 60.0)
+    for collision in world.collisions:
+        trial.failures.append(f"{what}: {collision.body_a} with {collision.body_b} at {collision.time_s:.2f} s")
+    if world.controller.motion.value not in ("idle", "fault"):
+        trial.failures.append(f"{what}: left {world.controller.motion.value}")
+
+
+def _carried_out(
+    drawn: Drawn, kind: Moving, world: World, clock: AlarmClock, prepare: Callable[[Supervisor], None]
+) -> Ended:
+    return carry_out(
+        Request(
+            drawn.job,
+            Path("/"),
+            lambda _: None,
+            prepare,
+            kind=kind,
+            clock=clock,
+            rig=lambda _, watched, __: rig_of(world, watched, drawn.job),
+            files=False,
+        )
+    )
+
+
+def reason_of(error: VolcalError) -> str:
+    """The kind of a refusal: its type and words, numbers and balls left out."""
+    words = re.sub(r"-?\d+(\.\d+)?", "#", error.message)
+    return f"{type(error).__name__}: {words}"
+
+
+def summed(trials: list[Trial]) -> dict[str, object]:
+    accepted = [trial for trial in trials if not trial.refused]
+    seen = [trial.seen for trial in trials if trial.seen is not None]
+    return {
+        "plans": len(trials),
+        "accepted": len(accepted),
+        "refused": dict(Counter(trial.refused for trial in trials if trial.refused).most_common()),
+        "stopped": dict(Counter(trial.stopped for trial in accepted if trial.stopped).most_common()),
+        "completed": sum(not trial.stopped for trial in accepted),
+        "interrupted": dict(Counter(trial.interruption for trial in accepted if trial.interruption)),
+        "failed_seeds": [trial.seed for trial in trials if trial.failures],
+        "judged": len(seen),
+        "judged_collisions": sum(len(one.collisions) for one in seen),
+        "smallest_clearance_mm": round(min((one.smallest_mm for one in seen), default=float("inf")), 3)
+        if seen
+        else None,
+        "commands": sum(trial.commands for trial in trials),
+        "machine_hours": round(sum(trial.machine_minutes for trial in trials) / 60.0, 1),
+    }

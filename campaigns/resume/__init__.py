@@ -1,0 +1,1 @@
+"""A run interrupted at every instant of every step and resumed."""

@@ -1,0 +1,10 @@
+"""`python -m campaigns.warming`."""
+
+from __future__ import annotations
+
+import sys
+
+from campaigns.warming.trials import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,62 @@
+"""The warm runs as a picture: how warm it became, and what the table left, with and without regard to the drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.figures.study_style import BLUE, GREEN, ORANGE, QUIET, picture
+from agent.files import write_all_atomically
+from campaigns.warming.row import Row
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Temperatures as they were told with every ball; minutes of machine time."""
+
+    minutes: tuple[float, ...]
+    machine_c: tuple[float, ...]
+    artefact_c: tuple[float, ...]
+
+
+def draw(rows: Sequence[Row], trace: Trace, path: Path) -> None:
+    """Write the PNG `path`."""
+    found = picture(path.stem, lambda figure: _draw(figure, rows, trace), (8.0, 3.6))
+    write_all_atomically(path.parent, {path.name: found.png})
+
+
+def _draw(figure: Figure, rows: Sequence[Row], trace: Trace) -> None:
+    left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2, 3]})
+    left.plot(trace.minutes, trace.machine_c, ".", color=BLUE, markersize=3, label="machine")
+    left.plot(trace.minutes, trace.artefact_c, ".", color=ORANGE, markersize=3, label="bar")
+    left.set_xlabel("machine time / min")
+    left.set_ylabel("temperature / °C")
+    left.set_title("Told with every ball")
+    left.legend(loc="lower right")
+    _draw_errors(right, rows)
+
+
+def _draw_errors(axes: Axes, rows: Sequence[Row]) -> None:
+    place = np.arange(len(rows))
+    bars = (
+        ("constant, 23 °C", GREEN, [row.settled for row in rows]),
+        ("while it warms by 3 K", BLUE, [row.warm for row in rows]),
+        ("the same, machine taken as constant", ORANGE, [row.undrifted for row in rows]),
+        ("the same, bar taken as 20 °C too", QUIET, [row.untold for row in rows]),
+    )
+    for number, (name, colour, values) in enumerate(bars):
+        axes.bar(place + 0.2 * (number - 1.5), values, 0.19, color=colour, label=name)
+    axes.set_yscale("log")
+    ticks = [1, 2, 5, 10, 20, 50, 100]
+    axes.set_yticks(ticks, [str(tick) for tick in ticks])
+    axes.set_ylim(1.0, 30.0 * max(row.untold for row in rows))
+    axes.set_xticks(place, [str(row.seed) for row in rows])
+    axes.set_xlabel("machine, bar and noise of seed")
+    axes.set_ylabel("true VCE, rigidly aligned / µm")
+    axes.set_title("What the table left")
+    axes.legend(loc="upper left")

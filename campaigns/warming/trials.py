@@ -1,0 +1,253 @@
+"""A machine and a bar that warm by 3 K while they measure each other, against the same ones at constant temperature.
+
+Whole calibrations on the simulated case study, in this process and on virtual time. The hall warms at once; the bar
+follows it, and so does the machine: its scales grow, its column bends behind its own thermometer, spindle and ram grow,
+the bar bows, the thermometers scatter, lag and err. Told are true volumetric errors, rigidly aligned, with the table
+that the run has written, of the machine as it stood at the last ball of the set: that is the state which the estimate
+is said to hold for. The same machine and bar at constant temperature are measured twice: at 20 °C, and as warm as they
+became, where the bar's expansion is as uncertain as in the warm run. From the ball centres of the warm run it is told
+what would have been without the drift of the machine, and without any regard to temperature at all.
+
+    python -m campaigns.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
+
+ends with one JSON line, and with exit code 0 only where the tables are worse, in the rms over the machines, by less
+than a fifth than those of the machines that had settled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
+
+import numpy as np
+
+from agent.execution.journal import Journal
+from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.planning.job import Job, prepare_job
+from agent.results.estimation import find
+from agent.results.table_image import image_of
+from agent.results.thermal_drift import options_of
+from agent.runs.session import Ended, Request, carry_out
+from agent.settings.load import load_settings
+from agent.settings.schema import Settings
+from benchmarks.places import memory_directory, write_csv
+from campaigns.nights.play import rig_of
+from campaigns.nights.season import with_table
+from campaigns.warming.figure import Trace, draw
+from campaigns.warming.row import Row
+from drivers.clock import VirtualClock
+from simulators.scenario import ArtefactTruthSettings, Scenario, TruthSettings, read_scenario
+from simulators.temperatures import TemperatureSettings
+from simulators.world.world import World
+from twin.artefact.observations import Observations
+
+LARGEST_RISE = 1.2
+WARMER_K = 3.0
+STILL = TemperatureSettings(sensor_noise_k=0.01, sensor_offset_k={"artefact": 0.01})
+SETTLED = STILL.model_copy(update={"artefact_c": 20.0 + WARMER_K, "machine_c": 20.0 + WARMER_K})
+WARMING = TemperatureSettings(
+    ambient_rise_k=3.65,
+    artefact_time_constant_h=0.35,
+    machine_time_constant_h=0.45,
+    growth_um_per_k=(2.0, 8.0, 5.0),
+    scale_um_per_m_k=(8.0, 8.5, 10.0),
+    bend_um_per_k=5.0,
+    bend_time_constant_h=0.5,
+    artefact_bow_um_per_k=0.3,
+    sensor_noise_k=0.01,
+    sensor_offset_k={"artefact": 0.01},
+    sensor_lag_s=20.0,
+)
+THERMOMETER_K = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """`records`: of the balls, as the journal has them."""
+
+    world: World
+    job: Job
+    ended: Ended
+    records: Sequence[Mapping[str, Any]]
+
+    @property
+    def true_um(self) -> float:
+        """As the machine is now."""
+        return self.world.truth.true_volumetric_error(self.world.controller.active_bank)[1]
+
+
+def compared(seed: int) -> tuple[Row, Trace]:
+    """All runs of one machine. RuntimeError where one of them does not end well."""
+    still, settled, warm = (carried_out(seed, temperatures) for temperatures in (STILL, SETTLED, WARMING))
+    world, records = warm.world, warm.records
+    late_um, bare_um = warm.true_um, world.truth.true_volumetric_error(None)[1]
+    world.now = records[-1]["instant_s"]  # nothing moves any more: what is asked of it is its truth
+    true_um = warm.true_um
+    machine = [record["machine_c"] for record in records]
+    artefact = [record["temperature_c"] for record in records]
+    undrifted = _otherwise(warm, told=True)
+    row = Row(
+        seed=seed,
+        minutes=warm.ended.outcome.machine_minutes,
+        machine_k=machine[-1] - machine[0],
+        artefact_k=artefact[-1] - artefact[0],
+        bare=bare_um,
+        constant=still.true_um,
+        settled=settled.true_um,
+        warm=true_um,
+        late=late_um,
+        ratio=true_um / settled.true_um,
+        undrifted=undrifted,
+        untold=_otherwise(warm, told=False),
+        predicted_constant=still.ended.outcome.predicted_vce_um or np.nan,
+        predicted_settled=settled.ended.outcome.predicted_vce_um or np.nan,
+        predicted_warm=warm.ended.outcome.predicted_vce_um or np.nan,
+    )
+    return row, Trace(tuple(r["instant_s"] / 60.0 for r in records), tuple(machine), tuple(artefact))
+
+
+def carried_out(seed: int, temperatures: TemperatureSettings) -> Run:
+    """One calibration from an empty controller on."""
+    with memory_directory("warming") as directory:
+        state = Path(directory) / "state"
+        world, job = World(_scenario(seed, temperatures)), prepare_job(_settings(state), SHIPPED)
+        request = Request(
+            job,
+            SHIPPED,
+            lambda _: None,
+            lambda _: None,
+            clock=VirtualClock(),
+            rig=lambda _, clock, __: rig_of(world, clock, job),
+            files=False,
+        )
+        ended = carry_out(request)
+        if ended.error is not None or world.collisions or not world.controller.active_bank:
+            raise RuntimeError(f"seed {seed}: {ended.error or ended.outcome.proof or world.collisions}")
+        journal = Journal(state)
+        try:
+            records = [r for r in journal.read_balls(ended.outcome.run_id) if not r["key"].startswith("verify")]
+        finally:
+            journal.close()
+    return Run(world, job, ended, records)
+
+
+def _settings(state: Path) -> Settings:
+    settings = load_settings(CASE_STUDY).model_copy(update={"state_directory": state})
+    warmth = settings.temperature.model_copy(update={"standard_uncertainty_k": THERMOMETER_K})
+    return settings.model_copy(update={"temperature": warmth})
+
+
+def _scenario(seed: int, temperatures: TemperatureSettings) -> Scenario:
+    shipped = read_scenario(SHIPPED / "simulators" / "case-study.toml")
+    settings = shipped.settings.model_copy(
+        update={
+            "seed": seed,
+            "truth": TruthSettings(seed=100 + seed, legendre_order=7),
+            "artefact_truth": ArtefactTruthSettings(seed=200 + seed),
+            "temperatures": temperatures,
+        }
+    )
+    return replace(shipped, settings=settings)
+
+
+def _otherwise(run: Run, *, told: bool) -> float:
+    """True VCE with the table of the same ball centres without any drift of the machine; `told`: the bar's temperature
+    is known, else 20 °C."""
+    job, settings = run.job, run.job.settings
+    held = {(p.station, p.azimuth_deg, p.elevation_deg) for p in job.held_out}
+    kept = [
+        record
+        for record in run.records
+        if record["key"].startswith("measure/")
+        and (record["station"], record["azimuth_deg"], record["elevation_deg"]) not in held
+    ]
+    numbers = {number: place for place, number in enumerate(dict.fromkeys(record["position"] for record in kept))}
+    observations = Observations(
+        position=np.array([numbers[record["position"]] for record in kept]),
+        ball=np.array([record["ball"] for record in kept]),
+        tool=np.zeros(len(kept), dtype=np.int64),
+        axis_positions=np.array([record["centre_mm"] for record in kept]),
+        covariance=np.array([record["covariance_mm2"] for record in kept]),
+        temperature_c=np.array([record["temperature_c"] if told else 20.0 for record in kept]),
+        elevation_rad=np.radians([record["elevation_deg"] for record in kept]),
+        tool_offsets=job.tool_offset_mm.reshape(1, 3),
+    )
+    options, order = options_of(settings, observations), settings.identification.order
+    finding = find(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
+    return with_table(run.world, image_of(finding.table, run.world.controller.store_limits))
+
+
+def verdict(rows: Sequence[Row]) -> dict[str, object]:
+    """What is claimed, and whether it holds."""
+    worst = max(rows, key=lambda row: row.ratio)
+    constant, settled, warm = (_rms([getattr(row, name) for row in rows]) for name in ("constant", "settled", "warm"))
+    warmed = min(min(row.machine_k, row.artefact_k) for row in rows)
+    claims = {
+        "rise_within": warm <= LARGEST_RISE * settled,
+        "warmed_by_3_k": warmed >= WARMER_K - 0.1,
+        "correction_matters": all(row.undrifted > 2.0 * row.warm for row in rows),
+    }
+    return {
+        "passed": all(claims.values()),
+        **claims,
+        "seeds": len(rows),
+        "rise": round(warm / settled, 3),
+        "rise_over_20_c": round(warm / constant, 3),
+        "rms_constant_um": round(constant, 3),
+        "rms_settled_um": round(settled, 3),
+        "rms_warm_um": round(warm, 3),
+        "rms_late_um": round(_rms([row.late for row in rows]), 3),
+        "rms_undrifted_um": round(_rms([row.undrifted for row in rows]), 3),
+        "rms_untold_um": round(_rms([row.untold for row in rows]), 3),
+        "worst_ratio": round(worst.ratio, 3),
+        "worst_seed": worst.seed,
+        "per_seed": [{name: round(value, 3) for name, value in asdict(row).items()} for row in rows],
+    }
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _line(row: Row) -> str:
+    parts = (
+        f"{row.seed:2d}: {row.minutes:5.1f} min, machine {row.machine_k:+.2f} K, bar {row.artefact_k:+.2f} K",
+        f"true VCE at 20 °C {row.constant:.2f}, settled {row.settled:.2f}, warming {row.warm:.2f} µm (ratio "
+        f"{row.ratio:.2f}), late {row.late:.2f}",
+        f"without drift {row.undrifted:.2f}, untold {row.untold:.2f}, no table {row.bare:.1f}",
+        f"predicted {row.predicted_constant:.2f}, {row.predicted_settled:.2f}, {row.predicted_warm:.2f}",
+    )
+    return " | ".join(parts)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first", type=int, default=1, help="the first seed")
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--csv", type=Path)
+    given = parser.parse_args(arguments)
+    began = perf_counter()
+    rows: list[Row] = []
+    traces: list[Trace] = []
+    with ProcessPoolExecutor(2) as pool:
+        for row, trace in pool.map(compared, range(given.first, given.first + given.seeds)):
+            rows.append(row)
+            traces.append(trace)
+            print(_line(row), flush=True)
+    if given.csv is not None:
+        write_csv([asdict(row) for row in rows], given.csv)
+    if given.figure is not None:
+        draw(rows, traces[0], given.figure)
+    result = {**verdict(rows), "wall_seconds": round(perf_counter() - began, 1)}
+    print(json.dumps(result, allow_nan=False))
+    return 0 if result["passed"] else 1

@@ -1,0 +1,111 @@
+"""What a simulated drive keeps besides its state machine: parameters with their power-on values, as CiA 402 lists them.
+
+Most only keep what is written. The factor group (0x608F, 0x6091, 0x6092) and the polarity act: positions are
+increments * feed / (encoder resolution * gear ratio), and bit 7 of 0x607E turns their sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from simulators.wire.can.sdo import ABORT_VALUE, Dictionary, Entry, SdoAbortError
+
+Key = tuple[int, int]
+
+RESOLUTION, RESOLUTION_TURNS = (0x608F, 1), (0x608F, 2)
+GEAR, GEAR_TURNS = (0x6091, 1), (0x6091, 2)
+FEED, FEED_TURNS = (0x6092, 1), (0x6092, 2)
+POLARITY = (0x607E, 0)
+LOWER_LIMIT, UPPER_LIMIT = (0x607D, 1), (0x607D, 2)
+HOMING_METHOD, HOMING_SPEED = (0x6098, 0), (0x6099, 1)
+QUICK_STOP_OPTION = (0x605A, 0)
+REVERSED_POSITION = 0x80
+
+_ALWAYS: dict[Key, tuple[str, int]] = {
+    QUICK_STOP_OPTION: ("h", 2),  # ramp down, then switch on disabled
+    (0x6083, 0): ("I", 0),
+    (0x6084, 0): ("I", 0),
+    (0x6085, 0): ("I", 0),
+    LOWER_LIMIT: ("i", 0),  # both zero: no limits
+    UPPER_LIMIT: ("i", 0),
+    HOMING_METHOD: ("b", 0),
+    HOMING_SPEED: ("I", 0),
+    (0x6099, 2): ("I", 0),
+    (0x609A, 0): ("I", 0),
+}
+
+
+@dataclass(frozen=True)
+class FactorGroup:
+    """The power-on values of 0x608F, 0x6091, 0x6092 (each a pair), 0x607E, and of 0x60A8 and 0x60A9 (SI units)."""
+
+    resolution: tuple[int, int]
+    gear: tuple[int, int]
+    feed: tuple[int, int]
+    polarity: int = 0
+    unit_codes: tuple[int, int] = (0, 0)
+
+    @classmethod
+    def in_increments(cls, increments: int, gear: int) -> FactorGroup:
+        """The unit of position is an increment of the encoder: all factors together are one."""
+        return cls((increments, 1), (gear, 1), (increments * gear, 1))
+
+    def entries(self) -> dict[Key, tuple[str, int]]:
+        pairs = {0x608F: self.resolution, 0x6091: self.gear, 0x6092: self.feed}
+        kept = {(index, place): ("I", pair[place - 1]) for index, pair in pairs.items() for place in (1, 2)}
+        codes = dict(zip(((0x60A8, 0), (0x60A9, 0)), (("I", code) for code in self.unit_codes), strict=True))
+        return {**kept, **codes, POLARITY: ("B", self.polarity)}
+
+
+class Parameters:
+    """Values by index and sub-index. A drive without a factor group counts increments."""
+
+    def __init__(self, factors: FactorGroup | None) -> None:
+        self._kept = {**_ALWAYS, **(factors.entries() if factors is not None else {})}
+        self._has_factors = factors is not None
+        self._values: dict[Key, int] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Power-on values."""
+        self._values = {key: value for key, (_, value) in self._kept.items()}
+
+    def __getitem__(self, key: Key) -> int:
+        return self._values[key]
+
+    def __setitem__(self, key: Key, value: int) -> None:
+        """As the maker's own tool sets it, past the bus."""
+        self._values[key] = value
+
+    @property
+    def units_per_increment(self) -> float:
+        """Position units for one increment, negative where the polarity is reversed."""
+        if not self._has_factors:
+            return 1.0
+        resolution = self[RESOLUTION] / self[RESOLUTION_TURNS]
+        gear = self[GEAR] / self[GEAR_TURNS]
+        feed = self[FEED] / self[FEED_TURNS]
+        return (-1.0 if self[POLARITY] & REVERSED_POSITION else 1.0) * feed / (resolution * gear)
+
+    def within_limits(self, position: int) -> int:
+        """The position, or the software limit that it would go beyond."""
+        lower, upper = self[LOWER_LIMIT], self[UPPER_LIMIT]
+        return min(max(position, lower), upper) if lower < upper else position
+
+    def dictionary(self) -> Dictionary:
+        entries = {
+            key: Entry(code, partial(self._values_of, key), partial(self._write, key))
+            for key, (code, _) in self._kept.items()
+        }
+        for index in {index for index, subindex in self._kept if subindex}:
+            entries[index, 0] = Entry("B", lambda: 2)
+        return entries
+
+    def _values_of(self, key: Key) -> int:
+        return self._values[key]
+
+    def _write(self, key: Key, value: int) -> None:
+        if key[0] in (0x608F, 0x6091, 0x6092) and value == 0:
+            raise SdoAbortError(ABORT_VALUE)
+        self._values[key] = value

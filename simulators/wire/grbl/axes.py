@@ -1,0 +1,121 @@
+"""The axes as GRBL's stepper side sees them: one planned move at a time, whole steps, the probe's pin and latch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import CommandRejected
+from drivers.roles import MotionState, Permission
+from simulators.wire.grbl.blocks import Triple
+from simulators.wire.grbl.physics import GrblPhysics, MachineCoordinates
+from simulators.wire.grbl.settings import RATE, TRAVEL, GrblSettings
+
+
+@dataclass(frozen=True)
+class PlannedMove:
+    """Machine coordinates; a feed of None is rapid."""
+
+    target_mm: Triple
+    feed_mm_per_min: float | None
+
+
+class GrblAxes:
+    """Carries out what the planner hands over. `under_way` stays until somebody asks whether it has ended."""
+
+    def __init__(self, physics: GrblPhysics, settings: GrblSettings, now: Callable[[], float]) -> None:
+        self._physics = physics
+        self._settings = settings
+        self._now = now
+        self._coordinates = MachineCoordinates(physics.limits(), settings)
+        self._leaving = False
+        self.under_way: PlannedMove | None = None
+        self.left_at_mm: Triple | None = None
+
+    @property
+    def moving(self) -> bool:
+        return self._physics.motion is MotionState.MOVING
+
+    @property
+    def failed(self) -> bool:
+        """A collision or what else stops the drives by itself."""
+        return self._physics.motion is MotionState.FAULT
+
+    @property
+    def idle(self) -> bool:
+        return self._physics.motion is MotionState.IDLE
+
+    @property
+    def door_open(self) -> bool:
+        return not self._physics.permissions[Permission.DOORS_CLOSED]
+
+    @property
+    def pin(self) -> bool:
+        """What the probe's input shows; the probe is wired for ``$6=0``."""
+        return self._physics.probe_deflected != self._settings.flag(6)
+
+    @property
+    def latches(self) -> int:
+        return self._physics.latch.sequence if self._physics.latch is not None else 0
+
+    @property
+    def feed_mm_per_min(self) -> float:
+        if self.under_way is None or not self.moving:
+            return 0.0
+        feed = self.under_way.feed_mm_per_min
+        return max(self._settings.axes(RATE)) if feed is None else feed
+
+    def position(self) -> Triple:
+        return self._coordinates.of_axes(self._physics.displayed_position())
+
+    def latch_after(self, latches: int) -> Triple | None:
+        """Where the probe has tripped since there were so many latches."""
+        latch = self._physics.latch
+        return self._coordinates.of_axes(latch.position) if latch is not None and latch.sequence > latches else None
+
+    def beyond_travel(self, target_mm: Triple) -> bool:
+        travel = self._settings.axes(TRAVEL)
+        return any(value > 0.0 or value < -length for value, length in zip(target_mm, travel, strict=True))
+
+    def begin(self, move: PlannedMove, *, touching: bool = False, leaving: bool = False) -> bool:
+        """False where the physics does not let it begin. `leaving`: it ends where the probe comes free."""
+        self.under_way, self._leaving, self.left_at_mm = move, leaving, None
+        target = np.array(self._coordinates.to_axes(move.target_mm))
+        feed = None if move.feed_mm_per_min is None else move.feed_mm_per_min / 60.0
+        try:
+            if touching:
+                self._physics.begin_touch(target, feed or max(self._settings.axes(RATE)) / 60.0)
+            else:
+                self._physics.begin_move(target, feed, guarded=False)
+        except CommandRejected:
+            self.under_way = None
+            return False
+        return True
+
+    def watch_pin(self) -> None:
+        """Brake where the probe has come free, if that is what the move is for."""
+        free_s = self._physics.comes_free_s if self._leaving else None
+        if free_s is not None and self._now() >= free_s and self.left_at_mm is None:
+            self.left_at_mm = self.position()
+            self._physics.halt()
+
+    def next_event_s(self) -> float | None:
+        """When the motion ends, or earlier the probe comes free."""
+        free_s = self._physics.comes_free_s if self._leaving and self.left_at_mm is None else None
+        known = [instant for instant in (self._physics.motion_ends_s, free_s) if instant is not None]
+        return min(known, default=None)
+
+    def hold(self) -> None:
+        self._physics.hold()
+
+    def resume(self) -> None:
+        self._physics.resume()
+
+    def break_off(self) -> None:
+        self.under_way, self._leaving = None, False
+        self._physics.halt()
+
+    def clear_fault(self) -> None:
+        self._physics.reset()

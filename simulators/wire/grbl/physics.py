@@ -1,0 +1,45 @@
+"""What a simulated GRBL needs of the physics behind it (`simulators.world.controller.Controller` has it all)."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from drivers.roles import AxisLimits, Vector
+from simulators.wire.grbl.settings import STEPS, GrblSettings
+from simulators.wire.modbus.physics import MovingMachine
+
+
+class GrblPhysics(MovingMachine, Protocol):
+    """A moving machine that also tells when something will happen."""
+
+    @property
+    def motion_ends_s(self) -> float | None: ...
+
+    @property
+    def comes_free_s(self) -> float | None: ...
+
+
+Triple = tuple[float, float, float]
+
+
+class MachineCoordinates:
+    """GRBL's machine coordinates: zero where the axes home, at the upper end of each, all others negative.
+
+    Every position is a whole number of steps.
+    """
+
+    def __init__(self, limits: AxisLimits, settings: GrblSettings) -> None:
+        self._zero = limits.upper_mm
+        self._settings = settings
+
+    def of_axes(self, axis_mm: Vector) -> Triple:
+        x, y, z = (self._stepped(i, float(value) - self._zero[i]) for i, value in enumerate(axis_mm))
+        return x, y, z
+
+    def to_axes(self, machine_mm: Triple) -> Triple:
+        x, y, z = (self._stepped(i, value) + self._zero[i] for i, value in enumerate(machine_mm))
+        return x, y, z
+
+    def _stepped(self, axis: int, value_mm: float) -> float:
+        steps = self._settings[STEPS + axis]
+        return round(value_mm * steps) / steps

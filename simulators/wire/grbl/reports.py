@@ -1,0 +1,121 @@
+"""What GRBL 1.1 says of itself: status reports, parameters, parser state, build info.
+
+Source: gnea/grbl, doc/markdown/interface.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from simulators.wire.grbl.blocks import MM_PER_INCH, Modes, Offsets, Triple
+from simulators.wire.grbl.settings import GrblSettings
+
+WELCOME = "Grbl 1.1h ['$' for help]"
+LOCKED = "[MSG:'$H'|'$X' to unlock]"
+RESET_TO_CONTINUE = "[MSG:Reset to continue]"
+UNLOCKED = "[MSG:Caution: Unlocked]"
+CHECK_DOOR = "[MSG:Check Door]"
+PROGRAM_END = "[MSG:Pgm End]"
+HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
+
+MACHINE_POSITION, BUFFER_STATE = 1, 2
+OFFSET_EVERY = {True: 30, False: 10}
+OVERRIDES_EVERY = {True: 20, False: 10}
+"""Reports from one such field to the next, while something moves and while nothing does."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One instant. `state` with its sub-state (``Hold:0``); lengths in mm, machine coordinates."""
+
+    state: str
+    moving: bool
+    position_mm: Triple
+    work_offset_mm: Triple
+    free_blocks: int
+    free_bytes: int
+    feed_mm_per_min: float
+    speed_rpm: float
+    pins: str
+    accessories: str
+    overrides: tuple[int, int, int] = (100, 100, 100)
+
+
+class StatusReporter:
+    """Which fields come with which report: offset and overrides only now and then, and at once when they change."""
+
+    def __init__(self, settings: GrblSettings) -> None:
+        self._settings = settings
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """After a reset: the offset with the first report, the overrides with the second."""
+        self._until_offset, self._until_overrides = 0, 1
+        self._shown_offset: Triple | None = None
+        self._shown_others: tuple[tuple[int, int, int], str] | None = None
+
+    def report(self, now: Snapshot) -> str:
+        machine = bool(int(self._settings[10]) & MACHINE_POSITION)
+        shown = now.position_mm if machine else _less(now.position_mm, now.work_offset_mm)
+        fields = [now.state, f"{'MPos' if machine else 'WPos'}:{self._coordinates(shown)}"]
+        if int(self._settings[10]) & BUFFER_STATE:
+            fields.append(f"Bf:{now.free_blocks},{now.free_bytes}")
+        feed = now.feed_mm_per_min / (MM_PER_INCH if self._settings.flag(13) else 1.0)
+        fields.append(f"FS:{feed:.0f},{now.speed_rpm:.0f}")
+        if now.pins:
+            fields.append(f"Pn:{now.pins}")
+        fields += self._intermittent(now)
+        return "<" + "|".join(fields) + ">"
+
+    def _intermittent(self, now: Snapshot) -> list[str]:
+        others = (now.overrides, now.accessories)
+        if self._until_offset <= 0 or now.work_offset_mm != self._shown_offset:
+            self._until_offset, self._shown_offset = OFFSET_EVERY[now.moving] - 1, now.work_offset_mm
+            self._until_overrides -= 1
+            return [f"WCO:{self._coordinates(now.work_offset_mm)}"]
+        self._until_offset -= 1
+        if self._until_overrides <= 0 or (self._shown_others is not None and others != self._shown_others):
+            self._until_overrides, self._shown_others = OVERRIDES_EVERY[now.moving] - 1, others
+            feed, rapid, spindle = now.overrides
+            return [f"Ov:{feed},{rapid},{spindle}"] + ([f"A:{now.accessories}"] if now.accessories else [])
+        self._until_overrides -= 1
+        return []
+
+    def _coordinates(self, position_mm: Triple) -> str:
+        return coordinates(position_mm, inches=self._settings.flag(13))
+
+
+def coordinates(position_mm: Triple, *, inches: bool) -> str:
+    """Three decimals in mm, four in inches."""
+    if inches:
+        return ",".join(f"{value / MM_PER_INCH:.4f}" for value in position_mm)
+    return ",".join(f"{value:.3f}" for value in position_mm)
+
+
+def probe_message(position_mm: Triple, tripped: bool, *, inches: bool) -> str:
+    return f"[PRB:{coordinates(position_mm, inches=inches)}:{int(tripped)}]"
+
+
+def parameters(offsets: Offsets, modes: Modes, *, inches: bool) -> Iterator[str]:
+    """The answer to ``$#`` but for its last line, the probe's."""
+    for system, offset in sorted(offsets.systems.items()):
+        yield f"[G{system}:{coordinates(offset, inches=inches)}]"
+    for predefined in (28, 30):
+        yield f"[G{predefined}:{coordinates((0.0, 0.0, 0.0), inches=inches)}]"
+    yield f"[G92:{coordinates(modes.g92_mm, inches=inches)}]"
+    length = modes.tool_length_mm / MM_PER_INCH if inches else modes.tool_length_mm
+    yield f"[TLO:{length:.{4 if inches else 3}f}]"
+
+
+def parser_state(modes: Modes) -> str:
+    """The answer to ``$G``."""
+    feed = modes.feed_mm_per_min / (MM_PER_INCH if modes.units == 20 else 1.0)
+    words = [f"G{modes.motion:g}", f"G{modes.coordinates}", f"G{modes.plane:g}", f"G{modes.units:g}"]
+    words += [f"G{modes.distance:g}", "G94", f"M{modes.spindle:g}", f"M{modes.coolant:g}"]
+    return f"[GC:{' '.join(words)} T{modes.tool} F{feed:.0f} S{modes.speed_rpm:.0f}]"
+
+
+def _less(position: Triple, offset: Triple) -> Triple:
+    x, y, z = (a - b for a, b in zip(position, offset, strict=True))
+    return x, y, z

@@ -1,0 +1,1 @@
+"""Simulated controller behind the Modbus register map (TCP and RTU)."""

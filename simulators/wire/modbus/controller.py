@@ -1,0 +1,82 @@
+"""The simulated controller as a Modbus TCP server.
+
+A server of our own on a plain socket: a status transaction takes a third of the time that the asyncio server of
+pymodbus 3.16 needs before any word has a meaning (measured 0.13 against 0.39 ms), a night makes some 35,000 of
+them, and both halves of function 23 must be one transaction under the world's lock.
+"""
+
+from __future__ import annotations
+
+import socket
+from typing import Any, Final, Protocol
+
+import structlog
+
+from simulators.wire.modbus.frames import FramingError, answer_request, cut_frames, frame
+from simulators.wire.modbus.numbers import Float64Numbers, NumberFormat
+from simulators.wire.modbus.physics import ControllerPhysics
+from simulators.wire.modbus.registers import ControllerRegisters
+from simulators.wire.shared_world import MovedByTime, SharedWorld
+from simulators.wire.tcp_server import TcpServer
+
+UNIT: Final = 1
+RECEIVE_BYTES: Final = 4096
+log = structlog.get_logger()
+
+
+class WorldWithController(MovedByTime, Protocol):
+    @property
+    def controller(self) -> ControllerPhysics: ...
+
+
+def registers_behind(
+    shared: SharedWorld[WorldWithController], numbers: NumberFormat | None = None
+) -> ControllerRegisters:
+    """The registers of the world's controller, moved along with its time."""
+    registers = ControllerRegisters(shared.world.controller, numbers or Float64Numbers(), lambda: shared.now)
+    shared.subscribe(lambda _now_s: registers.motion.observe(), wakes_at=registers.motion.wakes_at)
+    return registers
+
+
+class ModbusController:
+    """Serves the world's controller on `address`; one client at a time, others wait for their turn."""
+
+    def __init__(
+        self,
+        shared: SharedWorld[WorldWithController],
+        address: tuple[str, int],
+        numbers: NumberFormat | None = None,
+    ) -> None:
+        self._shared = shared
+        self.registers = registers_behind(shared, numbers)
+        self._server = TcpServer("modbus", address, self._serve, one_client=True)
+        self.address = self._server.address
+        self.start = self._server.start
+        self.close = self._server.close
+
+    @property
+    def agent_settings(self) -> dict[str, Any]:
+        """Options of the agent's driver."""
+        host, port = self.address
+        return {"host": host, "port": port}
+
+    def _serve(self, connection: socket.socket) -> None:
+        log.debug("modbus client connected", peer=str(connection.getpeername()))
+        buffer = bytearray()
+        while chunk := connection.recv(RECEIVE_BYTES):
+            buffer += chunk
+            try:
+                for transaction, unit, request in cut_frames(buffer):
+                    self._answer(connection, transaction, unit, request)
+            except FramingError as error:
+                log.warning("modbus client hung up on", reason=str(error))
+                return
+        log.info("modbus client has hung up")
+
+    def _answer(self, connection: socket.socket, transaction: int, unit: int, request: bytes) -> None:
+        if unit != UNIT:
+            log.warning("request for another unit not answered", unit=unit)
+            return
+        with self._shared.lock:
+            answer = answer_request(request, self.registers)
+        connection.sendall(frame(transaction, unit, answer))

@@ -1,0 +1,42 @@
+"""Fault codes of the register map (table 9.1) for the words in which the physics names a fault."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from simulators.wire.modbus.register_map import FaultCode, Outcome
+
+WATCHED_FAULTS: Final = {
+    FaultCode.HEARTBEAT_LOST: "agent heartbeat lost",
+    FaultCode.DOOR_OPENED: "door opened while moving",
+    FaultCode.PERMISSION_LOST: "permission lost while moving",
+    FaultCode.PROBE_LOST: "probe lost while moving",
+}
+"""Faults that are found here and not by the physics, in the words given to it."""
+
+_FAULT_WORDS: Final = (
+    ("collision", FaultCode.COLLISION),
+    ("overload", FaultCode.COLLISION),
+    ("probe tripped", FaultCode.PROBE_TRIPPED),
+    ("emergency", FaultCode.EMERGENCY_STOP),
+    ("travel", FaultCode.END_OF_TRAVEL),
+    ("following", FaultCode.FOLLOWING_ERROR),
+    ("drive", FaultCode.DRIVE),
+    *((words, code) for code, words in WATCHED_FAULTS.items()),
+)
+
+
+def fault_code(fault: str) -> FaultCode:
+    """The code of a fault the physics names in words; 99 for one the table has no code for."""
+    words = fault.lower()
+    for marker, code in _FAULT_WORDS:
+        if marker in words:
+            return code
+    return FaultCode.OTHER
+
+
+def outcome_of(fault: FaultCode) -> Outcome:
+    """How a motion ended that ended in this fault (table 9.3)."""
+    if fault is FaultCode.PROBE_TRIPPED:
+        return Outcome.GUARD_TRIPPED
+    return Outcome.HEARTBEAT_LOST if fault is FaultCode.HEARTBEAT_LOST else Outcome.FAULT

@@ -1,0 +1,243 @@
+"""Motion as the registers tell it: commands, outcome, latch, the fault codes, and the heartbeat watch.
+
+Source: docs/reference/modbus-register-map.md, 3, 5, 7 and 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite
+from typing import Final
+
+import numpy as np
+
+from drivers.roles import MotionState, Permission
+from simulators.wire.modbus.faults import WATCHED_FAULTS, fault_code, outcome_of
+from simulators.wire.modbus.physics import MovingMachine
+from simulators.wire.modbus.register_map import CommandCode, FaultCode, LatchResult, Outcome, ResultCode, State
+
+HEARTBEAT_WITHIN_S: Final = 1.0
+TRAVEL_TOLERANCE_MM: Final = 1e-9
+
+PERMISSION_BITS: Final = (
+    Permission.AUTOMATIC,
+    Permission.DOORS_CLOSED,
+    Permission.SPINDLE_STOPPED,
+    Permission.PROGRAM_IDLE,
+    Permission.REFERENCED,
+    Permission.NO_FAULT,
+    Permission.CONSENT,
+)
+
+STATE_OF: Final = {
+    MotionState.IDLE: State.IDLE,
+    MotionState.MOVING: State.MOVING,
+    MotionState.HELD: State.HELD,
+    MotionState.FAULT: State.FAULT,
+}
+
+
+@dataclass(frozen=True)
+class MotionOrder:
+    """A motion command with the fields that it uses."""
+
+    code: CommandCode
+    target_mm: tuple[float, ...]
+    feed_mm_per_s: float
+    tag: int = 0
+
+    @property
+    def rapid(self) -> bool:
+        return self.code in (CommandCode.MOVE_RAPID, CommandCode.GUARDED_RAPID)
+
+    @property
+    def touch(self) -> bool:
+        return self.code is CommandCode.TOUCH
+
+    @property
+    def probing(self) -> bool:
+        return self.code in (CommandCode.GUARDED_RAPID, CommandCode.GUARDED_FEED, CommandCode.TOUCH)
+
+
+class MotionRegisters:
+    """Registers 1004 … 1037 and what stands behind them.
+
+    A motion that is stopped or fails brakes first: until the axes rest, the state is moving and the outcome 1.
+    """
+
+    def __init__(self, machine: MovingMachine, now: Callable[[], float]) -> None:
+        self._machine = machine
+        self._now = now
+        self._limits = machine.limits()
+        self._order: MotionOrder | None = None
+        self._latch_before = 0
+        self._watched_since_s = 0.0
+        self._ending = False
+        self.sequence = 0
+        self.outcome = Outcome.NONE
+        self.latch_sequence = 0
+        self.latch_result = LatchResult.NONE
+        self.latched_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def state(self) -> State:
+        return STATE_OF[self._machine.motion]
+
+    @property
+    def fault(self) -> FaultCode:
+        faulty = self._machine.motion is MotionState.FAULT
+        return fault_code(self._machine.fault) if faulty else FaultCode.NONE
+
+    @property
+    def permissions(self) -> int:
+        """Register 1006."""
+        given = self._machine.permissions
+        return sum(1 << bit for bit, name in enumerate(PERMISSION_BITS) if given[name])
+
+    @property
+    def probe(self) -> int:
+        """Register 1007."""
+        machine = self._machine
+        return machine.probe_loaded | machine.probe_healthy << 1 | machine.probe_deflected << 2
+
+    def position_mm(self) -> tuple[float, float, float]:
+        x, y, z = self._machine.displayed_position()
+        return float(x), float(y), float(z)
+
+    def heartbeat_changed(self) -> None:
+        self._watched_since_s = self._now()
+
+    def wakes_at(self) -> float | None:
+        """When the watch of register 2000 expires; None while nothing moves."""
+        if self._ending or self._machine.motion is not MotionState.MOVING:
+            return None
+        return self._watched_since_s + HEARTBEAT_WITHIN_S
+
+    def observe(self) -> None:
+        """Look at the machine at this instant: end what must end, and settle the outcome of what has ended."""
+        if self.outcome is not Outcome.UNDER_WAY:
+            return
+        motion = self._machine.motion
+        if motion is MotionState.MOVING and not self._ending:
+            self._watch()
+        if self._machine.motion in (MotionState.IDLE, MotionState.FAULT):
+            self._settle()
+
+    def _watch(self) -> None:
+        lost = self._lost_while_moving()
+        if lost is not FaultCode.NONE:
+            self._ending = True
+            self._machine.fail(WATCHED_FAULTS[lost])
+
+    def _lost_while_moving(self) -> FaultCode:
+        given = self._machine.permissions
+        if not given[Permission.DOORS_CLOSED]:
+            return FaultCode.DOOR_OPENED
+        if not all(given.values()):
+            return FaultCode.PERMISSION_LOST
+        if self._order is not None and self._order.probing and not self._probe_ready():
+            return FaultCode.PROBE_LOST
+        expires_s = self._watched_since_s + HEARTBEAT_WITHIN_S
+        return FaultCode.HEARTBEAT_LOST if self._now() >= expires_s else FaultCode.NONE
+
+    def _settle(self) -> None:
+        if self._machine.motion is MotionState.FAULT:
+            self.outcome = outcome_of(self.fault)
+        elif self._ending:
+            self.outcome = Outcome.STOPPED
+        elif self._order is not None and self._order.touch:
+            self._settle_touch()
+        else:
+            self.outcome = Outcome.IN_POSITION
+
+    def _settle_touch(self) -> None:
+        latch = self._machine.latch
+        tripped = latch is not None and latch.sequence != self._latch_before
+        x, y, z = latch.position if latch is not None and tripped else self._machine.displayed_position()
+        self.latch_sequence = self.sequence
+        self.latch_result = LatchResult.TRIPPED if tripped else LatchResult.MISSED
+        self.latched_mm = (float(x), float(y), float(z))
+        self.outcome = Outcome.TRIPPED if tripped else Outcome.MISSED
+
+    def start(self, order: MotionOrder, sequence: int) -> ResultCode:
+        refusal = self._refusal(order)
+        if refusal is not None:
+            return refusal
+        target = np.array(order.target_mm)
+        latch = self._machine.latch
+        self._latch_before = latch.sequence if latch is not None else 0
+        self._machine.trace(order.tag)
+        if order.touch:
+            self._machine.begin_touch(target, order.feed_mm_per_s)
+        else:
+            self._machine.begin_move(target, None if order.rapid else order.feed_mm_per_s, order.probing)
+        self._order, self._ending = order, False
+        self.sequence, self.outcome = sequence, Outcome.UNDER_WAY
+        self._watched_since_s = self._now()
+        return ResultCode.ACCEPTED
+
+    def _refusal(self, order: MotionOrder) -> ResultCode | None:
+        if self.state is not State.IDLE:
+            return ResultCode.NOT_IN_THIS_STATE
+        if not all(self._machine.permissions.values()):
+            return ResultCode.PERMISSION_MISSING
+        return self._illegal_number(order) or self._probe_not_ready(order)
+
+    def _illegal_number(self, order: MotionOrder) -> ResultCode | None:
+        if not all(map(isfinite, (*order.target_mm, order.feed_mm_per_s))):
+            return ResultCode.ILLEGAL_VALUE
+        travel = zip(self._limits.lower_mm, order.target_mm, self._limits.upper_mm, strict=True)
+        tolerance = TRAVEL_TOLERANCE_MM
+        if not all(low - tolerance <= x <= high + tolerance for low, x, high in travel):
+            return ResultCode.OUTSIDE_TRAVEL
+        if not order.rapid and not 0.0 < order.feed_mm_per_s <= max(self._limits.rapid_mm_per_s):
+            return ResultCode.ILLEGAL_FEED
+        return None
+
+    def _probe_not_ready(self, order: MotionOrder) -> ResultCode | None:
+        if order.probing and not self._probe_ready():
+            return ResultCode.NO_PROBE
+        return ResultCode.PROBE_DEFLECTED if order.touch and self._machine.probe_deflected else None
+
+    def hold(self) -> ResultCode:
+        if self.state is State.FAULT:
+            return ResultCode.NOT_IN_THIS_STATE
+        if self.state is State.MOVING:
+            self._machine.hold()
+        return ResultCode.ACCEPTED
+
+    def resume(self) -> ResultCode:
+        if self.state is State.FAULT:
+            return ResultCode.NOT_IN_THIS_STATE
+        if self.state is State.HELD:
+            self._machine.resume()
+            self._watched_since_s = self._now()
+        return ResultCode.ACCEPTED
+
+    def stop(self) -> ResultCode:
+        """Always accepted."""
+        if self.state in (State.MOVING, State.HELD):
+            self._ending = True
+            self._machine.halt()
+            self.observe()
+        return ResultCode.ACCEPTED
+
+    def reset(self) -> ResultCode:
+        if self.state in (State.MOVING, State.HELD):
+            return ResultCode.NOT_IN_THIS_STATE
+        if self._cause_present():
+            return ResultCode.CAUSE_PRESENT
+        self._machine.reset()
+        return ResultCode.ACCEPTED
+
+    def _cause_present(self) -> bool:
+        if self.fault is FaultCode.DOOR_OPENED:
+            return not self._machine.permissions[Permission.DOORS_CLOSED]
+        if self.fault is FaultCode.PERMISSION_LOST:
+            given = self._machine.permissions
+            return not all(given[name] for name in PERMISSION_BITS if name is not Permission.NO_FAULT)
+        return self.fault is FaultCode.PROBE_LOST and not self._probe_ready()
+
+    def _probe_ready(self) -> bool:
+        return self._machine.probe_loaded and self._machine.probe_healthy

@@ -1,0 +1,128 @@
+"""The simulated controller as a Modbus RTU unit on a pseudo-terminal.
+
+A pseudo-terminal takes no time over a byte and has no baud rate of its own, so both are made here. In lockstep the
+agent leads: it spends the line's time on the machine's clock itself, and an answer is there at once. On a clock that
+runs by itself the line is truly paced: the request takes as long to arrive, the silence before the answer and each of
+its characters as long to pass, as on a cable. A client that has set another baud rate is not understood.
+"""
+
+from __future__ import annotations
+
+import os
+import termios
+from dataclasses import dataclass
+from typing import Any, Final
+
+import structlog
+
+from drivers.clock import Clock, wall_seconds
+from simulators.wire.modbus.controller import UNIT, WorldWithController, registers_behind
+from simulators.wire.modbus.frames import answer_request
+from simulators.wire.modbus.numbers import NumberFormat
+from simulators.wire.modbus.rtu_frames import NoFrame, answer_frame, take_request
+from simulators.wire.pty_port import ANY, PseudoTerminal
+from simulators.wire.shared_world import SharedWorld
+
+FAST_BAUD: Final = 19200
+FAST_GAP_S: Final = 0.00175
+PIECE: Final = 16
+"""Characters that are let go at once where the line is paced: the depth of a usual UART's buffer."""
+
+FORGOTTEN_AFTER_S: Final = 0.1
+"""Wall time after which the beginning of a request is thrown away; the standard's 1.5 characters are less than what a
+scheduler may keep two halves of one write apart."""
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True)
+class LineSettings:
+    """`place`: a path for a link to the pseudo-terminal, or `any`. Parity and stop bits only cost time here."""
+
+    place: str = ANY
+    baud: int = 19200
+    parity: str = "even"
+    stop_bits: int = 1
+
+    @property
+    def character_s(self) -> float:
+        return (1 + 8 + (0 if self.parity == "none" else 1) + self.stop_bits) / self.baud
+
+    @property
+    def gap_s(self) -> float:
+        return 3.5 * self.character_s if self.baud <= FAST_BAUD else FAST_GAP_S
+
+
+class ModbusRtuController:
+    """Serves the world's controller as unit 1. `clock` paces the line; None: the agent does (lockstep)."""
+
+    def __init__(
+        self,
+        shared: SharedWorld[WorldWithController],
+        settings: LineSettings,
+        numbers: NumberFormat | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self._shared = shared
+        self._settings = settings
+        self._clock = clock
+        self.registers = registers_behind(shared, numbers)
+        self.terminal = PseudoTerminal("modbus rtu", self._received, settings.place)
+        self._speed = getattr(termios, f"B{settings.baud}", None)
+        self._line = os.open(self.terminal.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._buffer = bytearray()
+        self._heard_s = 0.0
+        self.start = self.terminal.start
+
+    def close(self) -> None:
+        if self._line >= 0:
+            os.close(self._line)
+            self._line = -1
+        self.terminal.close()
+
+    @property
+    def agent_settings(self) -> dict[str, Any]:
+        """Options of the agent's driver."""
+        settings = self._settings
+        line = {"baud": settings.baud, "parity": settings.parity, "stop_bits": settings.stop_bits}
+        return {"serial": {"port": self.terminal.place, **line}}
+
+    def _received(self, data: bytes) -> None:
+        if self._client_speed() != self._speed:
+            log.warning("a client of another baud rate is not understood", expected=self._settings.baud)
+            self._buffer.clear()
+            return
+        now_s = wall_seconds()
+        if now_s - self._heard_s > FORGOTTEN_AFTER_S:
+            self._buffer.clear()
+        self._heard_s = now_s
+        self._buffer += data
+        try:
+            while (request := take_request(self._buffer)) is not None:
+                self._answer(*request)
+        except NoFrame as error:
+            log.warning("no sound request", received=str(error))
+
+    def _answer(self, unit: int, request: bytes) -> None:
+        if unit != UNIT:
+            log.warning("request for another unit not answered", unit=unit)
+            return
+        self._pass_characters(len(request) + 3, gap=True)
+        with self._shared.lock:
+            answer = answer_request(request, self.registers)
+        frame = answer_frame(unit, answer)
+        if self._clock is None:
+            self.terminal.send(frame)
+            return
+        for start in range(0, len(frame), PIECE):
+            piece = frame[start : start + PIECE]
+            self._pass_characters(len(piece))
+            self.terminal.send(piece)
+
+    def _pass_characters(self, count: int, *, gap: bool = False) -> None:
+        if self._clock is not None:
+            self._clock.sleep(count * self._settings.character_s + gap * self._settings.gap_s)
+
+    def _client_speed(self) -> int | None:
+        speed: int = termios.tcgetattr(self._line)[5]
+        return speed

@@ -1,0 +1,251 @@
+"""Compensation tables over registers: transfer in blocks, commit with CRC-32, two-step activation.
+
+Source: docs/reference/modbus-register-map.md, 8.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import ceil, isfinite, prod
+from typing import Final
+
+import numpy as np
+
+from drivers.roles import Activation, StoreLimits, TableImage
+from simulators.wire.modbus.numbers import NumberFormat
+from simulators.wire.modbus.physics import TableMemory
+from simulators.wire.modbus.register_map import (
+    DESCRIPTOR_LAYOUT,
+    NO_BANK_PENDING,
+    BankState,
+    ResultCode,
+)
+
+COUNTS_PER_BLOCK: Final = 60
+BYTES_PER_BLOCK: Final = 4 * COUNTS_PER_BLOCK
+ARMED_FOR_S: Final = 5.0
+
+
+@dataclass(frozen=True)
+class Descriptor:
+    """The grid of one table, as in registers 2100 … 2133."""
+
+    bank: int
+    shape: tuple[int, int, int]
+    origin_mm: tuple[float, float, float]
+    step_mm: tuple[float, float, float]
+    resolution_mm: float
+    crc: int
+
+    @classmethod
+    def decode(cls, data: bytes, numbers: NumberFormat) -> Descriptor:
+        bank, nx, ny, nz, grid, crc = DESCRIPTOR_LAYOUT.unpack(data)
+        x, y, z, dx, dy, dz, resolution = numbers.unpack(grid)
+        return cls(bank, (nx, ny, nz), (x, y, z), (dx, dy, dz), resolution, crc)
+
+    def encode(self, numbers: NumberFormat) -> bytes:
+        grid = numbers.pack(*self.origin_mm, *self.step_mm, self.resolution_mm)
+        return DESCRIPTOR_LAYOUT.pack(self.bank, *self.shape, grid, self.crc)
+
+    @property
+    def nodes(self) -> int:
+        return prod(self.shape)
+
+    @property
+    def blocks(self) -> int:
+        return ceil(3 * self.nodes / COUNTS_PER_BLOCK)
+
+    @property
+    def finite(self) -> bool:
+        return all(map(isfinite, (*self.origin_mm, *self.step_mm, self.resolution_mm)))
+
+    def fits(self, limits: StoreLimits) -> bool:
+        """Grid as the limits allow, and a positive step wherever there is more than one node."""
+        within = all(1 <= n <= most for n, most in zip(self.shape, limits.max_nodes, strict=True))
+        stepped = all(n == 1 or step > 0.0 for n, step in zip(self.shape, self.step_mm, strict=True))
+        return within and stepped and self.nodes <= limits.max_total_nodes
+
+
+@dataclass
+class _Transfer:
+    """A bank between TABLE BEGIN and COMMIT."""
+
+    descriptor: Descriptor
+    stored: bytearray = field(default_factory=bytearray)
+
+    def image(self, resolution_mm: float) -> TableImage:
+        d = self.descriptor
+        counts = np.frombuffer(bytes(self.stored[: 12 * d.nodes]), ">i4").astype(np.int32)
+        return TableImage(d.origin_mm, d.step_mm, resolution_mm, counts.reshape(*d.shape, 3))
+
+
+@dataclass(frozen=True)
+class CompleteTable:
+    """A bank as it is read back: its descriptor and its counts, big-endian, in the page's order."""
+
+    image: TableImage
+    descriptor: Descriptor
+    counts: bytes
+
+    @classmethod
+    def of(cls, bank: int, image: TableImage) -> CompleteTable:
+        counts = image.counts.astype(">i4").tobytes()
+        descriptor = Descriptor(
+            bank, image.shape, image.origin_mm, image.step_mm, image.resolution_mm, zlib.crc32(counts)
+        )
+        return cls(image, descriptor, counts)
+
+
+class TableBanks:
+    """The bank registers of STATUS and the commands that change them.
+
+    `memory` holds what is complete; a bank that is open or damaged is so only here, and `memory` keeps acting
+    with its active bank, which no transfer can touch.
+    """
+
+    def __init__(
+        self,
+        memory: TableMemory,
+        limits: StoreLimits,
+        numbers: NumberFormat,
+        now: Callable[[], float],
+    ) -> None:
+        self._memory = memory
+        self.limits = limits
+        self._numbers = numbers
+        self._now = now
+        (self._resolution_on_wire,) = numbers.unpack(numbers.pack(limits.resolution_mm))
+        self._largest_count = int(limits.max_correction_mm / limits.resolution_mm + 1e-6)
+        self._transfer: _Transfer | None = None
+        self._damaged: set[int] = set()
+        self._complete: dict[int, CompleteTable] = {}
+        self._armed_at_s = 0.0
+        self._last_nonce = 0
+        self._nonce = 0
+        self.armed_bank = 0
+        self.staged_bank = 0
+        self.pending_bank = NO_BANK_PENDING
+        self.block_acknowledge = 0
+        self.block_result = ResultCode.NONE_YET
+
+    @property
+    def active_bank(self) -> int:
+        return self._memory.active_bank
+
+    @property
+    def open_bank(self) -> int:
+        return self._transfer.descriptor.bank if self._transfer is not None else 0
+
+    @property
+    def armed_nonce(self) -> int:
+        if self._nonce and self._now() - self._armed_at_s > ARMED_FOR_S:
+            self._nonce = 0
+        return self._nonce
+
+    def state(self, bank: int) -> BankState:
+        if bank == self.open_bank:
+            return BankState.BEING_WRITTEN
+        if bank in self._damaged:
+            return BankState.DAMAGED
+        return BankState.COMPLETE if bank in self._memory.banks else BankState.EMPTY
+
+    def complete(self, bank: int) -> CompleteTable | None:
+        """The table of a complete bank; None for every other bank."""
+        if bank == 0 or self.state(bank) is not BankState.COMPLETE:
+            return None
+        image = self._memory.banks[bank]
+        known = self._complete.get(bank)
+        if known is None or known.image is not image:
+            known = self._complete[bank] = CompleteTable.of(bank, image)
+        return known
+
+    def crc(self, bank: int) -> int:
+        table = self.complete(bank)
+        return table.descriptor.crc if table is not None else 0
+
+    def begin(self, bank: int, descriptor_block: bytes) -> ResultCode:
+        descriptor = Descriptor.decode(descriptor_block, self._numbers)
+        refusal = self._refusal_to_begin(bank, descriptor)
+        if refusal is not None:
+            return refusal
+        self._damaged |= {self.open_bank} - {0}
+        self._damaged -= {bank}
+        self._transfer = _Transfer(descriptor)
+        if self.staged_bank == bank:
+            self.staged_bank = 0
+        self.block_acknowledge, self.block_result = 0, ResultCode.NONE_YET
+        self._nonce = 0
+        return ResultCode.ACCEPTED
+
+    def _refusal_to_begin(self, bank: int, descriptor: Descriptor) -> ResultCode | None:
+        if bank not in self.limits.banks or bank == 0:
+            return ResultCode.NO_SUCH_BANK
+        if bank in (self.active_bank, self.pending_bank):
+            return ResultCode.BANK_IN_USE
+        if not descriptor.finite:
+            return ResultCode.ILLEGAL_VALUE
+        same = descriptor.bank == bank and descriptor.resolution_mm == self._resolution_on_wire
+        return None if same and descriptor.fits(self.limits) else ResultCode.DESCRIPTOR_NOT_ALLOWED
+
+    def take_block(self, number: int, data: bytes) -> None:
+        """`data` is registers 2200 … 2319, `number` register 2320."""
+        transfer = self._transfer
+        if transfer is None:
+            self.block_result = ResultCode.NO_TRANSFER
+        elif number == self.block_acknowledge:
+            return  # sent again because its answer was lost
+        elif number != self.block_acknowledge + 1 or number > transfer.descriptor.blocks:
+            self.block_result = ResultCode.BLOCKS_MISSING
+        elif np.abs(np.frombuffer(data, ">i4").astype(np.int64)).max() > self._largest_count:
+            self.block_result = ResultCode.ILLEGAL_VALUE
+        else:
+            transfer.stored += data
+            self.block_result, self.block_acknowledge = ResultCode.ACCEPTED, number
+
+    def commit(self, bank: int, crc: int) -> ResultCode:
+        transfer = self._transfer
+        if transfer is None or bank != transfer.descriptor.bank:
+            return ResultCode.NO_TRANSFER
+        if self.block_acknowledge != transfer.descriptor.blocks:
+            return ResultCode.BLOCKS_MISSING
+        table = CompleteTable.of(bank, transfer.image(self.limits.resolution_mm))
+        self._transfer = None
+        if not table.descriptor.crc == crc == transfer.descriptor.crc:
+            self._damaged.add(bank)
+            return ResultCode.CRC_DIFFERS
+        self._memory.write_bank(bank, table.image)
+        self.staged_bank = bank
+        self._nonce = 0
+        return ResultCode.ACCEPTED
+
+    def arm(self, bank: int, crc: int) -> ResultCode:
+        if bank != 0 and bank not in self.limits.banks:
+            return ResultCode.NO_SUCH_BANK
+        if bank != 0 and self.state(bank) is not BankState.COMPLETE:
+            return ResultCode.NOT_COMPLETE
+        if crc != self.crc(bank):
+            return ResultCode.CRC_DIFFERS
+        self._last_nonce = self._last_nonce % 0xFFFF + 1
+        self.armed_bank, self._nonce, self._armed_at_s = bank, self._last_nonce, self._now()
+        return ResultCode.ACCEPTED
+
+    def activate(self, bank: int, nonce: int) -> ResultCode:
+        armed = self.armed_nonce
+        if not armed or nonce != armed or bank != self.armed_bank:
+            return ResultCode.NOT_ARMED
+        self._nonce, self.armed_bank = 0, 0
+        if self.limits.activation is Activation.IMMEDIATE:
+            self._memory.activate(bank)
+        else:
+            self.pending_bank = bank
+        if self.staged_bank == bank:
+            self.staged_bank = 0
+        return ResultCode.ACCEPTED
+
+    def occurred(self, event: Activation) -> None:
+        """A reset (power-up, reference) has happened: the bank that waited for it becomes active."""
+        if event is self.limits.activation and self.pending_bank != NO_BANK_PENDING:
+            self._memory.activate(self.pending_bank)
+            self.pending_bank = NO_BANK_PENDING

@@ -1,0 +1,1 @@
+"""Simulated controller that punches and reads its parameters as tapes."""

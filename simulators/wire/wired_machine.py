@@ -1,0 +1,119 @@
+"""The whole simulated machine on its links: one world, every server in front of it, and what moves its time."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.clock import RealClock, ScaledClock
+from drivers.errors import ConfigurationError, InputError
+from simulators.scenario import Scenario
+from simulators.wire.can.mounts import CanMounts, drives_of
+from simulators.wire.control_channel import ControlServer
+from simulators.wire.grbl.port import GrblPort
+from simulators.wire.modbus.controller import ModbusController
+from simulators.wire.modbus.numbers import Float64Numbers, NumberFormat
+from simulators.wire.modbus.rtu import LineSettings, ModbusRtuController
+from simulators.wire.shared_world import SharedWorld
+from simulators.wire.time_server import Ticker, TimeServer
+from simulators.world.world import World
+
+Address = tuple[str, int]
+
+
+@dataclass(frozen=True)
+class Links:
+    """Where to listen. `speed` is machine seconds per wall second, None for lockstep at `time`. With `modbus_rtu` the
+    controller is on that serial line instead of on TCP: it has one master."""
+
+    modbus: Address
+    control: Address
+    can: str | None = None
+    time: Address = ("127.0.0.1", 0)
+    speed: float | None = None
+    numbers: NumberFormat = field(default_factory=Float64Numbers)
+    modbus_rtu: LineSettings | None = None
+    serial: str | None = None
+    """GRBL on a pseudo-terminal besides: the path of a link to it, or ``any``."""
+
+
+class MachineOnWires:
+    """Every link is open when this is built; `start` begins to serve, `close` ends everything.
+
+    Raises ConfigurationError where a link cannot be had or the scenario does not fit the register map.
+    """
+
+    def __init__(self, scenario: Scenario, links: Links) -> None:
+        self.world = World(scenario)
+        self._shared = SharedWorld(self.world)
+        self._can: CanMounts | None = None
+        self._servers: list[
+            ModbusController | ModbusRtuController | ControlServer | GrblPort | TimeServer | Ticker | CanMounts
+        ] = []
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self.modbus = self._controller(links)
+            self._servers.append(self.modbus)
+            self.control = ControlServer(self._shared, links.control, self._fail_drive)
+            self._servers.append(self.control)
+            if links.can is not None:
+                self._can = CanMounts(links.can, tuple(self.world.mounts.values()), self._shared.lock)
+                self._servers.append(self._can)
+                self._shared.subscribe(self._can.advance)
+            self.serial = GrblPort(self._shared, links.serial) if links.serial is not None else None
+            if self.serial is not None:
+                self._servers.append(self.serial)
+            self.time = TimeServer(self._shared, links.time) if links.speed is None else None
+            self._servers.append(self.time or Ticker(self._shared, _clock(links.speed)))
+            undo.pop_all()
+
+    def _controller(self, links: Links) -> ModbusController | ModbusRtuController:
+        if links.modbus_rtu is None:
+            return ModbusController(self._shared, links.modbus, links.numbers)
+        clock = None if links.speed is None else _clock(links.speed)
+        return ModbusRtuController(self._shared, links.modbus_rtu, links.numbers, clock)
+
+    def _fail_drive(self, node_id: int, fault: str) -> None:
+        if self._can is None:
+            raise InputError("no mount is on a CAN bus here", hint="start the simulator with --can")
+        self._can.fail(node_id, fault)
+
+    def start(self) -> None:
+        for server in self._servers:
+            server.start()
+
+    def close(self) -> None:
+        """Time stops first, so that nothing is sent on a link that has gone."""
+        while self._servers:
+            self._servers.pop().close()
+
+    def ready_line(self) -> dict[str, Any]:
+        """What the other side must know: addresses as they are, stations, and the drives on the bus: of the first mount
+        and of all, by their number, which is that of the station where each has its own."""
+        settings = self.world.scenario.settings
+        nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drives_of(len(self.world.mounts))]
+        return {
+            "modbus": self.modbus.agent_settings,
+            "control": _place(self.control.address),
+            "time": _place(self.time.address) if self.time is not None else None,
+            "can": self._can.agent_settings if self._can is not None else None,
+            "can_nodes": nodes[0] if self._can is not None else {},
+            "can_mounts": {str(number): pair for number, pair in enumerate(nodes, 1)} if self._can is not None else {},
+            "serial": self.serial.agent_settings if self.serial is not None else None,
+            "stations": [list(place) for place in settings.stations_mm],
+            "standing_at": settings.standing_at,
+        }
+
+
+def _clock(speed: float | None) -> RealClock | ScaledClock:
+    if speed is None or speed == 1.0:
+        return RealClock()
+    if not 0.0 < speed <= 1000.0:
+        raise ConfigurationError(f"the clock cannot run {speed:g} times as fast", hint="between 0 and 1000")
+    return ScaledClock(speed)
+
+
+def _place(address: Address) -> dict[str, str | int]:
+    host, port = address
+    return {"host": host, "port": port}

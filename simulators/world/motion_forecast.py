@@ -1,0 +1,75 @@
+"""What a motion will meet, found when it begins; and what becomes of its law because of it."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+from twin.collision.bodies import TIP
+from twin.collision.geometry import Point
+from twin.collision.motion_law import MotionLaw, Path
+
+
+class Kind(Enum):
+    POSITIONING = "positioning move"
+    GUARDED = "guarded move"
+    TOUCH = "touch"
+
+
+class Command(NamedTuple):
+    """What was asked for. `speed` is along the path, mm/s, already within what the axes can do."""
+
+    kind: Kind
+    target: Point
+    path: Path
+    speed: float
+    acceleration: float
+
+
+class Crash(NamedTuple):
+    """Two bodies meet after `distance` mm of path."""
+
+    distance: float
+    moving: str
+    obstacle: str
+
+
+class Outlook(NamedTuple):
+    """Everything along the path of a command: where the probe would trip, where something would crash if it
+    went on, and where a probe that was deflected at the start comes free."""
+
+    trip_mm: float | None = None
+    crash: Crash | None = None
+    free_mm: float = 0.0
+
+
+class Course(NamedTuple):
+    """The law as it will really go, and when what happens on it."""
+
+    law: MotionLaw
+    trip_s: float | None
+    crash: Crash | None
+    free_s: float
+    end_s: float
+
+
+def course_of(law: MotionLaw, outlook: Outlook, deceleration: float) -> Course:
+    """`law` as commanded -> stopped by a trip, cut by a crash."""
+    trip_s = None
+    if outlook.trip_mm is not None and outlook.trip_mm <= law.end_distance:
+        trip_s = law.time_at(outlook.trip_mm)
+        law = law.braked(trip_s, deceleration)
+    crash = outlook.crash if outlook.crash and outlook.crash.distance <= law.end_distance else None
+    if crash is not None:
+        law = law.cut(law.time_at(crash.distance))
+    free_s = law.time_at(outlook.free_mm) if outlook.free_mm > 0.0 else law.start_s
+    return Course(law, trip_s, crash, free_s, law.end_s)
+
+
+def earliest(*crashes: Crash | None) -> Crash | None:
+    met = [crash for crash in crashes if crash is not None]
+    return min(met, key=lambda crash: crash.distance, default=None)
+
+
+def tip_on(ball: str, distance: float) -> Crash:
+    return Crash(distance, TIP, ball)

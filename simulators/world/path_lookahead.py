@@ -1,0 +1,64 @@
+"""Looks along the path of a command before it begins: contacts of the tip, collisions of everything else."""
+
+from __future__ import annotations
+
+from drivers.errors import CommandRejected
+from simulators.world.contact import ContactSolver
+from simulators.world.motion_forecast import Command, Crash, Kind, Outlook, earliest, tip_on
+from simulators.world.trigger import Trigger
+from simulators.world.workpiece import Standing
+from twin.collision.geometry import Point, added
+
+
+class Foresight:
+    """Bodies meet within 0.1 mm of the nominal tip, so collisions are swept there; contacts are exact."""
+
+    def __init__(self, tool_offset: Point, contacts: ContactSolver, trigger: Trigger) -> None:
+        self._tool = tool_offset
+        self._contacts = contacts
+        self._trigger = trigger
+
+    def outlook(self, command: Command, standing: Standing, resting: int | None, touch: int) -> Outlook:
+        """`resting`: the ball that deflects the probe at the start. CommandRejected for a watched motion that
+        would press on."""
+        free_mm, pressed = self._from_rest(command, standing, resting)
+        contact = self._contacts.first(command.path, standing, resting)
+        if contact is None:
+            return Outlook(None, earliest(pressed, self._swept(command, standing, None, resting)), free_mm)
+        if command.kind is Kind.POSITIONING:
+            met = tip_on(standing.ball_names[contact.ball], contact.distance)
+            swept = self._swept(command, standing, contact.distance, resting)
+            return Outlook(None, earliest(pressed, met, swept), free_mm)
+        trip_mm = contact.distance + self._trigger.travel_mm(command.path.direction, touch)
+        stopped = trip_mm + 0.5 * command.speed**2 / command.acceleration
+        spent = tip_on(standing.ball_names[contact.ball], contact.distance + self._trigger.overtravel_mm)
+        swept = self._swept(command, standing, stopped, contact.ball)
+        return Outlook(max(trip_mm, 0.0), earliest(spent, swept), free_mm)
+
+    def _from_rest(self, command: Command, standing: Standing, resting: int | None) -> tuple[float, Crash | None]:
+        """Where a deflected probe comes free, and where it is pressed too far instead."""
+        if resting is None:
+            return 0.0, None
+        centre = standing.balls[resting]
+        if command.kind is Kind.TOUCH:
+            raise CommandRejected("the probe is deflected before the touch", hint="back off first")
+        if not self._contacts.pressing(command.path, centre):
+            return self._contacts.leaving(command.path, centre), None
+        if command.kind is Kind.GUARDED:
+            raise CommandRejected("the probe is deflected and the move would press on", hint="move it free")
+        deeper = self._contacts.deeper(command.path, centre, self._trigger.overtravel_mm)
+        pressed = None if deeper is None else tip_on(standing.ball_names[resting], deeper)
+        return self._contacts.leaving(command.path, centre), pressed
+
+    def _swept(self, command: Command, standing: Standing, until_mm: float | None, touched: int | None) -> Crash | None:
+        """First collision of any body but the tip on a ball; the stem yields with the tip on the ball touched."""
+        path = command.path
+        length = path.length if until_mm is None else min(until_mm, path.length)
+        if length == 0.0:
+            return None
+        meant = standing.meant
+        if touched is not None:
+            meant = meant | {("stem", standing.ball_names[touched])}
+        start, end = added(path.start, self._tool), added(path.at(length), self._tool)
+        hit = standing.scene.first_hit(start, end, ignored=meant)
+        return None if hit is None else Crash(hit.fraction * length, hit.moving, hit.obstacle)

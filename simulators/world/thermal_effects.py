@@ -1,0 +1,119 @@
+"""What thermometers tell, and what the warmth of the machine does to its tip and to its field."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulators.temperatures import TemperatureSettings
+from simulators.world.field import ZERO, FieldOfMany
+from simulators.world.noise import generator
+from simulators.world.thermal_state import Warming
+from twin.arrays import Array
+from twin.collision.geometry import Point
+from twin.machine.error_model import Ranges
+
+ARTEFACT, MACHINE, AMBIENT = "artefact", "machine", "ambient"
+
+
+class Thermal:
+    """`ranges_mm` of the axes and `tool_offset_mm` give the levers on which warmth acts; `seed` that of all noise."""
+
+    def __init__(
+        self,
+        settings: TemperatureSettings,
+        ranges_mm: Ranges = ((0.0, 1.0), (0.0, 1.0), (0.0, 1.0)),
+        tool_offset_mm: Point = ZERO,
+        seed: int = 0,
+    ) -> None:
+        self._settings = settings
+        self._ranges_mm = ranges_mm
+        self._tool_offset_mm = tool_offset_mm
+        self._seed = seed
+        self.warming = Warming(settings)
+
+    # ------------------------------------------------------------------ what it tells
+
+    def temperatures_c(self, now_s: float) -> dict[str, float]:
+        """Named temperatures as the sensors tell them."""
+        s = self._settings
+        then_s = max(now_s - s.sensor_lag_s, 0.0)
+        told = {ARTEFACT: self.warming.artefact_c(then_s), MACHINE: self.warming.machine_c(then_s)}
+        told[AMBIENT] = self.warming.ambient_c(then_s)
+        for number in range(2, s.artefact_sensors + 1):
+            told[f"{ARTEFACT}-{number}"] = told[ARTEFACT]
+        return {name: value + self._error_k(name, now_s) for name, value in told.items()}
+
+    def _error_k(self, name: str, now_s: float) -> float:
+        s = self._settings
+        offset = s.sensor_offset_k.get(name, 0.0)
+        if s.sensor_noise_k == 0.0:
+            return offset
+        reading = generator(self._seed, f"thermometer {name} {round(1e3 * now_s)}")
+        return offset + s.sensor_noise_k * float(reading.standard_normal())
+
+    # ------------------------------------------------------------------ what it does
+
+    def drift_mm(self, now_s: float) -> Point:
+        """(3,) of the tip since the start."""
+        if self.warming.machine_stays:
+            return ZERO
+        warmed = self.warming.machine_warmed_k(now_s)
+        x, y, z = self._settings.growth_um_per_k
+        return x * warmed * 1e-3, y * warmed * 1e-3, z * warmed * 1e-3
+
+    def field(self, now_s: float) -> FieldOfMany | None:
+        """By how much the machine's field has changed since the start; None where it has not."""
+        if self.warming.machine_stays:
+            return None
+        s = self._settings
+        warmed = self.warming.machine_warmed_k(now_s)
+        stretch = 1e-6 * warmed * np.array(s.scale_um_per_m_k)
+        bend_mm = 1e-3 * s.bend_um_per_k * self.warming.column_warmed_k(now_s)
+        if bend_mm == 0.0 and not stretch.any():
+            return None
+        return WarmField(stretch, bend_mm, self._ranges_mm, self._tool_offset_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class WarmField:
+    """`stretch` (3,) of the scales, about zero; the top of the column is `bend_mm` off along Y.
+
+    The column is a beam held at its foot and heated from one side: off by w = bend ((z - z0)/Lz)², and its slope turns
+    what it carries about X, so that a tool that reaches out along Y dips.
+    """
+
+    stretch: Array
+    bend_mm: float
+    ranges_mm: Ranges
+    tool_offset_mm: Point
+
+    def __call__(self, axis_positions: Array) -> Array:
+        """(n, 3) bare axis positions -> (n, 3) mm."""
+        change = axis_positions * self.stretch
+        low, high = self.ranges_mm[2]
+        height = (axis_positions[:, 2] - low) / (high - low)
+        change[:, 1] += self.bend_mm * height**2
+        slope = 2.0 * self.bend_mm * height / (high - low)
+        change[:, 2] -= slope * (axis_positions[:, 1] + self.tool_offset_mm[1])
+        return np.asarray(change)
+
+
+def bow_mm(settings: TemperatureSettings, warming: Warming, now_s: float) -> float:
+    """By how much the artefact is bowed at its middle."""
+    if settings.artefact_bow_um_per_k == 0.0:
+        return 0.0
+    return 1e-3 * settings.artefact_bow_um_per_k * warming.artefact_behind_k(now_s)
+
+
+def bowed(balls: Array, bow: float) -> Array:
+    """Balls (N, 3) of an artefact along X bowed as an arc, its ends held, the middle off by `bow` mm along Z."""
+    along = balls[:, 0]
+    half = 0.5 * float(np.ptp(along))
+    if bow == 0.0 or not math.isfinite(half) or half == 0.0:
+        return balls
+    out = balls.copy()
+    out[:, 2] += bow * (1.0 - ((along - along.mean()) / half) ** 2)
+    return out

@@ -1,0 +1,1 @@
+"""The ball artefact: certificate, position sets, touches, sphere fit and observations."""

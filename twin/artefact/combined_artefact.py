@@ -1,0 +1,63 @@
+"""Several artefacts of one kind in one estimate: each its own certificate, one material.
+
+A position holds balls of one artefact only and has a pose of its own, so that the artefacts need not know of each
+other: their balls are listed one after the other, each in the frame of its own, and nothing ties their certificates.
+The error of the expansion coefficient is common to all, as of bars from one melt; were it not, the common one would
+still be the more cautious for the scales, which a common strain moves and strains of both signs do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.artefact.artefact import Artefact
+from twin.errors import DataError
+
+KIND = (
+    "ball_diameter_mm",
+    "reference_temperature_c",
+    "cte_per_k",
+    "cte_standard_uncertainty_per_k",
+    "holder_length_mm",
+    "sag_mm",
+)
+
+
+def joined(artefacts: Sequence[Artefact]) -> Artefact:
+    """Balls of all, those of the first first. DataError for none, and for artefacts of different kinds."""
+    if not artefacts:
+        raise DataError("no artefact at all")
+    first = artefacts[0]
+    for other in artefacts[1:]:
+        _require_one_kind(first, other)
+    covariance = np.zeros((sum(3 * a.count for a in artefacts),) * 2)
+    at = 0
+    for artefact in artefacts:
+        size = 3 * artefact.count
+        covariance[at : at + size, at : at + size] = artefact.covariance
+        at += size
+    return replace(
+        first,
+        name=" + ".join(dict.fromkeys(a.name for a in artefacts)),
+        certificate="; ".join(a.certificate for a in artefacts),
+        balls=np.concatenate([a.balls for a in artefacts]),
+        covariance=covariance,
+        members=tuple(number for number, a in enumerate(artefacts) for _ in range(a.count)),
+    )
+
+
+def _require_one_kind(first: Artefact, other: Artefact) -> None:
+    if other.count != first.count:
+        raise DataError(
+            f"'{other.name}' has {other.count} balls, '{first.name}' has {first.count}",
+            hint="artefacts of one run must be of one kind",
+        )
+    for name in KIND:
+        if getattr(other, name) != getattr(first, name):
+            raise DataError(
+                f"'{other.name}' has {name} = {getattr(other, name):g}, '{first.name}' has {getattr(first, name):g}",
+                hint="artefacts of one run must be of one kind: only their ball centres and certificates may differ",
+            )

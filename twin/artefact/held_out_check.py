@@ -1,0 +1,120 @@
+"""Held-out positions against what an estimate predicts for them.
+
+What is compared is free of the pose: from the ball centres of a position the best rigid placement of the
+calibrated artefact is taken out, and what is left is a deviation of the machine (and noise). Its covariance is
+that of the estimate, of the misfit that the estimate states, of the certificate and of the touches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.errors import DataError
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """`placed_mm` (n, 3): the calibrated balls in their best place; `residuals_mm` (n, 3): what was found, less that.
+
+    `rms_mm`: root of the mean squared residual of a ball, scaled to the freedom that the poses leave.
+    """
+
+    placed_mm: Array
+    residuals_mm: Array
+    rms_mm: float
+    freedom: int
+
+
+@dataclass(frozen=True)
+class HeldOutTest:
+    """`predicted_mm`: the rms that the covariance leads one to expect; χ² per degree of freedom."""
+
+    predicted_mm: float
+    chi2_normalised: float
+    freedom: int
+
+
+def held_out(observations: Observations, tool_points: Array, artefact: Artefact) -> HeldOut:
+    """Place the calibrated artefact through `tool_points` (n, 3), position by position, and see what is left.
+
+    `tool_points` mm, workpiece frame: where the controller says that the stylus centre was, one for each row.
+    Raises DataError for a position with fewer than three balls.
+    """
+    placed = np.zeros((observations.size, 3))
+    freedom = 0
+    for rows in _by_position(observations):
+        balls = _balls(observations, artefact, rows)
+        if len(rows) < 3:
+            raise DataError(f"a position with {len(rows)} balls cannot be placed", hint="three are needed")
+        rotation = _rotation(balls, tool_points[rows])
+        placed[rows] = (balls - balls.mean(axis=0)) @ rotation.T + tool_points[rows].mean(axis=0)
+        freedom += 3 * len(rows) - 6
+    residuals = tool_points - placed
+    return HeldOut(placed, residuals, float(np.sqrt(3.0 / freedom * np.sum(residuals**2))), freedom)
+
+
+def held_out_test(
+    observations: Observations, result: HeldOut, artefact: Artefact, field_covariance: Array
+) -> HeldOutTest:
+    """Compare `result` with what its covariance leads one to expect.
+
+    `field_covariance` (3n, 3n) mm², row by row x, y, z: of the deviation that is left at the observed points
+    (estimate and misfit). Touch noise and certificate are added here.
+    """
+    n = observations.size
+    total = field_covariance.copy()
+    carried = np.zeros((3 * n, 3 * artefact.count))
+    bases = []
+    for row in range(n):
+        total[3 * row : 3 * row + 3, 3 * row : 3 * row + 3] += observations.covariance[row]
+    for rows in _by_position(observations):
+        rotation = _rotation(_balls(observations, artefact, rows), result.placed_mm[rows])
+        for row in rows:
+            ball = int(observations.ball[row])
+            carried[3 * row : 3 * row + 3, 3 * ball : 3 * ball + 3] = rotation
+        bases.append(_pose_free_basis(result.placed_mm[rows], rows, n))
+    basis = np.concatenate(bases, axis=1)
+    covariance = basis.T @ (total + carried @ artefact.covariance @ carried.T) @ basis
+    left = basis.T @ result.residuals_mm.reshape(-1)
+    chi2 = float(left @ np.linalg.solve(covariance, left))
+    predicted = float(np.sqrt(3.0 * np.trace(covariance) / len(left)))
+    return HeldOutTest(predicted, chi2 / len(left), len(left))
+
+
+def _by_position(observations: Observations) -> list[Indices]:
+    return [np.flatnonzero(observations.position == k) for k in np.unique(observations.position)]
+
+
+def _balls(observations: Observations, artefact: Artefact, rows: Indices) -> Array:
+    """Calibrated centres (m, 3) in the artefact frame at the temperature and elevation of these rows."""
+    temperature = float(observations.temperature_c[rows].mean())
+    balls: Array = artefact.at(temperature, float(observations.elevation_rad[rows[0]]))
+    return balls[observations.ball[rows]]
+
+
+def _rotation(balls: Array, points: Array) -> Array:
+    """Best rotation (3, 3) from `balls` to `points`, both (m, 3) (Kabsch)."""
+    u, _, vt = np.linalg.svd((points - points.mean(axis=0)).T @ (balls - balls.mean(axis=0)))
+    rotation: Array = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return rotation
+
+
+def _pose_free_basis(placed: Array, rows: Indices, count: int) -> Array:
+    """Orthonormal columns (3n, 3m - 6) square to every small rigid motion of the balls of one position."""
+    arms = placed - placed.mean(axis=0)
+    motions = np.zeros((len(rows), 3, 6))
+    motions[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    for axis in range(3):
+        motions[:, :, 3 + axis] = np.cross(np.eye(3)[axis], arms) / max(float(np.abs(arms).max()), 1e-9)
+    full, _ = np.linalg.qr(motions.reshape(-1, 6), mode="complete")
+    basis = np.zeros((3 * count, 3 * len(rows) - 6))
+    basis[(3 * rows[:, None] + np.arange(3)).reshape(-1)] = full[:, 6:]
+    return basis

@@ -1,0 +1,1 @@
+"""Bodies, swept volumes and collision-free paths of the probe."""

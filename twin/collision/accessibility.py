@@ -1,0 +1,112 @@
+"""Which balls a straight probe can touch by its pattern: nothing in the way there, at contact and in between."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import MountGeometry, mount_pose
+from twin.artefact.touch_pattern import approach_directions
+from twin.collision.bodies import TIP, Body, ProbeGeometry, artefact_bodies, ball_name, mount_bodies
+from twin.collision.collision import Scene
+from twin.collision.geometry import Capsule, Point, added, point
+
+STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
+"""The probe geometry describes probes that point along +Y."""
+
+AT_CONTACT_MM = 0.5
+"""Clearance from start to rest: there the ball itself says where the tip is, and its holder is fixed to it."""
+
+FIVE_TOUCHES = approach_directions(5, STYLUS_AXIS)
+
+_Leg = tuple[Point, Point]
+
+
+def standing_scene(
+    artefact: Artefact,
+    probe: ProbeGeometry,
+    geometry: MountGeometry,
+    *,
+    place_mm: Array,
+    azimuth_rad: float,
+    elevation_rad: float,
+    further: Sequence[Body] = (),
+) -> tuple[Array, Scene]:
+    """Nominal ball centres (N, 3) mm in the workpiece frame, and the scene of all bodies, for one position.
+
+    `further`: what else stands in the workspace.
+    """
+    pose = mount_pose(place_mm, geometry, azimuth_rad, elevation_rad)
+    around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place_mm, pose), *further)
+    return pose.applied(artefact.balls), Scene(probe.bodies(), around)
+
+
+def accessible(
+    centres: Array,
+    scene: Scene,
+    *,
+    contact_mm: float,
+    approach_mm: float,
+    directions: Array = FIVE_TOUCHES,
+    clearance_mm: float = 1.0,
+    overtravel_mm: float = 0.0,
+) -> NDArray[np.bool_]:
+    """(N,) bool: balls that can be touched along every one of `directions` (k, 3), the pole first.
+
+    `contact_mm` is ball and tip radius together; a touch begins `approach_mm` outside contact and comes to rest
+    `overtravel_mm` behind it. Checked is the whole way: along the stylus from the plane before the ball to where the
+    touch begins, from there to rest, and in that plane from one touch to the next. Probe and ram reach straight back
+    along -Y from every place of the tip, so that on the way in along Y the tip alone sweeps anything new: a tip drawn
+    out backwards stands for it.
+    """
+    out = contact_mm + approach_mm
+    starts = -directions * out
+    before = starts.copy()
+    before[:, 1] = -out
+    touching = _legs(starts, -directions * (contact_mm - overtravel_mm))
+    between = _legs(before[:-1], before[1:])
+    drawn_out = {way: Scene(_with_long_tip(scene.moving, way), scene.obstacles) for way in _ways_in(starts, before)}
+    begins = list(zip(_ways_in(starts, before), (point(start) for start in starts), strict=True))
+
+    longest = drawn_out[max(drawn_out)]
+
+    def free(index: int, centre: Point) -> bool:
+        meant = {(TIP, ball_name(index)), ("stem", ball_name(index))}
+        lower, upper = added(centre, (-out, -out, -out)), added(centre, (out, 0.0, out))
+        if not any(_unmeant(longest, lower, upper, clearance_mm, meant)):
+            return True
+        return all(
+            drawn_out[way].clearance(added(centre, begin), ignored=meant, at_most=clearance_mm) >= clearance_mm
+            for way, begin in begins
+        ) and not any(
+            scene.first_hit(added(centre, a), added(centre, b), clearance_mm=apart_mm, ignored=meant)
+            for legs, apart_mm in ((touching, min(clearance_mm, AT_CONTACT_MM)), (between, clearance_mm))
+            for a, b in legs
+        )
+
+    return np.array([free(index, point(centre)) for index, centre in enumerate(centres)])
+
+
+def _legs(starts: Array, ends: Array) -> list[_Leg]:
+    return [(point(start), point(end)) for start, end in zip(starts, ends, strict=True)]
+
+
+def _ways_in(starts: Array, before: Array) -> list[float]:
+    """Along the stylus, mm; rounded so that each latitude has one."""
+    return [round(way, 6) for way in (starts - before)[:, 1].tolist()]
+
+
+def _with_long_tip(moving: tuple[Body, ...], length_mm: float) -> list[Body]:
+    radius = next(body.shape.radius for body in moving if body.name == TIP and isinstance(body.shape, Capsule))
+    long_tip = Body(TIP, Capsule((0.0, 0.0, 0.0), (0.0, -length_mm, 0.0), radius))
+    return [long_tip if body.name == TIP else body for body in moving]
+
+
+def _unmeant(scene: Scene, lower: Point, upper: Point, clearance_mm: float, meant: set[tuple[str, str]]) -> list[bool]:
+    """One entry for each pair of bodies whose boxes meet somewhere between; no exact distance is asked for."""
+    pairs = scene.near(lower, upper, clearance_mm)
+    return [True for i, j in pairs if (scene.moving[i].name, scene.obstacles[j].name) not in meant]

@@ -1,0 +1,122 @@
+"""The bodies that can collide: probe and ram on one side, artefact, mount and table on the other.
+
+The moving bodies are given relative to the stylus tip centre and the probe points along +Y, as the ram does;
+machine axes only translate, so they never turn. The standing ones are in the workpiece frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import MountGeometry, Pose
+from twin.collision.geometry import Box, Capsule, Point, Shape, point, sphere
+from twin.errors import DataError
+
+TIP = "tip"
+TABLE = "table"
+TABLE_THICKNESS_MM = 500.0
+TABLE_SPAN_MM = 1e5
+
+
+@dataclass(frozen=True)
+class Body:
+    name: str
+    shape: Shape
+
+
+@dataclass(frozen=True)
+class ProbeGeometry:
+    """Lengths along the tool from the tip centre back to the ram's face; mm.
+
+    `reach_mm` is the whole length (the tool offset along Y); what is not stem is probe body. Square ram.
+    """
+
+    tip_radius_mm: float = 3.0
+    stem_radius_mm: float = 1.5
+    stem_length_mm: float = 100.0
+    body_radius_mm: float = 25.0
+    reach_mm: float = 250.0
+    ram_half_width_mm: float = 80.0
+    ram_length_mm: float = 1600.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value > 0.0:
+                raise DataError(f"{name} must be positive, got {value}", key=f"probe.{name}")
+        if self.reach_mm < self.stem_length_mm + 2.0 * self.body_radius_mm:
+            raise DataError(
+                f"reach_mm {self.reach_mm} is too short for the stem and the body of the probe",
+                hint="reach_mm >= stem_length_mm + 2 * body_radius_mm",
+                key="probe.reach_mm",
+            )
+
+    def bodies(self) -> tuple[Body, ...]:
+        """Tip, stem, probe body and ram relative to the tip centre."""
+        stem_end, ram_face, half = -self.stem_length_mm, -self.reach_mm, self.ram_half_width_mm
+        body_front, body_back = stem_end - self.body_radius_mm, ram_face + self.body_radius_mm
+        return (
+            Body(TIP, sphere((0.0, 0.0, 0.0), self.tip_radius_mm)),
+            Body("stem", Capsule((0.0, 0.0, 0.0), (0.0, stem_end, 0.0), self.stem_radius_mm)),
+            Body("probe body", Capsule((0.0, body_front, 0.0), (0.0, body_back, 0.0), self.body_radius_mm)),
+            Body("ram", Box((-half, ram_face - self.ram_length_mm, -half), (half, ram_face, half))),
+        )
+
+
+def ball_name(index: int) -> str:
+    """Balls are counted from 0, as in the artefact's file."""
+    return f"ball {index}"
+
+
+def post_name(index: int) -> str:
+    """The holder of a ball."""
+    return f"post {index}"
+
+
+def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> tuple[Body, ...]:
+    """Balls, posts and bar as they stand with `pose`. The bar comes in pieces from post to post: the boxes
+    around short pieces of a slanting bar keep a broad search sharp."""
+    centres = pose.applied(artefact.balls)
+    feet_frame = artefact.balls.copy()
+    feet_frame[:, 1:] = 0.0
+    feet = [point(foot) for foot in pose.applied(feet_frame)]
+    balls = [Body(ball_name(i), sphere(point(c), artefact.ball_radius_mm)) for i, c in enumerate(centres)]
+    posts = [
+        Body(post_name(i), Capsule(foot, point(centre), geometry.post_radius_mm))
+        for i, (foot, centre) in enumerate(zip(feet, centres, strict=True))
+    ]
+    return (*balls, *posts, *_bar_pieces(artefact, geometry, pose))
+
+
+def mount_bodies(geometry: MountGeometry, place_mm: Array, pose: Pose) -> tuple[Body, ...]:
+    """Shaft, pedestal and table under the mount at `place_mm` (3,)."""
+    place = point(place_mm)
+    x, y, z = place
+    return (
+        Body("shaft", Capsule(place, point(pose.centre), geometry.shaft_radius_mm)),
+        Body(
+            "pedestal",
+            Capsule((x, y, geometry.table_z_mm), (x, y, z + geometry.head_mm), geometry.pedestal_radius_mm),
+        ),
+        _table(geometry),
+    )
+
+
+def _bar_pieces(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> list[Body]:
+    stops = sorted(artefact.balls[:, 0].tolist())
+    stops[0] -= geometry.bar_overhang_mm
+    stops[-1] += geometry.bar_overhang_mm
+    ends = [_on_bar(pose, stop) for stop in stops]
+    return [Body("bar", Capsule(start, end, geometry.bar_radius_mm)) for start, end in pairwise(ends)]
+
+
+def _on_bar(pose: Pose, along_mm: float) -> Point:
+    return point(pose.centre + along_mm * pose.rotation[:, 0])
+
+
+def _table(geometry: MountGeometry) -> Body:
+    top = geometry.table_z_mm
+    lower = (-TABLE_SPAN_MM, 0.0, top - TABLE_THICKNESS_MM)
+    return Body(TABLE, Box(lower, (TABLE_SPAN_MM, TABLE_SPAN_MM, top)))

@@ -1,0 +1,139 @@
+"""What the probe and ram hit on a straight move: a broad search by boxes, then exact distances."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from operator import or_
+
+from twin.collision.bodies import Body
+from twin.collision.geometry import Point, separation, swept_contact
+
+_NOTHING: Mapping[tuple[str, str], float] = {}
+
+
+@dataclass(frozen=True)
+class Hit:
+    """The first contact of a move: how far along it (0..1), and which two bodies."""
+
+    fraction: float
+    moving: str
+    obstacle: str
+
+
+class Scene:
+    """Moving bodies (relative to the tip centre) among standing ones; build anew when those move.
+
+    Kept are the boxes around the moving bodies, and axis by axis what the boxes around the standing ones span.
+    """
+
+    def __init__(self, moving: Sequence[Body], obstacles: Sequence[Body]) -> None:
+        self.moving = tuple(moving)
+        self.obstacles = tuple(obstacles)
+        self._boxes = [(body.shape.lower, body.shape.upper) for body in self.moving]
+        lower, upper = [body.shape.lower for body in self.obstacles], [body.shape.upper for body in self.obstacles]
+        self._spans = [_Spans.of([low[axis] for low in lower], [high[axis] for high in upper]) for axis in range(3)]
+
+    def first_hit(
+        self,
+        start: Point,
+        end: Point,
+        *,
+        clearance_mm: float = 0.0,
+        ignored: Collection[tuple[str, str]] = (),
+    ) -> Hit | None:
+        """First contact (within `clearance_mm`) when the tip centre goes straight from `start` to `end`.
+
+        `ignored` holds (moving, obstacle) names that are meant to touch. Exact for translation; mm.
+        """
+        displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
+        first: Hit | None = None
+        for i, j in self.near(start, end, clearance_mm):
+            body, obstacle = self.moving[i], self.obstacles[j]
+            if (body.name, obstacle.name) in ignored:
+                continue
+            fraction = swept_contact(body.shape, obstacle.shape, displacement, clearance_mm, start)
+            if fraction is not None and (first is None or fraction < first.fraction):
+                first = Hit(fraction, body.name, obstacle.name)
+        return first
+
+    def free(
+        self, start: Point, end: Point, clearance_mm: float, closer: Mapping[tuple[str, str], float] = _NOTHING
+    ) -> bool:
+        """Whether every two bodies keep `clearance_mm` from each other while the tip goes from `start` to `end`.
+
+        `closer`: (moving, obstacle) names → what these two keep instead, where that is less. Bodies that are nearer
+        at the start may go away from each other, as in `first_hit`.
+        """
+        displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
+        for i, j in self.near(start, end, clearance_mm):
+            body, obstacle = self.moving[i], self.obstacles[j]
+            apart_mm = min(clearance_mm, closer.get((body.name, obstacle.name), clearance_mm))
+            if swept_contact(body.shape, obstacle.shape, displacement, apart_mm, start) is not None:
+                return False
+        return True
+
+    def shifted(self, by: Point) -> Scene:
+        """The same with everything that stands moved by `by`."""
+        return Scene(self.moving, [Body(body.name, body.shape.moved(by)) for body in self.obstacles])
+
+    def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = (), at_most: float = math.inf) -> float:
+        """Smallest distance in mm of any two bodies with the tip centre at `tip`; negative where they overlap.
+
+        Distances beyond `at_most` are of no interest: then `at_most` is the answer, and found faster.
+        """
+        smallest = at_most
+        for i, j in self.near(tip, tip, at_most):
+            body, obstacle = self.moving[i], self.obstacles[j]
+            if (body.name, obstacle.name) not in ignored:
+                smallest = min(smallest, separation(body.shape.moved(tip), obstacle.shape)[0])
+        return smallest
+
+    def near(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
+        """Indices (moving, obstacle) of the pairs whose surrounding boxes, swept along the move, meet."""
+        (x0, y0, z0), (x1, y1, z1) = start, end
+        x0, x1 = (x0 - clearance_mm, x1 + clearance_mm) if x0 < x1 else (x1 - clearance_mm, x0 + clearance_mm)
+        y0, y1 = (y0 - clearance_mm, y1 + clearance_mm) if y0 < y1 else (y1 - clearance_mm, y0 + clearance_mm)
+        z0, z1 = (z0 - clearance_mm, z1 + clearance_mm) if z0 < z1 else (z1 - clearance_mm, z0 + clearance_mm)
+        along_x, along_y, along_z = self._spans
+        pairs = []
+        for i, ((lx, ly, lz), (ux, uy, uz)) in enumerate(self._boxes):
+            met = along_z.met(lz + z0, uz + z1)
+            if met:
+                met &= along_x.met(lx + x0, ux + x1)
+            if met:
+                met &= along_y.met(ly + y0, uy + y1)
+            while met:
+                last = met & -met
+                pairs.append((i, last.bit_length() - 1))
+                met ^= last
+        return pairs
+
+
+@dataclass(frozen=True, slots=True)
+class _Spans:
+    """What bodies span on one axis. A set of bodies is a number, bit j for body j.
+
+    `lowers`: their lower bounds in order, and `begun[n]` the bodies of the first n; `uppers`: their upper bounds in
+    order, and `left[n]` all bodies but those of the first n.
+    """
+
+    lowers: Sequence[float]
+    begun: Sequence[int]
+    uppers: Sequence[float]
+    left: Sequence[int]
+
+    @classmethod
+    def of(cls, lower: Sequence[float], upper: Sequence[float]) -> _Spans:
+        from_below = sorted((low, 1 << body) for body, low in enumerate(lower))
+        from_above = sorted((high, 1 << body) for body, high in enumerate(upper))
+        begun = accumulate((bit for _, bit in from_below), or_, initial=0)
+        left = accumulate((bit for _, bit in reversed(from_above)), or_, initial=0)
+        return cls([low for low, _ in from_below], [*begun], [high for high, _ in from_above], [*left][::-1])
+
+    def met(self, low: float, high: float) -> int:
+        """The bodies that span something between `low` and `high`, the ends included."""
+        return self.begun[bisect_right(self.lowers, high)] & self.left[bisect_left(self.uppers, low)]

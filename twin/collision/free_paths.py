@@ -1,0 +1,171 @@
+"""The fastest way of the tip between two places among standing bodies that is proved to be free.
+
+A way is a row of straight moves, each from rest to rest. Candidates are ordered by what they cost; the first one that
+keeps its clearance all along, by the exact swept distance of every pair of bodies, is the fastest of them. A shortest
+path among obstacles need not be among the candidates; a free one always is, as long as the caller names one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.collision.collision import Scene
+from twin.collision.geometry import Point
+from twin.collision.motion_law import travel_times
+from twin.collision.sphere_prefilter import Spheres, SpheresApart
+
+RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
+"""How far before the nearer end the candidates go back."""
+FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
+"""Where between both ends a way with one corner has it."""
+_SHARES = np.array(FRACTIONS)[:, None, None]
+
+SLANT = 0.2
+"""Sideways on the way back from a surface: the stylus comes free of it at once."""
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Of the axes X, Y, Z; `command_s` comes on top of each move."""
+
+    rapid_mm_per_s: Point
+    acceleration_mm_per_s2: Point
+    command_s: float = 0.0
+
+    def seconds(self, corners: Array) -> Array:
+        """(n,) of ways through `corners` (n, k, 3), the ends included."""
+        return np.asarray(self.moving_seconds(corners) + self.command_s * (corners.shape[1] - 1))
+
+    def moving_seconds(self, corners: Array) -> Array:
+        """The same without what commands take."""
+        moves = travel_times(corners[:, :-1], corners[:, 1:], self.rapid_mm_per_s, self.acceleration_mm_per_s2)
+        return np.asarray(moves.sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Apart:
+    """What a way keeps: `clearance_mm` between all bodies but the pairs (moving, obstacle) in `closer`."""
+
+    clearance_mm: float
+    closer: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Way:
+    """Corners between start and end, and the seconds of the whole."""
+
+    corners: tuple[Point, ...]
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Ways to choose from: `corners` (n, k, 3), and how many of them each has, (n,), at least one; one that has fewer
+    than k repeats its last one."""
+
+    corners: Array
+    counts: NDArray[np.int_]
+
+    @classmethod
+    def of(cls, groups: Sequence[Array]) -> Candidates:
+        """`groups`: arrays (n, k, 3) of n candidates with k corners each."""
+        total, most = sum(map(len, groups)), max(group.shape[1] for group in groups)
+        corners, counts, begin = np.empty((total, most, 3)), np.empty(total, dtype=np.int_), 0
+        for group in groups:
+            end, count = begin + len(group), group.shape[1]
+            corners[begin:end, :count], corners[begin:end, count:] = group, group[:, -1:]
+            counts[begin:end], begin = count, end
+        return cls(corners, counts)
+
+    def kept(self, which: NDArray[np.bool_]) -> Candidates:
+        """Those of which is so, (n,) bool."""
+        return Candidates(self.corners[which], self.counts[which])
+
+    def inside(self, lower: Array, upper: Array) -> Candidates:
+        """Those of which no corner is beyond a bound, (3,) each."""
+        within = (self.corners >= lower) & (self.corners <= upper)
+        return self.kept(np.asarray(within.reshape(len(within), -1).all(axis=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """A scene, with what is known of it at a glance."""
+
+    scene: Scene
+    spheres: Spheres
+
+    @classmethod
+    def of(cls, scene: Scene) -> Surroundings:
+        return cls(scene, Spheres.of(scene))
+
+
+def direct(scene: Scene, dynamics: Dynamics, start: Point, end: Point, apart: Apart) -> Way | None:
+    """The straight way, where it is free: none is faster."""
+    if not scene.free(start, end, apart.clearance_mm, apart.closer):
+        return None
+    return Way((), float(dynamics.seconds(np.array([[start, end]]))[0]))
+
+
+def fastest(
+    among: Surroundings, dynamics: Dynamics, start: Point, end: Point, candidates: Candidates, apart: Apart
+) -> Way | None:
+    """The fastest of the candidates that is free; None where none is. Of equals the earlier one."""
+    stops = _stops(start, candidates.corners, end)
+    seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
+    spheres = SpheresApart(among.spheres, apart.clearance_mm, apart.closer)
+    proved: dict[tuple[Point, Point], bool] = {}
+
+    def free(leg: tuple[Point, Point]) -> bool:
+        if leg not in proved:
+            hit = spheres.surely_hit(*leg)
+            proved[leg] = not hit and among.scene.free(*leg, apart.clearance_mm, apart.closer)
+        return proved[leg]
+
+    for index in np.argsort(seconds, kind="stable").tolist():
+        corners = candidates.corners[index, : candidates.counts[index]].tolist()
+        between = tuple((x, y, z) for x, y, z in corners)
+        if all(free(leg) for leg in _legs(start, between, end)):
+            return Way(between, float(seconds[index]))
+    return None
+
+
+def _legs(start: Point, corners: tuple[Point, ...], end: Point) -> list[tuple[Point, Point]]:
+    """Each as it has to be looked along. Both ends are given and may be nearer to something than a way should be: a
+    leg is looked along from there, so that bodies which part do not count."""
+    return [(end, corners[-1]), *pairwise((start, *corners))]
+
+
+def _stops(start: Point, corners: Array, end: Point) -> Array:
+    """(n, k + 2, 3): corners (n, k, 3) and both ends."""
+    stops = np.empty((len(corners), corners.shape[1] + 2, 3))
+    stops[:, 0], stops[:, 1:-1], stops[:, -1] = start, corners, end
+    return stops
+
+
+def retracted(start: Point, end: Point, back: Array, least: float, aside: Array | None = None) -> list[Array]:
+    """Candidates (n, k, 3) for `fastest`: with one corner, and out, across and in, for each of `RETRACTS_MM`.
+
+    `back` (3,): unit vector along a machine axis in which the probe draws back, to no less than `least` against it.
+    `aside` (3,): by so much it moves away from what it touches first, and by `SLANT` while it draws back.
+    """
+    first, last = np.array(start), np.array(end)
+    begins, ends = float(first @ -back), float(last @ -back)
+    planes = np.array(sorted({max(min(begins, ends) - retract, least) for retract in RETRACTS_MM}))
+    out = first + (begins - planes)[:, None] * back
+    if aside is not None:
+        beside = math.hypot(*aside.tolist())
+        sideways = np.maximum(1.0, SLANT / beside * (begins - planes))
+        out = out + sideways[:, None] * (aside - (aside @ back) * back)
+    over = last + (ends - planes)[:, None] * back
+    middles = out + _SHARES * (over - out)
+    groups = [middles.reshape(-1, 1, 3), np.concatenate([out[:, None], over[:, None]], axis=1)]
+    if aside is not None:
+        groups.append((first + aside)[None, None])
+    return groups

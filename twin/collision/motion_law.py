@@ -1,0 +1,207 @@
+"""Motion laws: how far along its path an axis is at any time, in closed form.
+
+A law is a row of phases of constant acceleration, so that any instant can be asked for in any order and the
+end is known when the motion begins. mm (or degrees) and s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.collision.geometry import Point
+
+_NO_TIME_S = 1e-300
+"""Less than any move takes; what does not move takes 0 / this."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Constant acceleration from `start_s` on, beginning at `distance` with `speed`."""
+
+    start_s: float
+    duration_s: float
+    distance: float
+    speed: float
+    acceleration: float
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + self.duration_s
+
+    def distance_at(self, instant_s: float) -> float:
+        t = min(max(instant_s - self.start_s, 0.0), self.duration_s)
+        return self.distance + t * (self.speed + 0.5 * self.acceleration * t)
+
+    def speed_at(self, instant_s: float) -> float:
+        t = min(max(instant_s - self.start_s, 0.0), self.duration_s)
+        return self.speed + self.acceleration * t
+
+    def time_at(self, distance: float) -> float:
+        """First instant at `distance`, which this phase must cover: 2s / (v + √(v² + 2as)) loses no digits."""
+        left = max(distance - self.distance, 0.0)
+        root = math.sqrt(max(self.speed**2 + 2.0 * self.acceleration * left, 0.0))
+        denominator = self.speed + root
+        return self.start_s + (min(2.0 * left / denominator, self.duration_s) if denominator > 0.0 else 0.0)
+
+
+@dataclass(frozen=True)
+class MotionLaw:
+    """Distance along a path over time; it stands still before its first and after its last phase."""
+
+    phases: tuple[Phase, ...]
+
+    @property
+    def start_s(self) -> float:
+        return self.phases[0].start_s
+
+    @property
+    def end_s(self) -> float:
+        return self.phases[-1].end_s
+
+    @property
+    def end_distance(self) -> float:
+        last = self.phases[-1]
+        return last.distance_at(last.end_s)
+
+    def distance_at(self, instant_s: float) -> float:
+        return self._phase_at(instant_s).distance_at(instant_s)
+
+    def speed_at(self, instant_s: float) -> float:
+        return self._phase_at(instant_s).speed_at(instant_s)
+
+    def time_at(self, distance: float) -> float:
+        """First instant at which `distance` is reached; the end for one that is never reached."""
+        for phase in self.phases:
+            if distance <= phase.distance_at(phase.end_s):
+                return phase.time_at(distance)
+        return self.end_s
+
+    def cut(self, instant_s: float) -> MotionLaw:
+        """The same, stopped dead at `instant_s`, as by a crash."""
+        kept = self._until(instant_s)
+        return MotionLaw(kept or (Phase(instant_s, 0.0, self.distance_at(instant_s), 0.0, 0.0),))
+
+    def braked(self, instant_s: float, deceleration: float) -> MotionLaw:
+        """The same until `instant_s`, then brought to rest."""
+        speed = self.speed_at(instant_s)
+        brake = Phase(instant_s, speed / deceleration, self.distance_at(instant_s), speed, -deceleration)
+        return MotionLaw((*self._until(instant_s), brake))
+
+    def _until(self, instant_s: float) -> tuple[Phase, ...]:
+        return tuple(
+            Phase(
+                phase.start_s,
+                min(phase.duration_s, instant_s - phase.start_s),
+                phase.distance,
+                phase.speed,
+                phase.acceleration,
+            )
+            for phase in self.phases
+            if phase.start_s < instant_s
+        )
+
+    def _phase_at(self, instant_s: float) -> Phase:
+        for phase in self.phases:
+            if instant_s < phase.end_s:
+                return phase
+        return self.phases[-1]
+
+
+def trapezoid(start_s: float, length: float, speed: float, acceleration: float) -> MotionLaw:
+    """From rest to rest over `length`; a triangle where `speed` is not reached."""
+    top, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
+    ramp = 0.5 * top * top / acceleration
+    return MotionLaw(
+        (
+            Phase(start_s, ramp_s, 0.0, 0.0, acceleration),
+            Phase(start_s + ramp_s, cruise_s, ramp, top, 0.0),
+            Phase(start_s + ramp_s + cruise_s, ramp_s, length - ramp, top, -acceleration),
+        )
+    )
+
+
+def travel_s(length: float, speed: float, acceleration: float) -> float:
+    """How long `trapezoid` takes."""
+    _, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
+    return ramp_s + cruise_s + ramp_s
+
+
+def travel_times(
+    starts: Array, ends: Array, speed_per_axis: Sequence[float], acceleration_per_axis: Sequence[float]
+) -> Array:
+    """(...) seconds of straight moves from rest to rest, (..., 3) mm each, every axis within its own speed and
+    acceleration: what `travel_s` says of `straight` paths, for many at once."""
+    ways = np.abs(np.asarray(ends, dtype=np.float64) - starts)
+    # Seconds that a way of this length takes at an axis' own acceleration alone, and at its speed alone.
+    accelerating = _largest(ways / np.asarray(acceleration_per_axis))
+    cruising = _largest(ways / np.asarray(speed_per_axis))
+    reached = np.sqrt(accelerating)
+    # With a = L / accelerating and v = L / cruising: a ramp lasts v / a, and beyond two of them the axis cruises.
+    ramp = accelerating / np.maximum(cruising, _NO_TIME_S)
+    return np.asarray(np.where(reached <= ramp, 2.0 * reached, cruising + ramp))
+
+
+def _largest(per_axis: Array) -> Array:
+    """(...) of (..., 3): by columns, since an array operation for each three numbers would cost more than they do."""
+    return np.asarray(np.maximum(np.maximum(per_axis[..., 0], per_axis[..., 1]), per_axis[..., 2]))
+
+
+def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[float, float, float]:
+    """Top speed, seconds of one ramp and seconds at top speed."""
+    top = min(speed, math.sqrt(acceleration * length))
+    cruise_s = max(length - top * top / acceleration, 0.0) / top if top > 0.0 else 0.0
+    return top, top / acceleration, cruise_s
+
+
+@dataclass(frozen=True)
+class Path:
+    """Straight line of axis positions: `direction` is a unit vector."""
+
+    start: Point
+    direction: Point
+    length: float
+
+    def at(self, distance: float) -> Point:
+        start, direction = self.start, self.direction
+        return (
+            start[0] + distance * direction[0],
+            start[1] + distance * direction[1],
+            start[2] + distance * direction[2],
+        )
+
+    def largest(self, per_axis: Sequence[float]) -> float:
+        """Largest speed (or acceleration) along the path that keeps every axis within its own."""
+        largest = math.inf
+        for limit, part in zip(per_axis, self.direction, strict=True):
+            if part != 0.0 and limit < largest * abs(part):
+                largest = limit / abs(part)
+        return largest if largest < math.inf else min(per_axis)
+
+
+def straight(start: Point, target: Point) -> Path:
+    """Path from `start` to `target`; of no length and no direction where they are the same."""
+    x, y, z = target[0] - start[0], target[1] - start[1], target[2] - start[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return Path(start, (0.0, 0.0, 0.0), 0.0)
+    return Path(start, (x / length, y / length, z / length), length)
+
+
+def entry(tip: Point, path: Path, centre: Point, reach: float) -> float | None:
+    """Distance along `path` at which a tip that starts at `tip` comes within `reach` of `centre` from outside."""
+    mx, my, mz = tip[0] - centre[0], tip[1] - centre[1], tip[2] - centre[2]
+    dx, dy, dz = path.direction
+    closing = mx * dx + my * dy + mz * dz
+    if closing >= 0.0:
+        return None
+    outside = mx * mx + my * my + mz * mz - reach * reach
+    discriminant = closing * closing - outside
+    if outside < 0.0 or discriminant < 0.0:
+        return None
+    distance = outside / (math.sqrt(discriminant) - closing)
+    return distance if distance <= path.length else None

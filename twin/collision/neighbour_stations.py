@@ -1,0 +1,45 @@
+"""What else stands in the workspace while one station is measured: the other mounts, and what they carry, parked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import MountGeometry, mount_pose
+from twin.collision.bodies import TABLE, Body, artefact_bodies, mount_bodies
+
+
+def neighbours(
+    geometry: MountGeometry,
+    places_mm: Mapping[int, Array],
+    own_artefacts: Mapping[int, Artefact],
+    parked_deg: tuple[float, float],
+) -> dict[int, tuple[Body, ...]]:
+    """Station → bodies of all other stations' mounts at azimuth and elevation `parked_deg`, named after their station.
+
+    A mount whose station has no artefact of its own is bare: the one that is carried is measured elsewhere.
+    """
+    parked = {
+        station: _named(station, _standing(geometry, place, own_artefacts.get(station), parked_deg))
+        for station, place in places_mm.items()
+    }
+    return {
+        station: tuple(body for other, bodies in parked.items() if other != station for body in bodies)
+        for station in places_mm
+    }
+
+
+def _standing(
+    geometry: MountGeometry, place_mm: Array, artefact: Artefact | None, parked_deg: tuple[float, float]
+) -> tuple[Body, ...]:
+    azimuth, elevation = (math.radians(angle) for angle in parked_deg)
+    pose = mount_pose(place_mm, geometry, azimuth, elevation)
+    mount = tuple(body for body in mount_bodies(geometry, place_mm, pose) if body.name != TABLE)
+    return mount if artefact is None else (*artefact_bodies(artefact, geometry, pose), *mount)
+
+
+def _named(station: int, bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+    return tuple(replace(body, name=f"{body.name} at station {station}") for body in bodies)

@@ -1,0 +1,190 @@
+"""What a turning artefact may reach: how deep the probe may stand before it, whatever the mount does on the way.
+
+Both axes of a mount turn at once, and which is ahead is nobody's promise; a mount may also stop half way. So the swept
+set is that of every pair of angles between the old and the new ones. Bodies are covered by balls, angles are sampled,
+and each ball is inflated by as much as its points can move between two samples: the set is never too small.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import MountGeometry
+from twin.collision.bodies import ProbeGeometry
+from twin.collision.geometry import Shape
+
+CELL_MM = 20.0
+STEP_DEG = 2.5
+SLAB_MM = 40.0
+ORIENTATION = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Balls around everything that turns: `centres` (n, 3) in the artefact frame, `radii` (n,)."""
+
+    centres: Array
+    radii: Array
+
+    @property
+    def reach_mm(self) -> float:
+        """From the place of the mount; nothing that turns is farther away."""
+        return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
+
+
+def cover_of(artefact: Artefact, mount: MountGeometry) -> Cover:
+    """Balls, posts and bar in slabs along the bar, and the shaft; centres relative to the place of the mount."""
+    points, radii = _covered(artefact, mount)
+    slab = np.floor(points[:, 0] / SLAB_MM).astype(int)
+    centres, sizes = [], []
+    for number in np.unique(slab):
+        inside, sized = points[slab == number], radii[slab == number]
+        low, high = (inside - sized[:, None]).min(axis=0), (inside + sized[:, None]).max(axis=0)
+        centre = 0.5 * (low + high)
+        centres.append(centre)
+        sizes.append(float((np.linalg.norm(inside - centre, axis=1) + sized).max()))
+    along = np.arange(0.0, mount.shaft_mm + SLAB_MM, SLAB_MM)
+    shaft = np.column_stack([0.0 * along, -np.minimum(along, mount.shaft_mm), 0.0 * along])
+    shaft_radii = np.full(len(shaft), math.hypot(mount.shaft_radius_mm, 0.5 * SLAB_MM))
+    placed = np.array(centres) - (0.0, mount.shaft_mm, 0.0)
+    return Cover(np.concatenate([placed, shaft]), np.concatenate([sizes, shaft_radii]))
+
+
+@dataclass(frozen=True, eq=False)
+class TurnSweep:
+    """How deep (along +Y) the tip may stand at every place (x, z), all relative to the place of the mount.
+
+    `deepest` (k, k): tip centre; infinite where nothing comes by.
+    """
+
+    reach_mm: float
+    deepest: Array
+
+    def at(self, x: Array, z: Array) -> Array:
+        """Largest y of the tip centre at (x, z) of the same shape."""
+        middle = len(self.deepest) // 2
+        column = np.rint(np.asarray(x) / CELL_MM).astype(int) + middle
+        row = np.rint(np.asarray(z) / CELL_MM).astype(int) + middle
+        last = len(self.deepest) - 1
+        return np.asarray(self.deepest[np.clip(column, 0, last), np.clip(row, 0, last)])
+
+
+def turn_sweep(
+    cover: Cover,
+    probe: ProbeGeometry,
+    standing: Sequence[Shape],
+    start_deg: ORIENTATION,
+    end_deg: ORIENTATION,
+    *,
+    clearance_mm: float,
+) -> TurnSweep:
+    """For a turn between two pairs of azimuth and elevation, in any order and at any speeds.
+
+    `standing`: what is there besides and does not turn, relative to the place of the mount.
+    """
+    half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
+    front = _front(*_turned(cover, start_deg, end_deg), half)
+    for shape in standing:
+        _stand(front, shape, half)
+    tip = _dilated(front, probe.tip_radius_mm + clearance_mm) - probe.tip_radius_mm
+    body = _dilated(front, probe.body_radius_mm + clearance_mm) + probe.stem_length_mm
+    ram = _dilated(front, probe.ram_half_width_mm + clearance_mm) + probe.reach_mm
+    return TurnSweep(cover.reach_mm, np.minimum(np.minimum(tip, body), ram) - clearance_mm)
+
+
+def _covered(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
+    """Points of the artefact with what has to be covered around them; spaced so that they cover what is between."""
+    balls = artefact.balls
+    feet = balls.copy()
+    feet[:, 1:] = 0.0
+    ends = (balls[:, 0].min() - mount.bar_overhang_mm, balls[:, 0].max() + mount.bar_overhang_mm)
+    count = math.ceil((ends[1] - ends[0]) / SLAB_MM) * 2 + 1
+    bar = np.column_stack([np.linspace(*ends, count), np.zeros(count), np.zeros(count)])
+    bar_radius = math.hypot(mount.bar_radius_mm, 0.25 * SLAB_MM)
+    along = np.linspace(0.0, 1.0, 9)[:, None, None]
+    posts = (feet + along * (balls - feet)).reshape(-1, 3)
+    spacing = float(np.linalg.norm(balls - feet, axis=1).max()) / 8.0
+    post_radius = math.hypot(mount.post_radius_mm, 0.5 * spacing)
+    points = np.concatenate([balls, posts, bar])
+    radii = [np.full(len(balls), artefact.ball_radius_mm), np.full(len(posts), post_radius), np.full(count, bar_radius)]
+    return points, np.concatenate(radii)
+
+
+def _turned(cover: Cover, start_deg: ORIENTATION, end_deg: ORIENTATION) -> tuple[tuple[Array, Array, Array], Array]:
+    """x, y and z (azimuths, elevations, m) of the balls at every sample of the angles, and their radii (m,) with what
+    may happen between two samples."""
+    (azimuths, half_azimuth), (elevations, half_elevation) = (
+        _samples(a, b) for a, b in zip(start_deg, end_deg, strict=True)
+    )
+    x, y, z = cover.centres.T
+    # Elevation turns the bar about its own Y, which runs through the place; azimuth then turns about the vertical.
+    ce, se = np.cos(elevations)[:, None], np.sin(elevations)[:, None]
+    across, up = x * ce - z * se, x * se + z * ce
+    ca, sa = np.cos(azimuths)[:, None, None], np.sin(azimuths)[:, None, None]
+    radii = cover.radii + np.hypot(x, z) * half_elevation + np.sqrt(x**2 + y**2 + z**2) * half_azimuth
+    return (across * ca - y * sa, across * sa + y * ca, up[None]), radii
+
+
+def _front(centres: tuple[Array, Array, Array], radii: Array, half: int) -> Array:
+    """Nearest y of all balls over each cell; those of about the same size are spread sideways together."""
+    x, y, z = centres
+    width = 2 * half + 1
+    front = np.full((width, width), np.inf)
+    cells = (_cells(x) + half) * width + _cells(z) + half
+    nearest = y - radii
+    sizes = np.ceil(radii / CELL_MM).astype(int)
+    for size in np.unique(sizes):
+        alike = sizes == size
+        own = np.full(front.size, np.inf)
+        np.minimum.at(own, cells[..., alike].ravel(), nearest[..., alike].ravel())
+        np.minimum(front, _dilated(own.reshape(front.shape), float(size) * CELL_MM), out=front)
+    return front
+
+
+def _cells(lengths_mm: Array) -> NDArray[np.intp]:
+    return np.rint(lengths_mm / CELL_MM).astype(np.intp)
+
+
+def _samples(start_deg: float, end_deg: float) -> tuple[Array, float]:
+    """Angles in rad, both ends included, and half of their step."""
+    count = math.ceil(abs(end_deg - start_deg) / STEP_DEG) + 1
+    angles = np.radians(np.linspace(start_deg, end_deg, count))
+    return angles, 0.5 * math.radians(abs(end_deg - start_deg)) / max(count - 1, 1)
+
+
+def _dilated(front: Array, by_mm: float) -> Array:
+    """The nearest of everything within `by_mm` sideways; a cell more, since places are rounded to cells."""
+    reach = math.ceil(by_mm / CELL_MM) + 1
+    return _least_around(_least_around(front, reach).T, reach).T
+
+
+def _least_around(values: Array, reach: int) -> Array:
+    """Along the first axis the smallest of each and its `reach` neighbours on both sides: windows of twice the width
+    are the smaller of two, so that a wide one takes few steps."""
+    width, wanted = 1, 2 * reach + 1
+    beside = np.full((reach, *values.shape[1:]), np.inf)
+    least = np.concatenate([beside, values, beside])
+    while 2 * width <= wanted:
+        least = np.minimum(least[:-width], least[width:])
+        width *= 2
+    rest = wanted - width
+    return np.asarray(np.minimum(least[: len(values)], least[rest : rest + len(values)]))
+
+
+def _stand(front: Array, shape: Shape, half: int) -> None:
+    """What stands is taken for the box around it."""
+    (x0, y0, z0), (x1, _, z1) = shape.lower, shape.upper
+    last = len(front) - 1
+    columns, rows = (
+        slice(max(math.floor(low / CELL_MM) + half, 0), min(math.ceil(high / CELL_MM) + half, last) + 1)
+        for low, high in ((x0, x1), (z0, z1))
+    )
+    box = front[columns, rows]
+    np.minimum(box, y0, out=box)

@@ -1,0 +1,1 @@
+"""Compensation tables, the formats of controllers, and corrected part programs."""

@@ -1,0 +1,70 @@
+"""Corrections as whole numbers of detection units times a magnification, as FANUC keeps them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.compensation.controllers.export_format import Choices
+from twin.errors import DataError
+
+LARGEST_MAGNIFICATION = 100
+Counts = np.ndarray[Any, np.dtype[np.int64]]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What one count is worth: `detection_unit_um` times `magnification`."""
+
+    detection_unit_um: float
+    magnification: int
+
+    @property
+    def mm(self) -> float:
+        return 1e-3 * self.detection_unit_um * self.magnification
+
+    def counts(self, values_mm: Array) -> Counts:
+        return np.round(values_mm / self.mm).astype(np.int64)
+
+    def values(self, counts: Counts) -> Array:
+        """mm of counts of any shape."""
+        return np.asarray(self.mm * counts, dtype=np.float64)
+
+    def whole(self, length_mm: float, what: str) -> int:
+        """A length in detection units; DataError where it is no whole number of them."""
+        units = 1e3 * length_mm / self.detection_unit_um
+        if abs(units - round(units)) > 1e-6:
+            message = (
+                f"{what} of {length_mm:.9g} mm is no whole number of detection units ({self.detection_unit_um:g} µm)"
+            )
+            raise DataError(message, hint="Choose another grid with --points, so that steps are whole")
+        return round(units)
+
+
+def smallest_unit(values_mm: list[Array], choices: Choices, most: int, *, increments: bool) -> Unit:
+    """The magnification asked for, or the smallest with which every number written is at most `most`.
+
+    `increments`: what is written are differences of the counts along (n,). DataError where none does.
+    """
+    asked = choices.magnification
+    tried = range(1, LARGEST_MAGNIFICATION + 1) if asked is None else [asked]
+    largest = 0
+    for magnification in tried:
+        unit = Unit(choices.detection_unit_um, magnification)
+        numbers = [unit.counts(one) for one in values_mm]
+        if increments:
+            numbers = [np.diff(one) for one in numbers]
+        largest = max(int(np.abs(one).max(initial=0)) for one in numbers)
+        if largest <= most:
+            return unit
+    message = f"a value of {largest} is beyond ±{most}, at magnification {tried[-1]}"
+    hint = "Allow a larger --magnification, a finer grid with --points, or a larger --detection-unit-um"
+    raise DataError(message, hint=hint)
+
+
+def counted_from(reference: Array) -> str:
+    """Machine position of the reference point, which stands in no parameter here: points are counted from it."""
+    return ", ".join(f"{value:.10g}" for value in reference.tolist())

@@ -1,0 +1,69 @@
+"""FANUC three-dimensional error compensation: a lattice of at most 25 points an axis, trilinear in between.
+
+Additional manual Series 30i-A, A-79351E: eight corners weighed by the shares of the way through the cell. Parameter
+numbers, the order of the points and the sign are from experience; how the data is punched is not public to us, so the
+points are a list to be entered with the builder's tool.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin.compensation.controllers.detection_units import Counts, Unit, counted_from, smallest_unit
+from twin.compensation.controllers.export_format import Choices, Exported, Facts, Source
+from twin.compensation.controllers.grids import even_steps, reference_nodes, reference_point, require_points
+from twin.compensation.table import CompensationTable
+from twin.machine.kinematic_chain import AXES
+
+MOST_POINTS = 25
+LARGEST_COUNT = 127
+_FIRST_PARAMETER = {"points": 10803, "reference": 10806, "magnification": 10809, "interval": 10812}
+
+LOST = ("what bends between points farther apart than the table's, and fractions of a detection unit",)
+
+
+def export(source: Source, choices: Choices) -> Exported:
+    """`points.csv` (number, position, counts) and `parameters.txt`."""
+    table = source.table
+    require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")
+    steps = even_steps(table)
+    reference = reference_point(table, choices.reference_mm)
+    places = reference_nodes(table, reference)
+    wanted = table.corrections - table.at(reference[None, :])[0]
+    unit = smallest_unit([wanted], choices, LARGEST_COUNT, increments=False)
+    counts = unit.counts(wanted)
+    written = replace(table, corrections=unit.values(counts))
+    files = {
+        "points.csv": _points(table, choices.sign * counts),
+        "parameters.txt": _parameters(table, places, steps, unit),
+    }
+    facts: Facts = {"magnification": unit.magnification, "counted_from_mm": counted_from(reference)}
+    return Exported(files, written.at, LOST, facts)
+
+
+def _points(table: CompensationTable, counts: Counts) -> str:
+    """Numbered from 1, X fastest, then Y, then Z."""
+    lines = ["number,x_mm,y_mm,z_mm,x_counts,y_counts,z_counts"]
+    shape = table.corrections.shape[:3]
+    for number, place in enumerate(np.ndindex(shape[::-1]), start=1):
+        k, j, i = place
+        position = ",".join(f"{nodes[at]:.10g}" for nodes, at in zip(table.nodes, (i, j, k), strict=True))
+        lines.append(f"{number},{position}," + ",".join(str(value) for value in counts[i, j, k].tolist()))
+    return "\n".join(lines) + "\n"
+
+
+def _parameters(
+    table: CompensationTable, places: tuple[int, int, int], steps: tuple[float, float, float], unit: Unit
+) -> str:
+    rows = {
+        "points": [len(nodes) for nodes in table.nodes],
+        "reference": [place + 1 for place in places],
+        "magnification": [unit.magnification] * 3,
+        "interval": [unit.whole(step, f"the interval of {axis}") for axis, step in zip(AXES, steps, strict=True)],
+    }
+    lines = ["%", *(f"N{10800 + axis}P{axis + 1}" for axis in range(3))]
+    for name, values in rows.items():
+        lines += [f"N{_FIRST_PARAMETER[name] + axis}P{value}" for axis, value in enumerate(values)]
+    return "\n".join([*lines, "%"]) + "\n"

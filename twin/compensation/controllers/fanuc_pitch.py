@@ -1,0 +1,78 @@
+"""FANUC stored pitch error compensation: increments, whole numbers of detection units times a magnification.
+
+Parameter manual 0i-PB (B-63980EN), 3620 to 3624 with its example: compensation number n stands for the interval that
+ends, in positive direction, at reference + (n - 3620) x 3624; the amount at a position is the sum from the reference
+point to there. That amounts are added to the command is from experience, and so is the form of the data as punched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.compensation.controllers.detection_units import Counts, Unit, counted_from, smallest_unit
+from twin.compensation.controllers.export_format import Choices, Exported, Facts, Source
+from twin.compensation.controllers.grids import even_steps, reference_nodes, reference_point, require_points
+from twin.compensation.controllers.reduction import own_axis, sum_of_own
+from twin.machine.kinematic_chain import AXES
+
+MOST_POINTS = 128
+LARGEST_INCREMENT = 7
+_DATA_NUMBERS_FROM = 10000
+
+LOST = (
+    "straightness, squareness and rotation: an axis is corrected by its own position only",
+    "whole detection units only",
+)
+
+
+def export(source: Source, choices: Choices) -> Exported:
+    """`pitch-error.txt` (the data) and `parameters.txt`, as punched."""
+    table = source.table
+    require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")
+    steps = even_steps(table)
+    reference = reference_point(table, choices.reference_mm)
+    places = reference_nodes(table, reference)
+    profiles = list(own_axis(table, reference))
+    unit = smallest_unit([one.values for one in profiles], choices, LARGEST_INCREMENT, increments=True)
+    counts = [unit.counts(one.values) for one in profiles]
+    written = [replace(one, values=unit.values(count)) for one, count in zip(profiles, counts, strict=True)]
+    firsts = np.concatenate(([0], np.cumsum([len(count) for count in counts])))[:3].tolist()
+    files = {
+        "pitch-error.txt": _data([choices.sign * count for count in counts], firsts),
+        "parameters.txt": _parameters(counts, firsts, places, steps, unit),
+    }
+
+    def correction(axis_positions: Array) -> Array:
+        return sum_of_own(written, axis_positions)
+
+    facts: Facts = {"magnification": unit.magnification, "counted_from_mm": counted_from(reference)}
+    return Exported(files, correction, LOST, facts)
+
+
+def _data(counts: list[Counts], firsts: list[int]) -> str:
+    lines = ["%"]
+    for count, first in zip(counts, firsts, strict=True):
+        increments = np.diff(count, prepend=count[:1])
+        lines += [f"N{_DATA_NUMBERS_FROM + first + place}P{value}" for place, value in enumerate(increments.tolist())]
+    return "\n".join([*lines, "%"]) + "\n"
+
+
+def _parameters(
+    counts: list[Counts], firsts: list[int], places: tuple[int, int, int], steps: tuple[float, float, float], unit: Unit
+) -> str:
+    """`N number A axis P value ...`: 3620 reference, 3621 farthest -, 3622 farthest +, 3623, 3624."""
+    rows = {
+        3620: [first + place for first, place in zip(firsts, places, strict=True)],
+        3621: [first + min(place, 1) for first, place in zip(firsts, places, strict=True)],
+        3622: [first + len(count) - 1 for first, count in zip(firsts, counts, strict=True)],
+        3623: [unit.magnification] * 3,
+        3624: [unit.whole(step, f"the interval of {axis}") for axis, step in zip(AXES, steps, strict=True)],
+    }
+    lines = [
+        f"N{number:05d}" + "".join(f"A{axis}P{value}" for axis, value in enumerate(values, start=1))
+        for number, values in rows.items()
+    ]
+    return "\n".join(["%", *lines, "%"]) + "\n"

@@ -1,0 +1,15 @@
+"""What `volcal gcode correct` takes: the neutral table and its side file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.table_file import format_side_file, format_table
+
+
+def export(source: Source, choices: Choices) -> Exported:
+    """`table.csv` and `table.json`."""
+    written = replace(source.table, corrections=choices.sign * source.table.corrections)
+    files = {"table.csv": format_table(written), "table.json": format_side_file(written)}
+    return Exported(files, source.table.at, ("nothing: a controller without tables is corrected as the table says",))

@@ -1,0 +1,68 @@
+"""HEIDENHAIN nonlinear axis error compensation: a `.COM` table for each causing axis, a `.CMA` table that names them.
+
+Technical manual MANUALplus 620, 6.10.3, and TNC 407: up to 256 rows, evenly spaced, a column for each affected axis;
+[axis in the column of *.COM] = F(axis in whose column of *.CMA it stands). Entered is the error as measured, the
+control moves against it. One line of the .CMA table is active: two lines are two banks.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from twin.arrays import Array
+from twin.compensation.controllers.export_format import Choices, Exported, Names, Source
+from twin.compensation.controllers.grids import even_steps, reference_point, require_points
+from twin.compensation.controllers.reduction import Profile, cross_axis, rounded, sum_of_profiles
+
+MOST_ROWS = 256
+USUAL_NAMES = ("X", "Y", "Z")
+_DECIMALS = 4
+_NUMBER, _CELL = 5, 14
+
+LOST = (
+    "rotation and cross-effect: every column depends on one axis only, so the workspace's average is corrected",
+    "steps of 0.1 µm",
+)
+
+
+def export(source: Source, choices: Choices) -> Exported:
+    """Three `.COM` files of the bank asked for, and `CONFIG.CMA` with that bank active."""
+    table, names = source.table, choices.names(USUAL_NAMES)
+    require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a .COM table")
+    even_steps(table)
+    wanted = cross_axis(table, reference_point(table, choices.reference_mm))
+    written = tuple(tuple(rounded(one, _DECIMALS) for one in row) for row in wanted)
+    files = {
+        f"{_stem(choices.bank, name)}.COM": _com(_stem(choices.bank, name), row, names, choices.sign)
+        for name, row in zip(names, written, strict=True)
+    }
+    files["CONFIG.CMA"] = _cma(names, choices.bank)
+
+    def correction(axis_positions: Array) -> Array:
+        return sum_of_profiles(written, axis_positions)
+
+    return Exported(files, correction, LOST, {"bank": choices.bank})
+
+
+def _stem(bank: Literal["A", "B"], name: str) -> str:
+    return f"VOLCAL{bank}_{name}"
+
+
+def _com(stem: str, row: tuple[Profile, ...], names: Names, sign: int) -> str:
+    lines = [f"BEGIN {stem}.COM MM", _line("NR", "AXISPOS", "BACKLASH", *names)]
+    for place, position in enumerate(row[0].nodes.tolist()):
+        cells = [f"{-sign * float(one.values[place]) + 0.0:+.{_DECIMALS}f}" for one in row]
+        lines.append(_line(str(place), f"{position:+.4f}", "", *cells))
+    return "\n".join([*lines, "[END]"]) + "\n"
+
+
+def _cma(names: Names, active: str) -> str:
+    lines = ["BEGIN CONFIG.CMA MM", _line("NR", "ACTIVE", *names)]
+    for place, bank in enumerate(("A", "B")):
+        tables = [f"VOLCAL{bank}_{name}" for name in names]
+        lines.append(_line(str(place), "*" if bank == active else "", *tables))
+    return "\n".join([*lines, "[END]"]) + "\n"
+
+
+def _line(number: str, *cells: str) -> str:
+    return (number.ljust(_NUMBER) + "".join(cell.ljust(_CELL) for cell in cells)).rstrip()

@@ -1,0 +1,46 @@
+"""LinuxCNC `COMP_FILE`, type 0: a file for each joint, three numbers a row, and nothing else.
+
+`nominal forward reverse`, nominals ascending. The motion module subtracts: trim = nominal - forward, and adds the trim
+to the motor's command (`usrmotLoadComp` in usrmotintf.cc, `compute_screw_comp` in control.c). The reader stops without
+a word at the first row that is not three numbers, so there is neither header nor comment.
+"""
+
+from __future__ import annotations
+
+from twin.arrays import Array
+from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.controllers.grids import reference_point, require_points
+from twin.compensation.controllers.reduction import Profile, own_axis, rounded, sum_of_own
+from twin.machine.kinematic_chain import AXES
+
+MOST_ROWS = 256
+_DECIMALS = 7
+
+LOST = (
+    "straightness, squareness and rotation: a joint is corrected by its own position only",
+    "the correction acts while the joint moves, and BACKLASH of the joint is ignored",
+)
+
+
+def export(source: Source, choices: Choices) -> Exported:
+    """`x.comp`, `y.comp`, `z.comp` and the lines for the INI file."""
+    table = source.table
+    require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a COMP_FILE")
+    profiles = [rounded(one, _DECIMALS) for one in own_axis(table, reference_point(table, choices.reference_mm))]
+    files = {f"{letter.lower()}.comp": _rows(one, choices.sign) for letter, one in zip(AXES, profiles, strict=True)}
+    files["ini-lines.txt"] = "".join(
+        f"[JOINT_{joint}]\nCOMP_FILE = {letter.lower()}.comp\nCOMP_FILE_TYPE = 0\n" for joint, letter in enumerate(AXES)
+    )
+
+    def correction(axis_positions: Array) -> Array:
+        return sum_of_own(profiles, axis_positions)
+
+    return Exported(files, correction, LOST, {"rows_x": len(table.x), "rows_y": len(table.y), "rows_z": len(table.z)})
+
+
+def _rows(profile: Profile, sign: int) -> str:
+    lines = []
+    for nominal, value in zip(profile.nodes.tolist(), profile.values.tolist(), strict=True):
+        position = f"{nominal - sign * value:.{_DECIMALS}f}"
+        lines.append(f"{nominal:.6f} {position} {position}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,27 @@
+"""One CSV file that explains itself: for controllers whose own form is not public, and for spreadsheets.
+
+`x_mm,y_mm,z_mm,dx_um,dy_um,dz_um,extrapolated`: axis position, what is added to the command there, and 1 where the
+node lies outside the measured region. Full grid, x slowest, z fastest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.compensation.controllers.export_format import Choices, Exported, Source
+
+COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um", "extrapolated")
+
+
+def export(source: Source, choices: Choices) -> Exported:
+    """`compensation.csv`."""
+    table = source.table
+    points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+    corrections = 1e3 * choices.sign * table.corrections.reshape(-1, 3)
+    lines = [",".join(COLUMNS)]
+    marks = table.extrapolated.reshape(-1).tolist()
+    for point, values, mark in zip(points.tolist(), corrections.tolist(), marks, strict=True):
+        place = ",".join(f"{value:.10g}" for value in point)
+        lines.append(f"{place}," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in values) + f",{int(mark)}")
+    facts = {f"tool_offset_{letter}_mm": float(v) for letter, v in zip("xyz", table.tool_offset, strict=True)}
+    return Exported({"compensation.csv": "\n".join(lines) + "\n"}, table.at, ("nothing",), facts)

@@ -1,0 +1,162 @@
+"""A table cut down to what a controller can say: a function of one axis, and products of two.
+
+Over an even grid a field falls into a mean, a main effect of each axis and an interaction of each pair, all orthogonal
+to each other (analysis of variance), so leaving some of them out is the best fit with those that stay. Small rigid
+motions of the workspace are means and main effects: what is best before a rigid alignment is best after it, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.compensation.table import CompensationTable
+from twin.machine.kinematic_chain import AXES
+
+LEAST_RMS_MM = 2e-5
+"""What a term must be worth over the workspace to be written."""
+
+_PAIRS = ((0, 1), (0, 2), (1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Values (n,) at nodes (n,) of the axis numbered `axis`; linear in between, held beyond the ends."""
+
+    axis: int
+    nodes: Array
+    values: Array
+
+    def at(self, axis_positions: Array) -> Array:
+        return np.interp(axis_positions[:, self.axis], self.nodes, self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """Added to the axis numbered `output`: one profile in mm, or one in mm times a second that is at most 1."""
+
+    output: int
+    profile: Profile
+    factor: Profile | None
+    rms_mm: float
+
+    @property
+    def tables(self) -> int:
+        return 1 if self.factor is None else 2
+
+    def at(self, axis_positions: Array) -> Array:
+        values = self.profile.at(axis_positions)
+        return values if self.factor is None else values * self.factor.at(axis_positions)
+
+
+def own_axis(table: CompensationTable, reference: Array) -> tuple[Profile, Profile, Profile]:
+    """For each axis what it needs along itself, averaged over the others; zero at the reference point (3,)."""
+    x, y, z = (_zeroed(_main_effect(table, axis, axis), reference) for axis in range(3))
+    return x, y, z
+
+
+def cross_axis(table: CompensationTable, reference: Array) -> tuple[tuple[Profile, ...], ...]:
+    """`[input][output]`: what every axis needs along every axis; all zero at the reference point (3,)."""
+    return tuple(
+        tuple(_zeroed(_main_effect(table, source, output), reference) for output in range(3)) for source in range(3)
+    )
+
+
+def terms(table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True) -> tuple[Term, ...]:
+    """Main effects and products of the interactions, those first that remove most for each table they take.
+
+    What is worth less than `LEAST_RMS_MM` is left out, and what no longer fits into `most_tables`. Interactions are cut
+    into products by singular values: no other products of so many leave less. All terms together are zero at the
+    reference point (3,) on every axis that a main effect moves.
+    """
+    found = [_as_term(_main_effect(table, source, output), output) for source in range(3) for output in range(3)]
+    if products:
+        for first, second in _PAIRS:
+            found += [term for output in range(3) for term in _products(table, first, second, output)]
+    chosen, used = [], 0
+    for term in sorted(found, key=lambda each: -(each.rms_mm**2) / each.tables):
+        if term.rms_mm >= LEAST_RMS_MM and used + term.tables <= most_tables:
+            chosen.append(term)
+            used += term.tables
+    return _zero_at(tuple(chosen), reference)
+
+
+def summed(kept: tuple[Term, ...], axis_positions: Array) -> Array:
+    """(n, 3) mm of all terms at axis positions (n, 3)."""
+    total = np.zeros_like(axis_positions)
+    for term in kept:
+        total[:, term.output] += term.at(axis_positions)
+    return total
+
+
+def sum_of_own(profiles: Sequence[Profile], axis_positions: Array) -> Array:
+    """(n, 3) mm of `own_axis` profiles at axis positions (n, 3)."""
+    total = np.zeros_like(axis_positions)
+    for profile in profiles:
+        total[:, profile.axis] += profile.at(axis_positions)
+    return total
+
+
+def sum_of_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_positions: Array) -> Array:
+    """(n, 3) mm of `cross_axis` profiles at axis positions (n, 3)."""
+    total = np.zeros_like(axis_positions)
+    for row in by_input:
+        for output, profile in enumerate(row):
+            total[:, output] += profile.at(axis_positions)
+    return total
+
+
+def describe(first: int, second: int | None, output: int) -> str:
+    """`Y by Z` or `Y by Y·Z`: which axis is moved by the position of which."""
+    inputs = AXES[first] if second is None else f"{AXES[first]}·{AXES[second]}"
+    return f"{AXES[output]} by {inputs}"
+
+
+def _zero_at(kept: tuple[Term, ...], reference: Array) -> tuple[Term, ...]:
+    """The first main effect of every axis takes up what all its terms are at the reference point."""
+    there, done, result = summed(kept, reference[None, :])[0], set(), []
+    for term in kept:
+        if term.factor is None and term.output not in done:
+            done.add(term.output)
+            shifted = replace(term.profile, values=term.profile.values - there[term.output])
+            result.append(replace(term, profile=shifted))
+        else:
+            result.append(term)
+    return tuple(result)
+
+
+def _as_term(profile: Profile, output: int) -> Term:
+    return Term(output, profile, None, float(np.sqrt(np.mean(profile.values**2))))
+
+
+def _main_effect(table: CompensationTable, source: int, output: int) -> Profile:
+    field = table.corrections[..., output]
+    others = tuple(axis for axis in range(3) if axis != source)
+    return Profile(source, table.nodes[source], field.mean(axis=others) - field.mean())
+
+
+def _products(table: CompensationTable, first: int, second: int, output: int) -> list[Term]:
+    field = table.corrections[..., output]
+    third = 3 - first - second
+    plane = field.mean(axis=third) - field.mean()
+    plane = plane - plane.mean(axis=0, keepdims=True) - plane.mean(axis=1, keepdims=True)
+    left, sizes, right = np.linalg.svd(plane, full_matrices=False)
+    found = []
+    for size, one, other in zip(sizes.tolist(), left.T, right, strict=True):
+        peak = float(other[np.argmax(np.abs(other))])
+        profile = Profile(first, table.nodes[first], size * peak * one)
+        factor = Profile(second, table.nodes[second], other / peak)
+        found.append(Term(output, profile, factor, size / float(np.sqrt(plane.size))))
+    return found
+
+
+def _zeroed(profile: Profile, reference: Array) -> Profile:
+    return replace(profile, values=profile.values - profile.at(reference[None, :])[0])
+
+
+def rounded(profile: Profile, decimals: int) -> Profile:
+    """As it stands in the file; never -0."""
+    return replace(profile, values=np.round(profile.values, decimals) + 0.0)

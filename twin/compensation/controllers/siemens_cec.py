@@ -1,0 +1,105 @@
+"""SINUMERIK sag and angularity error compensation (CEC): `$AN_CEC`, with multiplied tables.
+
+Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The values of all tables of an output axis are added
+up; a table that names another in `$AN_CEC_MULT_BY_TABLE` (its index + 1) gives the product of both. The compensation
+value is measured minus wanted position (4.4.1), the axis moves against it. Tables that are only factors are not enabled
+by themselves (SD41300).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from twin.arrays import Array
+from twin.compensation.controllers.export_format import Choices, Exported, Names, Source
+from twin.compensation.controllers.grids import even_steps, reference_point, require_points
+from twin.compensation.controllers.reduction import Profile, Term, describe, rounded, summed, terms
+from twin.compensation.controllers.siemens_lec import DECIMALS, USUAL_NAMES, number
+from twin.errors import DataError
+
+MOST_POINTS = 2000
+_FACTOR_DECIMALS = 9
+
+LOST = ("what depends on all three axes at once, and what is worth less than 0.02 µm or found no table",)
+
+
+def export(source: Source, choices: Choices) -> Exported:
+    """One INI file with all tables, and a part program that enables those that act by themselves."""
+    table, names = source.table, choices.names(USUAL_NAMES)
+    require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD18342")
+    if choices.most_tables < 1:
+        raise DataError("no table is allowed", hint="Say with --tables how many the controller has")
+    steps = even_steps(table)
+    reference = reference_point(table, choices.reference_mm)
+    chosen = terms(table, choices.most_tables, reference, products=choices.products)
+    kept = tuple(_as_written(one) for one in chosen)
+    if not kept:
+        raise DataError("the table corrects less than this format would carry", hint="There is nothing to compensate")
+
+    def correction(axis_positions: Array) -> Array:
+        return summed(kept, axis_positions)
+
+    used = sum(term.tables for term in kept)
+    facts = {"tables": used, "MD18342_at_least": max(table.corrections.shape[:3]), "written": _written(kept)}
+    files = {"NC_CEC.INI": _ini(kept, names, steps, choices), "CEC_ENABLE.SPF": _enabling(kept, choices.first_table)}
+    return Exported(files, correction, LOST, facts)
+
+
+def _as_written(term: Term) -> Term:
+    factor = None if term.factor is None else rounded(term.factor, _FACTOR_DECIMALS)
+    return replace(term, profile=rounded(term.profile, DECIMALS), factor=factor)
+
+
+def _written(kept: tuple[Term, ...]) -> str:
+    """The most valuable first."""
+    return ", ".join(
+        describe(term.profile.axis, None if term.factor is None else term.factor.axis, term.output) for term in kept
+    )
+
+
+def _ini(kept: tuple[Term, ...], names: Names, steps: tuple[float, float, float], choices: Choices) -> str:
+    lines = ["%_N_NC_CEC_INI", "CHANDATA(1)", "; load with MD32710 $MA_CEC_ENABLE=0 for every output axis"]
+    index = choices.first_table
+    for term in kept:
+        multiplier = index + 2 if term.factor is not None else 0
+        signed = replace(term.profile, values=-choices.sign * term.profile.values + 0.0)
+        lines += _table(index, signed, names[term.output], names, steps, multiplier, DECIMALS)
+        index += 1
+        if term.factor is not None:
+            lines += _table(index, term.factor, names[term.output], names, steps, 0, _FACTOR_DECIMALS)
+            index += 1
+    return "\n".join([*lines, "M17"]) + "\n"
+
+
+def _table(
+    index: int,
+    profile: Profile,
+    output: str,
+    names: Names,
+    steps: tuple[float, float, float],
+    multiplier: int,
+    decimals: int,
+) -> list[str]:
+    values = [f"$AN_CEC[{index},{place}]={value:.{decimals}f}" for place, value in enumerate(profile.values.tolist())]
+    return [
+        *values,
+        f"$AN_CEC_INPUT_AXIS[{index}]=({names[profile.axis]})",
+        f"$AN_CEC_OUTPUT_AXIS[{index}]=({output})",
+        f"$AN_CEC_STEP[{index}]={number(steps[profile.axis])}",
+        f"$AN_CEC_MIN[{index}]={number(float(profile.nodes[0]))}",
+        f"$AN_CEC_MAX[{index}]={number(float(profile.nodes[-1]))}",
+        f"$AN_CEC_DIRECTION[{index}]=0",
+        f"$AN_CEC_MULT_BY_TABLE[{index}]={multiplier}",
+        f"$AN_CEC_IS_MODULO[{index}]=0",
+    ]
+
+
+def _enabling(kept: tuple[Term, ...], first: int) -> str:
+    lines, index = ["%_N_CEC_ENABLE_SPF"], first
+    for term in kept:
+        lines.append(f"$SN_CEC_TABLE_ENABLE[{index}]=1")
+        index += 1
+        if term.factor is not None:
+            lines.append(f"$SN_CEC_TABLE_ENABLE[{index}]=0 ; a factor only")
+            index += 1
+    return "\n".join([*lines, "M17"]) + "\n"

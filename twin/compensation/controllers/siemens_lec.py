@@ -1,0 +1,64 @@
+"""SINUMERIK leadscrew and measuring system error compensation (LEC, MSEC): `$AA_ENC_COMP`.
+
+Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.2: a positive value makes the axis move in the negative
+direction, linear in between, constant beyond the ends, zero at the reference point; loading only while
+MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS says how many points there can be.
+"""
+
+from __future__ import annotations
+
+from twin.arrays import Array
+from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.controllers.grids import even_steps, reference_point, require_points
+from twin.compensation.controllers.reduction import Profile, own_axis, rounded, sum_of_own
+from twin.machine.kinematic_chain import AXES
+
+USUAL_NAMES = ("X1", "Y1", "Z1")
+MOST_POINTS = 5000
+DECIMALS = 6
+
+LOST = ("straightness, squareness and rotation: an axis is corrected by its own position only",)
+
+
+def export(source: Source, choices: Choices) -> Exported:
+    """An INI file for each axis."""
+    table, names = source.table, choices.names(USUAL_NAMES)
+    require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD38000")
+    steps = even_steps(table)
+    profiles = [rounded(one, DECIMALS) for one in own_axis(table, reference_point(table, choices.reference_mm))]
+    files = {
+        f"{name}_EEC.INI": _ini(name, profile, step, choices)
+        for name, profile, step in zip(names, profiles, steps, strict=True)
+    }
+    facts = {f"MD38000_at_least_{name}": len(table.nodes[axis]) for axis, name in enumerate(names)}
+
+    def correction(axis_positions: Array) -> Array:
+        return sum_of_own(profiles, axis_positions)
+
+    return Exported(files, correction, LOST, facts)
+
+
+def _ini(name: str, profile: Profile, step: float, choices: Choices) -> str:
+    encoder = choices.encoder
+    lines = [
+        f"%_N_{name}_EEC_INI",
+        "CHANDATA(1)",
+        f"; axis {AXES[profile.axis]}; load with MD32700 $MA_ENC_COMP_ENABLE[{encoder},{name}]=0",
+        f"; MD38000 $MA_MM_ENC_COMP_MAX_POINTS[{encoder},{name}] must be at least {len(profile.nodes)}",
+    ]
+    for place, value in enumerate((-choices.sign * profile.values + 0.0).tolist()):
+        lines.append(f"$AA_ENC_COMP[{encoder},{place},{name}]={value:.{DECIMALS}f}")
+    lines += [
+        f"$AA_ENC_COMP_STEP[{encoder},{name}]={number(step)}",
+        f"$AA_ENC_COMP_MIN[{encoder},{name}]={number(float(profile.nodes[0]))}",
+        f"$AA_ENC_COMP_MAX[{encoder},{name}]={number(float(profile.nodes[-1]))}",
+        f"$AA_ENC_COMP_IS_MODULO[{encoder},{name}]=0",
+        "M17",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def number(value: float) -> str:
+    """A position with as many digits as it needs, and a point, so that it is read as REAL."""
+    text = f"{value:.12g}"
+    return text if "." in text or "e" in text else f"{text}.0"

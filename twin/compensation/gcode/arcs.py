@@ -1,0 +1,152 @@
+"""Circular and helical arcs (G2, G3) in the three planes, from their centre or their radius."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.compensation.gcode.words import Block
+
+Axes = tuple[int, int, int]
+
+PLANE_AXES: dict[int, Axes] = {170: (0, 1, 2), 180: (2, 0, 1), 190: (1, 2, 0)}
+"""First, second and normal axis by ten times the G code: right-handed, so that G18 is the plane Z, X."""
+
+CENTRE_LETTERS = "IJK"
+
+_SAME_POINT_MM = 1e-6
+_RADIUS_SURE_MM = 0.005  # these three as in Grbl 1.1 (its error 33)
+_RADIUS_SHARE = 1e-3
+_RADIUS_LARGEST_MM = 0.5
+_NO_TURN_RAD = 5e-7  # less is a whole circle, also as in Grbl
+_MOST_TURNS = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """`axes`: first, second, normal axis. `centre` in the first two, mm; angles in rad, `sweep` signed, turns included.
+
+    The radius goes evenly from `radius` to `end_radius`: programs are rounded, so the two differ by a µm or so.
+    """
+
+    axes: Axes
+    centre: tuple[float, float]
+    radius: float
+    end_radius: float
+    angle: float
+    sweep: float
+
+
+def read_arc(
+    block: Block,
+    start: Sequence[float],
+    end: Sequence[float],
+    *,
+    clockwise: bool,
+    axes: Axes,
+    unit_mm: float,
+    centre_origin: Sequence[float] | None,
+) -> Arc:
+    """The arc from `start` to `end` (mm, axis positions) of a block in which G2 or G3 acts.
+
+    `centre_origin`: axis position of the program's zero where centres are absolute (G90.1); None where they count
+    from the start (G91.1). FormatError for what is no arc.
+    """
+    a, b, normal = axes
+    if CENTRE_LETTERS[normal] in block.values:
+        block.refuse(f"{CENTRE_LETTERS[normal]} is not in the plane of the arc")
+    if "R" in block.values:
+        centre = _centre_by_radius(block, start, end, axes, clockwise, unit_mm)
+    else:
+        centre = _centre_by_offsets(block, start, axes, unit_mm, centre_origin)
+    first = (start[a] - centre[0], start[b] - centre[1])
+    last = (end[a] - centre[0], end[b] - centre[1])
+    radius, end_radius = math.hypot(*first), math.hypot(*last)
+    _check_radii(block, radius, end_radius)
+    angle = math.atan2(first[1], first[0])
+    turn = math.atan2(first[0] * last[1] - first[1] * last[0], first[0] * last[0] + first[1] * last[1])
+    sweep = _directed(turn, clockwise) + _more_turns(block, clockwise)
+    return Arc(axes, centre, radius, end_radius, angle, sweep)
+
+
+def arc_points(arcs: Sequence[Arc], which: np.ndarray, share: Array, starts: Array, ends: Array) -> Array:
+    """Axis positions (n, 3) at the `share` (n,) of the way along the arc number `which` (n,) of `arcs`.
+
+    `starts`, `ends` (m, 3) of the arcs; only their component along the normal is used.
+    """
+    axes = np.array([arc.axes for arc in arcs])[which]
+    a0, b0, radius, end_radius, angle, sweep = np.array(
+        [(*arc.centre, arc.radius, arc.end_radius, arc.angle, arc.sweep) for arc in arcs]
+    )[which].T
+    rows = np.arange(len(which))
+    turned = angle + share * sweep
+    at_radius = radius + share * (end_radius - radius)
+    points = np.empty((len(which), 3))
+    points[rows, axes[:, 0]] = a0 + at_radius * np.cos(turned)
+    points[rows, axes[:, 1]] = b0 + at_radius * np.sin(turned)
+    first, last = starts[which, axes[:, 2]], ends[which, axes[:, 2]]
+    points[rows, axes[:, 2]] = first + share * (last - first)
+    return points
+
+
+def _centre_by_offsets(
+    block: Block, start: Sequence[float], axes: Axes, unit_mm: float, origin: Sequence[float] | None
+) -> tuple[float, float]:
+    letters = [CENTRE_LETTERS[axis] for axis in axes[:2]]
+    given = [letter for letter in letters if letter in block.values]
+    if not given:
+        block.refuse("an arc needs a centre (I, J, K) or a radius (R)")
+    if origin is not None and len(given) < 2:
+        block.refuse(f"with G90.1 an arc in this plane needs both {letters[0]} and {letters[1]}")
+    base = start if origin is None else origin
+    a, b = (base[axis] + block.values.get(CENTRE_LETTERS[axis], 0.0) * unit_mm for axis in axes[:2])
+    return a, b
+
+
+def _centre_by_radius(
+    block: Block, start: Sequence[float], end: Sequence[float], axes: Axes, clockwise: bool, unit_mm: float
+) -> tuple[float, float]:
+    """The centre on the left of the way where the turn is to the left; a negative R asks for more than half a turn."""
+    if any(letter in block.values for letter in CENTRE_LETTERS):
+        block.refuse("an arc has a centre or a radius, not both")
+    a, b, _ = axes
+    radius = block.values["R"] * unit_mm
+    way = (end[a] - start[a], end[b] - start[b])
+    chord = math.hypot(*way)
+    if chord <= _SAME_POINT_MM:
+        block.refuse("an arc by its radius cannot end where it begins", "Give its centre")
+    if 0.5 * chord > abs(radius) + _RADIUS_SURE_MM:
+        block.refuse(f"the radius {abs(radius):g} mm does not reach the end, {chord:g} mm away")
+    height = math.sqrt(max(radius * radius - 0.25 * chord * chord, 0.0))
+    left = height if clockwise == (radius < 0.0) else -height
+    return (
+        0.5 * (start[a] + end[a]) - left * way[1] / chord,
+        0.5 * (start[b] + end[b]) + left * way[0] / chord,
+    )
+
+
+def _check_radii(block: Block, radius: float, end_radius: float) -> None:
+    if min(radius, end_radius) < _SAME_POINT_MM:
+        block.refuse("the arc has the radius 0")
+    difference = abs(radius - end_radius)
+    if difference > _RADIUS_LARGEST_MM or difference > max(_RADIUS_SURE_MM, _RADIUS_SHARE * radius):
+        block.refuse(f"the end of the arc lies {difference:.4f} mm off its circle", "Check I, J, K and G90.1 or G91.1")
+
+
+def _directed(turn: float, clockwise: bool) -> float:
+    """The turn in the direction asked for, more than none and at most a whole one."""
+    if clockwise:
+        return turn if turn < -_NO_TURN_RAD else turn - math.tau
+    return turn if turn > _NO_TURN_RAD else turn + math.tau
+
+
+def _more_turns(block: Block, clockwise: bool) -> float:
+    """P of an arc counts its turns, the last one whole or not."""
+    turns = block.values.get("P", 1.0)
+    if not (turns.is_integer() and 1.0 <= turns <= _MOST_TURNS):
+        block.refuse(f"P of an arc counts its turns: a whole number from 1 to {_MOST_TURNS}, not {turns:g}")
+    return (turns - 1.0) * (-math.tau if clockwise else math.tau)

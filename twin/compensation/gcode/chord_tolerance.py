@@ -1,0 +1,108 @@
+"""How far apart points on a corrected path may be, so that straight lines between them stay close to it.
+
+The corrected path is P(s) = M(s) + c(M(s)) with M a line or an arc by its length s and c trilinear in cells. For any
+function f that is zero at both ends of a stretch of length h, |f| <= h/4 times the total variation of f' (the Green's
+function of the string is at most h/4). P' varies
+
+- by |d_i| K_i where a node plane of axis i is crossed, K_i the largest jump of the slope of c along axis i,
+- by 2 (|d_y d_z| Q_yz + |d_x d_z| Q_xz + |d_x d_y| Q_xy) a mm inside a cell, Q the largest mixed second derivatives,
+- by k (1 + G) a mm on an arc of curvature k, G the largest slope of c; a smooth arc alone deviates by k h²/8 only.
+
+Planes of an axis are at least a cell apart, so a stretch crosses at most 1 + h |d_i| / cell_i of them (an arc, that
+may turn round within the stretch: 2 + ...). That makes a quadratic in h. The bound is global, so it is never too
+large a step, and often too small a one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.compensation.table import CompensationTable
+
+_OTHERS = ((1, 2), (0, 2), (0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Bending:
+    """`kinks` (3,) mm/mm; `mixed` (3,) 1/mm: yz, xz, xy; `gradient` mm/mm; `cells` (3,) mm: the smallest of each axis.
+
+    `planes`: those of each axis at which the slope of the correction jumps.
+    """
+
+    planes: tuple[Array, Array, Array]
+    cells: Array
+    kinks: Array
+    mixed: Array
+    gradient: float
+
+    @classmethod
+    def of(cls, table: CompensationTable, *, beyond: bool) -> Bending:
+        """Of a table. `beyond`: paths may leave its volume, where it is held constant: the slope jumps to zero."""
+        slopes = [_slopes(table.corrections, nodes, axis) for axis, nodes in enumerate(table.nodes)]
+        acting = [_with_border(slope, axis) if beyond else slope for axis, slope in enumerate(slopes)]
+        kinks = [_largest(np.diff(slope, axis=axis)) for axis, slope in enumerate(acting)]
+        mixed = [_largest(_slopes(slopes[i], table.nodes[j], j)) for i, j in _OTHERS]
+        return cls(
+            planes=table.nodes,
+            cells=np.array([np.diff(nodes).min() for nodes in table.nodes]),
+            kinks=np.array(kinks),
+            mixed=np.array(mixed),
+            gradient=float(np.sqrt(sum(_largest(slope) ** 2 for slope in slopes))),
+        )
+
+    def line_pieces(self, starts: Array, ends: Array, limit_mm: float) -> NDArray[np.int64]:
+        """Into how many equal pieces (n,) each line from `starts` to `ends` (n, 3) is to be cut."""
+        way = ends - starts
+        length = np.sqrt((way * way).sum(axis=1))
+        direction = np.abs(way) / np.maximum(length, 1e-12)[:, None]
+        jumps = direction * self.kinks * self._crossed(np.minimum(starts, ends), np.maximum(starts, ends))
+        inside = 2.0 * sum(direction[:, i] * direction[:, j] * q for (i, j), q in zip(_OTHERS, self.mixed, strict=True))
+        rate = (jumps * direction / self.cells).sum(axis=1) + inside
+        return _pieces(length, jumps.sum(axis=1), rate, limit_mm)
+
+    def arc_pieces(
+        self, lower: Array, upper: Array, length: Array, curvature: Array, sweep: Array, limit_mm: float
+    ) -> NDArray[np.int64]:
+        """The same of arcs: each inside the box `lower` to `upper` (n, 3), by helix length, largest curvature, sweep.
+
+        A piece is never more than a quarter of a turn.
+        """
+        jumps = self.kinks * self._crossed(lower, upper)
+        inside = 2.0 * float(self.mixed.sum())
+        rate = (jumps / self.cells).sum(axis=1) + inside + curvature * (self.gradient + 0.5)
+        pieces = _pieces(length, 2.0 * jumps.sum(axis=1), rate, limit_mm)
+        return np.maximum(pieces, np.ceil(np.abs(sweep) / (0.5 * np.pi) - 1e-9).astype(np.int64))
+
+    def _crossed(self, lower: Array, upper: Array) -> NDArray[np.bool_]:
+        """(n, 3): whether a box touches a plane of each axis."""
+        found = [
+            np.searchsorted(nodes, lower[:, k], side="left") < np.searchsorted(nodes, upper[:, k], side="right")
+            for k, nodes in enumerate(self.planes)
+        ]
+        return np.stack(found, axis=1)
+
+
+def _pieces(length: Array, jump: Array, rate: Array, limit_mm: float) -> NDArray[np.int64]:
+    """Pieces of h with h/4 (jump + rate h) <= limit; the stable root of the quadratic, no division by zero."""
+    root = jump + np.sqrt(jump * jump + 16.0 * rate * limit_mm)
+    return np.maximum(np.ceil(length * root / (8.0 * limit_mm) - 1e-9), 1.0).astype(np.int64)
+
+
+def _slopes(values: Array, nodes: Array, axis: int) -> Array:
+    shape = [1] * values.ndim
+    shape[axis] = -1
+    return np.asarray(np.diff(values, axis=axis) / np.diff(nodes).reshape(shape))
+
+
+def _with_border(slope: Array, axis: int) -> Array:
+    widths = [(0, 0)] * slope.ndim
+    widths[axis] = (1, 1)
+    return np.pad(slope, widths)
+
+
+def _largest(vectors: Array) -> float:
+    return float(np.sqrt((vectors * vectors).sum(axis=-1)).max(initial=0.0))

@@ -1,0 +1,124 @@
+"""Which G and M codes are understood, which are passed on, and why the others are refused.
+
+All numbers are ten times that of the word. Meanings as in RS-274/NGC (NISTIR 6556), LinuxCNC and Grbl 1.1; what these
+and Fanuc-like controllers read differently is refused.
+"""
+
+from __future__ import annotations
+
+from twin.compensation.gcode.modal import SYSTEM_CODES
+from twin.compensation.gcode.words import Block
+
+AXIS_LETTERS = "XYZ"
+MOTIONS = (0, 10, 20, 30)
+
+_GROUPS: dict[str, tuple[int, ...]] = {
+    "motion": (*MOTIONS, 800),
+    "plane": (170, 180, 190),
+    "units": (200, 210),
+    "distance": (900, 910),
+    "arc centres": (901, 911),
+    "feed mode": (930, 940, 950),
+    "coordinate system": tuple(SYSTEM_CODES),
+    "tool length": (430, 431, 490),
+    "one block only": (40, 280, 300, 530, 920, 921, 922, 923),
+    "cutter radius": (400,),
+    "path": (610, 611, 640),
+    "spindle mode": (960, 970),
+    "retract": (980, 990),
+    "scaling off": (500,),
+    "rotation off": (690,),
+    "polar off": (150,),
+}
+GROUP_OF = {code: name for name, codes in _GROUPS.items() for code in codes}
+
+_OFFSETS = "it changes coordinates that the controller keeps to itself"
+_CUTTER = "cutter compensation shifts the path by a radius that only the controller has"
+_CYCLE = "a canned cycle moves the axes by itself"
+_PROBING = "the end of a probing move is not known beforehand"
+_TURNED = "coordinates would be scaled, mirrored, turned or polar"
+_LATHE = "it belongs to a lathe"
+REASONS: dict[int, str] = {
+    50: "a spline is not computed here",
+    51: "a spline is not computed here, or it is a high-speed mode",
+    52: "a spline is not computed here",
+    53: "a spline is not computed here",
+    70: _LATHE,
+    100: _OFFSETS,
+    160: _TURNED,
+    281: "it stores a reference point that is not known beforehand",
+    301: "it stores a reference point that is not known beforehand",
+    310: _PROBING,
+    330: _LATHE,
+    331: "rigid tapping is timed by the spindle",
+    **dict.fromkeys((380, 382, 383, 384, 385), _PROBING),
+    **dict.fromkeys((410, 411, 420, 421), _CUTTER),
+    432: "it adds tool lengths",
+    440: "it subtracts the tool length, which controllers do differently",
+    510: _TURNED,
+    520: _OFFSETS,
+    541: _OFFSETS,
+    680: _TURNED,
+    **dict.fromkeys((650, 660, 670), "macros and subprograms are not followed"),
+    **dict.fromkeys((730, 740, 760, 810, 820, 830, 840, 850, 860, 870, 880, 890), _CYCLE),
+}
+HINTS: dict[str, str] = {
+    _CUTTER: "Have the post-processor write the path of the tool's centre",
+    _CYCLE: "Have the post-processor write single moves",
+    _OFFSETS: "Set the offsets before the program and give them to this command",
+}
+
+TOOL_CHANGE = 60
+TOOL_NAMED = 610
+"""Says which tool is in the spindle (M61)."""
+
+PROGRAM_END = (20, 300)
+STOPS = frozenset((0, 10, 600, *PROGRAM_END))
+"""M codes that act after the motion of their block, on every controller."""
+
+FIRST = frozenset((30, 40, 70, 80))
+"""M codes that act before or with the motion: spindle and coolant on."""
+
+_CALLS = frozenset((960, 970, 980, 990))
+_STATES = frozenset((700, 710, 720, 730))
+_ROTARY = frozenset("ABCUVW")
+
+
+def check_codes(block: Block, kept_g: frozenset[int]) -> None:
+    """Refuse a block with a G or M code that cannot be followed, or with two of a kind."""
+    seen: set[str] = set()
+    for code in block.g:
+        group = GROUP_OF.get(code)
+        if group is None:
+            if code not in kept_g:
+                _refuse_code(block, code)
+        elif group in seen:
+            block.refuse(f"two G codes for the {group} in one block")
+        else:
+            seen.add(group)
+    for code in block.m:
+        if code in _CALLS:
+            block.refuse("subprograms are not followed", "Have the post-processor write one program")
+        if code in _STATES:
+            block.refuse(f"M{code // 10} saves or restores what is in effect, on some controllers")
+
+
+def check_letters(block: Block) -> None:
+    """Refuse words of axes that the table has not, and O-words."""
+    values = block.values
+    if "O" in values:
+        block.refuse("an O-word begins or calls a subprogram", "Have the post-processor write one program")
+    rotary = _ROTARY.intersection(values)
+    if rotary and not (40 in block.g and rotary == {"U"}):
+        block.refuse(f"the table does not know an axis {min(rotary)}", "Only X, Y and Z can be corrected")
+
+
+def _refuse_code(block: Block, code: int) -> None:
+    name = f"G{code // 10}" + (f".{code % 10}" if code % 10 else "")
+    if code < 0:
+        block.refuse("a G code is a number with at most one decimal")
+    reason = REASONS.get(code)
+    if reason is None:
+        hint = f"If it neither moves the axes nor changes coordinates: --keep {name}"
+        block.refuse(f"{name} is not known here", hint)
+    block.refuse(f"{name} cannot be corrected, {reason}", HINTS.get(reason, ""))

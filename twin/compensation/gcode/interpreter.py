@@ -1,0 +1,333 @@
+"""Follows a part program block by block: what it sets, where it means the axes to go.
+
+Within a block things happen in the order of RS-274/NGC (NISTIR 6556, table 8): feed mode, tool, plane, units, tool
+length, coordinate system, distance mode, then what uses the axis words, then stops.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from twin.compensation.gcode import datum
+from twin.compensation.gcode.arcs import PLANE_AXES, Arc, read_arc
+from twin.compensation.gcode.codes import (
+    FIRST,
+    MOTIONS,
+    PROGRAM_END,
+    STOPS,
+    TOOL_CHANGE,
+    TOOL_NAMED,
+    check_codes,
+    check_letters,
+)
+from twin.compensation.gcode.lines import Move
+from twin.compensation.gcode.modal import MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, Modal
+from twin.compensation.gcode.setup import NO_OFFSET, CorrectionOptions, PartSetup, Triple
+from twin.compensation.gcode.words import Block, code_number, is_program_number, read_block, read_plain
+from twin.compensation.gcode.writer import Writer
+
+MARK = "volcal gcode correct"
+"""Stands in a comment of every corrected program, so that none is corrected twice."""
+
+_AXES = frozenset("XYZ")
+_ARC = frozenset("IJKR")
+_GEOMETRY = _AXES | _ARC
+_ONCE = frozenset("FSTHD")
+_BLENDING = 640
+_PASSABLE = frozenset("NSF")
+_ARCS = (20, 30)
+_LINEAR = (0, 10)
+_REFERENCES = {280: "G28", 300: "G30"}
+_DATUM = frozenset((920, 921, 922, 923))
+_WRITTEN = {0: "G0", 10: "G1", 20: "G1", 30: "G1"}
+_DWELL, _MACHINE, _DYNAMIC_LENGTH, _CANCEL = 40, 530, 431, 800
+_SPECIAL = frozenset((_DWELL, _MACHINE, _DYNAMIC_LENGTH, *_REFERENCES, *_DATUM))
+_UNCLEAR = "it is not known what {} is to do in each piece"
+_UNSURE = "M{} acts before the motion on some controllers and after it on others"
+
+
+class Interpreter:
+    """Feeds what it reads to a writer. `heading`: the comment that is written before the first block."""
+
+    def __init__(self, setup: PartSetup, options: CorrectionOptions, writer: Writer, heading: str) -> None:
+        self.modal = Modal(setup)
+        self._options = options
+        self._writer = writer
+        self._heading = heading
+        self._begun = False
+        self._placed = self.modal.is_placed
+        self._coded = True
+        self._flowing = False
+
+    def feed(self, line: int, text: str) -> None:
+        """One line without its end. FormatError for what cannot be corrected."""
+        if self._flowing and self._plain_move(line, text):
+            return
+        if text.lstrip().startswith("%"):
+            self.modal.ended = self._begun
+            self._flowing = False
+            self._writer.keep(text)
+            return
+        block = read_block(text, line)
+        if MARK in block.comments:
+            block.refuse("this program was corrected before", "Correct the program as it was made")
+        if not self._begun and is_program_number(block):
+            self._writer.keep(text)
+            return
+        if self._heading and text.strip():
+            self._writer.keep(self._heading)
+            self._heading = ""
+        if block.tokens:
+            self._block(block)
+        else:
+            self._writer.keep(text)
+
+    @property
+    def _may_flow(self) -> bool:
+        """Whether a line of N, G0 or G1, X, Y, Z and F alone is nothing but a move to be corrected."""
+        modal = self.modal
+        known = self._placed and modal.offset is not None and not modal.ended
+        return known and modal.motion in _LINEAR and not modal.inverse_time and not self._heading
+
+    def _plain_move(self, line: int, text: str) -> bool:
+        """Take such a line the short way; False where it is another."""
+        words = read_plain(text)
+        if words is None:
+            return False
+        number, code, x, y, z, feed = words
+        if x is None and y is None and z is None:
+            return False
+        modal = self.modal
+        unit, position = modal.unit_mm, modal.position
+        base = modal.offset if modal.absolute else position
+        if base is None:
+            return False
+        mask, coded = 0, self._coded
+        if code is not None:
+            modal.motion, coded = (10 if code == "1" else 0), True
+        end_x, end_y, end_z = position
+        if x is not None:
+            mask, end_x = 1, float(x) * unit + base[0]
+        if y is not None:
+            mask, end_y = mask | 2, float(y) * unit + base[1]
+        if z is not None:
+            mask, end_z = mask | 4, float(z) * unit + base[2]
+        head = f"N{number} " if number else ""
+        tail = f" F{feed}" if feed else ""
+        written = "G1" if modal.motion else "G0"
+        move = Move(line, text, written, coded, False, mask, head, tail, "", "", 0.0, "")
+        self._writer.move(move, (end_x, end_y, end_z), modal.frame, None)
+        modal.position = [end_x, end_y, end_z]
+        self._coded = False
+        return True
+
+    def _block(self, block: Block) -> None:
+        modal = self.modal
+        self._begun = True
+        if modal.ended:
+            block.refuse("it stands after the end of the program", "Remove it: some controllers would run it")
+        check_letters(block)
+        if block.g or block.m or block.deletable or "T" in block.values:
+            check_codes(block, self._options.kept_g)
+            if block.deletable:
+                _check_deletable(block)
+            self._set_modes(block)
+        self._act(block)
+        if block.m:
+            modal.ended = any(code in PROGRAM_END for code in block.m)
+        self._flowing = self._may_flow
+
+    def _set_modes(self, block: Block) -> None:
+        """All but motion, in the order in which a controller obeys."""
+        modal, codes = self.modal, block.g
+        if "T" in block.values:
+            modal.tool_called = int(block.values["T"])
+        if TOOL_CHANGE in block.m:
+            self._change_tool(block)
+        if TOOL_NAMED in block.m:
+            modal.tool_held = None
+        if not codes or (len(codes) == 1 and codes[0] in MOTIONS):
+            return
+        for code in codes:
+            _MODES.get(code, _nothing)(modal)
+        if modal.unit_mm != self._writer.unit_mm:
+            self._writer.settle()
+            self._writer.stand(_triple(modal.position), self._writer.position, modal.unit_mm)
+        if 430 in codes:
+            modal.tool_offset = self._tool_length(block)
+        if _DYNAMIC_LENGTH in codes:
+            datum.set_tool_length(block, modal)
+        modal.place()
+
+    def _change_tool(self, block: Block) -> None:
+        self.modal.tool_held = self.modal.tool_called
+        if self.modal.setup.tool_change_moves:
+            if not _AXES.isdisjoint(block.values):
+                block.refuse("a tool change and a move in one block", "Write them as two")
+            datum.lose_position(self.modal, self._writer)
+            self._placed = False
+
+    def _tool_length(self, block: Block) -> Triple:
+        number = block.values.get("H", self.modal.tool_held)
+        if number is None:
+            block.refuse("G43 without H, and no tool was changed in", "Write the H word")
+        offset = self.modal.setup.tools.get(int(number))
+        if offset is None or number != int(number):
+            block.refuse(f"the length of tool {number:g} is not known", f"Give it: --tool {number:g}=X,Y,Z")
+        return offset
+
+    def _act(self, block: Block) -> None:
+        """What uses the axis words."""
+        modal, special = self.modal, 0
+        for code in block.g:
+            if code in MOTIONS:
+                modal.motion = code
+            elif code == _CANCEL:
+                modal.motion = None
+            elif code in _SPECIAL:
+                special = code
+        if special and special != _MACHINE:
+            self._act_specially(block, special)
+        elif not _AXES.isdisjoint(block.values) or (modal.motion in _ARCS and not _ARC.isdisjoint(block.values)):
+            self._move(block, special == _MACHINE)
+        else:
+            self._keep(block)
+
+    def _act_specially(self, block: Block, code: int) -> None:
+        """G4, G28, G30, G43.1, G92 ...: the axis words are theirs."""
+        stated = [other for other in block.g if other in MOTIONS]
+        named = _AXES.intersection(block.values)
+        if stated and not (stated == [0] and code in _REFERENCES):
+            block.refuse("two G codes want the axis words", "Write two blocks")
+        if code == _DWELL and named and (named != {"X"} or "P" in block.values):
+            block.refuse("a dwell with axis words is a move on some controllers", "Write two blocks")
+        if code in _DATUM:
+            if named and code != 920:
+                block.refuse("this G code takes no axis words")
+            datum.set_datum(block, code, self.modal, self._writer)
+        elif code in _REFERENCES:
+            datum.go_to_reference(block, _REFERENCES[code], self.modal, self._writer)
+            self._placed = self.modal.is_placed
+        else:
+            self._writer.keep(block.text)
+        self._coded = True
+
+    def _keep(self, block: Block) -> None:
+        self._writer.keep(block.text)
+        self._coded = self._coded or any(code in MOTIONS or code == _CANCEL for code in block.g)
+
+    def _move(self, block: Block, machine: bool) -> None:
+        modal, motion = self.modal, self.modal.motion
+        if motion is None:
+            block.refuse("axis words, and none of G0 to G3 is in effect", "State the G code")
+        if machine and (motion in _ARCS or not modal.absolute):
+            block.refuse("G53 is for G0 or G1 with G90")
+        if motion not in _ARCS and not _ARC.isdisjoint(block.values):
+            block.refuse(f"I, J, K and R belong to arcs, and G{motion // 10} is in effect")
+        end = datum.targets(block, modal, machine)
+        if not self._placed and not self._begin_from_nowhere(block, end, machine, motion):
+            return
+        arc = self._arc(block, end, motion) if motion in _ARCS else None
+        self._writer.move(self._as_move(block, machine, motion), end, MACHINE_FRAME if machine else modal.frame, arc)
+        modal.position = list(end)
+        self._coded = False
+
+    def _begin_from_nowhere(self, block: Block, end: Triple, machine: bool, motion: int) -> bool:
+        """Whether a move that begins nobody knows where can be corrected: one that tells where all axes end.
+
+        Another rapid move is kept as it is.
+        """
+        if motion != 0:
+            message = "it is not known where the axes are before this block"
+            block.refuse(message, "Begin with G0 moves that name X, Y and Z, or say it: --start X,Y,Z")
+        self._coded = True
+        self._placed = not any(map(math.isnan, end))
+        if self._placed:
+            self._writer.settle()
+            self._writer.stand(end, self._writer.position, self.modal.unit_mm)
+        else:
+            datum.move_from_nowhere(block, end, machine, self.modal, self._writer)
+        return self._placed
+
+    def _arc(self, block: Block, end: Triple, motion: int) -> Arc:
+        modal = self.modal
+        return read_arc(
+            block,
+            modal.position,
+            end,
+            clockwise=motion == 20,
+            axes=PLANE_AXES[modal.plane],
+            unit_mm=modal.unit_mm,
+            centre_origin=datum.zero(block, modal) if modal.absolute_centres else None,
+        )
+
+    def _as_move(self, block: Block, machine: bool, motion: int) -> Move:
+        head, tail, stop = "", "", ""
+        values, inverse, coded, whole = block.values, 0.0, self._coded, ""
+        timed = self.modal.inverse_time and motion != 0
+        for letter, number, _ in block.tokens:
+            if letter in _GEOMETRY or (letter == "P" and motion in _ARCS):
+                continue
+            if letter == "G":
+                code = code_number(number)
+                if code in MOTIONS:
+                    coded = True
+                elif code != _MACHINE:
+                    head += f"G{number} "
+            elif letter == "N":
+                head = f"N{number} {head}"
+            elif letter == "F" and timed:
+                inverse = values["F"]
+            elif letter != "M":
+                tail += f" {letter}{number}"
+                if letter not in _ONCE and _BLENDING not in block.g:
+                    whole = _UNCLEAR.format(letter)
+            elif code_number(number) in STOPS:
+                stop += f" M{number}"
+            else:
+                tail += f" M{number}"
+                whole = whole if code_number(number) in FIRST else _UNSURE.format(number)
+        if timed and inverse <= 0.0:
+            block.refuse("with G93 every move needs its F", "Write the F word")
+        comment = f" {block.comments}" if block.comments else ""
+        mask = ("X" in values) + 2 * ("Y" in values) + 4 * ("Z" in values)
+        return Move(
+            block.line, block.text, _WRITTEN[motion], coded, machine, mask, head, tail, stop, comment, inverse, whole
+        )
+
+
+def _check_deletable(block: Block) -> None:
+    harmless = not block.g and _PASSABLE.issuperset(block.values)
+    if not harmless or any(code == TOOL_CHANGE or code in PROGRAM_END for code in block.m):
+        message = "whether this block runs depends on a switch, and what follows depends on this block"
+        block.refuse(message, "Remove the slash, or the block")
+
+
+def _nothing(_: Modal) -> None:
+    """Of a code that sets nothing that matters here."""
+
+
+def _setter(name: str, value: object) -> Callable[[Modal], None]:
+    return lambda modal: setattr(modal, name, value)
+
+
+_MODES: dict[int, Callable[[Modal], None]] = {
+    **{code: _setter("plane", code) for code in PLANE_AXES},
+    **{code: _setter("system", name) for code, name in SYSTEM_CODES.items()},
+    200: _setter("unit_mm", MM_PER_INCH),
+    210: _setter("unit_mm", 1.0),
+    490: _setter("tool_offset", NO_OFFSET),
+    900: _setter("absolute", True),
+    901: _setter("absolute_centres", True),
+    910: _setter("absolute", False),
+    911: _setter("absolute_centres", False),
+    930: _setter("inverse_time", True),
+    940: _setter("inverse_time", False),
+    950: _setter("inverse_time", False),
+}
+
+
+def _triple(values: list[float]) -> Triple:
+    x, y, z = values
+    return x, y, z

@@ -1,0 +1,77 @@
+"""What is in effect between two lines of a part program."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from twin.compensation.gcode.setup import NO_OFFSET, SYSTEMS, PartSetup, Triple
+
+MM_PER_INCH = 25.4
+
+UNKNOWN: Triple = (math.nan, math.nan, math.nan)
+
+Frame = tuple[float, float, float, bool]
+"""Axis position of the zero that the controller counts words from, and whether words are absolute."""
+
+MACHINE_FRAME: Frame = (0.0, 0.0, 0.0, True)
+
+SYSTEM_CODES = {round(10.0 * float(name[1:])): name for name in SYSTEMS}
+
+
+@dataclass(slots=True)
+class Modal:
+    """G codes as ten times their number. Lengths in mm, positions are axis positions; NaN where unknown.
+
+    `position`: where the program means the axes to stand, without corrections. `g92` as the program means it,
+    `g92_written` as the controller has it: it was set at a corrected position that is rounded.
+    """
+
+    setup: PartSetup
+    position: list[float] = field(init=False)
+    motion: int | None = None
+    absolute: bool = field(init=False)
+    absolute_centres: bool = field(init=False)
+    unit_mm: float = field(init=False)
+    plane: int = field(init=False)
+    inverse_time: bool = field(init=False)
+    system: str = field(init=False)
+    tool_offset: Triple = NO_OFFSET
+    g92: Triple = field(init=False)
+    g92_written: Triple = field(init=False)
+    g92_saved: tuple[Triple, Triple] | None = None
+    tool_called: int | None = None
+    tool_held: int | None = None
+    ended: bool = False
+    offset: Triple | None = field(init=False)
+    frame: Frame = field(init=False)
+
+    def __post_init__(self) -> None:
+        setup = self.setup
+        self.position = list(setup.start or UNKNOWN)
+        self.absolute = setup.distance == "G90"
+        self.absolute_centres = setup.arc_centres == "G90.1"
+        self.unit_mm = 1.0 if setup.units == "G21" else MM_PER_INCH
+        self.plane = 10 * int(setup.plane[1:])
+        self.inverse_time = setup.feed == "G93"
+        self.system = setup.system
+        self.g92 = self.g92_written = setup.g92
+        self.place()
+
+    def place(self) -> None:
+        """Work out `offset` (None: the work offset is not known) and `frame` after a change."""
+        work = self.setup.work_offsets.get(self.system)
+        self.offset = None if work is None else _sum(work, self.g92, self.tool_offset)
+        written = _sum(work or UNKNOWN, self.g92_written, self.tool_offset)
+        self.frame = (*written, self.absolute)
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether it is known where all three axes stand."""
+        x, y, z = self.position
+        return x == x and y == y and z == z  # noqa: PLR0124  NaN alone differs from itself; math.isnan is slower
+
+
+def _sum(*offsets: Triple) -> Triple:
+    x, y, z = (sum(parts) for parts in zip(*offsets, strict=True))
+    return x, y, z

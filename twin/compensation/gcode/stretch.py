@@ -1,0 +1,150 @@
+"""The numbers of many moves at once: where they are divided, corrected points, the words that say so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.compensation.gcode.arcs import Arc, arc_points
+from twin.compensation.gcode.chord_tolerance import Bending
+from twin.compensation.gcode.modal import Frame
+from twin.compensation.table import CompensationTable
+
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """`starts`, `ends` (m, 3) of consecutive moves, axis positions in mm; `arcs` of those that are no line."""
+
+    starts: Array
+    ends: Array
+    arcs: Mapping[int, Arc]
+
+    def pieces(self, bending: Bending, dividable: Flags, limit_mm: float) -> Indices:
+        """Into how many pieces (m,) each is to be cut."""
+        count = bending.line_pieces(self.starts, self.ends, limit_mm)
+        count[~dividable] = 1
+        if self.arcs:
+            rows = np.fromiter(self.arcs, dtype=np.int64)
+            count[rows] = self._arc_pieces(rows, bending, limit_mm)
+        return count
+
+    def points(self, first: int, pieces: Indices) -> tuple[Array, Indices, Flags]:
+        """Ends (n, 3) of the pieces of the moves from `first` on; which move each is of; whether it is its last."""
+        total = int(pieces.sum())
+        rows = np.repeat(np.arange(len(pieces)), pieces) + first
+        before = np.repeat(np.cumsum(pieces) - pieces, pieces)
+        number = np.arange(1, total + 1) - before
+        last = number == np.repeat(pieces, pieces)
+        share = number / np.repeat(pieces, pieces)
+        points = self.starts[rows] + share[:, None] * (self.ends[rows] - self.starts[rows])
+        curved = [row for row in self.arcs if first <= row < first + len(pieces)]
+        if curved:
+            self._bend(points, rows, share, curved)
+        points[last] = self.ends[rows[last]]
+        return points, rows, last
+
+    def _bend(self, points: Array, rows: Indices, share: Array, curved: list[int]) -> None:
+        """Put the points of arcs where they belong."""
+        place = np.full(len(self.ends), -1)
+        place[curved] = np.arange(len(curved))
+        which = place[rows]
+        on_arc = which >= 0
+        arcs = [self.arcs[row] for row in curved]
+        starts, ends = self.starts[curved], self.ends[curved]
+        points[on_arc] = arc_points(arcs, which[on_arc], share[on_arc], starts, ends)
+
+    def _arc_pieces(self, rows: Indices, bending: Bending, limit_mm: float) -> Indices:
+        lower, upper = np.minimum(self.starts[rows], self.ends[rows]), np.maximum(self.starts[rows], self.ends[rows])
+        sizes = []
+        for place, row in enumerate(rows.tolist()):
+            arc = self.arcs[row]
+            largest = max(arc.radius, arc.end_radius)
+            for axis, middle in zip(arc.axes, arc.centre, strict=False):
+                lower[place, axis], upper[place, axis] = middle - largest, middle + largest
+            rise = float(self.ends[row, arc.axes[2]] - self.starts[row, arc.axes[2]])
+            sizes.append((largest, arc.end_radius - arc.radius, rise, arc.sweep))
+        radius, widening, rise, sweep = np.array(sizes).T
+        length = np.sqrt((radius * sweep) ** 2 + widening**2 + rise**2)
+        curvature = (radius * sweep**2 + 2.0 * np.abs(widening * sweep)) / length**2
+        return bending.arc_pieces(lower, upper, length, curvature, sweep, limit_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """`values` (n, 3): what X, Y, Z are to say; `changed` (n, 3): whether they say anything new; `position` (n, 3) mm:
+    where the controller then stands."""
+
+    values: Array
+    changed: Flags
+    position: Array
+
+
+def as_words(
+    points: Array, frames: Sequence[Frame], rows: Indices, position: Sequence[float], unit_mm: float, decimals: int
+) -> Words:
+    """Round `points` (n, 3) mm to words with so many decimals, absolute or incremental as their frame (`rows`) says.
+
+    Absolute words lie on a lattice from the frame's zero, incremental ones on a lattice from the last position that
+    was absolute, or `position`, where the controller stands before.
+    """
+    step = unit_mm * 10.0**-decimals
+    frame = np.array(frames)[rows]
+    absolute = frame[:, 3] != 0.0
+    base = frame[:, :3].copy()
+    counted = np.rint((points - base) / step)
+    reached = base + counted * step
+    if not absolute.all():
+        before = np.maximum.accumulate(np.where(absolute, np.arange(len(points)), -1))[~absolute]
+        base[~absolute] = np.where(before[:, None] >= 0, reached[before], np.asarray(position))
+        reached[~absolute] = base[~absolute] + np.rint((points[~absolute] - base[~absolute]) / step) * step
+    change = np.diff(reached, axis=0, prepend=np.asarray(position)[None, :])
+    counted[~absolute] = np.rint(change[~absolute] / step)
+    return Words(np.round(counted * 10.0**-decimals, decimals) + 0.0, np.abs(change) > 0.25 * step, reached)
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """`points` (n, 3): axis positions to command, mm. The others (n,): how far each is, or is taken, beyond."""
+
+    points: Array
+    largest_mm: float
+    beyond_mm: Array
+    held_mm: Array
+    extrapolated: int
+
+
+def corrected(table: CompensationTable, points: Array, *, held: bool) -> Corrected:
+    """Points (n, 3) with the table's correction added. `held`: which takes no axis out of the table's volume.
+
+    The volume is the travel as a rule, and a controller stops at a position a µm beyond it.
+    """
+    lower = np.array([nodes[0] for nodes in table.nodes])
+    upper = np.array([nodes[-1] for nodes in table.nodes])
+    correction = table.at(points)
+    wanted = points + correction
+    allowed = np.clip(wanted, lower, upper) if held else wanted
+    beyond = np.maximum(lower - points, points - upper).max(axis=1)
+    return Corrected(
+        points=allowed,
+        largest_mm=float(np.sqrt((correction * correction).sum(axis=1)).max(initial=0.0)),
+        beyond_mm=beyond,
+        held_mm=np.abs(wanted - allowed).max(axis=1),
+        extrapolated=_extrapolated(table, points) if table.extrapolated.any() else 0,
+    )
+
+
+def _extrapolated(table: CompensationTable, points: Array) -> int:
+    """How many points take a share from a node where nothing was measured."""
+    near = [np.searchsorted(nodes, points[:, k]) for k, nodes in enumerate(table.nodes)]
+    found = np.zeros(len(points), dtype=bool)
+    for corner in np.ndindex(2, 2, 2):
+        place = [np.clip(n - side, 0, len(nodes) - 1) for n, side, nodes in zip(near, corner, table.nodes, strict=True)]
+        found |= table.extrapolated[place[0], place[1], place[2]]
+    return int(found.sum())

@@ -1,0 +1,208 @@
+"""Moves collected over many lines, corrected at once, and written.
+
+The controller's own position is followed number by number, as rounded, so that nothing accumulates, with incremental
+words neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from twin.compensation.gcode.arcs import Arc
+from twin.compensation.gcode.chord_tolerance import Bending
+from twin.compensation.gcode.codes import AXIS_LETTERS
+from twin.compensation.gcode.correction_summary import Counts
+from twin.compensation.gcode.lines import Move, Pen
+from twin.compensation.gcode.modal import MM_PER_INCH, Frame
+from twin.compensation.gcode.setup import CorrectionOptions, Triple
+from twin.compensation.gcode.stretch import Corrected, Indices, Paths, as_words, corrected
+from twin.compensation.gcode.words import Block, refusal
+from twin.compensation.table import CompensationTable
+from twin.errors import DataError
+
+_STRETCH_LINES = 4096
+_PART_POINTS = 16384
+_MOST_PIECES = 200_000
+_OUTSIDE_MM = 1e-6
+_AXIS_BITS = np.array([1, 2, 4])
+
+
+class Writer:
+    """Takes moves and lines to be kept in their order, and gives text to `emit`.
+
+    `position`: where the controller stands after all that is settled, mm; NaN where unknown. `newline` ends each line.
+    """
+
+    def __init__(
+        self,
+        table: CompensationTable,
+        options: CorrectionOptions,
+        start: Triple,
+        unit_mm: float,
+        emit: Callable[[str], object],
+    ) -> None:
+        self.table = table
+        self.options = options
+        self.counts = Counts()
+        self.newline = "\n"
+        self._emit = emit
+        self._held = options.outside == "refuse"
+        self._bending = Bending.of(table, beyond=not self._held)
+        self._limit_mm = _without_rounding(options)
+        self._items: list[str | Move] = []
+        self._ends: list[Triple] = []
+        self._frames: list[Frame] = []
+        self._arcs: dict[int, Arc] = {}
+        self.stand(start, list(start), unit_mm)
+
+    def stand(self, meant: Triple, position: list[float], unit_mm: float) -> None:
+        """Go on from here: where the program means the axes to be, where they are, what unit words have."""
+        self._meant = meant
+        self.position = position
+        self.unit_mm = unit_mm
+        self.decimals = self.options.decimals + (unit_mm == MM_PER_INCH)
+        self._pen = Pen(self.decimals)
+
+    def keep(self, text: str) -> None:
+        """Write a line as it is."""
+        self._items.append(text)
+        if len(self._items) >= _STRETCH_LINES:
+            self._flush()
+
+    def move(self, move: Move, end: Triple, frame: Frame, arc: Arc | None) -> None:
+        """Write a move to the axis position `end` (mm, not corrected), its words to count in `frame`."""
+        if arc is not None:
+            self._arcs[len(self._ends)] = arc
+        self._items.append(move)
+        self._ends.append(end)
+        self._frames.append(frame)
+        if len(self._items) >= _STRETCH_LINES:
+            self._flush()
+
+    def settle(self) -> None:
+        """Write all that was collected, so that `position` is up to date. The next move states its G code."""
+        self._flush()
+        self._pen.forget()
+
+    def corrected_point(self, point: Triple, block: Block) -> Triple:
+        """One corrected axis position, not counted. Refuses `block` where it lies outside the table, unless it may."""
+        points = np.array([point])
+        found = corrected(self.table, points, held=self._held)
+        if self._held and found.beyond_mm[0] > _OUTSIDE_MM:
+            block.refuse(self._where_outside(points[0]), _OUTSIDE_HINT)
+        x, y, z = found.points[0].tolist()
+        return x, y, z
+
+    def _flush(self) -> None:
+        texts = self._moves()
+        lines: list[str] = []
+        for item in self._items:
+            if isinstance(item, str):
+                lines.append(item)
+            else:
+                lines.extend(next(texts))
+            if len(lines) >= _STRETCH_LINES:
+                self._put(lines)
+        self._put(lines)
+        self._items.clear()
+        if self._ends:
+            self._meant = self._ends[-1]
+        self._ends, self._frames, self._arcs = [], [], {}
+
+    def _put(self, lines: list[str]) -> None:
+        if lines:
+            self.counts.written_lines += len(lines)
+            lines.append("")
+            self._emit(self.newline.join(lines))
+            lines.clear()
+
+    def _moves(self) -> Iterator[list[str]]:
+        """The lines of every move that was collected, some thousand points at a time."""
+        if not self._ends:
+            return
+        moves = [item for item in self._items if not isinstance(item, str)]
+        ends = np.array(self._ends)
+        paths = Paths(np.concatenate((np.array([self._meant]), ends[:-1])), ends, self._arcs)
+        dividable = np.array([self.options.divide_rapids or move.code != "G0" for move in moves])
+        pieces = paths.pieces(self._bending, dividable, self._limit_mm)
+        self._check_pieces(moves, pieces)
+        first = 0
+        part = np.cumsum(pieces) // _PART_POINTS
+        for after in [*(np.flatnonzero(np.diff(part)) + 1).tolist(), len(moves)]:
+            yield from self._part(moves, paths, first, pieces[first:after])
+            first = after
+
+    def _part(self, moves: list[Move], paths: Paths, first: int, pieces: Indices) -> Iterator[list[str]]:
+        points, rows, last = paths.points(first, pieces)
+        found = corrected(self.table, points, held=self._held)
+        self._check_volume(moves, rows, points, found)
+        frames = self._frames[first : first + len(pieces)]
+        words = as_words(found.points, frames, rows - first, self.position, self.unit_mm, self.decimals)
+        self.position = words.position[-1].tolist()
+        axes = words.changed @ _AXIS_BITS
+        axes[last] |= np.array([move.mask for move in moves[first : first + len(pieces)]])
+        values, bits = words.values.tolist(), axes.tolist()
+        pen, at = self._pen, 0
+        for move, count in zip(moves[first : first + len(pieces)], pieces.tolist(), strict=True):
+            if count == 1:
+                yield [pen.line(move, values[at], bits[at])]
+            else:
+                yield list(pen.lines(move, values[at : at + count], bits[at : at + count]))
+            at += count
+
+    def _check_pieces(self, moves: list[Move], pieces: Indices) -> None:
+        """Refuse what must not, or cannot well be divided; count."""
+        for row in np.flatnonzero(pieces > 1).tolist():
+            move = moves[row]
+            if move.whole:
+                hint = "Put that word into a block of its own, or allow a larger chord error"
+                raise refusal(move.line, move.text, f"this move has to be divided, and {move.whole}", hint)
+            if pieces[row] > _MOST_PIECES:
+                message = f"the chord error asks for {int(pieces[row])} pieces"
+                raise refusal(move.line, move.text, message, "Allow a larger chord error")
+        self.counts.moves += len(moves)
+        self.counts.divided += int((pieces > 1).sum())
+        self.counts.arcs += len(self._arcs)
+
+    def _check_volume(self, moves: list[Move], rows: Indices, points: np.ndarray, found: Corrected) -> None:
+        """Refuse points outside the table unless they may be; count."""
+        counts = self.counts
+        outside = found.beyond_mm > _OUTSIDE_MM
+        if outside.any():
+            if self.options.outside == "refuse":
+                row = rows[np.argmax(outside)]
+                move, place = moves[int(row)], int(np.argmax(np.where(rows == row, found.beyond_mm, -np.inf)))
+                raise refusal(move.line, move.text, self._where_outside(points[place]), _OUTSIDE_HINT)
+            counts.outside += int(outside.sum())
+            counts.outside_mm = max(counts.outside_mm, float(found.beyond_mm.max()))
+        counts.points += len(points)
+        counts.held += int((found.held_mm > 0.0).sum())
+        counts.held_mm = max(counts.held_mm, float(found.held_mm.max()))
+        counts.extrapolated += found.extrapolated
+        counts.largest_correction_mm = max(counts.largest_correction_mm, found.largest_mm)
+
+    def _where_outside(self, point: np.ndarray) -> str:
+        beyond = [max(nodes[0] - at, at - nodes[-1]) for at, nodes in zip(point, self.table.nodes, strict=True)]
+        axis = int(np.argmax(beyond))
+        reach = f"{self.table.nodes[axis][0]:g} to {self.table.nodes[axis][-1]:g} mm"
+        return f"{AXIS_LETTERS[axis]} is at {point[axis]:.3f} of the machine, the table reaches from {reach}"
+
+
+_OUTSIDE_HINT = (
+    "Check the work offsets, tool lengths and units; `--outside clamp` takes the correction of the table's border"
+)
+
+
+def _without_rounding(options: CorrectionOptions) -> float:
+    """What the rounding of words leaves of the chord error. DataError where nothing is left."""
+    step = max(10.0**-options.decimals, MM_PER_INCH * 0.1 ** (options.decimals + 1))
+    rounding: float = 0.5 * math.sqrt(3.0) * step
+    if rounding >= options.max_chord_error_mm:
+        message = (
+            f"words of {options.decimals} decimals round by up to {1e3 * rounding:.3g} µm, which is the chord error"
+        )
+        raise DataError(message, hint="Write more decimals, or allow a larger chord error")
+    return options.max_chord_error_mm - rounding

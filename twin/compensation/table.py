@@ -1,0 +1,216 @@
+"""Compensation table: what is added to the commanded axis position so that the tool reaches the nominal point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull, QhullError
+
+from twin.arrays import Array, as_points, as_vector
+from twin.errors import DataError, ModelError
+from twin.machine.error_model import ErrorModel, Ranges
+from twin.machine.forward_model import exact_deviation
+from twin.machine.kinematic_chain import AXES
+from twin.machine.rigid_motion import rigid_fields
+
+Nodes = tuple[Array, Array, Array]
+
+_LINE_POINTS = 65  # on an anchor line; the slope of any series is exact to far below a nanometre
+_STEPS = 3  # of c = rigid motion - d(X + c): each leaves 1e-4 of the one before
+_HALF_BALL_PITCH_MM = 75.0
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """Six stated constraints that fix the rigid motion which no free artefact sees.
+
+    The correction is zero at the axis position `point_mm` (3,): three. Along the `primary` axis through that point
+    the straight line of best fit keeps its direction: two. Along the `secondary` axis it does not leave the plane of
+    both: one.
+    """
+
+    point_mm: Array
+    primary: str = "X"
+    secondary: str = "Y"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point_mm", as_vector(self.point_mm, 3, "anchor point"))
+        if self.primary not in AXES or self.secondary not in AXES or self.primary == self.secondary:
+            raise ModelError(
+                f"an anchor needs two different axes, not '{self.primary}' and '{self.secondary}'",
+                hint="such as primary X, secondary Y",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class CompensationTable:
+    """`corrections` (nx, ny, nz, 3) mm at the nodes, ADDED to the commanded axis position; trilinear in between.
+
+    Holds for `tool_offset` (3,) mm only. `extrapolated` (nx, ny, nz): nodes outside the measured region. Raises
+    DataError for shapes that do not fit, nodes out of order, values that are not finite.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    corrections: Array
+    tool_offset: Array
+    anchor: Anchor
+    extrapolated: np.ndarray[Any, np.dtype[np.bool_]]
+
+    def __post_init__(self) -> None:
+        for axis, nodes in zip(AXES, self.nodes, strict=True):
+            if nodes.ndim != 1 or len(nodes) < 2 or not (np.isfinite(nodes).all() and (np.diff(nodes) > 0.0).all()):
+                raise DataError("table nodes must be at least two ascending numbers", axis=axis)
+        shape = (len(self.x), len(self.y), len(self.z))
+        if self.corrections.shape != (*shape, 3) or self.extrapolated.shape != shape:
+            raise DataError(f"corrections have the shape {self.corrections.shape}, expected {(*shape, 3)}")
+        if not np.isfinite(self.corrections).all():
+            raise DataError("a correction is not a finite number")
+
+    @property
+    def nodes(self) -> Nodes:
+        return self.x, self.y, self.z
+
+    def at(self, axis_positions: ArrayLike) -> Array:
+        """Corrections (n, 3) mm at axis positions (n, 3): trilinear, held constant beyond the border."""
+        points = as_points(axis_positions, "axis positions")
+        cells, shares = zip(*(_cell(nodes, points[:, k]) for k, nodes in enumerate(self.nodes)), strict=True)
+        total = np.zeros_like(points)
+        for corner in np.ndindex(2, 2, 2):
+            weight = np.ones(len(points))
+            for share, side in zip(shares, corner, strict=True):
+                weight *= share if side else 1.0 - share
+            place = tuple(cell + side for cell, side in zip(cells, corner, strict=True))
+            total += weight[:, None] * self.corrections[place]
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredRegion:
+    """Where the machine was measured: the half-spaces `walls` (m, 4), inside where normal · X + offset <= margin."""
+
+    walls: Array
+    margin_mm: float
+
+    @classmethod
+    def around(cls, axis_positions: ArrayLike, margin_mm: float = _HALF_BALL_PITCH_MM) -> MeasuredRegion:
+        """Convex hull of measured axis positions (n, 3); their bounding box where they lie in one plane."""
+        points = as_points(axis_positions, "measured axis positions")
+        try:
+            return cls(ConvexHull(points).equations, margin_mm)
+        except QhullError:
+            outward = np.concatenate((np.eye(3), -np.eye(3)))
+            return cls(
+                np.column_stack((outward, -np.concatenate((points.max(axis=0), -points.min(axis=0))))), margin_mm
+            )
+
+    def contains(self, axis_positions: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(n,) bool."""
+        distance = axis_positions @ self.walls[:, :3].T + self.walls[:, 3]
+        return np.asarray((distance <= self.margin_mm).all(axis=1))
+
+
+def regular_nodes(ranges_mm: Ranges, step_mm: tuple[float, float, float]) -> Nodes:
+    """Evenly spaced nodes over the ranges, ends included, at most `step_mm` apart."""
+    nodes = []
+    for axis, (low, high), step in zip(AXES, ranges_mm, step_mm, strict=True):
+        if not step > 0.0:
+            raise ModelError(f"a table step must be positive, not {step}", axis=axis)
+        cells = max(1, int(np.ceil((high - low) / step - 1e-9)))
+        nodes.append(np.linspace(low, high, cells + 1))
+    x, y, z = nodes
+    return x, y, z
+
+
+def build_table(
+    model: ErrorModel,
+    parameters: ArrayLike,
+    nodes: Nodes,
+    tool_offset: ArrayLike,
+    anchor: Anchor,
+    measured: MeasuredRegion | ArrayLike,
+) -> CompensationTable:
+    """Table of a model with parameters (p,) for a tool offset (3,).
+
+    At every node the model with the table deviates by the small rigid motion r of the anchor and nothing else:
+    c(X) + d(X + c(X)) = r(X), to 1e-12 mm. So machines compensated from one estimate under two anchors differ by a
+    rigid motion alone, linear in its turn φ (a true turn bends by φ²/2 of the distance, nanometres). The tables
+    themselves differ by a rigid motion but for the slope of d times their difference, some ten nanometres.
+
+    `measured`: the region, or the measured axis positions (n, 3). Raises ModelError for an anchor outside the nodes.
+    """
+    values = as_vector(parameters, model.size, "parameters")
+    offset = as_vector(tool_offset, 3, "tool offset")
+    _check_anchor(anchor, nodes)
+    shape = (len(nodes[0]), len(nodes[1]), len(nodes[2]))
+    points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+    motion = _rigid(points, anchor, _anchoring_motion(model, values, nodes, offset, anchor))
+    correction = np.zeros_like(points)
+    for _ in range(_STEPS):
+        correction = motion - exact_deviation(model, points + correction, offset, values)
+    region = measured if isinstance(measured, MeasuredRegion) else MeasuredRegion.around(measured)
+    return CompensationTable(
+        x=nodes[0],
+        y=nodes[1],
+        z=nodes[2],
+        corrections=correction.reshape(*shape, 3),
+        tool_offset=offset,
+        anchor=anchor,
+        extrapolated=~region.contains(points).reshape(shape),
+    )
+
+
+def _check_anchor(anchor: Anchor, nodes: Nodes) -> None:
+    for axis, node, value in zip(AXES, nodes, anchor.point_mm.tolist(), strict=True):
+        if not node[0] <= value <= node[-1]:
+            message = f"the anchor point {value:g} lies outside the table, {node[0]:g} to {node[-1]:g} mm"
+            raise ModelError(message, axis=axis, hint="choose an anchor inside the travel")
+
+
+def _anchoring_motion(model: ErrorModel, values: Array, nodes: Nodes, offset: Array, anchor: Anchor) -> Array:
+    """(6,) small rigid motion that the deviation field has at the anchor and along its two lines."""
+    lines = _anchor_points(nodes, anchor)
+    held = _constraints(exact_deviation(model, lines, offset, values)[:, :, None], lines, anchor)
+    motions = _constraints(rigid_fields(lines, anchor.point_mm, 1.0), lines, anchor)
+    return np.asarray(np.linalg.solve(motions, held[:, 0]))
+
+
+def _anchor_points(nodes: Nodes, anchor: Anchor) -> Array:
+    """The anchor point, then the points of the primary and of the secondary line: (1 + 2 m, 3)."""
+    points = np.tile(anchor.point_mm, (1 + 2 * _LINE_POINTS, 1))
+    for place, letter in enumerate((anchor.primary, anchor.secondary)):
+        axis = AXES.index(letter)
+        rows = slice(1 + place * _LINE_POINTS, 1 + (place + 1) * _LINE_POINTS)
+        points[rows, axis] = np.linspace(nodes[axis][0], nodes[axis][-1], _LINE_POINTS)
+    return points
+
+
+def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
+    """The six anchored quantities (6, m) of fields (n, 3, m) at the anchor points."""
+    first, second = AXES.index(anchor.primary), AXES.index(anchor.secondary)
+    third = 3 - first - second
+    primary, secondary = slice(1, 1 + _LINE_POINTS), slice(1 + _LINE_POINTS, None)
+    slopes_first = _slope(points[primary, first], fields[primary])
+    slopes_second = _slope(points[secondary, second], fields[secondary])
+    return np.concatenate((fields[0], slopes_first[[second, third]], slopes_second[[third]]))
+
+
+def _slope(along: Array, fields: Array) -> Array:
+    """Least-squares slope (3, m) of fields (n, 3, m) along (n,)."""
+    centred = along - along.mean()
+    return np.asarray(np.tensordot(centred, fields, axes=1) / (centred @ centred))
+
+
+def _rigid(points: Array, anchor: Anchor, motion: Array) -> Array:
+    return np.asarray(rigid_fields(points, anchor.point_mm, 1.0) @ motion)
+
+
+def _cell(nodes: Array, positions: Array) -> tuple[np.ndarray[Any, np.dtype[np.intp]], Array]:
+    """Cell of each position and its share of the way through, clamped to the border."""
+    inside = np.clip(positions, nodes[0], nodes[-1])
+    cell = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, len(nodes) - 2)
+    return cell, (inside - nodes[cell]) / (nodes[cell + 1] - nodes[cell])

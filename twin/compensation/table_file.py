@@ -1,0 +1,153 @@
+"""Compensation table as CSV with a JSON side file.
+
+CSV: `x_mm,y_mm,z_mm,dx_um,dy_um,dz_um`, full grid, x slowest, z fastest, values ADDED to the commanded position. Side
+file: grid, tool offset, anchor, extrapolated nodes, and the CRC-32 (IEEE 802.3, that of zlib) of the CSV file's bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from twin.arrays import Array
+from twin.compensation.table import Anchor, CompensationTable
+from twin.errors import DataError, FormatError, ModelError
+from twin.formats.csv_reading import Row, read_rows
+from twin.formats.json_reading import read_json
+from twin.formats.toml_reading import Strict
+from twin.machine.kinematic_chain import AXES
+
+COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um")
+MEANING = "added to the commanded axis position"
+
+Triple = tuple[float, float, float]
+Letter = Literal["X", "Y", "Z"]
+
+
+class AnchorSection(Strict):
+    point_mm: Triple
+    primary: Letter
+    secondary: Letter
+
+
+class GridSection(Strict):
+    x_mm: tuple[float, ...] = Field(min_length=2)
+    y_mm: tuple[float, ...] = Field(min_length=2)
+    z_mm: tuple[float, ...] = Field(min_length=2)
+
+
+class SideFile(Strict):
+    """`extrapolated_nodes`: places of the nodes outside the measured region, counted in the order of the CSV from 0."""
+
+    format: Literal["volcal compensation table 1"]
+    meaning: Literal["added to the commanded axis position"]
+    crc32: str = Field(pattern="^[0-9a-f]{8}$")
+    grid: GridSection
+    tool_offset_mm: Triple
+    anchor: AnchorSection
+    extrapolated_nodes: tuple[int, ...]
+
+
+def format_table(table: CompensationTable) -> str:
+    """CSV text, corrections to 0.1 nm."""
+    points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+    lines = [",".join(COLUMNS)]
+    for point, correction in zip(points.tolist(), (1e3 * table.corrections.reshape(-1, 3)).tolist(), strict=True):
+        place = ",".join(f"{value:.10g}" for value in point)
+        lines.append(place + "," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in correction))
+    return "\n".join(lines) + "\n"
+
+
+def format_side_file(table: CompensationTable) -> str:
+    """JSON text of the side file of `format_table(table)`."""
+    x, y, z = (_rounded(nodes) for nodes in table.nodes)
+    document = {
+        "format": "volcal compensation table 1",
+        "meaning": MEANING,
+        "crc32": checksum(format_table(table)),
+        "grid": {"x_mm": x, "y_mm": y, "z_mm": z},
+        "tool_offset_mm": table.tool_offset.tolist(),
+        "anchor": {
+            "point_mm": table.anchor.point_mm.tolist(),
+            "primary": table.anchor.primary,
+            "secondary": table.anchor.secondary,
+        },
+        "extrapolated_nodes": np.flatnonzero(table.extrapolated.reshape(-1)).tolist(),
+    }
+    return json.dumps(document, indent=2) + "\n"
+
+
+def checksum(text: str) -> str:
+    """CRC-32 of the UTF-8 bytes, eight hexadecimal digits."""
+    return f"{zlib.crc32(text.encode()):08x}"
+
+
+def parse_table(text: str, side_text: str, source: str, side_source: str) -> CompensationTable:
+    """Table from the two texts; FormatError names file and row, column or key. A wrong CRC-32 is refused first."""
+    side = read_json(side_text, side_source, SideFile)
+    found = checksum(text)
+    if found != side.crc32:
+        raise FormatError(
+            f"the table has the CRC-32 {found}, its side file says {side.crc32}",
+            hint=f"The table was changed after it was made, or {side_source} belongs to another one",
+            file=source,
+            key="crc32",
+        )
+    nodes = (np.array(side.grid.x_mm), np.array(side.grid.y_mm), np.array(side.grid.z_mm))
+    corrections = _corrections(text, source, nodes)
+    shape = corrections.shape[:3]
+    try:
+        return CompensationTable(
+            *nodes,
+            corrections=corrections,
+            tool_offset=np.array(side.tool_offset_mm),
+            anchor=Anchor(np.array(side.anchor.point_mm), side.anchor.primary, side.anchor.secondary),
+            extrapolated=_mask(side.extrapolated_nodes, shape, side_source),
+        )
+    except (DataError, ModelError) as error:
+        raise FormatError(error.message, hint=error.hint, file=side_source, **error.where) from None
+
+
+def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> Array:
+    """(nx, ny, nz, 3) mm; every node at its place."""
+    shape = (len(nodes[0]), len(nodes[1]), len(nodes[2]))
+    values = np.empty((math.prod(shape), 3))
+    count = 0
+    for row in read_rows(text, source, COLUMNS):
+        if count == len(values):
+            raise row.fail(f"more lines than the {len(values)} nodes of the grid", "x_mm")
+        _check_place(row, nodes, np.unravel_index(count, shape))
+        values[count] = [1e-3 * row.real(name) for name in COLUMNS[3:]]
+        count += 1
+    if count < len(values):
+        raise FormatError(f"{count} lines where the grid has {len(values)} nodes", file=source)
+    return values.reshape(*shape, 3)
+
+
+def _check_place(row: Row, nodes: tuple[Array, Array, Array], place: tuple[np.intp, ...]) -> None:
+    for axis, column in enumerate(COLUMNS[:3]):
+        expected, found = float(nodes[axis][place[axis]]), row.real(column)
+        if abs(found - expected) > 1e-6:
+            message = f"{AXES[axis]} {found:g} where the grid has {expected:g}"
+            raise row.fail(message, column, hint="Lines run over the full grid, x slowest, z fastest")
+
+
+def _mask(
+    places: tuple[int, ...], shape: tuple[int, ...], source: str
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    mask = np.zeros(math.prod(shape), dtype=bool)
+    for place in places:
+        if not 0 <= place < mask.size:
+            raise FormatError(f"node {place} is not in the grid", file=source, key="extrapolated_nodes")
+        mask[place] = True
+    return mask.reshape(shape)
+
+
+def _rounded(nodes: Array) -> list[float]:
+    """The numbers that stand in the CSV."""
+    return [float(f"{value:.10g}") for value in nodes.tolist()]

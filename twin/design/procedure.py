@@ -1,0 +1,119 @@
+"""A procedure before it is carried out: which balls a set of positions would measure, and how well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.artefact.position_set import Position
+from twin.collision.measuring_layout import Layout
+from twin.errors import DataError
+
+Numbers = NDArray[np.intp]
+
+FEWEST_BALLS = 3
+"""A position with fewer says nothing: its pose takes six unknowns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """`observations`: ball centres as a machine without errors would find them; `observations.position` counts into
+    `positions`. `left_out`: positions with fewer than three balls within reach; `unreachable_balls` of all positions.
+    """
+
+    observations: Observations
+    positions: tuple[Position, ...]
+    left_out: tuple[Position, ...]
+    unreachable_balls: int
+
+
+@dataclass(frozen=True, eq=False)
+class Procedure:
+    """With what positions are measured. `layouts`: tool name → layout, the tool of a run first; `covariance_mm2` (3, 3)
+    of one ball centre."""
+
+    layouts: Mapping[str, Layout]
+    covariance_mm2: Array
+
+    @property
+    def artefact(self) -> Artefact:
+        return self.layout().artefact
+
+    @property
+    def stations(self) -> tuple[int, ...]:
+        return tuple(sorted(self.layout().places_mm))
+
+    @property
+    def tool_offsets(self) -> Array:
+        """(T, 3) mm, in the order of `layouts`."""
+        return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
+
+    def layout(self, tool: str | None = None) -> Layout:
+        """Layout of a tool, by default of the first; DataError for one that is not there."""
+        if tool is None:
+            return next(iter(self.layouts.values()))
+        if tool not in self.layouts:
+            raise DataError(f"tool '{tool}' is not part of the procedure", hint=f"tools: {', '.join(self.layouts)}")
+        return self.layouts[tool]
+
+    def with_artefact(self, artefact: Artefact) -> Procedure:
+        """The same places and tools with another artefact, the same at all stations."""
+        layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
+        return replace(self, layouts=layouts)
+
+    def with_covariance(self, covariance_mm2: Array) -> Procedure:
+        """The same with ball centres of another covariance (3, 3)."""
+        return replace(self, covariance_mm2=covariance_mm2)
+
+    def balls_of(self, position: Position) -> tuple[Numbers, Array]:
+        """Numbers (m,), as observations count, and nominal axis positions (m, 3) mm of the balls that a position can
+        measure."""
+        layout = self.layout(position.tool)
+        nominal = layout.nominal(position)
+        balls = np.flatnonzero(layout.reachable(position, nominal))
+        return balls + layout.first_ball(position.station), nominal[balls]
+
+    def planned(self, positions: Sequence[Position]) -> Planned:
+        """What `positions` would measure. DataError where nothing is within reach."""
+        used: list[Position] = []
+        found: list[tuple[Numbers, Array]] = []
+        left_out: list[Position] = []
+        unreachable = 0
+        for position in positions:
+            balls, places = self.balls_of(position)
+            unreachable += self.layout(position.tool).artefact_at(position.station).count - len(balls)
+            if len(balls) < FEWEST_BALLS:
+                left_out.append(position)
+                continue
+            used.append(position)
+            found.append((balls, places))
+        if not used:
+            raise DataError(
+                f"none of {len(positions)} positions has three balls within reach",
+                hint="check stations, mount, tool offset and travel, or choose other orientations",
+            )
+        return Planned(self._observations(used, found), tuple(used), tuple(left_out), unreachable)
+
+    def _observations(self, positions: list[Position], found: list[tuple[Numbers, Array]]) -> Observations:
+        names = list(self.layouts)
+        counts = [len(balls) for balls, _ in found]
+        total = sum(counts)
+        tools = [0 if position.tool is None else names.index(position.tool) for position in positions]
+        elevations = [math.radians(position.elevation_deg) for position in positions]
+        return Observations(
+            position=np.repeat(np.arange(len(positions)), counts),
+            ball=np.concatenate([balls for balls, _ in found]),
+            tool=np.repeat(tools, counts),
+            axis_positions=np.concatenate([places for _, places in found]),
+            covariance=np.broadcast_to(self.covariance_mm2, (total, 3, 3)),
+            temperature_c=np.full(total, self.artefact.reference_temperature_c),
+            elevation_rad=np.repeat(elevations, counts),
+            tool_offsets=self.tool_offsets,
+        )

@@ -1,0 +1,52 @@
+"""What would show more, in words."""
+
+from __future__ import annotations
+
+from twin.design.setup_trials import Gain, Trial
+from twin.identification.observability import listed
+from twin.machine.kinematic_chain import AXES
+
+UM_PER_MM = 1e3
+_MOST_NAMES = 6
+_NOTHING_UM = 0.005
+
+
+def proposal(trial: Trial) -> str:
+    """What is to be done: `the positions again with a stylus 100 mm aside along -Z`."""
+    tool = trial.tool
+    if tool is not None and tool.lateral:
+        sign = "+" if tool.by_mm > 0.0 else "-"
+        return f"the positions again with a stylus {abs(tool.by_mm):g} mm aside along {sign}{AXES[tool.axis]}"
+    if tool is not None:
+        return f"the positions again with a probe {tool.name}"
+    return f"the positions of {trial.added} as well" if trial.added else "the same positions once more"
+
+
+def effect(gain: Gain) -> str:
+    """What it brings: `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24 positions more`.
+
+    The figures are rms over all tools that are looked at.
+    """
+    before, after = gain.before, gain.after
+    parts = [_parameters(gain), f"unseen {_change(before.unseen_mm, after.unseen_mm)}"]
+    if UM_PER_MM * before.blind_mm > _NOTHING_UM:
+        parts.append(f"blind {_change(before.blind_mm, after.blind_mm)}")
+    return "; ".join((*parts, _positions(gain.positions)))
+
+
+def _change(before_mm: float, after_mm: float) -> str:
+    return f"{UM_PER_MM * before_mm:.2f} to {UM_PER_MM * after_mm:.2f} µm"
+
+
+def _parameters(gain: Gain) -> str:
+    if gain.rank == 0:
+        return "no parameter more"
+    count = "1 more parameter" if gain.rank == 1 else f"{gain.rank} more parameters"
+    if not gain.shown:
+        return count
+    names = listed(gain.shown) if len(gain.shown) <= _MOST_NAMES else f"{len(gain.shown)} errors"
+    return f"{count}, {names} no longer hidden"
+
+
+def _positions(count: int) -> str:
+    return "1 position more" if count == 1 else f"{count} positions more"

@@ -1,0 +1,148 @@
+"""The part of an estimate file that makes it the prior of the next one: all unknowns together, and what they mean.
+
+The misfit modes are written out as they are: another computer may find the same ones with other signs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.errors import FormatError
+from twin.formats.toml_reading import Strict
+from twin.identification.misfit import MISFIT_KINDS, MisfitModes
+from twin.identification.unknowns import ArtefactErrors, Unknowns
+from twin.machine.error_model import ErrorModel
+
+Row = tuple[float, ...]
+Rows = tuple[Row, ...]
+Triple = tuple[float, float, float]
+
+KEY = "carried_over"
+
+
+class ArtefactSection(Strict):
+    """Which artefact, and the factor of its certificate's covariance (3N rows, mm)."""
+
+    balls_mm: tuple[Triple, ...]
+    cte_per_k: float
+    certificate_mm: Rows
+    cte_standard_uncertainty_per_k: float
+    thermometer_standard_uncertainty_k: float
+
+
+class MisfitSection(Strict):
+    """The fields beside the model; see `twin.identification.misfit`."""
+
+    rms_mm: float
+    tool_offset_mm: Triple
+    degrees: tuple[tuple[int, int, int], ...]
+    mixing: tuple[Rows, Rows, Rows]
+    removed: Rows
+    rigid: Rows
+    sizes: tuple[int, ...]
+    left_out: Row
+
+
+class CarriedOverSection(Strict):
+    """`mean` of all unknowns in units of their prior, and the lower triangle of their `covariance`, row by row."""
+
+    scale: Row
+    artefact: ArtefactSection
+    misfit: MisfitSection | None
+    mean: Row
+    covariance: Rows
+
+
+def carried_over_document(unknowns: Unknowns, mean: Array, covariance: Array) -> dict[str, Any]:
+    """As it is written."""
+    errors = unknowns.artefact
+    return {
+        "scale": unknowns.scale.tolist(),
+        "artefact": {
+            "balls_mm": errors.balls.tolist(),
+            "cte_per_k": errors.cte_per_k,
+            "certificate_mm": errors.certificate.tolist(),
+            "cte_standard_uncertainty_per_k": errors.cte_standard_uncertainty_per_k,
+            "thermometer_standard_uncertainty_k": errors.thermometer_standard_uncertainty_k,
+        },
+        "misfit": None if unknowns.modes is None else _misfit_document(unknowns.modes, unknowns.misfit_mm),
+        "mean": mean.tolist(),
+        "covariance": [row[: place + 1] for place, row in enumerate(covariance.tolist())],
+    }
+
+
+def _misfit_document(modes: MisfitModes, rms_mm: float) -> dict[str, Any]:
+    return {
+        "rms_mm": rms_mm,
+        "tool_offset_mm": modes.tool_offset.tolist(),
+        "degrees": [list(degrees) for degrees in modes.degrees],
+        "mixing": modes.mixing.tolist(),
+        "removed": modes.removed.tolist(),
+        "rigid": modes.rigid.tolist(),
+        "sizes": list(modes.sizes),
+        "left_out": modes.left_out.tolist(),
+    }
+
+
+def read_unknowns(section: CarriedOverSection, model: ErrorModel, source: str) -> Unknowns:
+    """FormatError names `source` and key where sizes do not fit."""
+    artefact, misfit = section.artefact, section.misfit
+    balls = len(artefact.balls_mm)
+    width = len(artefact.certificate_mm[0]) if artefact.certificate_mm else 0
+    errors = ArtefactErrors(
+        balls=_array(artefact.balls_mm, (balls, 3), source, "artefact.balls_mm"),
+        cte_per_k=artefact.cte_per_k,
+        certificate=_array(artefact.certificate_mm, (3 * balls, width), source, "artefact.certificate_mm"),
+        cte_standard_uncertainty_per_k=artefact.cte_standard_uncertainty_per_k,
+        thermometer_standard_uncertainty_k=artefact.thermometer_standard_uncertainty_k,
+    )
+    scale = _array(section.scale, (model.size,), source, "scale")
+    if misfit is None:
+        return Unknowns(model, scale, errors, None, 0.0)
+    return Unknowns(model, scale, errors, _modes(misfit, model, source), misfit.rms_mm)
+
+
+def _modes(section: MisfitSection, model: ErrorModel, source: str) -> MisfitModes:
+    count = len(section.rigid[0]) if section.rigid else 0
+    mixing = (3, len(section.degrees), count)
+    return MisfitModes(
+        model=model,
+        tool_offset=np.array(section.tool_offset_mm),
+        degrees=section.degrees,
+        mixing=_array(section.mixing, mixing, source, "misfit.mixing"),
+        removed=_array(section.removed, (model.size, count), source, "misfit.removed"),
+        rigid=_array(section.rigid, (6, count), source, "misfit.rigid"),
+        sizes=_sizes(section.sizes, count, source),
+        left_out=_array(section.left_out, (len(MISFIT_KINDS),), source, "misfit.left_out"),
+    )
+
+
+def _sizes(sizes: tuple[int, ...], count: int, source: str) -> tuple[int, ...]:
+    if len(sizes) != len(MISFIT_KINDS) or min(sizes) < 0 or sum(sizes) != count:
+        message = f"{len(MISFIT_KINDS)} numbers that add up to {count} are needed here"
+        raise FormatError(message, file=source, key=f"{KEY}.misfit.sizes")
+    return sizes
+
+
+def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[Array, Array]:
+    """Mean (P,) and covariance (P, P); FormatError where they are not of that size."""
+    mean = _array(section.mean, (size,), source, "mean")
+    if [len(row) for row in section.covariance] != list(range(1, size + 1)):
+        message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"
+        raise FormatError(message, file=source, key=f"{KEY}.covariance")
+    covariance = np.zeros((size, size))
+    for place, row in enumerate(section.covariance):
+        covariance[place, : place + 1] = covariance[: place + 1, place] = row
+    return mean, covariance
+
+
+def _array(values: object, shape: tuple[int, ...], source: str, key: str) -> Array:
+    try:
+        array = np.array(values, dtype=np.float64).reshape(shape)
+    except ValueError:
+        wanted = " x ".join(str(count) for count in shape)
+        raise FormatError(f"{wanted} numbers are needed here", file=source, key=f"{KEY}.{key}") from None
+    return array

@@ -1,0 +1,189 @@
+"""What a set-up can see of a model, and what it cannot, in words.
+
+Information matrices are taken in unit-prior coordinates (each parameter in units of its prior standard deviation), so
+that mm and rad compare. A null direction is a combination of parameters that leaves all measurements unchanged; some
+leave the whole field at the tool point unchanged as well (with one tool they do no harm), others do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import deviation_basis
+from twin.machine.kinematic_chain import AXES
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.volumetric import evaluation_grid
+
+_NULL = 1e-10  # of the largest eigenvalue: rounding of the normal equations stays below
+_PART = 1e-4  # of the largest loading
+_FIELD_NULL = 1e-9
+_MANY_PARTNERS = 4
+FIXED = "because the family holds it at its prior value"
+
+
+@dataclass(frozen=True)
+class NullDirection:
+    """`loadings`: change of each parameter involved, in its own unit, for one prior standard deviation of the first.
+
+    `changes_field`: the direction moves the tool point relative to the workpiece by more than a rigid motion.
+    `circumstance`: the part of the text that says under which circumstances it is not seen.
+    """
+
+    text: str
+    loadings: Mapping[str, float]
+    changes_field: bool
+    circumstance: str
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Rank of the parameters, the directions left open (p - rank of them) and the conditioning of the rest."""
+
+    rank: int
+    null_directions: tuple[NullDirection, ...]
+    conditioning: float
+
+
+def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool = False) -> Observability:
+    """What the field at the tool point shows at best, measured everywhere with tools (T, 3) in units of `scale` (p,).
+
+    `aligned`: a rigid motion of the workspace does not count as a change.
+    """
+    form = field_form(model, scale, tool_offsets, aligned)
+    return observability(model, form, scale, tool_offsets, "by the tool point")
+
+
+def observability(
+    model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, seer: str = "by this set"
+) -> Observability:
+    """Rank and named null space of an information matrix (p, p) in units of `scale` (p,)."""
+    values, vectors = np.linalg.eigh(information)
+    open_ = values <= _NULL * max(float(values[-1]), 1e-300)
+    used = values[~open_]
+    conditioning = float(np.sqrt(used[-1] / used[0])) if used.size else float("inf")
+    directions = _directions(model, vectors[:, open_], scale, tool_offsets, seer)
+    return Observability(int(used.size), directions, conditioning)
+
+
+def null_space(information: Array) -> Array:
+    """Orthonormal basis (p, r) of what an information matrix (p, p) in unit-prior coordinates leaves open."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray(vectors[:, values <= _NULL * max(float(values[-1]), 1e-300)])
+
+
+def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool) -> Array:
+    """(p, p) mean square field in mm² over the workspace and the tools, in units of `scale`.
+
+    `aligned`: less one best rigid motion, the same for all tools.
+    """
+    highest = model.highest_order
+    grid = evaluation_grid(model.ranges_mm, (highest[0] + 5, highest[1] + 5, highest[2] + 5))
+    offsets = np.atleast_2d(tool_offsets)
+    basis = np.concatenate([deviation_basis(model, grid, offset) * scale for offset in offsets])
+    flat = basis.reshape(-1, model.size)
+    form = flat.T @ flat
+    if aligned:
+        points = np.concatenate([grid + offset for offset in offsets])
+        motions = rigid_fields(points, points.mean(axis=0), float(np.ptp(points, axis=0).max())).reshape(-1, 6)
+        shared = motions.T @ flat
+        form -= shared.T @ np.linalg.solve(motions.T @ motions, shared)
+    return np.asarray(form / len(basis))
+
+
+def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
+    """One line for each kind of null direction: `EBY[1..5]: not seen with one straight probe along Y`."""
+    groups: dict[tuple[str, ...], list[NullDirection]] = {}
+    for direction in directions:
+        key = (*(name.split("[")[0] for name in direction.loadings), direction.circumstance)
+        groups.setdefault(key, []).append(direction)
+    return tuple(_group_text(members) for members in groups.values())
+
+
+def listed(names: Sequence[str]) -> str:
+    """`EXX`, `EXX and EYY`, `EXX, EYY and EZZ`."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def _directions(
+    model: ErrorModel, null: Array, scale: Array, tool_offsets: Array, seer: str
+) -> tuple[NullDirection, ...]:
+    if null.shape[1] == 0:
+        return ()
+    form = field_form(model, np.where(scale > 0.0, scale, 1.0), tool_offsets, aligned=True)
+    largest = float(np.linalg.eigvalsh(form)[-1])
+    found = []
+    for pivot, direction in _sparse_basis(null):
+        parts = _parts(direction, pivot)
+        changes = bool(direction @ form @ direction > _FIELD_NULL * largest) and bool(scale[pivot] > 0.0)
+        names = [model.names[part] for part in parts]
+        loadings = {model.names[part]: float(direction[part] * scale[part]) for part in parts}
+        how = _circumstance(tool_offsets, seer, changes) if scale[pivot] > 0.0 else FIXED
+        found.append((pivot, NullDirection(_text(names, how), loadings, changes, how)))
+    return tuple(direction for _, direction in sorted(found, key=lambda pair: pair[0]))
+
+
+def _parts(direction: Array, pivot: int) -> list[int]:
+    """The pivot, then what else takes part: in the model's order, or the largest first where they are too many."""
+    size = np.abs(direction)
+    others = [int(part) for part in np.flatnonzero(size > _PART * size.max()) if part != pivot]
+    if len(others) > _MANY_PARTNERS:
+        others.sort(key=lambda part: -size[part])
+    return [pivot, *others]
+
+
+def _sparse_basis(null: Array) -> list[tuple[int, Array]]:
+    """Gauss-Jordan with full pivoting: (pivot parameter, direction) pairs, each pivot in one direction only."""
+    rows = null.T.copy()
+    pivots: list[int] = []
+    for row in range(len(rows)):
+        rest = np.abs(rows[row:])
+        at, pivot = divmod(int(rest.argmax()), rest.shape[1])
+        rows[[row, row + at]] = rows[[row + at, row]]
+        rows[row] /= rows[row, pivot]
+        others = np.arange(len(rows)) != row
+        rows[others] -= np.multiply.outer(rows[others, pivot], rows[row])
+        pivots.append(pivot)
+    return list(zip(pivots, rows, strict=True))
+
+
+def _circumstance(tool_offsets: Array, seer: str, changes: bool) -> str:
+    if changes:
+        return seer
+    if len(tool_offsets) > 1:
+        return f"with these {len(tool_offsets)} tools"
+    along = np.flatnonzero(tool_offsets[0])
+    if along.size == 1:
+        return f"with one straight probe along {AXES[int(along[0])]}"
+    return "with one tool offset"
+
+
+def _text(names: list[str], how: str) -> str:
+    if len(names) == 1:
+        return f"{names[0]}: not seen {how}"
+    if len(names) > 1 + _MANY_PARTNERS:
+        leading = ", ".join(names[1 : 1 + _MANY_PARTNERS])
+        return f"{names[0]} mixed with {len(names) - 1} others, most of all {leading}: not told apart {how}"
+    return f"{names[0]} merges with {listed(names[1:])}: not told apart {how}"
+
+
+def _group_text(members: list[NullDirection]) -> str:
+    columns = zip(*(direction.loadings for direction in members), strict=True)
+    names = [_orders(list(column)) for column in columns]
+    return _text(names, members[0].circumstance)
+
+
+def _orders(names: list[str]) -> str:
+    """`EBY[1..5]` from `EBY[1]`, …, `EBY[5]`."""
+    error, bracket, _ = names[0].partition("[")
+    orders = list(dict.fromkeys(name[len(error) + 1 : -1] for name in names))
+    if not bracket or len(orders) == 1:
+        return names[0]
+    numbers = [int(order) for order in orders if order.isdigit()]
+    if len(numbers) == len(orders) and numbers == list(range(numbers[0], numbers[0] + len(numbers))):
+        return f"{error}[{numbers[0]}..{numbers[-1]}]"
+    return f"{error}[{','.join(orders)}]"

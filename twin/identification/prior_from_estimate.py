@@ -1,0 +1,116 @@
+"""What one estimate knows, as the prior of the next one (fusion of nights).
+
+Machine, artefact and misfit are the same in both nights, so what was learned of them is kept together: the joint
+Gaussian of all shared unknowns. Taken as the prior of the next night it gives, but for rounding, what one fit of both
+nights would have given. Process noise is what the machine may have changed in between: a random walk of its parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dpotrf
+
+from twin.arrays import Array, as_vector
+from twin.errors import DataError
+from twin.identification.normal import Known, Scales
+from twin.identification.unknowns import Unknowns
+from twin.machine.machine_population import Family
+from twin.machine.volumetric import QuadraticForm, evaluation_grid
+
+_ASYMMETRY = 1e-9  # of the largest entry
+_WALK_GRID = (20, 10, 10)
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedOver:
+    """Mean (P,) and covariance (P, P) of z, whose units `unknowns` states; `scales` led to them.
+
+    Raises DataError, naming the unknown, for a covariance that is singular or no covariance.
+    """
+
+    unknowns: Unknowns
+    mean: Array
+    covariance: Array
+    scales: Scales
+
+    def __post_init__(self) -> None:
+        size = self.unknowns.blocks.size
+        object.__setattr__(self, "mean", as_vector(self.mean, size, "mean carried over"))
+        covariance = np.asarray(self.covariance, dtype=np.float64)
+        if covariance.shape != (size, size) or not np.isfinite(covariance).all():
+            raise DataError(f"the covariance carried over must be a finite ({size}, {size}) matrix")
+        wrong = np.abs(covariance - covariance.T).max(axis=1) > _ASYMMETRY * np.abs(covariance).max()
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise DataError("the covariance carried over is not symmetric", row=row, unknown=self.unknowns.name(row))
+        place = dpotrf(covariance, lower=1)[1]
+        if place:
+            raise DataError(
+                "the covariance carried over is singular or indefinite",
+                hint="an estimate always leaves some doubt in every unknown: take its file as it was written",
+                row=int(place) - 1,
+                unknown=self.unknowns.name(int(place) - 1),
+            )
+        object.__setattr__(self, "covariance", covariance)
+
+    def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOver:
+        """Some nights later: each parameter has walked by `process_noise` (p,) standard deviations (mm or rad) a night.
+
+        A parameter that the family holds at zero (no unit) stays there.
+        """
+        noise = as_vector(process_noise, self.unknowns.model.size, "process noise")
+        if (noise < 0.0).any():
+            parameter = self.unknowns.model.names[int(np.argmin(noise))]
+            raise DataError("a process noise is negative", parameter=parameter)
+        if not nights >= 0.0:
+            raise DataError(f"the number of nights must not be negative, not {nights}")
+        scale = self.unknowns.scale
+        walked = np.where(scale > 0.0, noise / np.where(scale > 0.0, scale, 1.0), 0.0) ** 2 * nights
+        covariance = self.covariance.copy()
+        np.einsum("ii->i", covariance)[: len(walked)] += walked
+        return replace(self, covariance=covariance)
+
+
+def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Array:
+    """(p,) standard deviations (mm or rad) of a change shaped like the family whose field has an expected rms of
+    `field_mm` over the workspace after the best rigid motion."""
+    if not field_mm >= 0.0:
+        raise DataError(f"the rms of the process noise must not be negative, not {field_mm}")
+    deviation = family.prior_standard_deviation
+    form = QuadraticForm.build(family.model, evaluation_grid(family.model.ranges_mm, _WALK_GRID), tool_offset)
+    whole = form.expected(np.diag(deviation**2)).aligned_mm
+    return np.asarray(deviation * (field_mm / whole)) if whole > 0.0 else np.zeros_like(deviation)
+
+
+def known_to(unknowns: Unknowns, carried: CarriedOver) -> Known:
+    """What is carried over to the unknowns of another night; what these have beside it keeps its own prior."""
+    pairs = list(_shared(carried.unknowns, unknowns))
+    there, here = (
+        np.concatenate([np.arange(part.start, part.stop) for part in parts]) for parts in zip(*pairs, strict=True)
+    )
+    size = unknowns.blocks.size
+    taken, precision, pull = np.zeros(size, dtype=bool), np.zeros((size, size)), np.zeros(size)
+    inverse = np.linalg.inv(carried.covariance[np.ix_(there, there)])
+    inverse = 0.5 * (inverse + inverse.T)
+    taken[here] = True
+    precision[np.ix_(here, here)] = inverse
+    pull[here] = inverse @ carried.mean[there]
+    return Known(taken, precision, pull)
+
+
+def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
+    """Blocks of z before and now that mean the same."""
+    before, now = old.blocks, new.blocks
+    yield before.parameters, now.parameters
+    if old.artefact.certificate is new.artefact.certificate:
+        yield before.certificate, now.certificate
+        for place, name in enumerate(new.artefact.strains):
+            if name in old.artefact.strains:
+                at = before.strain.start + old.artefact.strains.index(name)
+                yield slice(at, at + 1), slice(now.strain.start + place, now.strain.start + place + 1)
+    if old.modes is not None and old.modes is new.modes:
+        yield before.misfit, now.misfit

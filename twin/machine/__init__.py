@@ -1,0 +1,1 @@
+"""Error model and forward model of a machine with three linear axes."""

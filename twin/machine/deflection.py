@@ -1,0 +1,170 @@
+"""Deflection of a machine under gravity, as a grid of tool point displacements over the axis positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.arrays import Array, as_points
+from twin.errors import ModelError
+from twin.machine.kinematic_chain import AXES
+
+_ROUNDING_MM = 1e-6  # a position computed to lie on the border may miss it by its last digits
+
+
+@dataclass(frozen=True)
+class DeflectionGrid:
+    """Node vectors `x`, `y`, `z` (mm, ascending), `values` (nx, ny, nz, 3): displacements in mm."""
+
+    x: Array
+    y: Array
+    z: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        for axis, nodes in zip(AXES, self.nodes, strict=True):
+            if nodes.ndim != 1 or nodes.size < 2:
+                raise ModelError("a deflection grid needs at least two nodes along every axis", axis=axis)
+            if not (np.isfinite(nodes).all() and (np.diff(nodes) > 0.0).all()):
+                raise ModelError("deflection grid nodes must be finite and ascending", axis=axis)
+        expected = (self.x.size, self.y.size, self.z.size, 3)
+        if self.values.shape != expected:
+            raise ModelError(f"deflection values have shape {self.values.shape}, expected {expected}")
+        if not np.isfinite(self.values).all():
+            raise ModelError("deflection values must be finite")
+
+    @property
+    def nodes(self) -> tuple[Array, Array, Array]:
+        return self.x, self.y, self.z
+
+    def at(self, axis_positions: ArrayLike) -> Array:
+        """Displacement (n, 3) in mm, trilinear; ModelError names the first point outside the grid."""
+        points = as_points(axis_positions, "axis positions")
+        self._check_inside(points)
+        (i, u), (j, v), (k, w) = (_cell(nodes, points[:, axis]) for axis, nodes in enumerate(self.nodes))
+        base = (i * self.y.size + j) * self.z.size + k
+        flat = self.values.reshape(-1, 3)
+        displacement = np.zeros_like(points)
+        for step_x, share_x in ((0, 1.0 - u), (self.y.size * self.z.size, u)):
+            for step_y, share_y in ((0, 1.0 - v), (self.z.size, v)):
+                share, corner = share_x * share_y, base + (step_x + step_y)
+                displacement += (share * (1.0 - w))[:, None] * flat.take(corner, axis=0)
+                displacement += (share * w)[:, None] * flat.take(corner + 1, axis=0)
+        return displacement
+
+    def covers(self, ranges_mm: tuple[tuple[float, float], ...]) -> bool:
+        """Whether every axis range lies inside the grid."""
+        return all(
+            nodes[0] <= low + _ROUNDING_MM and high <= nodes[-1] + _ROUNDING_MM
+            for nodes, (low, high) in zip(self.nodes, ranges_mm, strict=True)
+        )
+
+    def _check_inside(self, points: Array) -> None:
+        low, high = np.array([(nodes[0] - _ROUNDING_MM, nodes[-1] + _ROUNDING_MM) for nodes in self.nodes]).T
+        outside = (points < low) | (points > high)
+        if outside.any():
+            row, axis = divmod(int(np.argmax(outside)), 3)
+            point = ", ".join(f"{value:.3f}" for value in points[row])
+            nodes = self.nodes[axis]
+            message = f"axis position ({point}) lies outside the deflection grid, {nodes[0]:g} to {nodes[-1]:g} mm"
+            hint = "Give a grid that covers the whole travel"
+            raise ModelError(message, hint=hint, axis=AXES[axis], row=row)
+
+
+@dataclass(frozen=True)
+class CantileverStructure:
+    """A moving-column machine as beams. Loads in N, lengths in mm, bending stiffness E I in N mm².
+
+    The ram overhangs the column by `overhang_mm` at the lower end of Y and by the travel more beyond it; its
+    axis stands `column_foot_mm` above the column foot at the lower end of Z. The column's saddle rides on two
+    trucks `wheelbase_mm` apart on a bed that stands on supports `support_pitch_mm` apart.
+    """
+
+    ram_load_n_per_mm: float = 3.0
+    head_weight_n: float = 3000.0
+    overhang_mm: float = 250.0
+    ram_stiffness_n_mm2: float = 1.6e15
+    ram_joint_rad_per_n_mm: float = 1.5e-13
+    column_foot_mm: float = 500.0
+    column_stiffness_n_mm2: float = 4.0e15
+    foot_joint_rad_per_n_mm: float = 1.0e-13
+    support_pitch_mm: float = 800.0
+    wheelbase_mm: float = 1100.0
+    bed_sag_mm: float = 1.6e-3
+    bed_roll_rad_per_n_mm: float = 2.0e-13
+    column_rail_pitch_mm: float = 480.0
+    column_rail_wave_mm: float = 0.8e-3
+
+
+CASE_STUDY_NODES = (
+    np.linspace(0.0, 4000.0, 9),
+    np.linspace(0.0, 1300.0, 15),
+    np.linspace(0.0, 1500.0, 13),
+)
+
+
+def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStructure | None = None) -> DeflectionGrid:
+    """Grid of plausible deflections of a cantilever moving-column machine, from Euler-Bernoulli beams.
+
+    Column bent by the ram's moment (uy and a nod about X that grow with height: the cross-effect), ram bent
+    by its own weight and the head, joints of ram and column foot turning with the moment, and the local
+    yielding of bed and column rails. Zero in the middle of the grid, where the machine was levelled.
+    """
+    parts = structure or CantileverStructure()
+    x3, y3, z3 = np.meshgrid(x, y, z, indexing="ij")
+    reach = parts.overhang_mm + (y3 - y[0])
+    height = parts.column_foot_mm + (z3 - z[0])
+    moment = _ram_moment(parts, reach)
+    sag, pitch, roll = _bed(parts, x3, moment)
+    column_nod = moment * (height / parts.column_stiffness_n_mm2 + parts.foot_joint_rad_per_n_mm) + roll
+    column_lean = moment * height**2 / (2.0 * parts.column_stiffness_n_mm2)
+    column_lean += (moment * parts.foot_joint_rad_per_n_mm + roll) * height
+    droop = _ram_droop(parts, reach) + moment * parts.ram_joint_rad_per_n_mm * reach
+    values = np.stack(
+        (
+            pitch * height,
+            column_lean + _column_rail_wave(parts, z3, moment),
+            -(droop + column_nod * reach + sag),
+        ),
+        axis=-1,
+    )
+    middle = DeflectionGrid(x, y, z, values).at([[0.5 * (n[0] + n[-1]) for n in (x, y, z)]])
+    return DeflectionGrid(x, y, z, values - middle[0])
+
+
+def _ram_moment(parts: CantileverStructure, reach: Array) -> Array:
+    """Moment of the overhanging ram about the column, N mm."""
+    return 0.5 * parts.ram_load_n_per_mm * reach**2 + parts.head_weight_n * reach
+
+
+def _ram_droop(parts: CantileverStructure, reach: Array) -> Array:
+    """Sag of the ram's end under its own weight and the head: w L^4 / 8EI + P L^3 / 3EI."""
+    own = parts.ram_load_n_per_mm * reach**4 / (8.0 * parts.ram_stiffness_n_mm2)
+    head: Array = parts.head_weight_n * reach**3 / (3.0 * parts.ram_stiffness_n_mm2)
+    return own + head
+
+
+def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Array, Array]:
+    """Sag (mm), pitch about Y, roll about -X (rad) of the saddle on a bed yielding between its supports."""
+    half = 0.5 * parts.wheelbase_mm
+    front, rear = (np.sin(np.pi * (x + arm) / parts.support_pitch_mm) ** 2 for arm in (half, -half))
+    sag = 0.5 * parts.bed_sag_mm * (front + rear)
+    pitch = parts.bed_sag_mm * (front - rear) / parts.wheelbase_mm
+    roll = 0.5 * (front + rear) * parts.bed_roll_rad_per_n_mm * moment
+    return sag, pitch, roll
+
+
+def _column_rail_wave(parts: CantileverStructure, z: Array, moment: Array) -> Array:
+    """Waviness in Y of the column rails between their screws; the more the ram leans on them, the larger."""
+    wave: Array = np.sin(2.0 * np.pi * z / parts.column_rail_pitch_mm) * (0.5 + moment / moment.max())
+    return parts.column_rail_wave_mm * wave
+
+
+def _cell(nodes: Array, positions: Array) -> tuple[NDArray[np.intp], Array]:
+    """Index of the cell that holds each position and the share (0 ... 1) of the way through it."""
+    inside = np.minimum(np.maximum(positions, nodes[0]), nodes[-1])
+    cell = np.minimum(np.searchsorted(nodes, inside, side="right") - 1, nodes.size - 2)
+    low = nodes[cell]
+    return cell, (inside - low) / (nodes[cell + 1] - low)

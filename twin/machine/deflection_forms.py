@@ -1,0 +1,82 @@
+"""Deflections of several makes, drawn at random: what no Legendre series of one axis holds.
+
+None of these fields is made of what the misfit of an identification is made of (products of Legendre polynomials):
+beams, sines of any pitch, exponentials and random waves, so that a coverage that is found among them means something.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.machine.deflection import DeflectionGrid
+from twin.machine.error_model import Ranges
+
+_NODES = (41, 14, 16)  # fine enough for the shortest rail wave along X: eight to a pitch
+_UM = 1e-3
+_RAIL_PITCHES = (0.24, 1.2)  # shortest and longest, of half the axis
+_SMOOTH_WAVES = 60
+
+Draw = Callable[[Ranges, np.random.Generator], DeflectionGrid]
+
+
+def portal(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
+    """A cross-beam along X that sags between its columns, twists under what hangs on it, and shortens as it bends."""
+    (x, y, z), shape = _normalised()
+    bow = np.cos(0.5 * np.pi * x)
+    sag, twist, pull = rng.uniform((1.0, -3.0, -2.0), (6.0, 3.0, 2.0)) * _UM
+    field = np.zeros((*shape, 3))
+    field[..., 0] = 0.5 * pull * np.sin(np.pi * x) * (z + 0.4 * y**2)
+    field[..., 1] = -twist * bow * z
+    field[..., 2] = (twist * y - sag * (1.0 + 0.3 * y)) * bow
+    return _grid(ranges_mm, field)
+
+
+def rails(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
+    """Rails that wave between their screws: each axis in each direction a sine of its own pitch, with a lever."""
+    places, shape = _normalised()
+    field = np.zeros((*shape, 3))
+    for axis in range(3):
+        for direction in range(3):
+            pitch = np.exp(rng.uniform(*np.log(_RAIL_PITCHES)))
+            size, phase, arm = rng.uniform((0.2 * _UM, 0.0, -0.6), (1.0 * _UM, 2.0 * np.pi, 0.6))
+            other = places[(axis + rng.integers(1, 3)) % 3]
+            field[..., direction] += size * np.sin(2.0 * np.pi * places[axis] / pitch + phase) * (1.0 + arm * other)
+    return _grid(ranges_mm, field)
+
+
+def thermal(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
+    """A bed that bows, a column warmer at its foot, and how the two carry what stands on them."""
+    (x, y, z), shape = _normalised()
+    bed, foot, nod, lean, sway, roll = rng.uniform(-3.0, 3.0, 6) * _UM
+    field = np.zeros((*shape, 3))
+    field[..., 0] = nod * x * z * (1.0 - 0.3 * x**2) + 0.5 * lean * z**2 * y
+    field[..., 1] = 0.5 * sway * y**2 * z + lean * z**2 * (1.0 + 0.5 * np.tanh(2.0 * x))
+    field[..., 2] = bed * x**2 * (1.0 + 0.4 * z) + foot * np.expm1(-1.5 * (z + 1.0)) + 0.5 * roll * x * y**2
+    return _grid(ranges_mm, field)
+
+
+def smooth(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
+    """A random field without any structure: many plane waves of one correlation length (0.2 to 0.8 of the axes)."""
+    places, shape = _normalised()
+    flat = np.stack(places, axis=-1).reshape(-1, 3)
+    length = np.exp(rng.uniform(*np.log((0.4, 1.6))))
+    field = np.zeros((len(flat), 3))
+    for direction in range(3):
+        waves = rng.standard_normal((3, _SMOOTH_WAVES)) / length
+        field[:, direction] = np.cos(flat @ waves + rng.uniform(0.0, 2.0 * np.pi, _SMOOTH_WAVES)).sum(axis=1)
+    field *= rng.uniform(0.7, 3.0) * _UM / np.sqrt(np.mean(np.sum(field**2, axis=1)))
+    return _grid(ranges_mm, field.reshape(*shape, 3))
+
+
+def _normalised() -> tuple[tuple[Array, Array, Array], tuple[int, int, int]]:
+    """Node places along X, Y, Z, each from -1 to 1, and the shape of the grid."""
+    x, y, z = np.meshgrid(*(np.linspace(-1.0, 1.0, count) for count in _NODES), indexing="ij")
+    return (x, y, z), _NODES
+
+
+def _grid(ranges_mm: Ranges, field: Array) -> DeflectionGrid:
+    x, y, z = (np.linspace(low, high, count) for (low, high), count in zip(ranges_mm, _NODES, strict=True))
+    return DeflectionGrid(x, y, z, field)

@@ -1,0 +1,115 @@
+"""The deviation of the tool point to first order in the parameters: an analytic basis of the field."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points, as_vector
+from twin.machine.error_model import DIRECTIONS, ErrorModel, series_orders
+from twin.machine.kinematic_chain import AXES
+from twin.machine.legendre import legendre_values, normalised
+
+_X, _Y, _Z = 0, 1, 2
+
+_CHUNK = 128  # points whose functions stay in the cache
+Places = np.ndarray[Any, np.dtype[np.int64]]
+
+
+def deviation_basis(
+    model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, scale: Array | None = None
+) -> Array:
+    """Derivative (n, 3, p) of the deviation with respect to the parameters at zero; C-contiguous.
+
+    `scale` (p,): the unit of each parameter; mm and rad when left out. Each parameter moves the tool point by one of
+    twelve effects (three shifts, three turns of each axis) times a function of the axis positions.
+    """
+    points = as_points(axis_positions, "axis positions")
+    arms = _nominal_arms(model, points, as_vector(tool_offset, 3, "tool offset"))
+    effect, row = _columns(model)
+    effects, functions = _effects(arms), _functions(model, points)
+    basis = np.empty((len(points), 3, model.size))
+    for start in range(0, len(points), _CHUNK):
+        chunk = slice(start, start + _CHUNK)
+        shares = functions[chunk].take(row, axis=1)
+        if scale is not None:
+            shares *= scale
+        np.take(effects[chunk], effect, axis=2, out=basis[chunk], mode="clip")  # any other mode copies through a buffer
+        basis[chunk] *= shares[:, None, :]
+    return basis
+
+
+def linear_deviation(
+    model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
+) -> Array:
+    """Deviation (n, 3) in mm to first order in the parameters (p,)."""
+    vector = as_vector(parameters, model.size, "parameters")
+    deviation: Array = deviation_basis(model, axis_positions, tool_offset) @ vector
+    return deviation
+
+
+def cross_arguments(model: ErrorModel, y: Array, z: Array) -> tuple[Array, Array]:
+    """v and w of the cross-effect: shares of the ranges of Y and Z."""
+    (y_low, y_high), (z_low, z_high) = model.ranges_mm[_Y], model.ranges_mm[_Z]
+    return (y - y_low) / (y_high - y_low), (z - z_low) / (z_high - z_low)
+
+
+def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple[Array, Array, Array]:
+    """Per axis X, Y, Z the nominal vector (n, 3) from the point its rotations act about to the tool point."""
+    arms = {}
+    arm = np.repeat(tool_offset[None, :], len(points), axis=0)
+    for letter in model.chain.axes:
+        axis = AXES.index(letter)
+        carried = arm.copy()
+        arm[:, axis] += points[:, axis]
+        arms[letter] = carried if letter in model.chain.tool_side else arm.copy()
+    return arms["X"], arms["Y"], arms["Z"]
+
+
+def _effects(arms: tuple[Array, Array, Array]) -> Array:
+    """(n, 3, 12): unit shifts along X, Y, Z, then for each axis the unit turns about X, Y, Z, e x arm."""
+    effects = np.zeros((len(arms[0]), 3, 12))
+    for axis, arm in enumerate(arms):
+        for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            effects[:, one, one] = 1.0
+            effects[:, three, 3 + 3 * axis + one] = arm[:, two]
+            effects[:, two, 3 + 3 * axis + one] = -arm[:, three]
+    return effects
+
+
+def _functions(model: ErrorModel, points: Array) -> Array:
+    """(n, f): the Legendre polynomials of X, of Y, of Z, then -z, z, -y of the squareness, then the cross-effect."""
+    columns = [
+        legendre_values(normalised(points[:, axis], model.ranges_mm[axis]), model.highest_order[axis])
+        for axis in range(3)
+    ]
+    y, z = points[:, _Y], points[:, _Z]
+    columns.append(np.array((-z, z, -y)))
+    if model.cross_effect:
+        v, w = cross_arguments(model, y, z)
+        shapes = {"b0": v, "b1": w * v, "b2": w * w * v, "c0": v, "c1": w * v}
+        columns.append(np.array([shapes[term] for term in model.cross_effect]))
+    return np.ascontiguousarray(np.concatenate(columns).T)
+
+
+@lru_cache(maxsize=16)
+def _columns(model: ErrorModel) -> tuple[Places, Places]:
+    """For each parameter (p,) its column of `_effects` and its column of `_functions`."""
+    starts = np.cumsum([0, *(order + 1 for order in model.highest_order)]).tolist()
+    effect, row = np.empty(model.size, dtype=np.int64), np.empty(model.size, dtype=np.int64)
+    for error, block in model.block.items():
+        direction, axis = DIRECTIONS.index(error[1]), AXES.index(error[2])
+        orders = series_orders(error, model.orders[error])
+        effect[block] = direction if direction < 3 else 3 * axis + direction
+        row[block] = starts[axis] + np.arange(orders.start, orders.start + len(orders))
+    others = {"A0Z": _Y, "B0Z": _X, "C0Y": _X}
+    others |= {f"CROSS[{term}]": _Y if term[0] == "b" else 3 + 3 * _Z for term in model.cross_effect}
+    for number, (name, moved) in enumerate(others.items()):
+        effect[model.index(name)] = moved
+        row[model.index(name)] = starts[-1] + number
+    effect.setflags(write=False)
+    row.setflags(write=False)
+    return effect, row

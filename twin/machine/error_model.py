@@ -1,0 +1,199 @@
+"""Which parameters a machine model has, and how they become the 18 error motions at an axis position.
+
+Names are those of ISO 230-1: E, direction of the error (X, Y, Z displacement, A, B, C rotation), axis in
+motion. Each of the 18 error motions is a Legendre series on the axis range normalised to [-1, 1]. Left out by
+construction is what is only a rigid motion or only a squareness: constants everywhere (order 0) and the slope
+of a straightness (order 1).
+
+Squareness, the one place where its sign is stated: rotation of the direction of travel of the second-named
+axis about the lettered axis, right-handed, from the nominal direction. To first order
+
+    A0Z  z-travel, about X:  d = (0, -A0Z z, 0)
+    B0Z  z-travel, about Y:  d = (B0Z z, 0, 0)
+    C0Y  y-travel, about Z:  d = (-C0Y y, 0, 0)
+
+It turns the direction of travel only, not what the carriage carries.
+
+Cross-effect of column and ram (the ram's weight bends the column), with v = (y - y0)/Ly and
+w = (z - z0)/Lz from the lower end and length of the ranges of Y and Z, added to EYZ and EAZ:
+
+    E_YZ(y, z) = (b0 + b1 w + b2 w²) v     b in mm
+    E_AZ(y, z) = (c0 + c1 w) v             c in rad
+
+b0 is off by default because b0 v is a scale error of Y (EYY[1]), c0 because c0 v gives a vertical
+displacement that EZY[2] and A0Z already describe; both but for a rigid motion, on a ram that carries the tool.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.errors import ModelError
+from twin.machine.kinematic_chain import AXES, Chain
+
+DIRECTIONS = ("X", "Y", "Z", "A", "B", "C")
+ERROR_MOTIONS = tuple(f"E{direction}{axis}" for axis in AXES for direction in DIRECTIONS)
+SQUARENESS = ("A0Z", "B0Z", "C0Y")
+CROSS_TERMS = ("b0", "b1", "b2", "c0", "c1")
+DEFAULT_CROSS_EFFECT = ("b1", "b2", "c1")
+
+Kind = Literal["positioning", "straightness", "rotation", "squareness", "cross_displacement", "cross_rotation"]
+Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One coefficient. `error` is the ISO name or CROSS; `order` the Legendre order, else 0."""
+
+    name: str
+    error: str
+    order: int
+    unit: Literal["mm", "rad"]
+    kind: Kind
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Chain, axis ranges, Legendre order of each error motion and cross-effect terms in use."""
+
+    chain: Chain
+    ranges_mm: Ranges
+    orders: Mapping[str, int] = field(hash=False)
+    cross_effect: tuple[str, ...] = DEFAULT_CROSS_EFFECT
+
+    def __post_init__(self) -> None:
+        _check_ranges(self.ranges_mm)
+        _check_orders(self.orders)
+        _check_cross_effect(self.cross_effect)
+
+    @classmethod
+    def uniform(
+        cls,
+        chain: Chain,
+        ranges_mm: Ranges,
+        order: int = 5,
+        cross_effect: tuple[str, ...] = DEFAULT_CROSS_EFFECT,
+    ) -> ErrorModel:
+        """The same order for all 18 error motions."""
+        return cls(chain, ranges_mm, dict.fromkeys(ERROR_MOTIONS, order), cross_effect)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, in the order of every parameter vector (p,) and of every basis column."""
+        series = [_term(error, k) for error in ERROR_MOTIONS for k in series_orders(error, self.orders[error])]
+        squareness = [Parameter(name, name, 0, "rad", "squareness") for name in SQUARENESS]
+        return (*series, *squareness, *(_cross_term(term) for term in self.cross_effect))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def size(self) -> int:
+        return len(self.parameters)
+
+    def index(self, name: str) -> int:
+        """Place of the parameter called `name`; ModelError when the model has none."""
+        place = self._places.get(name)
+        if place is None:
+            raise ModelError(f"the model has no parameter '{name}'", hint="Names are such as EYX[2], A0Z, CROSS[b1]")
+        return place
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: place for place, name in enumerate(self.names)}
+
+    @cached_property
+    def block(self) -> Mapping[str, slice]:
+        """Slice of the coefficients of each error motion in a parameter vector."""
+        blocks, start = {}, 0
+        for error in ERROR_MOTIONS:
+            count = len(series_orders(error, self.orders[error]))
+            blocks[error] = slice(start, start + count)
+            start += count
+        return blocks
+
+    @cached_property
+    def highest_order(self) -> tuple[int, int, int]:
+        """Highest Legendre order of any error motion of X, Y, Z; at least 1."""
+        highest = [max(1, *(self.orders[f"E{direction}{axis}"] for direction in DIRECTIONS)) for axis in AXES]
+        return highest[0], highest[1], highest[2]
+
+    def coefficients(self, axis: int, values: Array) -> Array:
+        """(6, highest order + 1) Legendre coefficients of the error motions of one axis."""
+        table = np.zeros((6, max(self.highest_order) + 1))
+        for row, direction in enumerate(DIRECTIONS):
+            error = f"E{direction}{AXES[axis]}"
+            orders = series_orders(error, self.orders[error])
+            table[row, orders.start : orders.stop] = values[self.block[error]]
+        return table
+
+    def squareness(self, values: Array) -> tuple[float, float, float]:
+        """A0Z, B0Z, C0Y in rad."""
+        start = self.block[ERROR_MOTIONS[-1]].stop
+        return float(values[start]), float(values[start + 1]), float(values[start + 2])
+
+    def cross_terms(self, values: Array) -> Mapping[str, float]:
+        """b0, b1, b2 (mm) and c0, c1 (rad), those not in use as zero."""
+        terms = dict.fromkeys(CROSS_TERMS, 0.0)
+        terms.update(zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True))
+        return terms
+
+
+def series_orders(error: str, highest: int) -> range:
+    """Legendre orders present: 1 ... N, for a straightness 2 ... N."""
+    return range(2 if kind_of(error) == "straightness" else 1, highest + 1)
+
+
+def kind_of(error: str) -> Literal["positioning", "straightness", "rotation"]:
+    """Kind of one of the 18 error motions."""
+    if error[1] in "ABC":
+        return "rotation"
+    return "positioning" if error[1] == error[2] else "straightness"
+
+
+def _term(error: str, order: int) -> Parameter:
+    kind = kind_of(error)
+    return Parameter(f"{error}[{order}]", error, order, "rad" if kind == "rotation" else "mm", kind)
+
+
+def _cross_term(term: str) -> Parameter:
+    if term[0] == "b":
+        return Parameter(f"CROSS[{term}]", "CROSS", 0, "mm", "cross_displacement")
+    return Parameter(f"CROSS[{term}]", "CROSS", 0, "rad", "cross_rotation")
+
+
+def _check_ranges(ranges_mm: Ranges) -> None:
+    for axis, (low, high) in zip(AXES, ranges_mm, strict=True):
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise ModelError(f"range [{low}, {high}] is not finite", axis=axis)
+        if not low < high:
+            hint = "Write the lower limit first, then the upper one, in mm"
+            raise ModelError(f"range [{low:g}, {high:g}] is empty or reversed", hint=hint, axis=axis)
+
+
+def _check_orders(orders: Mapping[str, int]) -> None:
+    unknown = sorted(set(orders) - set(ERROR_MOTIONS))
+    if unknown:
+        hint = f"The 18 error motions are {', '.join(ERROR_MOTIONS)}"
+        raise ModelError(f"'{unknown[0]}' is no error motion of a linear axis", hint=hint)
+    for error in ERROR_MOTIONS:
+        if error not in orders:
+            raise ModelError("no Legendre order given", error=error)
+        if not 0 <= orders[error] <= 30:
+            raise ModelError(f"Legendre order {orders[error]} is outside 0 to 30", error=error)
+
+
+def _check_cross_effect(terms: tuple[str, ...]) -> None:
+    for term in terms:
+        if term not in CROSS_TERMS:
+            raise ModelError(f"unknown cross-effect term '{term}'", hint=f"Known: {', '.join(CROSS_TERMS)}")
+        if terms.count(term) > 1:
+            raise ModelError(f"cross-effect term '{term}' stands twice")

@@ -1,0 +1,69 @@
+"""What a machine file means: a machine as the twin, the planner and the simulator see it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from twin.arrays import Array, as_vector
+from twin.errors import ModelError
+from twin.machine.deflection import DeflectionGrid
+from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, Ranges
+from twin.machine.kinematic_chain import AXES
+from twin.machine.machine_population import Family, family_from_amplitudes
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class MachineDescription:
+    """`model` holds chain and axis ranges; `limits` (mm) are the travel limits, which contain the ranges.
+
+    `tools` are tool offsets (3,) in mm from the ram reference to the stylus centre. `amplitudes` are the
+    family's half-widths as written in the file, so that a machine of another order can be drawn from it.
+    """
+
+    name: str
+    model: ErrorModel
+    limits: Ranges
+    rapid_mm_per_min: Triple
+    feed_mm_per_min: Triple
+    acceleration_mm_per_s2: Triple
+    tools: Mapping[str, Array] = field(hash=False)
+    family: Family
+    amplitudes: Mapping[str, float | Sequence[float]] = field(hash=False)
+    deflection: DeflectionGrid | None
+
+    def __post_init__(self) -> None:
+        for axis, (low, high), travel in zip(AXES, self.model.ranges_mm, self.limits, strict=True):
+            if not travel[0] <= low < high <= travel[1]:
+                message = f"range [{low:g}, {high:g}] leaves the travel [{travel[0]:g}, {travel[1]:g}]"
+                raise ModelError(message, key=f"axes.{axis}.travel_mm")
+        if not self.tools:
+            raise ModelError("the machine has no tool", hint="Give at least one, such as [tools.probe]")
+        for name, offset in self.tools.items():
+            as_vector(offset, 3, f"offset of tool {name}")
+        if self.deflection is not None and not self.deflection.covers(self.limits):
+            spans = ", ".join(
+                f"{axis} {nodes[0]:g} to {nodes[-1]:g}" for axis, nodes in zip(AXES, self.deflection.nodes, strict=True)
+            )
+            hint = "Outside a grid nothing is extrapolated: export it over the whole travel"
+            message = f"the deflection grid ({spans} mm) does not cover the travel"
+            raise ModelError(message, hint=hint, key="deflection.grid")
+
+    def of_order(self, order: int) -> MachineDescription:
+        """The same machine with the same Legendre order for all 18 error motions, its family from the amplitudes."""
+        orders = dict.fromkeys(ERROR_MOTIONS, order)
+        return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))
+
+    def with_model(self, model: ErrorModel) -> MachineDescription:
+        """The same machine described by another model; ModelError for one of other axes."""
+        if (model.chain, model.ranges_mm) != (self.model.chain, self.model.ranges_mm):
+            raise ModelError(f"the model is not of the machine {self.name}: its chain or its axis ranges differ")
+        return replace(self, model=model, family=family_from_amplitudes(model, self.amplitudes))
+
+    def tool(self, name: str) -> Array:
+        """Offset (3,) of the tool called `name`; ModelError names the known ones."""
+        if name not in self.tools:
+            raise ModelError(f"the machine has no tool '{name}'", hint=f"Known tools: {', '.join(self.tools)}")
+        return self.tools[name]

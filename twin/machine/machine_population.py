@@ -1,0 +1,78 @@
+"""A family of machines: each coefficient drawn from a uniform distribution around zero."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array, as_vector
+from twin.errors import ModelError
+from twin.machine.error_model import ErrorModel, Parameter, series_orders
+
+SERIES_KINDS = ("positioning_um", "straightness_um", "rotation_urad")
+SINGLE_KINDS = ("squareness_urad", "cross_displacement_um", "cross_rotation_urad")
+DEFAULT_DECAY = 0.6
+
+
+@dataclass(frozen=True)
+class Family:
+    """`half_widths` (p,) in mm or rad: each parameter of `model` is drawn from U(-a_i, a_i)."""
+
+    model: ErrorModel
+    half_widths: Array
+
+    def __post_init__(self) -> None:
+        widths = as_vector(self.half_widths, self.model.size, "half-widths")
+        if (widths < 0.0).any():
+            name = self.model.names[int(np.argmin(widths))]
+            raise ModelError("a half-width is negative", parameter=name)
+        object.__setattr__(self, "half_widths", widths)
+
+    @property
+    def prior_standard_deviation(self) -> Array:
+        """(p,) standard deviation of the uniform distribution, a_i / sqrt(3)."""
+        return self.half_widths / math.sqrt(3.0)
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """(count, p) parameter vectors."""
+        return rng.uniform(-1.0, 1.0, (count, self.model.size)) * self.half_widths
+
+
+def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | Sequence[float]]) -> Family:
+    """Family from half-widths per kind of error.
+
+    `positioning_um`, `straightness_um`, `rotation_urad`: one value per Legendre order, the lowest order of
+    that kind first (order 1, for a straightness order 2), or a single value for the lowest order. Orders
+    beyond the values given go on from the last one by the factor `decay` (default 0.6) per order.
+    `squareness_urad`, `cross_displacement_um`, `cross_rotation_urad`: one value each. A kind left out is
+    zero.
+    """
+    known = (*SERIES_KINDS, *SINGLE_KINDS, "decay")
+    for name in amplitudes:
+        if name not in known:
+            raise ModelError(f"unknown family amplitude '{name}'", hint=f"Known: {', '.join(known)}")
+    widths = [_half_width(model, parameter, amplitudes) for parameter in model.parameters]
+    return Family(model, np.array(widths))
+
+
+def _half_width(model: ErrorModel, parameter: Parameter, amplitudes: Mapping[str, float | Sequence[float]]) -> float:
+    kind = f"{parameter.kind}_{'um' if parameter.unit == 'mm' else 'urad'}"
+    values = _as_list(amplitudes.get(kind, 0.0), kind)
+    if kind in SINGLE_KINDS:
+        return 1e-3 * values[0] if parameter.unit == "mm" else 1e-6 * values[0]
+    place = parameter.order - series_orders(parameter.error, model.orders[parameter.error]).start
+    decay = _as_list(amplitudes.get("decay", DEFAULT_DECAY), "decay")[0]
+    width = values[min(place, len(values) - 1)] * decay ** max(0, place - len(values) + 1)
+    return width * (1e-3 if parameter.unit == "mm" else 1e-6)
+
+
+def _as_list(values: float | Sequence[float], kind: str) -> list[float]:
+    numbers = [float(value) for value in (values if isinstance(values, Sequence) else [values])]
+    if not numbers or not all(math.isfinite(number) and number >= 0.0 for number in numbers):
+        raise ModelError(f"family amplitude {kind} must hold finite values of at least zero")
+    if kind not in SERIES_KINDS and len(numbers) != 1:
+        raise ModelError(f"family amplitude {kind} is one value, not {len(numbers)}")
+    return numbers

@@ -1,0 +1,27 @@
+"""Standard uncertainty of the 21 geometric errors from the covariance of their coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.errors import DataError
+from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS, ErrorModel, series_orders
+
+
+def motion_uncertainty(model: ErrorModel, covariance: Array) -> Mapping[str, float]:
+    """ISO name → mm or rad: of an error motion, the root mean square over the range of its axis; of a squareness, its
+    own. `covariance` (p, p) of the parameters, or their second moments.
+
+    The mean of P_k P_l over the range is zero, and 1 / (2 k + 1) for k = l, so only variances count.
+    """
+    if covariance.shape != (model.size, model.size):
+        raise DataError(f"the covariance has shape {covariance.shape}, the model {model.size} parameters")
+    variance = np.maximum(np.diagonal(covariance), 0.0)
+    found = {}
+    for error in ERROR_MOTIONS:
+        orders = np.array(series_orders(error, model.orders[error]), dtype=np.float64)
+        found[error] = float(np.sqrt(np.sum(variance[model.block[error]] / (2.0 * orders + 1.0))))
+    return found | {name: float(np.sqrt(variance[model.index(name)])) for name in SQUARENESS}

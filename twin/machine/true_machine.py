@@ -1,0 +1,64 @@
+"""A machine as it is: richer than the model that is identified.
+
+It has effects that the identified model cannot represent: a higher Legendre order and a deflection grid. Simulators
+stand on one, and studies draw many.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.machine.deflection import DeflectionGrid
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.machine_description import MachineDescription
+from twin.machine.machine_population import family_from_amplitudes
+
+
+@dataclass(frozen=True, eq=False)
+class TrueMachine:
+    """`model` None: a machine without error. `parameters` (p,) of its own, richer model."""
+
+    model: ErrorModel | None
+    parameters: Array
+    tool_offset: Array
+    deflection: DeflectionGrid | None
+
+    def deviation(self, bare_positions: Array) -> Array:
+        """(n, 3) mm of the tool centre point at bare axis positions (n, 3)."""
+        total = np.zeros_like(bare_positions)
+        if self.model is not None:
+            total += exact_deviation(self.model, bare_positions, self.tool_offset, self.parameters)
+        if self.deflection is not None:
+            lower = [nodes[0] for nodes in self.deflection.nodes]
+            upper = [nodes[-1] for nodes in self.deflection.nodes]
+            total += self.deflection.at(np.clip(bare_positions, lower, upper))
+        return total
+
+    @property
+    def is_perfect(self) -> bool:
+        return self.model is None and self.deflection is None
+
+
+def draw_machine(
+    description: MachineDescription,
+    tool: str,
+    *,
+    order: int,
+    scale: float,
+    with_deflection: bool,
+    rng: np.random.Generator,
+) -> TrueMachine:
+    """One machine of the family extended to Legendre `order`, its amplitudes decaying as the family's do."""
+    offset = description.tool(tool)
+    nominal = description.model
+    model = ErrorModel.uniform(nominal.chain, nominal.ranges_mm, order, nominal.cross_effect)
+    parameters = scale * family_from_amplitudes(model, description.amplitudes).draw(rng, 1)[0]
+    return TrueMachine(model, parameters, offset, description.deflection if with_deflection else None)
+
+
+def perfect_machine(description: MachineDescription, tool: str) -> TrueMachine:
+    return TrueMachine(None, np.zeros(0), description.tool(tool), None)

@@ -1,0 +1,219 @@
+"""Volumetric error: the rms length of the deviation over a grid, as it is and after the best rigid motion.
+
+A rigid motion of the whole workspace is no fault of a machine and is not seen by any free artefact, so every
+volumetric error is given twice. For a field linear in its parameters the mean square is the quadratic form
+E^T (B^T B / n) E: the grid is evaluated once and never again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points, as_vector
+from twin.errors import DataError, ModelError
+from twin.machine.error_model import ErrorModel, Ranges
+from twin.machine.forward_model import deviation_basis
+from twin.machine.grid_quadrature import GridSums
+from twin.machine.kinematic_chain import AXES
+from twin.machine.rigid_motion import rigid_fields
+
+_CHUNK = 2000  # grid points whose basis is held at a time
+_END_TOLERANCE = 1e-9  # of the range
+
+
+@dataclass(frozen=True)
+class Volumetric:
+    """Rms deviation in mm: `raw_mm` as defined, `aligned_mm` after the best rigid motion of the workspace."""
+
+    raw_mm: float
+    aligned_mm: float
+
+    @property
+    def raw_um(self) -> float:
+        return 1e3 * self.raw_mm
+
+    @property
+    def aligned_um(self) -> float:
+        return 1e3 * self.aligned_mm
+
+
+def evaluation_grid(ranges_mm: Ranges, shape: tuple[int, int, int] = (60, 20, 20)) -> Array:
+    """Axis positions (n, 3) of a regular grid over the ranges, ends included; x slowest, z fastest.
+
+    Raises ModelError for fewer than two points along an axis.
+    """
+    x, y, z = (np.linspace(low, high, max(count, 0)) for (low, high), count in zip(ranges_mm, shape, strict=True))
+    return covering_grid(ranges_mm, (x, y, z))
+
+
+def covering_grid(ranges_mm: Ranges, nodes: tuple[ArrayLike, ArrayLike, ArrayLike]) -> Array:
+    """Axis positions (n, 3) of the grid with these nodes (mm) along X, Y, Z; x slowest, z fastest.
+
+    Raises ModelError naming the axis where the nodes do not ascend from one end of the range to the other: a rms over
+    less than the workspace is no volumetric error.
+    """
+    lines = [np.asarray(line, dtype=np.float64) for line in nodes]
+    for axis, line, (low, high) in zip(AXES, lines, ranges_mm, strict=True):
+        _refuse_gap(axis, line, low, high)
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _refuse_gap(axis: str, nodes: Array, low: float, high: float) -> None:
+    hint = f"Give at least two ascending points from {low:g} to {high:g} mm"
+    if nodes.ndim != 1 or len(nodes) < 2 or not np.isfinite(nodes).all() or not (np.diff(nodes) > 0.0).all():
+        given = "points that do not ascend" if nodes.size > 1 else "1 point" if nodes.size else "no points"
+        raise ModelError(f"a grid with {given} does not cover the workspace", hint=hint, axis=axis)
+    room = _END_TOLERANCE * (high - low)
+    if nodes[0] > low + room or nodes[-1] < high - room:
+        message = f"the grid from {nodes[0]:g} to {nodes[-1]:g} mm does not cover the workspace"
+        raise ModelError(message, hint=hint, axis=axis)
+
+
+def rms(deviation: Array) -> float:
+    """Root of the mean squared length of deviations (n, 3)."""
+    return float(np.sqrt(np.mean(np.einsum("ij,ij->i", deviation, deviation))))
+
+
+def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
+    """What is left (n, 3) of `deviation` (n, 3) at tool points (n, 3) after the best small rigid motion.
+
+    Translation and small rotation by least squares, equal weights. Where the tool points are few or in line
+    the rotation that is not determined is not used.
+    """
+    field = as_points(deviation, "deviation")
+    motions = _rigid_motions(as_points(points, "points"))
+    flat = field.reshape(-1)
+    return field - (motions @ (motions.T @ flat)).reshape(-1, 3)
+
+
+def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) -> Array:
+    """The best small rigid motion of a deviation (n, 3) at tool points (n, 3), as it is at other tool points (m, 3)."""
+    at, field, other = (as_points(each, "points") for each in (points, deviation, elsewhere))
+    middle, size_mm = at.mean(axis=0), max(float(np.ptp(at, axis=0).max()), 1.0)
+    fields = rigid_fields(at, middle, size_mm).reshape(-1, 6)
+    motion = np.linalg.lstsq(fields, field.reshape(-1), rcond=1e-9)[0]
+    return np.asarray(rigid_fields(other, middle, size_mm) @ motion)
+
+
+def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> Volumetric:
+    """Raw and aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
+    field = as_points(deviation, "deviation")
+    return Volumetric(rms(field), rms(align_rigidly(points, field)))
+
+
+@dataclass(frozen=True)
+class QuadraticForm:
+    """Mean square of the linear field (+ a fixed field) over a grid as a function of the parameters.
+
+    `raw`, `aligned` (p, p) in mm² per unit of parameters; `raw_linear`, `aligned_linear` (p,) and
+    `raw_constant`, `aligned_constant` belong to the fixed field and are zero without one.
+    """
+
+    model: ErrorModel
+    axis_positions: Array
+    tool_offset: Array
+    raw: Array
+    aligned: Array
+    raw_linear: Array
+    aligned_linear: Array
+    raw_constant: float = 0.0
+    aligned_constant: float = 0.0
+
+    @classmethod
+    def build(cls, model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> QuadraticForm:
+        """Form for grid positions (n, 3) and tool offset (3,)."""
+        points = as_points(axis_positions, "axis positions")
+        offset = as_vector(tool_offset, 3, "tool offset")
+        sums = GridSums.over(points, _degrees(model))
+        gram, shared = np.zeros((model.size, model.size)), np.zeros((6, model.size))
+        roots = np.sqrt(sums.weights).repeat(3)[:, None]
+        motions = _rigid_motions(sums.nodes + offset, sums.weights)
+        for rows, basis in _basis_chunks(model, sums.nodes, offset):
+            weighted = roots[rows] * basis
+            gram += weighted.T @ weighted
+            shared[: motions.shape[1]] += motions[rows].T @ weighted
+        raw, aligned = gram / len(points), (gram - shared.T @ shared) / len(points)
+        return cls(model, points, offset, raw, aligned, np.zeros(model.size), np.zeros(model.size))
+
+    def with_field(self, field: ArrayLike) -> QuadraticForm:
+        """The form of the linear field plus a fixed `field` (n, 3) in mm on the same grid."""
+        fixed = as_points(field, "field")
+        if fixed.shape != self.axis_positions.shape:
+            raise DataError(f"the field has {len(fixed)} points, the grid {len(self.axis_positions)}")
+        sums = GridSums.over(self.axis_positions, _degrees(self.model))
+        roots = np.sqrt(sums.weights).repeat(3)
+        motions = _rigid_motions(sums.nodes + self.tool_offset, sums.weights)
+        gathered = sums.gather(fixed).reshape(-1)
+        rigid = motions.T @ (gathered / roots)
+        both = np.stack((gathered, gathered - roots * (motions @ rigid)))
+        linear = np.zeros((2, self.model.size))
+        for rows, basis in _basis_chunks(self.model, sums.nodes, self.tool_offset):
+            linear += both[:, rows] @ basis
+        raw_linear, aligned_linear = linear / len(fixed)
+        return replace(
+            self,
+            raw_linear=raw_linear,
+            aligned_linear=aligned_linear,
+            raw_constant=rms(fixed) ** 2,
+            aligned_constant=max(rms(fixed) ** 2 - float(rigid @ rigid) / len(fixed), 0.0),
+        )
+
+    def values(self, parameters: ArrayLike) -> tuple[Array, Array]:
+        """Raw and aligned rms (m,) in mm of m machines, parameters (m, p)."""
+        vectors = np.asarray(parameters, dtype=np.float64)
+        if vectors.ndim != 2 or vectors.shape[1] != self.model.size:
+            raise ModelError(f"parameters have shape {vectors.shape}, expected (m, {self.model.size})")
+        raw = _mean_squares(vectors, self.raw, self.raw_linear, self.raw_constant)
+        aligned = _mean_squares(vectors, self.aligned, self.aligned_linear, self.aligned_constant)
+        return np.sqrt(raw), np.sqrt(aligned)
+
+    def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> Volumetric:
+        """Volumetric error of one machine (p,). For many machines with one field use `with_field` once."""
+        form = self if field is None else self.with_field(field)
+        raw, aligned = form.values(as_vector(parameters, self.model.size, "parameters")[None, :])
+        return Volumetric(float(raw[0]), float(aligned[0]))
+
+    def expected(self, covariance: Array) -> Volumetric:
+        """sqrt(trace(Q P) + fixed field): root of the expected mean square for a covariance P (p, p)."""
+        raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
+        aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant
+        return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
+
+
+def _mean_squares(vectors: Array, form: Array, linear: Array, constant: float) -> Array:
+    quadratic = np.einsum("ij,ij->i", vectors @ form, vectors)
+    mean_squares: Array = np.maximum(quadratic + 2.0 * (vectors @ linear) + constant, 0.0)
+    return mean_squares
+
+
+def _basis_chunks(model: ErrorModel, points: Array, offset: Array) -> Iterator[tuple[slice, Array]]:
+    """Rows (of the flattened field) and basis (rows, p) of one part of the grid after the other."""
+    for start in range(0, len(points), _CHUNK):
+        chunk = points[start : start + _CHUNK]
+        basis = deviation_basis(model, chunk, offset).reshape(-1, model.size)
+        yield slice(3 * start, 3 * (start + len(chunk))), basis
+
+
+def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
+    """Orthonormal basis (3n, r) of the small rigid motions of points (n, 3), r = 6 unless in line.
+
+    `weights` (n,): of each point in a sum of squares; the basis is then that of the fields times their roots.
+    """
+    middle = points.mean(axis=0)
+    size = max(float(np.sqrt(np.mean((points - middle) ** 2))), 1e-12)
+    fields = rigid_fields(points, middle, size)
+    if weights is not None:
+        fields *= np.sqrt(weights)[:, None, None]
+    left, sizes, _ = np.linalg.svd(fields.reshape(-1, 6), full_matrices=False)
+    used: Array = left[:, sizes > 1e-9 * sizes[0]]
+    return used
+
+
+def _degrees(model: ErrorModel) -> tuple[int, int, int]:
+    """Highest powers of x, y, z in a column of the basis: that of a series or of the cross-effect, and a lever."""
+    x, y, z = (max(order, 2) + 1 for order in model.highest_order)
+    return x, y, z

@@ -1,0 +1,60 @@
+"""When a drifting value will reach its limit: at the expected rate, and at the earliest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from twin.monitoring.drift import Drift
+
+_STEPS = 60  # halvings of the horizon
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Nights from the last one until the `limit`. `expected`: of the line itself; `earliest`: of the edge of its 95 %
+    band; 0: reached already; infinite: never within the horizon. `reached`: the line itself is there."""
+
+    limit: float
+    expected: float
+    earliest: float
+
+    @property
+    def reached(self) -> bool:
+        return self.expected <= 0.0
+
+
+def crossing(drift: Drift, limit: float, horizon: float, *, two_sided: bool) -> Crossing:
+    """`two_sided`: the value may not leave [-limit, limit]; else it may not exceed `limit`. Looks `horizon` nights
+    ahead."""
+    sides = (1.0, -1.0) if two_sided else (1.0,)
+    expected = min(_line(drift, limit, side, horizon) for side in sides)
+    earliest = min(_band(drift, limit, side, horizon) for side in sides)
+    return Crossing(limit, expected, min(earliest, expected))
+
+
+def _line(drift: Drift, limit: float, side: float, horizon: float) -> float:
+    room = limit - side * drift.level
+    if room <= 0.0:
+        return 0.0
+    rate = side * drift.slope
+    return room / rate if rate > 0.0 and room <= rate * horizon else math.inf
+
+
+def _band(drift: Drift, limit: float, side: float, horizon: float) -> float:
+    """First night at which value + k·uncertainty is beyond the limit; the edge is convex, so it crosses upwards once
+    where it begins below."""
+
+    def beyond(nights: float) -> bool:
+        value, sigma = drift.ahead(nights)
+        return side * value + drift.factor * sigma >= limit
+
+    if beyond(0.0):
+        return 0.0
+    if not beyond(horizon):
+        return math.inf
+    low, high = 0.0, horizon
+    for _ in range(_STEPS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if beyond(middle) else (middle, high)
+    return high

@@ -1,0 +1,100 @@
+"""What is left of a machine while a given table acts, as far as it is known: an expected volumetric error.
+
+The table need not be that of what is known now: a machine drifts away from the one that was written last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points, as_vector
+from twin.design.criterion import Criterion
+from twin.identification.normal import Scales
+from twin.identification.unknowns import Unknowns
+from twin.machine.forward_model import deviation_basis
+from twin.machine.volumetric import Volumetric
+
+
+@dataclass(frozen=True, eq=False)
+class ActingError:
+    """Over a workspace and for one tool; `form` of all `unknowns` z (P,), `beside` mm² what the modes leave out."""
+
+    unknowns: Unknowns
+    form: Criterion
+    beside: float
+
+    @classmethod
+    def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ActingError:
+        """Over a `grid` of axis positions (n, 3) mm for a tool (3,) mm; `scales`: of the misfit that is known."""
+        form = Criterion.build(unknowns, grid, tool_offset)
+        return cls(unknowns, form, 3.0 * beside_of(unknowns, scales))
+
+    def of(self, mean: Array, covariance: Array, written: ArrayLike) -> Volumetric:
+        """Root of the expected mean square of machine less table: z has `mean` (P,) and `covariance` (P, P), the table
+        holds the parameters `written` (p,) mm or rad."""
+        return self._root(covariance, self.unwritten(mean, written), self.beside)
+
+    def between(self, mean: Array, other: Array) -> Volumetric:
+        """Of the field of the parameters alone by which two z (P,) differ."""
+        step = self._parameters_only(mean - other)
+        return self._root(np.zeros_like(self.form.raw), step, 0.0)
+
+    def expected_between(self, covariance: Array) -> Volumetric:
+        """The same for parameters that differ by chance with the covariance (P, P) of z."""
+        own = self.unknowns.blocks.parameters
+        kept = np.zeros_like(covariance)
+        kept[own, own] = covariance[own, own]
+        return self._root(kept, np.zeros(len(kept)), 0.0)
+
+    def unwritten(self, mean: Array, written: ArrayLike) -> Array:
+        """z (P,) less that of the parameters `written` (p,)."""
+        return unwritten(self.unknowns, mean, written)
+
+    def _parameters_only(self, step: Array) -> Array:
+        own, kept = self.unknowns.blocks.parameters, np.zeros_like(step)
+        kept[own] = step[own]
+        return kept
+
+    def _root(self, covariance: Array, step: Array, beside: float) -> Volumetric:
+        raw, aligned = (
+            float(np.vdot(form, covariance)) + float(step @ form @ step) + beside
+            for form in (self.form.raw, self.form.aligned)
+        )
+        return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
+
+
+def unwritten(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
+    """z (P,) less that of the parameters `written` (p,) mm or rad."""
+    parameters, scale = as_vector(written, unknowns.model.size, "written parameters"), unknowns.scale
+    left = mean.copy()
+    left[unknowns.blocks.parameters] -= np.where(scale > 0.0, parameters / np.where(scale > 0.0, scale, 1.0), 0.0)
+    return left
+
+
+def beside_of(unknowns: Unknowns, scales: Scales) -> float:
+    """Variance (mm²), per direction, of what is too short in space for the modes of the misfit."""
+    modes = unknowns.modes
+    return 0.0 if modes is None else unknowns.misfit_mm**2 * float(modes.left_out @ np.square(scales.kinds))
+
+
+def acting_covariance(
+    unknowns: Unknowns, scales: Scales, mean: Array, covariance: Array, points: ArrayLike, tool_offset: ArrayLike
+) -> Array:
+    """Expected outer product (3n, 3n) mm² of machine less table at axis positions (n, 3), point by point x, y, z.
+
+    `mean` (P,): of z less what is written (`unwritten`), `covariance` (P, P).
+    """
+    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    blocks = unknowns.blocks
+    basis = deviation_basis(unknowns.model, grid, offset)
+    fields = np.zeros((*grid.shape, blocks.size))
+    fields[:, :, blocks.parameters] = basis * unknowns.scale
+    if unknowns.modes is not None:
+        at_hand = basis if (offset == unknowns.modes.tool_offset).all() else None
+        fields[:, :, blocks.misfit] = unknowns.misfit_mm * unknowns.modes.at(grid, at_hand)
+    columns = fields.reshape(-1, blocks.size)
+    moments = covariance + np.multiply.outer(mean, mean)
+    return np.asarray(columns @ moments @ columns.T) + beside_of(unknowns, scales) * np.eye(len(columns))

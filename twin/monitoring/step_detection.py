@@ -1,0 +1,195 @@
+"""Whether a machine is still what it was expected to be, and which of its errors has jumped where it is not.
+
+With what is known beforehand, z ~ N(m, C), and ball centres y = A z + noise (whitened, poses projected out), the
+innovation y - A m has the covariance S = σ² + A C Aᵀ. That one error has jumped by a beside it is a score test: with J
+the columns of its coefficients and a ~ N(0, Λ), Λ the family's own spread, the logarithm of the likelihood ratio is
+
+    ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(1 + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
+
+so a series of many coefficients pays for its freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995). Both s and F are
+of the size of z: AᵀS⁻¹A = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtrc
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.identification.centres import CentreEquations
+from twin.identification.normal import Normal, Precision
+from twin.identification.options import Options
+from twin.identification.prior_from_estimate import CarriedOver
+from twin.identification.problem import Problem, build_problem
+from twin.identification.unknowns import Unknowns
+from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS
+from twin.machine.legendre import legendre_values
+from twin.machine.machine_population import Family
+
+ERRORS = (*ERROR_MOTIONS, *SQUARENESS)
+"""The 21 geometric errors of three linear axes, ISO 230-1."""
+
+_EXACT_STEPS = 2  # as in an identification: what the first leaves is second order of a pose a few mm away
+_ALONG = 101
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One `error` that may have jumped: `evidence` ln of the likelihood ratio against no jump, `chi2` of `freedom`.
+
+    `change` in `unit`: of a squareness its value; of an error motion what it has changed by from the lowest to the
+    highest point over the travel, its sign that of the difference of the ends. `coefficients`: by name, mm or rad.
+    """
+
+    error: str
+    evidence: float
+    chi2: float
+    freedom: int
+    change: float
+    unit: Literal["µm", "µrad"]
+    coefficients: Mapping[str, float]
+
+    @property
+    def chance(self) -> float:
+        """Of a χ² as large without any jump."""
+        return float(chdtrc(self.freedom, self.chi2))
+
+    @property
+    def text(self) -> str:
+        return f"{self.error} changed by {self.change:+.1f} {self.unit}"
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """Ball centres against what was known before: `mean` (P,) and `covariance` (P, P) of z as known; `score` (P,)
+    AᵀS⁻¹(y - A m), `information` (P, P) AᵀS⁻¹A, `chi2` (y - A m)ᵀS⁻¹(y - A m) of `rows` equations."""
+
+    unknowns: Unknowns
+    mean: Array
+    covariance: Array
+    score: Array
+    information: Array
+    chi2: float
+    rows: int
+
+    @property
+    def chi2_normalised(self) -> float:
+        return self.chi2 / self.rows
+
+    @cached_property
+    def mean_after(self) -> Array:
+        """(P,) of z once these ball centres are known too."""
+        return np.asarray(self.mean + self.covariance @ self.score)
+
+    @cached_property
+    def covariance_after(self) -> Array:
+        """(P, P) of z once these ball centres are known too."""
+        after = self.covariance - self.covariance @ self.information @ self.covariance
+        return np.asarray(0.5 * (after + after.T))
+
+    def suspects(self, jump: float = 1.0) -> tuple[Suspect, ...]:
+        """Every error that the model has, the likeliest first; `jump`: how large in units of the family's spread."""
+        found = [self._suspect(error, jump) for error in ERRORS if self._columns(error).size]
+        return tuple(sorted(found, key=lambda one: -one.evidence))
+
+    def jumped(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[Suspect, ...]:
+        """The errors that must have jumped, one after the other, each tested with those before it set free; only those
+        with at least so much `evidence`."""
+        left, named = self, []
+        for _ in range(most):
+            best = left.suspects(jump)[0]
+            if best.evidence < evidence:
+                break
+            named.append(best)
+            left = left._without(best.error, jump)
+        return tuple(named)
+
+    def _columns(self, error: str) -> Array:
+        model, scale = self.unknowns.model, self.unknowns.scale
+        return np.array([i for i, one in enumerate(model.parameters) if one.error == error and scale[i] > 0.0], int)
+
+    def _suspect(self, error: str, jump: float) -> Suspect:
+        columns = self._columns(error)
+        score, inner = self.score[columns], self.information[np.ix_(columns, columns)]
+        size = len(columns)
+        free = cho_factor(np.eye(size) / jump**2 + inner, lower=True)
+        step = cho_solve(free, score)
+        determinant = 2.0 * float(np.log(np.diagonal(free[0])).sum()) + 2.0 * size * math.log(jump)
+        sharp = float(score @ np.linalg.lstsq(inner, score, rcond=1e-12)[0])
+        change, unit = self._change(error, columns, step)
+        names = [self.unknowns.model.names[i] for i in columns]
+        values = (self.unknowns.scale[columns] * step).tolist()
+        evidence = 0.5 * (float(score @ step) - determinant)
+        return Suspect(error, evidence, sharp, size, change, unit, dict(zip(names, values, strict=True)))
+
+    def _change(self, error: str, columns: Array, step: Array) -> tuple[float, Literal["µm", "µrad"]]:
+        model = self.unknowns.model
+        parameters = [model.parameters[i] for i in columns]
+        values = self.unknowns.scale[columns] * step
+        factor: float = 1e3 if parameters[0].unit == "mm" else 1e6
+        unit: Literal["µm", "µrad"] = "µm" if parameters[0].unit == "mm" else "µrad"
+        if error in SQUARENESS:
+            return factor * float(values[0]), unit
+        orders = [one.order for one in parameters]
+        along = values @ legendre_values(np.linspace(-1.0, 1.0, _ALONG), max(orders))[orders]
+        return factor * float(np.ptp(along)) * (1.0 if along[-1] >= along[0] else -1.0), unit
+
+    def _without(self, error: str, jump: float) -> Innovation:
+        """The same where this error is as unknown as `jump` says: S + A J Λ JᵀAᵀ in the place of S."""
+        columns = self._columns(error)
+        through = self.information[:, columns]
+        free = cho_factor(np.eye(len(columns)) / jump**2 + self.information[np.ix_(columns, columns)], lower=True)
+        taken = cho_solve(free, self.score[columns])
+        return replace(
+            self,
+            score=self.score - through @ taken,
+            information=self.information - through @ cho_solve(free, through.T),
+            chi2=self.chi2 - float(self.score[columns] @ taken),
+        )
+
+
+def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOver) -> Innovation:
+    """`observations` against what is `known` (process noise of the time since included). The touch noise has the scale
+    that was found with what is known.
+
+    Raises DataError for an artefact, a model or balls that do not fit.
+    """
+    options = Options(carried_over=known, outliers="none", estimate_scales=False)
+    problem = build_problem(family, observations, artefact, options)
+    precision = Precision(problem.blocks, problem.known)
+    before = precision.matrix(known.scales)
+    factor = cho_factor(before, lower=True)
+    mean, covariance = cho_solve(factor, precision.pull), cho_solve(factor, np.eye(len(before)))
+    normal = _normal(problem, mean)
+    variance = known.scales.noise**2
+    right = (normal.right - normal.matrix @ mean) / variance
+    after = cho_factor(before + normal.matrix / variance, lower=True)
+    back = cho_solve(after, before)
+    information = before - before @ back
+    return Innovation(
+        unknowns=problem.unknowns,
+        mean=mean,
+        covariance=0.5 * (covariance + covariance.T),
+        score=before @ cho_solve(after, right),
+        information=0.5 * (information + information.T),
+        chi2=normal.misfit_square(mean) / variance - float(right @ cho_solve(after, right)),
+        rows=normal.rows,
+    )
+
+
+def _normal(problem: Problem, mean: Array) -> Normal:
+    """Normal equations with the exact residuals at the mean."""
+    equations = CentreEquations.build(problem, unit_weights=False)
+    sides, poses = problem.sides(mean), problem.poses
+    for _ in range(_EXACT_STEPS):
+        right, square, poses = equations.right_side(mean, sides, poses)
+    return Normal(equations.matrix, right, square, equations.rows)

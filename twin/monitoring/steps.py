@@ -1,0 +1,105 @@
+"""Where a series of nights has jumped: steps found one by one, each as long as it explains more than noise would.
+
+A candidate is scored by how far it lowers the sum of squares of the whole regression (level, slope, steps so far), in
+units of the scatter of successive differences, which neither slope nor single steps enlarge much (median moving
+range). It is taken where that exceeds about `PENALTY_PER_LOG` ln n: a step costs its size, its place and the choice of
+both, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array
+from twin.monitoring.drift import regression_design
+
+PENALTY_PER_LOG = 6.0
+FEWEST = 8
+MOST = 5
+SMALLEST_SCATTER = 1e-3
+"""Of the stated uncertainty: below that a series is smooth, and what is left is rounding."""
+MEDIAN_RANGE = 0.9539
+"""Median of the range of two standard normal values: sqrt(2) times the upper quartile 0.6745."""
+
+
+def find_steps(
+    nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, known: Sequence[float] = ()
+) -> tuple[float, ...]:
+    """Times (ascending, `known` ones included) from which on another level holds.
+
+    `known` ones that cannot be told from the slope or from each other are left out. Fewer than `FEWEST` values: none is
+    looked for. A step needs two values on either side of it and must stand without any
+    single one, so that one wild night is none.
+    """
+    t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
+    steps = list(_usable(t, known))
+    if len(t) < FEWEST:
+        return tuple(steps)
+    relative = u / np.median(u)
+    scatter = max(_successive(y / relative), SMALLEST_SCATTER * float(np.median(u)))
+    while len(steps) < MOST + len(known):
+        best = _best(t, y, scatter * relative, steps)
+        if best is None:
+            break
+        steps = sorted([*steps, best])
+    return tuple(steps)
+
+
+def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | None:
+    """The step that explains most, if it explains enough without any single one of the values too."""
+    gains = {at: _gain(t, y, sigmas, steps, at) for at in _candidates(t, steps)}
+    penalty = _penalty(len(t))
+    for at in sorted(gains, key=lambda at: -gains[at]):
+        if gains[at] < penalty:
+            return None
+        without = (np.arange(len(t)) != place for place in range(len(t)))
+        if all(_gain(t[kept], y[kept], sigmas[kept], steps, at) >= penalty for kept in without):
+            return at
+    return None
+
+
+def _penalty(count: int) -> float:
+    """Few values know their own scatter badly: widened so that a series without a step shows one in 1 of 50 cases."""
+    return PENALTY_PER_LOG * float(np.log(count)) * count / (count - 5.0)
+
+
+def _successive(y: Array) -> float:
+    """Standard deviation from the median of the successive differences, their common part (the slope) taken out."""
+    differences = np.diff(y)
+    return float(np.median(np.abs(differences - np.median(differences)))) / MEDIAN_RANGE
+
+
+def _usable(t: Array, known: Sequence[float]) -> tuple[float, ...]:
+    """Known steps that leave the regression solvable, the earliest first."""
+    kept: list[float] = []
+    for at in sorted(set(known)):
+        design = regression_design(t, [*kept, at])
+        if len(t) > design.shape[1] and np.linalg.matrix_rank(design) == design.shape[1]:
+            kept.append(at)
+    return tuple(kept)
+
+
+def _candidates(t: Array, steps: Sequence[float]) -> list[float]:
+    """Times that leave at least two values to each level."""
+    edges = [0, *(int(np.searchsorted(t, at)) for at in steps), len(t)]
+    return [
+        float(t[place])
+        for start, end in pairwise(edges)
+        for place in range(start + 2, end - 1)
+        if t[place] > t[place - 1]
+    ]
+
+
+def _gain(t: Array, y: Array, sigmas: Array, steps: Sequence[float], at: float) -> float:
+    return _square(t, y, sigmas, steps) - _square(t, y, sigmas, sorted([*steps, at]))
+
+
+def _square(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float:
+    design = regression_design(t, steps) / sigmas[:, None]
+    found = np.linalg.lstsq(design, y / sigmas, rcond=None)[0]
+    left = y / sigmas - design @ found
+    return float(left @ left)

@@ -1,0 +1,164 @@
+"""Does what is stated hold the truth? Regions of an estimate against a machine that is known.
+
+Every region belongs to a nominal level. What is kept of each comparison is the level whose region just reaches the
+truth: over many machines these levels are even between 0 and 1 where regions are what they are said to be, and the
+share of them that is at most 0.95 is the coverage of the 95 % regions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtr, ndtr
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.identification import Estimate, Options
+from twin.identification.poses import rigid_poses
+from twin.identification.predicted import field_columns, unresolved
+from twin.identification.problem import Problem, build_problem
+from twin.machine.forward_model import exact_deviation
+from twin.machine.machine_population import Family
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.true_machine import TrueMachine
+from twin.machine.volumetric import volumetric_error
+from twin.uncertainty.volumetric_distribution import volumetric_distributions
+
+_OPEN = 1e-9  # of the largest variance: what a rigid motion has taken out
+_RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many of the comparisons of all machines were held, and the standard error of that from machine to machine."""
+
+    observed: float
+    standard_error: float
+
+
+def share_held(levels: Sequence[Array], nominal: float, rng: np.random.Generator) -> Share:
+    """Coverage at a nominal level; `levels`: of each machine its comparisons (m,). The standard error is that of
+    machines drawn again with replacement (bootstrap), since the comparisons of one machine go together."""
+    held = np.array([np.count_nonzero(one <= nominal) for one in levels], dtype=np.float64)
+    counts = np.array([np.size(one) for one in levels], dtype=np.float64)
+    drawn = rng.multinomial(len(levels), np.full(len(levels), 1.0 / len(levels)), size=_RESAMPLES)
+    again = (drawn @ held) / (drawn @ counts)
+    return Share(float(held.sum() / counts.sum()), float(again.std()))
+
+
+@dataclass(frozen=True, eq=False)
+class FieldError:
+    """Of the true deviation less its expectation at n points, after the one rigid motion that no artefact sees: `error`
+    (3n,) mm and the `covariance` (3n, 3n) mm² stated for it."""
+
+    error: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, estimate: Estimate, truth: TrueMachine, axis_positions: Array) -> FieldError:
+        """At axis positions (n, 3), with the tool of the truth."""
+        offset = truth.tool_offset
+        left = truth.deviation(axis_positions)
+        left -= exact_deviation(estimate.model, axis_positions, offset, estimate.parameters)
+        columns = field_columns(estimate, axis_positions, offset).reshape(left.size, -1)
+        covariance, expected = estimate.covariance, left.reshape(-1)
+        misfit = estimate.misfit
+        if misfit is not None:
+            cross = misfit.cross_covariance
+            covariance = np.block([[covariance, cross], [cross.T, misfit.covariance]])
+            expected = expected - columns[:, estimate.model.size :] @ misfit.coefficients
+        motions = np.linalg.qr(_motions(axis_positions + offset))[0]
+        columns = columns - motions @ (motions.T @ columns)
+        whole = columns @ covariance @ columns.T
+        whole += unresolved(estimate) * (np.eye(len(columns)) - motions @ motions.T)
+        return cls(expected - motions @ (motions.T @ expected), whole)
+
+    def pointwise_levels(self) -> Array:
+        """(3n,) of each component at each point by itself."""
+        return two_sided(self.error / np.sqrt(np.diagonal(self.covariance)))
+
+    def joint_level(self) -> float:
+        """Of all components at all points together."""
+        return joint_level(self.error, self.covariance)
+
+
+def two_sided(standardised: Array) -> Array:
+    """Level of the symmetric interval that just reaches each of (n,) standard normal variables."""
+    return np.asarray(2.0 * ndtr(np.abs(standardised)) - 1.0)
+
+
+def joint_level(error: Array, covariance: Array) -> float:
+    """Level of the ellipsoid that just reaches `error` (n,); directions without variance are left out."""
+    values, vectors = np.linalg.eigh(covariance)
+    used = values > _OPEN * values[-1]
+    square = float(np.sum((vectors.T @ error)[used] ** 2 / values[used]))
+    return float(chdtr(float(used.sum()), square))
+
+
+def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) -> Array:
+    """Of every parameter that the measurements have made better known than `share_of_prior` of what was known before.
+
+    `truth` (p,) of the same model: meaningful for a machine that the model can represent.
+    """
+    sigma = estimate.standard_uncertainty
+    known = sigma < share_of_prior * estimate.scales.prior * estimate.prior_scale
+    return two_sided((truth - estimate.parameters)[known] / sigma[known])
+
+
+@dataclass(frozen=True)
+class VolumetricComparison:
+    """VE and VCE after the best rigid motion: `true_mm`, root of the expected mean square, and level of the interval
+    with equal chances on both sides."""
+
+    true_mm: float
+    expected_mm: float
+    level: float
+
+
+def volumetric_comparisons(
+    estimate: Estimate, truth: TrueMachine, grid: Array
+) -> tuple[VolumetricComparison, VolumetricComparison]:
+    """VE and VCE over axis positions (n, 3)."""
+    offset = truth.tool_offset
+    true = truth.deviation(grid)
+    left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
+    stated = volumetric_distributions(estimate, grid, offset)
+    found = []
+    for field, distribution in ((true, stated.before), (left, stated.left)):
+        rms_mm = volumetric_error(grid + offset, field).aligned_mm
+        below = distribution.aligned.at_most(rms_mm**2)
+        found.append(VolumetricComparison(rms_mm, distribution.expected.aligned_mm, abs(2.0 * below - 1.0)))
+    return found[0], found[1]
+
+
+def held_out_levels(
+    estimate: Estimate, family: Family, seen: Observations, artefact: Artefact, options: Options
+) -> Array:
+    """(K,) of each position of `seen`, which the estimate has never seen: all its balls together, pose taken out."""
+    problem = build_problem(family, seen, artefact, options)
+    left, local = problem.sides(estimate.z)
+    residuals = left - rigid_poses(problem.layout, local, left).place(problem.layout, local)
+    return np.array([_held_out_level(estimate, problem, residuals, k) for k in range(problem.layout.positions)])
+
+
+def _held_out_level(estimate: Estimate, problem: Problem, residuals: Array, place: int) -> float:
+    layout = problem.layout
+    rows = np.flatnonzero(layout.index == place)
+    design = problem.design[place, : len(rows)].reshape(3 * len(rows), -1)
+    covariance = design @ estimate.z_covariance @ design.T
+    for number, row in enumerate(rows):
+        block = slice(3 * number, 3 * number + 3)
+        # what is too short in space for the modes is in the noise that was found
+        covariance[block, block] += estimate.scales.noise**2 * problem.observations.covariance[row]
+    motions = _motions(problem.observations.axis_positions[rows])
+    free = np.linalg.qr(motions, mode="complete")[0][:, 6:]
+    return joint_level(free.T @ residuals[rows].reshape(-1), free.T @ covariance @ free)
+
+
+def _motions(points: Array) -> Array:
+    """(3n, 6) rigid motions of points (n, 3)."""
+    size_mm = max(float(np.ptp(points, axis=0).max()), 1.0)
+    return rigid_fields(points, points.mean(axis=0), size_mm).reshape(-1, 6)

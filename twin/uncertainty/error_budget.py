@@ -1,0 +1,217 @@
+"""Expected volumetric compensated error in closed form, and what each influence has in it.
+
+The estimate is linear in everything that a procedure meets (`twin.uncertainty.linear_estimator`), so the field that
+compensation leaves is linear too, and its expected mean square over machines, certificates and touches is a trace of
+second moments with the quadratic form of the field. All influences are independent with mean zero, but for the
+deflection, which is the same for all machines and enters with its own square. So the squares of the contributions add
+up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array
+from twin.artefact.artefact import Artefact
+from twin.artefact.observations import Observations
+from twin.errors import DataError
+from twin.identification.options import Options
+from twin.identification.problem import Problem, build_problem
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import deviation_basis
+from twin.machine.machine_population import Family
+from twin.machine.volumetric import Volumetric
+from twin.uncertainty.linear_estimator import LinearEstimator
+from twin.uncertainty.quadratic_distribution import QuadraticDistribution
+from twin.uncertainty.residual_field_form import FieldForm, deflected
+from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.volumetric_distribution import VolumetricDistribution
+
+TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE = "touch noise", "certificate", "CTE", "temperature"
+DRIFT, MOUNT, MISFIT, UNSEEN = "drift", "mount", "misfit", "unseen"
+INFLUENCES = (TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE, DRIFT, MOUNT, MISFIT, UNSEEN)
+"""In the order of the table. `mount` is where the artefact stands: poses are free, so it contributes nothing.
+`misfit`: what the true machines have and the model has not, deflection included, with what it does to the parameters.
+`unseen`: the model's own parameters, as far as the set does not see them or the prior shrinks them."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBudget:
+    """`moments`: influence → second moments (u, u) of the parameters left, of the joint model of `field`; `bias` (u,):
+    what compensation makes of the deflection, to be added to it."""
+
+    field: FieldForm
+    moments: Mapping[str, Array]
+    bias: Array
+
+    @cached_property
+    def contributions(self) -> Mapping[str, Volumetric]:
+        """Influence → root of its part in the expected mean square."""
+        squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
+        fixed = self.field.fixed_square(self.bias)
+        squares[MISFIT] = (squares[MISFIT][0] + fixed[0], squares[MISFIT][1] + fixed[1])
+        return {name: _root(raw, aligned) for name, (raw, aligned) in squares.items()}
+
+    @cached_property
+    def expected(self) -> Volumetric:
+        """Root of the expected mean square VCE over machines."""
+        parts = self.contributions.values()
+        return _root(sum(part.raw_mm**2 for part in parts), sum(part.aligned_mm**2 for part in parts))
+
+    @cached_property
+    def before(self) -> Volumetric:
+        """Root of the expected mean square VE over machines."""
+        return self.field.before()
+
+    @cached_property
+    def total(self) -> Array:
+        """(u, u) second moments of all influences together, without the deflection."""
+        return np.asarray(np.sum(list(self.moments.values()), axis=0))
+
+    @property
+    def distribution(self) -> VolumetricDistribution:
+        """Of VCE over machines, their parameters taken as Gaussian with the family's variances."""
+        form = self.field.form
+        return VolumetricDistribution(
+            QuadraticDistribution.of(form.raw, form.raw_linear, form.raw_constant, self.bias, self.total),
+            QuadraticDistribution.of(form.aligned, form.aligned_linear, form.aligned_constant, self.bias, self.total),
+        )
+
+    def parameter_uncertainty(self) -> Array:
+        """(p,) root mean square of true less identified parameters of the model identified, in mm or rad."""
+        squares = np.maximum(np.diagonal(self.total) + self.bias**2, 0.0)
+        return np.asarray(np.sqrt(squares[self.field.own]))
+
+    def field_uncertainty(self, axis_positions: ArrayLike, aligned: bool = False) -> Array:
+        """Expected root mean square (n, 3) mm of the field left at axis positions (n, 3), per direction.
+
+        `aligned`: less the rigid motion over the grid of the form, which no free artefact sees.
+        """
+        basis, deflection = self.field.columns_at(axis_positions, aligned)
+        squares = np.einsum("nip,nip->ni", basis @ self.total, basis) + (deflection + basis @ self.bias) ** 2
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
+
+def error_budget(
+    model: ErrorModel,
+    family: Family,
+    artefact: Artefact,
+    observations: Observations,
+    options: Options,
+    reality: Reality,
+    grid: ArrayLike,
+    tool_offset: ArrayLike,
+) -> ErrorBudget:
+    """Expected error of identifying `model` from planned `observations` of `artefact` on the machines of `reality`.
+
+    `family`: the prior; `grid` (n, 3), `tool_offset` (3,): where the error counts. Scales stay at 1 and no ball is
+    rejected, whatever `options` say. To judge many sets build the `FieldForm` once and use `budget_of`.
+    """
+    return budget_of(FieldForm.build(model, reality, grid, tool_offset), family, artefact, observations, options)
+
+
+def budget_of(
+    field: FieldForm, family: Family, artefact: Artefact, observations: Observations, options: Options
+) -> ErrorBudget:
+    """Expected error on a field form that is at hand. DataError where the prior is that of another model."""
+    if family.model != field.model:
+        raise DataError("the family belongs to another model", hint="use the family of the same machine file")
+    reality = field.reality
+    warm = np.full(observations.size, reality.artefact_temperature_c)
+    problem = build_problem(family, replace(observations, temperature_c=warm), artefact, options)
+    influences = _influences(problem, field, artefact)
+    estimator = LinearEstimator.of(problem, options, np.concatenate(list(influences.values()), axis=2))
+    ends = np.cumsum([part.shape[2] for part in influences.values()])
+    answers = dict(zip(influences, np.split(estimator.influences, ends[:-1], axis=1), strict=True))
+    moments = {name: _moments(field, -answers[name]) for name in (CTE, TEMPERATURE, DRIFT)}
+    machines = _machines_left(field, answers["machines"])
+    none = np.zeros((field.size, field.size))
+    certificate = _moments(field, estimator.certificate) if reality.certificate else none
+    moments |= {
+        TOUCH_NOISE: _embedded(field, estimator.noise) if reality.touch_noise else none,
+        CERTIFICATE: certificate,
+        MOUNT: none,
+        MISFIT: machines[:, field.beyond] @ machines[:, field.beyond].T,
+        UNSEEN: machines[:, ~field.beyond] @ machines[:, ~field.beyond].T,
+    }
+    bias = np.zeros(field.size)
+    bias[field.own] = -answers["deflection"].sum(axis=1)
+    return ErrorBudget(field, {name: moments[name] for name in INFLUENCES}, bias)
+
+
+def _influences(problem: Problem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:
+    """Fields (n, 3, x) mm at the rows, each column of one standard deviation (the deflection as it is)."""
+    seen, reality = problem.observations, field.reality
+    stretched = problem.layout.unpad(problem.layout.pad(artefact.balls[seen.ball]) @ _turned(problem))[:, :, None]
+    warmer_k = reality.artefact_temperature_c - artefact.reference_temperature_c
+    doubt = artefact.cte_standard_uncertainty_per_k * warmer_k if reality.cte else 0.0
+    return {
+        "machines": _machines(field, seen),
+        "deflection": _deflection(reality, seen),
+        CTE: stretched * doubt,
+        TEMPERATURE: stretched * (artefact.cte_per_k * reality.thermometer_uncertainty_k),
+        DRIFT: _drift(problem, reality.drift_mm),
+    }
+
+
+def _turned(problem: Problem) -> Array:
+    """(K, 3, 3) to turn artefact points (K, width, 3) from the right."""
+    return problem.poses.rotation.transpose(0, 2, 1)
+
+
+def _machines(field: FieldForm, seen: Observations) -> Array:
+    """(n, 3, t) of one standard deviation of each parameter of the true family."""
+    family = field.reality.family
+    scale = family.prior_standard_deviation
+    fields = np.empty((seen.size, 3, family.model.size))
+    for tool in np.unique(seen.tool):
+        rows = seen.tool == tool
+        offset = seen.tool_offsets[tool]
+        fields[rows] = deviation_basis(family.model, seen.axis_positions[rows], offset, scale)
+    return fields
+
+
+def _deflection(reality: Reality, seen: Observations) -> Array:
+    if reality.deflection is None:
+        return np.zeros((seen.size, 3, 0))
+    return deflected(reality.deflection, seen.axis_positions)[:, :, None]
+
+
+def _drift(problem: Problem, drift_mm: float) -> Array:
+    """(n, 3, 3K): each position drifts by itself, linearly over its balls in the order of the rows."""
+    layout = problem.layout
+    if drift_mm == 0.0:
+        return np.zeros((problem.observations.size, 3, 0))
+    number = layout.unpad(np.tile(np.arange(float(layout.width)), (layout.positions, 1)))
+    share = number / np.maximum(layout.counts - 1, 1)[layout.index]
+    fields = np.zeros((len(share), 3, layout.positions, 3))
+    fields[np.arange(len(share)), :, layout.index, :] = drift_mm * share[:, None, None] * np.eye(3)
+    return fields.reshape(len(share), 3, -1)
+
+
+def _machines_left(field: FieldForm, answers: Array) -> Array:
+    """(u, t) parameters left of one standard deviation of each parameter of the true family: true less identified."""
+    left = np.zeros((field.size, len(field.true)))
+    left[field.true, np.arange(len(field.true))] = field.reality.family.prior_standard_deviation
+    left[field.own] -= answers
+    return left
+
+
+def _moments(field: FieldForm, columns: Array) -> Array:
+    return _embedded(field, columns @ columns.T)
+
+
+def _embedded(field: FieldForm, covariance: Array) -> Array:
+    """(u, u) from second moments (p, p) of the identified parameters."""
+    moments = np.zeros((field.size, field.size))
+    moments[np.ix_(field.own, field.own)] = covariance
+    return moments
+
+
+def _root(raw: float, aligned: float) -> Volumetric:
+    return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))

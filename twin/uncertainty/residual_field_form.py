@@ -1,0 +1,140 @@
+"""The field that compensation leaves, true field less compensation model, as one quadratic form.
+
+True machines may have other Legendre orders and cross-effect terms than the model identified. Both are embedded in the
+model that has the parameters of either, so that what is left is linear in one parameter vector and the grid is
+evaluated once for a model, a reality and a tool.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points
+from twin.errors import ModelError
+from twin.machine.deflection import DeflectionGrid
+from twin.machine.error_model import CROSS_TERMS, ERROR_MOTIONS, ErrorModel
+from twin.machine.forward_model import deviation_basis
+from twin.machine.rigid_motion import rigid_fields
+from twin.machine.volumetric import QuadraticForm, Volumetric
+from twin.uncertainty.truth_assumptions import Reality
+
+_CHUNK = 2000  # grid points whose basis is held at a time
+
+Places = np.ndarray[Any, np.dtype[np.int64]]
+
+
+@dataclass(frozen=True, eq=False)
+class FieldForm:
+    """`form`: of the joint model (u parameters) with the deflection as its fixed field; `own` (p,), `true` (t,): where
+    the parameters of the identified model and those of the true family stand in it."""
+
+    model: ErrorModel
+    reality: Reality
+    form: QuadraticForm
+    own: Places
+    true: Places
+
+    @classmethod
+    def build(cls, model: ErrorModel, reality: Reality, grid: ArrayLike, tool_offset: ArrayLike) -> FieldForm:
+        """For grid positions (n, 3) and tool offset (3,) mm. ModelError where the two models do not belong together."""
+        truth = reality.family.model
+        joint = joint_model(model, truth)
+        form = QuadraticForm.build(joint, grid, tool_offset)
+        if reality.deflection is not None:
+            form = form.with_field(deflected(reality.deflection, form.axis_positions))
+        return cls(model, reality, form, _places(model, joint), _places(truth, joint))
+
+    @property
+    def size(self) -> int:
+        """Parameters of the joint model."""
+        return self.form.model.size
+
+    @property
+    def beyond(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(t,) which parameters of the true family the identified model does not have."""
+        return ~np.isin(self.true, self.own)
+
+    def mean_square(self, moments: Array) -> tuple[float, float]:
+        """Mean square (raw, aligned) in mm² of a field whose parameters have these second moments (u, u)."""
+        return float(np.vdot(self.form.raw, moments)), float(np.vdot(self.form.aligned, moments))
+
+    def fixed_square(self, parameters: Array) -> tuple[float, float]:
+        """Mean square (raw, aligned) in mm² of the deflection plus the field of fixed parameters (u,)."""
+        one = self.form.value(parameters)
+        return one.raw_mm**2, one.aligned_mm**2
+
+    def columns_at(self, axis_positions: ArrayLike, aligned: bool = False) -> tuple[Array, Array]:
+        """Basis (n, 3, u) and deflection (n, 3) mm at axis positions (n, 3).
+
+        `aligned`: less the rigid motion that each has over the grid of the form.
+        """
+        points, form = as_points(axis_positions, "axis positions"), self.form
+        basis = deviation_basis(form.model, points, form.tool_offset)
+        fixed = self._fixed_at(points)
+        if aligned:
+            motions = self._motions_at(points)
+            shares = self._rigid_shares
+            basis -= motions @ shares[:, :-1]
+            fixed = fixed - motions @ shares[:, -1]
+        return basis, fixed
+
+    @cached_property
+    def _rigid_shares(self) -> Array:
+        """(6, u + 1) rigid motion in each column of the basis and in the deflection, by least squares over the grid."""
+        form = self.form
+        normal, shared = np.zeros((6, 6)), np.zeros((6, self.size + 1))
+        for start in range(0, len(form.axis_positions), _CHUNK):
+            points = form.axis_positions[start : start + _CHUNK]
+            motions = self._motions_at(points).reshape(-1, 6)
+            basis = deviation_basis(form.model, points, form.tool_offset).reshape(-1, self.size)
+            normal += motions.T @ motions
+            shared += motions.T @ np.column_stack((basis, self._fixed_at(points).reshape(-1)))
+        return np.asarray(np.linalg.lstsq(normal, shared, rcond=1e-12)[0])
+
+    def _motions_at(self, points: Array) -> Array:
+        """(n, 3, 6) rigid motions about the middle of the grid."""
+        grid = self.form.axis_positions
+        size_mm = max(float(np.ptp(grid, axis=0).max()), 1.0)
+        return rigid_fields(points, grid.mean(axis=0), size_mm)
+
+    def _fixed_at(self, points: Array) -> Array:
+        deflection = self.reality.deflection
+        return np.zeros_like(points) if deflection is None else deflected(deflection, points)
+
+    @property
+    def family_moments(self) -> Array:
+        """(u, u) second moments of the true machines' parameters."""
+        variances = np.zeros(self.size)
+        variances[self.true] = self.reality.family.prior_standard_deviation**2
+        return np.diag(variances)
+
+    def before(self) -> Volumetric:
+        """Root of the expected mean square of the true machines' deviation."""
+        return self.form.expected(self.family_moments)
+
+
+def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
+    """The smallest model with all parameters of both. ModelError for different chains or ranges."""
+    if one.chain != other.chain or one.ranges_mm != other.ranges_mm:
+        raise ModelError(
+            "the true machines have another chain or other axis ranges than the model",
+            hint="take both from one machine file",
+        )
+    orders = {error: max(one.orders[error], other.orders[error]) for error in ERROR_MOTIONS}
+    terms = tuple(term for term in CROSS_TERMS if term in one.cross_effect or term in other.cross_effect)
+    return ErrorModel(one.chain, one.ranges_mm, orders, terms)
+
+
+def deflected(deflection: DeflectionGrid, axis_positions: Array) -> Array:
+    """Deflection (n, 3) mm; a position that lies outside the grid has that of the border, as a true machine's does."""
+    lower, upper = (np.array([nodes[end] for nodes in deflection.nodes]) for end in (0, -1))
+    return deflection.at(np.clip(axis_positions, lower, upper))
+
+
+def _places(part: ErrorModel, whole: ErrorModel) -> Places:
+    return np.array([whole.index(name) for name in part.names], dtype=np.int64)

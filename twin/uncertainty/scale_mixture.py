@@ -1,0 +1,58 @@
+"""What an estimate says of the machine: one Gaussian for every set of scales that may be the right one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twin.arrays import Array
+from twin.identification.estimate import Estimate
+from twin.uncertainty.quadratic_distribution import covariance_factor
+
+
+@dataclass(frozen=True, eq=False)
+class Supposition:
+    """`mean` (m,) and `covariance` (m, m) of the parameters (mm or rad) and of the misfit's coefficients;
+    `unresolved_mm2`: variance, per direction, of what is too short in space for the misfit's modes."""
+
+    mean: Array
+    covariance: Array
+    unresolved_mm2: float
+
+    @cached_property
+    def factor(self) -> Array:
+        """L (m, m) with L Lᵀ = covariance."""
+        return covariance_factor(self.covariance)
+
+
+def suppositions(estimate: Estimate) -> tuple[Supposition, ...]:
+    """Of equal weight; a single one where the scales were given."""
+    if not estimate.alternatives:
+        return (_as_stated(estimate),)
+    unknowns, blocks = estimate.unknowns, estimate.unknowns.blocks
+    every = np.arange(blocks.size)
+    places = np.concatenate((every[blocks.parameters], every[blocks.misfit]))
+    units = np.concatenate((unknowns.scale, np.ones(len(places) - len(unknowns.scale))))
+    left_out = np.zeros(4) if unknowns.modes is None else unknowns.misfit_mm**2 * unknowns.modes.left_out
+    return tuple(
+        Supposition(
+            mean=units * one.z[places],
+            covariance=one.covariance[np.ix_(places, places)] * np.multiply.outer(units, units),
+            unresolved_mm2=float(left_out @ np.square(one.scales.kinds)),
+        )
+        for one in estimate.alternatives
+    )
+
+
+def _as_stated(estimate: Estimate) -> Supposition:
+    misfit = estimate.misfit
+    if misfit is None:
+        return Supposition(estimate.parameters, estimate.covariance, 0.0)
+    cross = misfit.cross_covariance
+    return Supposition(
+        np.concatenate((estimate.parameters, misfit.coefficients)),
+        np.block([[estimate.covariance, cross], [cross.T, misfit.covariance]]),
+        misfit.unresolved_mm2,
+    )

@@ -1,0 +1,81 @@
+"""How volumetric error and volumetric compensated error are distributed, given what an estimate knows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points, as_vector
+from twin.identification.estimate import Estimate
+from twin.identification.predicted import field_forms
+from twin.machine.volumetric import Volumetric
+from twin.uncertainty.quadratic_distribution import QuadraticDistribution
+from twin.uncertainty.quadratic_mixture import QuadraticMixture
+from twin.uncertainty.scale_mixture import Supposition, suppositions
+
+
+@dataclass(frozen=True, eq=False)
+class VolumetricDistribution:
+    """Of the mean square over the workspace in mm², raw and after the best rigid motion."""
+
+    raw: QuadraticDistribution | QuadraticMixture
+    aligned: QuadraticDistribution | QuadraticMixture
+
+    @property
+    def expected(self) -> Volumetric:
+        """Root of the expected mean square."""
+        return Volumetric(math.sqrt(self.raw.mean), math.sqrt(self.aligned.mean))
+
+    @property
+    def median(self) -> Volumetric:
+        return self.quantile(0.5)
+
+    def quantile(self, probability: float) -> Volumetric:
+        """What the volumetric error stays below with this probability."""
+        raw, aligned = (math.sqrt(max(form.quantile(probability), 0.0)) for form in (self.raw, self.aligned))
+        return Volumetric(raw, aligned)
+
+    def limits(self, coverage: float = 0.95) -> tuple[Volumetric, Volumetric]:
+        """What it lies between, with equal chances on both sides."""
+        outside = 0.5 * (1.0 - coverage)
+        return self.quantile(outside), self.quantile(1.0 - outside)
+
+
+@dataclass(frozen=True, eq=False)
+class VolumetricDistributions:
+    """`before`: VE of the machine as it is; `left`: VCE, machine less compensation model."""
+
+    before: VolumetricDistribution
+    left: VolumetricDistribution
+
+
+def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
+    """VE and VCE over axis positions (n, 3), the machine distributed as `estimate` says: parameters and misfit, under
+    all scales that the measurements allow.
+
+    DataError for a covariance that is none, or that is zero.
+    """
+    grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
+    written = np.zeros(_size(estimate))
+    written[: estimate.model.size] = estimate.parameters
+    forms = field_forms(estimate, grid, offset)
+    likely = suppositions(estimate)
+    parts = [[_both(form, one, written) for one in likely] for form in forms]
+    before, left = (
+        VolumetricDistribution(*(QuadraticMixture(tuple(pair[which] for pair in pairs)) for pairs in parts))
+        for which in (0, 1)
+    )
+    return VolumetricDistributions(before, left)
+
+
+def _both(form: Array, one: Supposition, written: Array) -> tuple[QuadraticDistribution, ...]:
+    """Mean squares of the machine and of what is left of it once `written` is compensated."""
+    means = (one.mean, one.mean - written)
+    return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)
+
+
+def _size(estimate: Estimate) -> int:
+    return estimate.model.size + (0 if estimate.misfit is None else estimate.misfit.modes.size)
