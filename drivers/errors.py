@@ -1,4 +1,4 @@
-"""The one error tree.
+"""Trunk of the error tree, and the errors that a device, a link or its description can cause.
 
 ::
 
@@ -6,29 +6,22 @@
     ├── UserError                 wrong input: a file, a key, a row, an argument      exit code 2
     │   ├── ConfigurationError    settings, machine, artefact or link description
     │   └── InputError            measured data, tables, grids
-    ├── DeviceError               something on a link or in a device went wrong       exit code 3
-    │   ├── LinkError
-    │   │   ├── LinkLost          connection refused, reset, heartbeat gone
-    │   │   ├── LinkTimeout       the peer is there and does not answer
-    │   │   └── ProtocolError     an answer that the protocol does not allow
-    │   ├── CommandRejected       the device understood and refused
-    │   ├── MotionFault           motion ended in a fault (limit, following error, e-stop)
-    │   │   └── GuardTripped      the probe tripped in a move that was no touch
-    │   ├── DeadlineExpired       the device did not reach the awaited state in time
-    │   ├── PermissionMissing     door open, not in automatic, spindle turning, no probe ...
-    │   └── StoreError            compensation tables
-    │       ├── ChecksumMismatch
-    │       ├── ReadBackMismatch
-    │       └── NotActiveYet      written, and the controller makes it act only later
-    └── RunError                  the run itself decided                              exit code 4
-        ├── PlanRefused           preflight found a limit, a collision, an unreachable ball
-        ├── GateRefused           the estimate must not become a table
-        ├── MeasurementFault      a ball, a probe check or a drift is out of its limits
-        ├── PlanDiverged          recorded steps do not fit the rebuilt plan
-        ├── JournalFailed         what happens can no longer be made durable (disk full, disk gone)
-        ├── Busy                  another run owns the machine
-        ├── Aborted               somebody asked for it                               exit code 5
-        └── Interrupted           the program had to end; the run can be gone on with exit code 5
+    └── DeviceError               something on a link or in a device went wrong       exit code 3
+        ├── LinkError
+        │   ├── LinkLost          connection refused, reset, heartbeat gone
+        │   ├── LinkTimeout       the peer is there and does not answer
+        │   └── ProtocolError     an answer that the protocol does not allow
+        ├── CommandRejected       the device understood and refused
+        ├── MotionFault           motion ended in a fault (limit, following error, e-stop)
+        │   └── GuardTripped      the probe tripped in a move that was no touch
+        ├── DeadlineExpired       the device did not reach the awaited state in time
+        ├── PermissionMissing     door open, not in automatic, spindle turning, no probe ...
+        └── StoreError            compensation tables
+            ├── ChecksumMismatch
+            ├── ReadBackMismatch
+            └── NotActiveYet      written; the controller activates it only later
+
+A run's own decisions (refused, aborted, busy) are the branch `RunError` of the application that uses the drivers.
 
 Every error says what is wrong, where, and what to do; `str()` gives all three on one line.
 """
@@ -39,7 +32,7 @@ from typing import ClassVar, Self
 
 
 class VolcalError(Exception):
-    """Root of the tree. `where` holds named places (device, link, step, file, key, row), `hint` what to do."""
+    """Root of the tree. `where` holds named locations (device, link, step, file, key, row), `hint` what to do."""
 
     exit_code: ClassVar[int] = 1
 
@@ -50,7 +43,7 @@ class VolcalError(Exception):
         self.where: dict[str, str] = {name: str(value) for name, value in where.items()}
 
     def at(self, **where: str | int) -> Self:
-        """Add places known further up (a step key, a device name); what is already named stays."""
+        """Add locations known to a caller (a step key, a device name); names already present are kept."""
         for name, value in where.items():
             self.where.setdefault(name, str(value))
         return self
@@ -127,39 +120,3 @@ class ReadBackMismatch(StoreError):
 
 class NotActiveYet(StoreError):
     pass
-
-
-class RunError(VolcalError):
-    exit_code = 4
-
-
-class PlanRefused(RunError):
-    pass
-
-
-class GateRefused(RunError):
-    pass
-
-
-class MeasurementFault(RunError):
-    pass
-
-
-class PlanDiverged(RunError):
-    pass
-
-
-class JournalFailed(RunError):
-    pass
-
-
-class Busy(RunError):
-    pass
-
-
-class Aborted(RunError):
-    exit_code = 5
-
-
-class Interrupted(RunError):
-    exit_code = 5

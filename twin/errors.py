@@ -8,8 +8,8 @@
     ├── FormatError    the text of a neutral file: names file, key or row and column
     └── SingularSet    the measurements cannot determine what is asked for
 
-Same shape as the error tree of the devices (message, named places, hint), but of a kind of its own,
-so that the mathematics stands without it.
+Same shape as the errors of devices and runs (message, named locations, hint), but a separate trunk: the mathematics
+does not import the drivers (docs/decisions/0018).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Self
 
 
 class TwinError(ValueError):
-    """Root of the tree. `where` holds named places (file, key, row, column, axis), `hint` what to do."""
+    """Root of the tree. `where` holds named locations (file, key, row, column, axis), `hint` what to do."""
 
     def __init__(self, message: str, *, hint: str = "", **where: str | int) -> None:
         super().__init__(message)
@@ -27,7 +27,7 @@ class TwinError(ValueError):
         self.where: dict[str, str] = {name: str(value) for name, value in where.items()}
 
     def at(self, **where: str | int) -> Self:
-        """Add places known further up (a file, a key); what is already named stays."""
+        """Add locations known to a caller (a file, a key); names already present are kept."""
         for name, value in where.items():
             self.where.setdefault(name, str(value))
         return self

@@ -16,6 +16,7 @@ from rich.table import Table
 from agent.cli.errors import fail, reported
 from agent.cli.options import procedure_options
 from agent.cli.progress import watching
+from agent.errors import GateRefused
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import prepare_job
@@ -24,7 +25,6 @@ from agent.runs.kinds.kind import FullCalibration, Kind
 from agent.runs.session import Ended, Request, carry_out
 from agent.settings.load import load_settings, naming, with_overrides
 from agent.settings.schema import Settings
-from drivers.errors import GateRefused
 
 
 @click.command("calibrate")

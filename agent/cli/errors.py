@@ -14,7 +14,8 @@ from typing import Any, ParamSpec, TypeVar
 
 import click
 
-from drivers.errors import Aborted, VolcalError
+from agent.errors import Aborted
+from drivers.errors import VolcalError
 
 P = ParamSpec("P")
 R = TypeVar("R")

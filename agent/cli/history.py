@@ -13,6 +13,7 @@ from rich.table import Table
 
 from agent.cli.errors import fail, reported
 from agent.cli.options import config_option
+from agent.errors import MeasurementFault
 from agent.files import write_all_atomically, write_atomically
 from agent.history.database_url import place_of
 from agent.history.export import as_csv, as_json, run_document
@@ -23,7 +24,7 @@ from agent.history.sync import sync
 from agent.history.trends import AlarmKind, Trend
 from agent.settings.load import naming, read_settings
 from agent.settings.schema import Settings
-from drivers.errors import InputError, MeasurementFault
+from drivers.errors import InputError
 
 PATH = click.Path(path_type=Path)
 _machine = click.option("--machine", metavar="NAME", help="Another machine of the same database.")

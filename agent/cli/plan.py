@@ -13,6 +13,7 @@ from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import procedure_options
+from agent.errors import PlanRefused
 from agent.files import check_folder
 from agent.planning.cycle_time import PARTS, as_listed, minutes_by_part, walked
 from agent.planning.design.set_valuation import valuation_of
@@ -22,7 +23,6 @@ from agent.planning.time_model import S_PER_MIN
 from agent.probing.run_plan import position_key
 from agent.results.predicted_accuracy import Expectation, expect
 from agent.settings.load import load_settings, naming, with_overrides
-from drivers.errors import PlanRefused
 from twin.design.valuation import Valuation
 
 

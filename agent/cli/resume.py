@@ -14,6 +14,7 @@ from agent.cli.night_options import night_table
 from agent.cli.options import config_option
 from agent.cli.progress import watching
 from agent.cli.service_commands.requests import resumed_by_service
+from agent.errors import MeasurementFault
 from agent.execution.device_assembly import assemble, closed_after, make_clock
 from agent.execution.run_lock import run_lock
 from agent.results.run_outcome import Decision
@@ -23,7 +24,7 @@ from agent.runs.resume.resume import ResumeRequest, resume
 from agent.runs.session import Ended
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
-from drivers.errors import MeasurementFault, StoreError
+from drivers.errors import StoreError
 
 
 @click.command("resume")

@@ -8,9 +8,9 @@ import click
 
 from agent.cli.errors import fail, reported
 from agent.cli.night_options import night_options, run_night
+from agent.errors import MeasurementFault
 from agent.results.run_outcome import Decision
 from agent.runs.kinds.verify import Verification
-from drivers.errors import MeasurementFault
 
 
 @click.command("verify")

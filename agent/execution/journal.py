@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+from agent.errors import Busy, JournalFailed
 from agent.execution.encoding import encode_result, encode_step, table_digest, table_from, to_json
 from agent.execution.journal_schema import prepare
 from agent.execution.record_text import in_words
@@ -23,7 +24,7 @@ from agent.execution.replay_log import Recorded, comparable, read_recorded
 from agent.execution.states import RunState
 from agent.execution.steps import ReadTemperatures, Record, Step
 from drivers.clock import Clock, utc_timestamp
-from drivers.errors import Busy, ConfigurationError, JournalFailed
+from drivers.errors import ConfigurationError
 from drivers.roles import TableImage
 
 FILE_NAME = "journal.sqlite"

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from agent.errors import PlanDiverged
 from agent.execution.encoding import decode_result
 from agent.execution.states import RunState
-from drivers.errors import PlanDiverged
 
 _PASSING = (RunState.IDLE, RunState.PREFLIGHT, RunState.RESUMING, RunState.HELD, RunState.WRITTEN)
 _WAY_OUT = (RunState.ABORTING, RunState.ABORTED, RunState.FAULTED)

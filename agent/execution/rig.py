@@ -9,19 +9,12 @@ from typing import TypeVar, cast
 
 import numpy as np
 
+from agent.errors import Aborted, MeasurementFault
 from agent.execution import steps as s
 from agent.execution.engine import Action
 from agent.execution.tip_trace import LastMotion
 from drivers.clock import Clock, Deadline
-from drivers.errors import (
-    Aborted,
-    ConfigurationError,
-    DeviceError,
-    MeasurementFault,
-    NotActiveYet,
-    PermissionMissing,
-    VolcalError,
-)
+from drivers.errors import ConfigurationError, DeviceError, NotActiveYet, PermissionMissing, VolcalError
 from drivers.roles import (
     Activation,
     CompensationStore,

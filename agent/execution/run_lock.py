@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from drivers.errors import Busy, ConfigurationError
+from agent.errors import Busy
+from drivers.errors import ConfigurationError
 
 FILE_NAME = "run.lock"
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+from agent.errors import Aborted, Interrupted
 from drivers.clock import Clock
-from drivers.errors import Aborted, Interrupted, VolcalError
+from drivers.errors import VolcalError
 
 HOLD_POLL_S = 0.05
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from agent.errors import Aborted, Interrupted, MeasurementFault, PlanRefused
 from agent.execution.engine import Engine
 from agent.execution.steps import Plan, Point, Step
 from agent.planning.cycle_time import TimedStep
@@ -18,7 +19,7 @@ from agent.planning.time_model import TimeModel, time_model
 from agent.probing.repeated_positions import measure_closed
 from agent.probing.run_plan import Measured, measure_positions
 from drivers.clock import VirtualClock, wall_seconds
-from drivers.errors import Aborted, ConfigurationError, DeviceError, Interrupted, MeasurementFault, PlanRefused
+from drivers.errors import ConfigurationError, DeviceError
 
 Procedure = Callable[[Job], Plan[tuple[Measured, Measured]]]
 """Everything of a run that moves: what is measured, and what is measured to prove it."""

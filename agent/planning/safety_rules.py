@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from agent.errors import PlanRefused
 from agent.execution import steps as s
 from agent.settings.schema import Settings
-from drivers.errors import PlanRefused
 from drivers.roles import OperatorTask
 
 T = TypeVar("T")

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Point, Record
 from agent.probing.ball_gates import Tripped, doubtful, tripped_gate
 from agent.probing.probing_parameters import Probing, Search
 from agent.probing.touch import TouchWay, point, touch_ball
-from drivers.errors import MeasurementFault
 from twin.artefact.sphere_fit import SphereFit, fit_sphere
 from twin.errors import TwinError
 

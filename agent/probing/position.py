@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Record
 from agent.probing.ball import BallFound, BallLost, measure_ball
 from agent.probing.paths.path_planner import Pilot, PlainPilot
@@ -17,7 +18,6 @@ from agent.probing.probing_parameters import Probing, Search
 from agent.probing.station_change import StationChange
 from agent.probing.temperature_readings import Conditions, read_conditions
 from agent.probing.thermal_settling import SettlingRules, settled
-from drivers.errors import MeasurementFault
 from twin.artefact.end_ball_alignment import align_to_ends
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Record
-from drivers.errors import MeasurementFault
 from twin.arrays import Array
 
 UM_PER_MM = 1e3

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
 from agent.probing.ball import BallFound, BallLost, measure_ball, point
 from agent.probing.paths.shortest_path import pilot_of
@@ -17,7 +18,6 @@ from agent.probing.qualification import Qualification, QualificationRules, quali
 from agent.probing.reversal import AxisReversal, Reversal, ReversalCheck, measure_reversal
 from agent.probing.run_plan import MeasuringOrder, position_key
 from agent.probing.station_change import change_station, park_mounts
-from drivers.errors import MeasurementFault
 from twin.artefact.position_set import Position
 from twin.collision.measuring_layout import Layout
 

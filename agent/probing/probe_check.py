@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Record
 from agent.probing.ball_gates import UM_PER_MM
 from agent.probing.probing_parameters import Probing
 from agent.probing.touch import touch_ball
-from drivers.errors import MeasurementFault
 from twin.artefact.repeatability import Scatter, scatter_of
 
 Vector = NDArray[np.float64]

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import MoveTo, Plan, Record, TouchTowards
 from agent.probing.ball_gates import UM_PER_MM
 from agent.probing.probing_parameters import Probing
 from agent.probing.touch import point
-from drivers.errors import MeasurementFault
 from drivers.roles import Touch
 from twin.artefact.reversal import SLOPE, ObliqueTouch, lost_motion, oblique_touches
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, ReadClock, ReadTemperatures
-from drivers.errors import MeasurementFault
 from twin.artefact.artefact import REFERENCE_TEMPERATURE_C
 
 ARTEFACT, MACHINE = "artefact", "machine"

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import Dwell, Plan, Record
 from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_per_h, read_conditions
-from drivers.errors import MeasurementFault
 
 S_PER_MIN = 60.0
 SHORTEST_S = 60.0

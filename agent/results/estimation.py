@@ -8,6 +8,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
@@ -18,7 +19,6 @@ from agent.results.thermal_drift import observed, options_of
 from agent.results.volumetric_summary import volumetric_summary
 from agent.settings.schema import Order, TableSettings
 from drivers.clock import utc_timestamp
-from drivers.errors import MeasurementFault
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import HeldOut, held_out, held_out_test

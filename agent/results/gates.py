@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.errors import GateRefused
 from agent.settings.gate_limits import GateLimits
-from drivers.errors import GateRefused
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
 from twin.identification import Estimate

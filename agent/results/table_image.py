@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.errors import GateRefused
+from agent.errors import GateRefused
 from drivers.roles import StoreLimits, TableImage
 from twin.arrays import Array
 from twin.compensation.table import Anchor, CompensationTable

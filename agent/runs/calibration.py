@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from agent.errors import MeasurementFault
 from agent.execution.states import RunState
 from agent.files import translated
 from agent.planning.job import Job
@@ -22,7 +23,7 @@ from agent.runs.change_since_reference import change_since
 from agent.runs.consent import Consent, asked, granted
 from agent.runs.guarded_run import GuardedRun, Means
 from agent.runs.reference_state import Accepted, LastAccepted, record_accepted
-from drivers.errors import MeasurementFault, NotActiveYet
+from drivers.errors import NotActiveYet
 from drivers.roles import TableImage
 from twin.formats.estimate_file import format_estimate
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from agent.errors import Aborted, GateRefused, JournalFailed, PlanDiverged, PlanRefused
 from agent.execution.engine import Engine
 from agent.execution.journal import RunJournal
 from agent.execution.rig import Rig
@@ -28,7 +29,7 @@ from agent.results.observations import Correction, no_correction
 from agent.results.run_outcome import NightReport, Proof
 from agent.results.table_image import table_of
 from drivers.clock import Clock
-from drivers.errors import Aborted, GateRefused, JournalFailed, LinkError, PlanDiverged, PlanRefused, VolcalError
+from drivers.errors import LinkError, VolcalError
 from drivers.roles import Activation
 
 

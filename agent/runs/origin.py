@@ -10,6 +10,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from agent.errors import PlanDiverged
 from agent.results.journal_entries import input_files, sha256_of
 from agent.runs.consent import Consent
 from agent.runs.kinds.kind import FullCalibration, Kind
@@ -18,7 +19,7 @@ from agent.runs.kinds.verify import Verification
 from agent.runs.start_conditions import Outset
 from agent.settings.load import POSITION_FILES
 from agent.settings.schema import Settings
-from drivers.errors import InputError, PlanDiverged
+from drivers.errors import InputError
 
 KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
 

@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Protocol
 
+from agent.errors import PlanRefused
 from agent.execution.engine import Engine, Observer
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.rig import Rig
@@ -22,7 +23,6 @@ from agent.runs.reconcile import anything_left, reconcile
 from agent.runs.reconcile_result import Found
 from agent.runs.start_conditions import Outset
 from drivers.clock import Clock, utc_timestamp
-from drivers.errors import PlanRefused
 
 
 @dataclass(frozen=True)

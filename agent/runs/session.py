@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from agent.errors import Aborted, Interrupted, PlanRefused
 from agent.execution.device_assembly import assemble, closed_after, make_clock, slice_of
 from agent.execution.engine import Observer
 from agent.execution.journal import Journal, RunJournal
@@ -30,7 +31,7 @@ from agent.runs.run_start import Beginning, Fresh, Wanted
 from agent.runs.start_conditions import Outset
 from agent.settings.schema import Settings
 from drivers.clock import Clock, WatchedClock, utc_timestamp, wall_seconds
-from drivers.errors import Aborted, Interrupted, PlanRefused, UserError, VolcalError
+from drivers.errors import UserError, VolcalError
 
 
 def new_run_id() -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
+from agent import errors as run_errors
 from agent.service.control import Alarm
 from drivers import errors
 
@@ -68,25 +69,25 @@ _CODES: dict[type[errors.VolcalError], AlarmCode] = {
     errors.NotActiveYet: AlarmCode(
         363, "a compensation table is written and waits for the controller", "do what is named, then resume the run"
     ),
-    errors.RunError: AlarmCode(400, "the run ended itself", "read the text of the alarm"),
-    errors.PlanRefused: AlarmCode(
+    run_errors.RunError: AlarmCode(400, "the run ended itself", "read the text of the alarm"),
+    run_errors.PlanRefused: AlarmCode(
         410, "the plan would hit a limit or an obstacle", "move the mount or choose another position set"
     ),
-    errors.GateRefused: AlarmCode(
+    run_errors.GateRefused: AlarmCode(
         420, "the estimate is not good enough to become a table", "the old table stays; read the gate that is named"
     ),
-    errors.MeasurementFault: AlarmCode(
+    run_errors.MeasurementFault: AlarmCode(
         430, "a measurement is out of its limits", "clean balls and stylus, check clamping and temperature"
     ),
-    errors.PlanDiverged: AlarmCode(
+    run_errors.PlanDiverged: AlarmCode(
         440, "the recorded run does not fit the settings", "restore the settings of that run or start anew"
     ),
-    errors.JournalFailed: AlarmCode(
+    run_errors.JournalFailed: AlarmCode(
         450, "what happens can no longer be recorded", "make room on the disk or replace it; reset"
     ),
-    errors.Busy: AlarmCode(460, "another run owns the machine", "wait for its end or abort it"),
-    errors.Aborted: AlarmCode(470, "somebody aborted the run", "reset when the machine is clear"),
-    errors.Interrupted: AlarmCode(
+    run_errors.Busy: AlarmCode(460, "another run owns the machine", "wait for its end or abort it"),
+    run_errors.Aborted: AlarmCode(470, "somebody aborted the run", "reset when the machine is clear"),
+    run_errors.Interrupted: AlarmCode(
         480, "the run was broken off from outside", "look at the machine; reset, then resume the run"
     ),
 }

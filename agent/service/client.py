@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import httpx
 
+from agent import errors as run_errors
 from agent.service.address_file import PLACE_FILE, told
 from agent.service.token import read_token, token_path
 from agent.settings.schema import Settings
@@ -89,8 +90,9 @@ _START_IT = "start it with `systemctl start volcal`, or `volcal serve --config â
 
 
 def error_of(problem: Mapping[str, Any]) -> VolcalError:
-    """A problem document as the error that it was."""
-    kind = getattr(errors, str(problem.get("title")), None)
+    """Return the error that a problem document describes; CommandRejected if its class is unknown here."""
+    title = str(problem.get("title"))
+    kind = getattr(errors, title, None) or getattr(run_errors, title, None)
     if not (isinstance(kind, type) and issubclass(kind, VolcalError)):
         kind = errors.CommandRejected
     where = {str(name): str(value) for name, value in dict(problem.get("where") or {}).items()}

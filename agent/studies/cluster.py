@@ -20,9 +20,10 @@ from urllib.parse import urlsplit
 
 from distributed import Client, Future, KilledWorker, wait
 
+from agent.errors import RunError
 from agent.studies.chunks import chunked, run_chunk_alike, software_here
 from agent.studies.workers import Done
-from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, RunError, VolcalError
+from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, VolcalError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -20,8 +20,9 @@ from typing import Protocol, Self, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
+from agent.errors import RunError
 from agent.studies.chunks import Chunk, chunked, run_chunk
-from drivers.errors import ConfigurationError, RunError
+from drivers.errors import ConfigurationError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from agent.errors import Aborted
 from agent.execution import steps as s
 from agent.execution.engine import Action
 from agent.execution.rig import Rig
@@ -14,7 +15,7 @@ from agent.execution.supervisor import Supervisor
 from campaigns.aborts.case import Memory
 from campaigns.aborts.forks import Forks
 from campaigns.plans.moving import AlarmClock
-from drivers.errors import Aborted, CommandRejected, GuardTripped, LinkLost
+from drivers.errors import CommandRejected, GuardTripped, LinkLost
 from simulators.world.world import World
 
 MOVING = (s.MoveTo, s.TouchTowards, s.OrientTo)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from agent.errors import PlanRefused
 from campaigns.bad_plans.mutation import Bad, Change, Files, artefact, machine, positions, setting
-from drivers.errors import ConfigurationError, InputError, PlanRefused
+from drivers.errors import ConfigurationError, InputError
 
 HELD_OUT = "verification.positions_deg"
 OFFSET = "tools.probe.offset_mm"

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from agent.errors import PlanRefused
 from agent.execution import steps as s
 from agent.planning.job import Job
 from agent.planning.preflight import rehearse, whole_procedure
 from agent.probing.run_plan import Measured
 from campaigns.bad_plans.mutation import Bad, unchanged
-from drivers.errors import ConfigurationError, PlanRefused
+from drivers.errors import ConfigurationError
 from drivers.roles import TableImage
 
 Rewrite = Callable[[s.Step], Iterable[s.Step] | None]

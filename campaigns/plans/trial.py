@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
+from agent.errors import PlanRefused
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.runs.session import Ended, Request, carry_out
@@ -17,7 +18,7 @@ from campaigns.nights.play import rig_of
 from campaigns.plans.drawing import Drawn, draw
 from campaigns.plans.judge import Judge, Seen
 from campaigns.plans.moving import AlarmClock, Moving
-from drivers.errors import PlanRefused, UserError, VolcalError
+from drivers.errors import UserError, VolcalError
 from simulators.world.world import World
 
 HOLD_S = 3.0

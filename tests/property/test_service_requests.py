@@ -15,10 +15,11 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit" / "agent"))
 from service_house import PATIENCE_S, house
 
+from agent.errors import Aborted, Busy, PlanRefused
 from agent.execution.states import FINAL, FORWARD, PACKML, RunState, may_follow
 from agent.service.allowed_requests import AT_REST, MAY, STICKY
 from agent.service.control import KINDS, Source, StartRequest
-from drivers.errors import Aborted, Busy, LinkLost, PermissionMissing, PlanRefused, UserError
+from drivers.errors import LinkLost, PermissionMissing, UserError
 
 S = RunState
 ENDS = [S.COMPLETE, S.REFUSED, S.ABORTED, S.FAULTED]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from nights import document, memory_directory
 
+from agent.errors import MeasurementFault
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
@@ -16,7 +17,7 @@ from agent.planning.job import Job, prepare_job
 from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
-from drivers.errors import GuardTripped, MeasurementFault
+from drivers.errors import GuardTripped
 from simulators.world.world import World
 from twin.artefact.position_set import Position
 

@@ -14,6 +14,7 @@ from nights import Night, memory_directory, rows, short_document, states
 
 import agent.cli.night_options
 from agent.cli.main import main
+from agent.errors import GateRefused, PlanRefused
 from agent.execution.states import RunState
 from agent.results.run_outcome import Decision, Outcome
 from agent.runs.kinds import nightly
@@ -21,7 +22,7 @@ from agent.runs.kinds.verify import Verification
 from agent.runs.reference_state import COPY_NAME, full_needed, last_accepted, write_copy
 from agent.runs.session import Ended
 from agent.settings.schema import Settings
-from drivers.errors import ConfigurationError, GateRefused, PlanRefused
+from drivers.errors import ConfigurationError
 from twin.formats.estimate_file import parse_estimate
 
 pytestmark = pytest.mark.timeout(180)

@@ -13,8 +13,8 @@ from aloud import NOT_HERE
 from click.testing import CliRunner, Result
 
 from agent.cli.main import main
+from agent.errors import PlanRefused
 from agent.planning.preview.page import PROGRAM
-from drivers.errors import PlanRefused
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "case-study.toml"
 PACKAGE = Path(__file__).resolve().parents[2] / "agent" / "preview"

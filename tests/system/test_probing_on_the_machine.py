@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from nights import SCENARIO, Night, document, memory_directory, rows, short_document
 
+from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
@@ -24,7 +25,6 @@ from agent.probing.preparation import Prepared
 from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
-from drivers.errors import MeasurementFault
 from drivers.roles import Miss, Touch
 from simulators.backend import SimulatedMachineDevice
 from twin.artefact.position_set import Position

@@ -19,6 +19,7 @@ import pytest
 from nights import Night, memory_directory, rows, short_document
 from test_whole_run_broken_off import FORMER, Cut, with_device
 
+from agent.errors import MeasurementFault, PlanDiverged, PlanRefused
 from agent.execution.device_assembly import assemble
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
@@ -32,7 +33,7 @@ from agent.runs.session import Ended
 from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
-from drivers.errors import InputError, LinkLost, MeasurementFault, NotActiveYet, PlanDiverged, PlanRefused
+from drivers.errors import InputError, LinkLost, NotActiveYet
 from drivers.roles import Activation, Permission, StoreLimits
 
 IN_A_BALL = ("touch_towards", 150)

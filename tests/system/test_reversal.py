@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from nights import SCENARIO, document, memory_directory
 
+from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
@@ -21,7 +22,6 @@ from agent.planning.preflight import rehearse
 from agent.probing.reversal import Reversal
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
-from drivers.errors import MeasurementFault
 
 pytestmark = pytest.mark.timeout(120)
 GROWTH_UM_PER_M = (1.5, -2.0, 3.0)

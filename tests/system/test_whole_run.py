@@ -13,12 +13,12 @@ import pytest
 from nights import Night, document, memory_directory, rows, short_document, states
 
 from agent.cli.calibrate import conclude
+from agent.errors import GateRefused
 from agent.execution.encoding import table_digest
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.execution.steps import ACTING
 from agent.runs.session import Ended
-from drivers.errors import GateRefused
 from drivers.roles import TableImage
 from twin.compensation.table_file import parse_table
 from twin.formats.estimate_file import StoredEstimate, parse_estimate

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from nights import Night, memory_directory, rows, short_document, states
 
+from agent.errors import Aborted, JournalFailed
 from agent.execution.journal import RunJournal
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from drivers.errors import Aborted, CommandRejected, JournalFailed, LinkLost, ReadBackMismatch
+from drivers.errors import CommandRejected, LinkLost, ReadBackMismatch
 from drivers.roles import TableImage
 
 FORMER = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))

@@ -8,10 +8,11 @@ from dataclasses import replace
 from queue import Queue
 from typing import Any
 
+from agent.errors import Busy
 from agent.execution.states import PACKML, RunState
 from agent.service.alarms import alarm_of
 from agent.service.control import Event, Question, Source, StartRequest, Status
-from drivers.errors import Busy, LinkLost, PermissionMissing, UserError
+from drivers.errors import LinkLost, PermissionMissing, UserError
 
 AT_REST = (RunState.IDLE, RunState.COMPLETE, RunState.REFUSED)
 

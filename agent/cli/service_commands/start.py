@@ -12,6 +12,7 @@ from rich.console import Console
 
 from agent.cli.errors import fail, reported
 from agent.cli.options import Duration, measured_options
+from agent.errors import Busy, GateRefused, RunError
 from agent.execution.states import RunState
 from agent.service.alarms import CODES
 from agent.service.allowed_requests import AT_REST
@@ -19,7 +20,7 @@ from agent.service.client import Client
 from agent.service.control import KINDS
 from agent.settings.load import read_settings
 from drivers.clock import Clock, Deadline, RealClock
-from drivers.errors import Busy, GateRefused, LinkError, PermissionMissing, RunError, VolcalError
+from drivers.errors import LinkError, PermissionMissing, VolcalError
 
 DECLINED = 6
 """Exit code: the service looked, and it is not the time. No run exists, nothing has moved; a timer asks again."""

@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from agent.errors import PlanRefused
 from agent.files import translated
 from agent.planning.design.design_problem import Setting
 from agent.planning.design.pareto_front import FrontPoint, front_of
 from agent.planning.preflight import rehearse
 from agent.probing.run_plan import position_key
-from drivers.errors import ConfigurationError, InputError, PlanRefused
+from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position
 from twin.design.candidates import Candidates
 from twin.design.goals import Goal, Slot

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 
+from agent.errors import PlanRefused
 from agent.planning.job import Job
 from agent.planning.preview.artefact_placement import placing_of, standing_bodies
 from agent.planning.preview.refusal import refusal_of
 from agent.planning.preview.scene import PathPoint, Placing, Preview, Refusal, Visit
 from agent.planning.preview.tip_path import Waypoint, walk
 from agent.probing.run_plan import position_key
-from drivers.errors import PlanRefused
 from twin.artefact.position_set import Position
 from twin.collision.bodies import TABLE
 from twin.collision.geometry import Box, point

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from agent.errors import PlanRefused
 from agent.files import write_all_atomically
 from agent.planning.job import Job
 from agent.planning.preview.builder import preview_of
 from agent.planning.preview.figure import draw_png
 from agent.planning.preview.page import render_page
-from drivers.errors import PlanRefused
 
 PICTURE, PAGE = "plan.png", "plan.html"
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from agent.errors import PlanRefused
 from agent.execution.steps import MoveTo, TouchTowards
 from agent.planning.job import Job
 from agent.planning.preview.artefact_placement import standing_bodies
 from agent.planning.preview.scene import Refusal
 from agent.planning.preview.tip_path import Waypoint, lower_end
-from drivers.errors import PlanRefused
 from twin.collision.bodies import TIP, Body, ball_name
 from twin.collision.collision import Hit, Scene
 from twin.collision.geometry import Point, added, point

@@ -8,13 +8,14 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from typing import Any
 
+from agent.errors import PlanRefused
 from agent.execution.engine import Engine
 from agent.execution.steps import ACTING, AskOperator, OrientTo, ReadPosition, Step, TouchTowards
 from agent.planning.ideal_machine import IdealMachine
 from agent.planning.job import Job
 from agent.planning.preflight import whole_procedure
 from agent.planning.time_model import time_model
-from drivers.errors import PlanRefused, VolcalError
+from drivers.errors import VolcalError
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point, added, point
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from agent.errors import GateRefused
 from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.planning.job import Job
@@ -15,7 +16,6 @@ from agent.results.observations import Correction
 from agent.runs.kinds.drift_check import Judge, Judgement
 from agent.runs.kinds.night_plan import NightPlan
 from agent.runs.reference_state import LastAccepted
-from drivers.errors import GateRefused
 from twin.artefact.mount_pose_estimate import Standing
 from twin.artefact.position_set import Position
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
@@ -15,7 +16,6 @@ from agent.results.observations import Correction, no_correction, observations_o
 from agent.results.run_outcome import Decision, NightReport, SuspectedError
 from agent.runs.change_since_reference import known_tonight
 from agent.runs.reference_state import LastAccepted
-from drivers.errors import MeasurementFault
 from twin.arrays import Array
 from twin.artefact.held_out_check import held_out, held_out_test
 from twin.identification import CarriedOver, Estimate

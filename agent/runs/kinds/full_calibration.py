@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from agent.errors import GateRefused, PlanRefused
 from agent.execution.states import RunState
 from agent.planning.job import Job
 from agent.planning.preflight import rehearse
@@ -18,7 +19,6 @@ from agent.runs.kinds.night_plan import LOOK, NightPlan, looking_plan, only_look
 from agent.runs.kinds.position_choice import Chooser
 from agent.runs.reference_state import FullNeeded
 from agent.runs.start_conditions import Outset
-from drivers.errors import GateRefused, PlanRefused
 
 
 @dataclass(frozen=True)

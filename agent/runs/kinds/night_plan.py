@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from agent.errors import PlanRefused
 from agent.execution.steps import Plan
 from agent.planning.job import Job
 from agent.planning.preflight import Procedure, Rehearsal, rehearse
@@ -14,7 +15,7 @@ from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.position_choice import Chooser
 from agent.runs.start_conditions import Outset
-from drivers.errors import ConfigurationError, PlanRefused
+from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 
 LOOK, FURTHER = "look", "further"

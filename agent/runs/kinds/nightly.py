@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from agent.errors import MeasurementFault, PlanRefused
 from agent.execution.states import RunState
 from agent.execution.steps import Step
 from agent.files import translated
@@ -40,7 +41,6 @@ from agent.runs.kinds.position_choice import Chooser
 from agent.runs.kinds.step_proof import prove_step
 from agent.runs.reference_state import full_needed, record_accepted, record_full_needed, require_accepted
 from agent.runs.start_conditions import Outset
-from drivers.errors import MeasurementFault, PlanRefused
 from twin.artefact.position_set import Position
 
 DIAGNOSIS = "diagnosis"

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.errors import MeasurementFault
 from agent.files import translated
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.results.estimation import Finding
 from agent.results.observations import no_correction, observations_of
 from agent.results.run_outcome import Proof
-from drivers.errors import MeasurementFault
 from twin.artefact.held_out_check import HeldOut, held_out, held_out_test
 from twin.artefact.observations import Observations
 from twin.identification import left_covariance

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from agent.errors import PlanDiverged
 from agent.execution.encoding import encode_step, table_digest
 from agent.execution.engine import Action, Engine, Observer
 from agent.execution.journal import RunJournal
@@ -12,7 +13,6 @@ from agent.execution.replay_log import Recorded, RecordedStep
 from agent.execution.steps import ActivateBank, AwaitActive, ReadActiveBank, ReadTable, Record, StageTable, Step
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.step_trace import Trace
-from drivers.errors import PlanDiverged
 from drivers.roles import TableImage
 
 WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.errors import MeasurementFault
 from agent.execution.steps import (
     AskOperator,
     CheckProbe,
@@ -26,7 +27,6 @@ from agent.probing.ball import BallLost, measure_ball, point
 from agent.probing.position import PositionRules
 from agent.probing.recovery import WITHDRAW_FEED_MM_PER_S, withdraw
 from agent.runs.resume.step_trace import AxisMove, Trace
-from drivers.errors import MeasurementFault
 
 Array = NDArray[np.float64]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from agent.errors import PlanDiverged, PlanRefused
 from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
@@ -24,7 +25,6 @@ from agent.probing.position import PositionRules
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.return_path import WayBack
 from agent.runs.resume.step_trace import Trace
-from drivers.errors import PlanDiverged, PlanRefused
 from drivers.roles import Activation
 
 

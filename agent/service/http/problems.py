@@ -12,6 +12,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 
+from agent import errors as run_errors
 from agent.service.alarms import alarm_code
 from agent.service.state.archive import UnknownRun
 from drivers import errors
@@ -26,8 +27,8 @@ STATUS: dict[type[errors.VolcalError], HTTPStatus] = {
     errors.UserError: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.DeviceError: HTTPStatus.SERVICE_UNAVAILABLE,
     errors.PermissionMissing: HTTPStatus.CONFLICT,
-    errors.RunError: HTTPStatus.CONFLICT,
-    errors.JournalFailed: HTTPStatus.SERVICE_UNAVAILABLE,
+    run_errors.RunError: HTTPStatus.CONFLICT,
+    run_errors.JournalFailed: HTTPStatus.SERVICE_UNAVAILABLE,
 }
 
 

@@ -11,11 +11,12 @@ import structlog
 from asyncua import ua
 from asyncua.ua.status_codes import StatusCodes
 
+from agent.errors import Busy
 from agent.service.alarms import alarm_of
 from agent.service.control import KINDS, Alarm, Control, Source, StartRequest
 from agent.service.opcua.guard import refused
 from agent.service.opcua.model import METHODS, Argument
-from drivers.errors import Busy, InputError, PermissionMissing, UserError, VolcalError
+from drivers.errors import InputError, PermissionMissing, UserError, VolcalError
 
 log = structlog.get_logger()
 

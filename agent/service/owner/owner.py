@@ -10,6 +10,7 @@ from queue import Queue
 
 import structlog
 
+from agent.errors import Busy, PlanRefused
 from agent.execution.states import RunState
 from agent.files import load_machine
 from agent.planning.job import prepare_job
@@ -27,7 +28,7 @@ from agent.service.owner.run_requests import Orders
 from agent.service.state.status_board import Standing
 from agent.settings.load import naming
 from agent.settings.schema import Settings
-from drivers.errors import Busy, PermissionMissing, PlanRefused, UserError, VolcalError
+from drivers.errors import PermissionMissing, UserError, VolcalError
 
 log = structlog.get_logger()
 

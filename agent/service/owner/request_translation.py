@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from agent.errors import PlanRefused
 from agent.execution.device_assembly import assemble, closed_after, make_clock
 from agent.execution.rig import Rig
 from agent.planning.job import Job, prepare_job
@@ -21,7 +22,7 @@ from agent.service.owner.questions import Questions, ServiceOperator
 from agent.settings.load import naming, with_overrides
 from agent.settings.schema import ClockSettings, Settings
 from drivers.clock import Clock
-from drivers.errors import PlanRefused, UserError
+from drivers.errors import UserError
 from drivers.roles import MachineStatus
 
 CONSOLE = "console-operator"

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from drivers.errors import GateRefused, PermissionMissing
+from agent.errors import GateRefused
+from drivers.errors import PermissionMissing
 from drivers.roles import MachineStatus, MotionState
 
 MINUTES_A_DAY = 1440.0

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from agent.errors import JournalFailed
 from agent.execution.journal import FILE_NAME
-from drivers.errors import InputError, JournalFailed
+from drivers.errors import InputError
 
 Document = dict[str, Any]
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import structlog
 
+from agent.errors import JournalFailed
 from agent.execution.journal import FILE_NAME, Journal
 from agent.execution.states import FINAL, RunState
 from agent.planning.job import prepare_job
@@ -23,7 +24,7 @@ from agent.service.control import Alarm
 from agent.service.state.status_board import Standing
 from agent.settings.schema import Settings
 from drivers.clock import utc_timestamp
-from drivers.errors import JournalFailed, VolcalError
+from drivers.errors import VolcalError
 
 log = structlog.get_logger()
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from structlog.testing import capture_logs
 
+from agent.errors import Aborted, Interrupted
 from agent.execution.run_lock import ownership
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
@@ -30,7 +31,7 @@ from agent.service.state.reports import Reports
 from agent.service.state.status_board import Board
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
-from drivers.errors import Aborted, Interrupted, VolcalError
+from drivers.errors import VolcalError
 from drivers.roles import MachineStatus, MotionState, Permission
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"

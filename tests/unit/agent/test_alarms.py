@@ -5,14 +5,25 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from agent.errors import Busy, RunError
 from agent.service.alarms import CODES, DEFECT, alarm_code, alarm_of
-from drivers.errors import Busy, LinkLost, MotionFault, StoreError, VolcalError
+from drivers.errors import LinkLost, MotionFault, StoreError, VolcalError
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "reference" / "alarms.md"
 
 
+TREE = {VolcalError.__module__, RunError.__module__}
+"""Modules that together are the error tree; plugins and the rooms of the agent may add classes of their own."""
+
+
 def _tree(root: type[VolcalError]) -> set[type[VolcalError]]:
-    return {root}.union(*(_tree(child) for child in root.__subclasses__() if child.__module__ == root.__module__))
+    return {root}.union(*(_tree(child) for child in root.__subclasses__() if child.__module__ in TREE))
+
+
+def test_the_drivers_know_no_class_that_only_a_run_can_decide():
+    of_the_drivers = {kind for kind in _tree(VolcalError) if kind.__module__ == VolcalError.__module__}
+    assert of_the_drivers.isdisjoint(_tree(RunError))
+    assert len(_tree(RunError)) == 9
 
 
 def test_every_class_of_the_tree_has_a_number_and_no_number_is_used_twice():

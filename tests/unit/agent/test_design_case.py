@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from agent.errors import PlanRefused
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import as_listed, machine_minutes
 from agent.planning.design.design_problem import Setting
@@ -17,7 +18,7 @@ from agent.planning.design.variants import variants_of
 from agent.planning.job import Job
 from agent.planning.preflight import rehearse
 from agent.probing.run_plan import position_key
-from drivers.errors import ConfigurationError, InputError, PlanRefused
+from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position, positions_of
 from twin.design.candidates import Candidates, candidates_of
 from twin.design.goals import Positions, Slot

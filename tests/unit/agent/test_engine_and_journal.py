@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.errors import Busy
 from agent.execution.engine import Engine
 from agent.execution.journal import FILE_NAME, Journal, RunJournal
 from agent.execution.states import FINAL, FORWARD, PACKML, RunState, may_follow
@@ -23,7 +24,7 @@ from agent.execution.steps import (
     TouchTowards,
 )
 from drivers.clock import VirtualClock
-from drivers.errors import Busy, ConfigurationError, LinkLost
+from drivers.errors import ConfigurationError, LinkLost
 from drivers.roles import TableImage, Touch
 
 ORIGIN = (0.0, 0.0, 0.0)

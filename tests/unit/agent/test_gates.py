@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from agent.errors import GateRefused
 from agent.results.gates import Gate, require, table_gates
 from agent.settings.gate_limits import GateLimits
-from drivers.errors import GateRefused
 from drivers.roles import Activation, StoreLimits
 from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError

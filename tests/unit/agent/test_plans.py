@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.execution.encoding import encode_step
 from agent.planning.job import Job, prepare_job
@@ -22,7 +23,7 @@ from agent.probing.publish import choose_bank, stage_table
 from agent.probing.recovery import withdraw
 from agent.probing.run_plan import MeasuringOrder, measure_positions
 from agent.settings.load import load_settings
-from drivers.errors import MeasurementFault, ReadBackMismatch, StoreError, VolcalError
+from drivers.errors import ReadBackMismatch, StoreError, VolcalError
 from drivers.roles import Miss, Orientation, TableImage, Touch
 from twin.artefact.position_set import Position
 from twin.collision.geometry import point

@@ -11,6 +11,7 @@ from itertools import accumulate, groupby
 import numpy as np
 import pytest
 
+from agent.errors import PlanRefused
 from agent.execution.steps import MoveTo, OrientTo
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job, prepare_job
@@ -24,7 +25,6 @@ from agent.planning.preview.refusal import named_in, refusal_of
 from agent.planning.preview.scene import Preview
 from agent.planning.preview.tip_path import Waypoint, walk
 from agent.settings.load import load_settings, with_overrides
-from drivers.errors import PlanRefused
 from twin.artefact.position_set import Position
 from twin.collision.bodies import Body
 from twin.collision.geometry import sphere

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
+from agent.errors import PlanRefused
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import rehearse
 from agent.settings.load import load_settings
-from drivers.errors import PlanRefused
 
 TOO_NEAR_MM = 12.0
 """Back from a ball by so little, a straight way along the bar of the case study runs into the balls between."""

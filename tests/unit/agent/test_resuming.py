@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.errors import PlanDiverged
 from agent.execution.encoding import decode_result, encode_result, table_digest
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.replay_log import Recorded
@@ -27,7 +28,7 @@ from agent.runs.resume.replay_engine import Replay, ReplayingEngine
 from agent.runs.resume.step_trace import Trace
 from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import VirtualClock
-from drivers.errors import LinkLost, MotionFault, PlanDiverged
+from drivers.errors import LinkLost, MotionFault
 from drivers.roles import Miss, Orientation, TableImage, Touch
 
 TABLE = TableImage((0.0, 0.1, 0.2), (1.0, 2.0, 3.0), 1e-4, np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3))

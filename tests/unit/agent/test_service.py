@@ -18,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from service_house import PATIENCE_S, READY_MACHINE, house, settings_document
 
+from agent.errors import Aborted, Busy, GateRefused
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
@@ -40,16 +41,7 @@ from agent.service.token import make_token, read_token, token_path
 from agent.settings.schema import Settings
 from agent.settings.service import ServiceSettings
 from drivers.clock import VirtualClock
-from drivers.errors import (
-    Aborted,
-    Busy,
-    ConfigurationError,
-    GateRefused,
-    LinkLost,
-    PermissionMissing,
-    UserError,
-    VolcalError,
-)
+from drivers.errors import ConfigurationError, LinkLost, PermissionMissing, UserError, VolcalError
 from drivers.roles import MachineStatus, MotionState, OperatorRequest, OperatorTask, Permission
 
 NIGHTLY = StartRequest("calibrate", Source.TIMER)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.errors import MeasurementFault
 from agent.execution import steps as s
 from agent.probing.position_drift import DriftLimits, judge_drift
 from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_per_h
 from agent.probing.thermal_settling import SettlingRules, settled
 from agent.settings.temperature import TemperatureSettings
-from drivers.errors import MeasurementFault
 
 RULES = SettlingRules(largest_rate_k_per_h=5.0, largest_departure_k=4.0, look_every_s=60.0, deadline_s=1800.0)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from agent.cli.service_commands.start import begun
+from agent.errors import Busy, GateRefused
 from agent.service.client import Document
-from drivers.errors import Busy, CommandRejected, GateRefused, LinkLost, PermissionMissing, VolcalError
+from drivers.errors import CommandRejected, LinkLost, PermissionMissing, VolcalError
 
 
 class Answering:

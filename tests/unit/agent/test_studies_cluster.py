@@ -16,10 +16,11 @@ import pytest
 import study_tasks
 from distributed import LocalCluster
 
+from agent.errors import RunError
 from agent.studies import cluster
 from agent.studies.cluster import DaskWorkers
 from agent.studies.workers import LocalWorkers
-from drivers.errors import ConfigurationError, InputError, LinkLost, LinkTimeout, RunError, VolcalError
+from drivers.errors import ConfigurationError, InputError, LinkLost, LinkTimeout, VolcalError
 
 pytestmark = pytest.mark.timeout(120)
 

@@ -10,9 +10,10 @@ import study_tasks
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.errors import RunError
 from agent.studies.chunks import Chunk, chunked, run_chunk_alike, software_here
 from agent.studies.workers import LocalWorkers, generator
-from drivers.errors import ConfigurationError, InputError, RunError, VolcalError
+from drivers.errors import ConfigurationError, InputError, VolcalError
 
 
 def ignore(_: int) -> None:

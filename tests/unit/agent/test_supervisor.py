@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from agent.errors import Aborted, Interrupted
 from agent.execution.supervisor import Supervisor
 from drivers.clock import INTERRUPT_SLICE_S, Deadline, VirtualClock, WatchedClock
-from drivers.errors import Aborted, Interrupted
 
 
 def test_an_abort_is_noticed_within_a_slice() -> None:

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from agent.cli.main import main
+from agent.errors import Aborted
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.cycle_time import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walked
@@ -18,7 +19,6 @@ from agent.planning.preflight import rehearse, whole_procedure
 from agent.planning.time_model import TimeModel
 from agent.probing.run_plan import MeasuringOrder, measure_positions
 from agent.settings.load import load_settings, with_overrides
-from drivers.errors import Aborted
 from drivers.roles import OperatorRequest, OperatorTask
 from twin.artefact.position_set import Position
 from twin.collision.motion_law import straight

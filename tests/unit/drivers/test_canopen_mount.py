@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from canopen_rig import Rig, axis_settings, rig
 
+from agent.errors import Aborted
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.plugin import PLUGIN
 from drivers.clock import VirtualClock, WatchedClock
 from drivers.errors import (
-    Aborted,
     CommandRejected,
     ConfigurationError,
     DeadlineExpired,

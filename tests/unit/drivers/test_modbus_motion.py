@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from modbus_plc import FakePlc
 
+from agent.errors import Aborted
 from drivers.clock import Clock, VirtualClock, WatchedClock
 from drivers.errors import (
-    Aborted,
     CommandRejected,
     DeadlineExpired,
     GuardTripped,

@@ -1,0 +1,58 @@
+"""Errors of the application: outcomes that a run decides itself and no device can raise.
+
+::
+
+    VolcalError (drivers/errors.py)
+    └── RunError                  the run itself decided                              exit code 4
+        ├── PlanRefused           preflight found a limit, a collision, an unreachable ball
+        ├── GateRefused           the estimate must not become a table
+        ├── MeasurementFault      a ball, a probe check or a drift is out of its limits
+        ├── PlanDiverged          recorded steps do not match the rebuilt plan
+        ├── JournalFailed         events can no longer be recorded durably (disk full, disk gone)
+        ├── Busy                  another run owns the machine
+        ├── Aborted               somebody requested the abort                        exit code 5
+        └── Interrupted           the program had to end; the run can be resumed      exit code 5
+
+Wrong input (`UserError`) and device errors (`DeviceError`) are the branches in `drivers/errors.py`; drivers and
+simulators raise them too.
+"""
+
+from __future__ import annotations
+
+from drivers.errors import VolcalError
+
+
+class RunError(VolcalError):
+    exit_code = 4
+
+
+class PlanRefused(RunError):
+    pass
+
+
+class GateRefused(RunError):
+    pass
+
+
+class MeasurementFault(RunError):
+    pass
+
+
+class PlanDiverged(RunError):
+    pass
+
+
+class JournalFailed(RunError):
+    pass
+
+
+class Busy(RunError):
+    pass
+
+
+class Aborted(RunError):
+    exit_code = 5
+
+
+class Interrupted(RunError):
+    exit_code = 5
