@@ -98,7 +98,7 @@ def abort_to_stop_ms(running: Service, between: Wire) -> float:
 
 
 def early_abort_ms(running: Service) -> float:
-    """While the run is still being rehearsed: until the state says so."""
+    """Wait until the state reports the preflight of the run."""
     running.start()
     running.until(lambda now: now["state"] == "preflight", "the preflight")
     began = ask_abort(running)

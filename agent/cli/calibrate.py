@@ -22,7 +22,7 @@ from agent.execution.supervisor import Supervisor
 from agent.planning.job import prepare_job
 from agent.results.run_outcome import Outcome
 from agent.runs.kinds.kind import FullCalibration, Kind
-from agent.runs.session import Ended, Request, carry_out
+from agent.runs.session import Request, RunResult, carry_out
 from agent.settings.load import load_settings, naming, with_overrides
 from agent.settings.schema import Settings
 
@@ -51,7 +51,7 @@ def calibrate_command(
     conclude(ended)
 
 
-def run_calibration(settings: Settings, base: Path, kind: Kind | None = None) -> Ended:
+def run_calibration(settings: Settings, base: Path, kind: Kind | None = None) -> RunResult:
     """Prepare the job, run it with a progress bar on stderr; Ctrl-C and SIGTERM abort it."""
     job = prepare_job(settings, base)
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
@@ -75,7 +75,7 @@ def interruptible() -> Iterator[list[Supervisor]]:
             signal.signal(number, handler)
 
 
-def conclude(ended: Ended) -> None:
+def conclude(ended: RunResult) -> None:
     """Exit as the run ended: 0 only where the new table acts and was proved."""
     if ended.error is not None:
         raise fail(ended.error)

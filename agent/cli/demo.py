@@ -16,7 +16,7 @@ from agent.cli.errors import reported
 from agent.cli.simulator_process import SimulatorProcess
 from agent.files import translated
 from agent.planning.case_file import CASE_STUDY, SHIPPED
-from agent.runs.session import Ended
+from agent.runs.session import RunResult
 from agent.settings.load import load_settings, naming, with_overrides
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError, LinkError
@@ -122,7 +122,7 @@ def _introduction(ready: dict[str, Any]) -> str:
     )
 
 
-def _document(ended: Ended, truth: Truth) -> dict[str, object]:
+def _document(ended: RunResult, truth: Truth) -> dict[str, object]:
     return {
         **ended.outcome.as_json(),
         "true_ve_before_um": truth.before_um,
@@ -131,7 +131,7 @@ def _document(ended: Ended, truth: Truth) -> dict[str, object]:
     }
 
 
-def _show(ended: Ended, truth: Truth) -> None:
+def _show(ended: RunResult, truth: Truth) -> None:
     console = Console()
     console.print(summary_table(ended.outcome))
     table = Table(

@@ -167,7 +167,7 @@ def _document(
         **_worth(found),
         "held_out": [_as_json(position) for position in found.held_out],
         "candidates": found.setting.candidates.count,
-        "rehearsed": found.rehearsed,
+        "rehearsed": found.preflight_passed,
         "front": [vars(point) for point in found.front],
         "settings_sets": [vars(rival) for rival in rivals],
         "variants": [_variant(choice) for choice in choices],
@@ -203,7 +203,7 @@ def _show(choices: list[Choice], best: Choice, rivals: list[Rival], files: list[
         ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),
         ("VCE expected", f"{volumetric.after.aligned_um:.2f} µm aligned ({volumetric.after.raw_um:.2f} as defined)"),
         ("valuation", f"{volumetric.percent:.1f} % of the volumetric error removed"),
-        ("preflight", "rehearsed: no collision, no limit" if found.rehearsed else "vetted, not rehearsed"),
+        ("preflight", "passed: no collision, no limit" if found.preflight_passed else "vetted, not run"),
         *((rival.name, f"{rival.vce_um:.2f} µm in {rival.minutes:.1f} min") for rival in rivals),
         ("took", f"{seconds:.1f} s"),
     ]

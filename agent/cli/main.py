@@ -72,7 +72,7 @@ OWN_COMMANDS = {
     ),
     "plan": OwnCommand(
         "agent.cli.plan:plan_command",
-        "Rehearse the whole procedure: limits, collisions, minutes, and the VCE to expect.",
+        "Run the preflight of the whole procedure: limits, collisions, minutes and the expected VCE.",
     ),
     "report": OwnCommand(
         "agent.cli.report:report_command",

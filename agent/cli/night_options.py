@@ -13,7 +13,7 @@ from agent.cli.calibrate import run_calibration, summary_table
 from agent.cli.options import config_option
 from agent.results.run_outcome import NightReport, Outcome
 from agent.runs.kinds.kind import Kind
-from agent.runs.session import Ended
+from agent.runs.session import RunResult
 from agent.settings.load import load_settings, naming
 
 
@@ -38,7 +38,7 @@ def night_options(command: click.decorators.FC) -> click.decorators.FC:
     return command
 
 
-def run_night(config: Path, kind: Kind, *, as_json: bool) -> Ended:
+def run_night(config: Path, kind: Kind, *, as_json: bool) -> RunResult:
     """Carry it out and print what it found."""
     settings = load_settings(config)
     with naming(config):

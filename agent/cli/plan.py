@@ -1,4 +1,4 @@
-"""`volcal plan`: what a run would do, rehearsed on the simulated machine; no device is touched."""
+"""`volcal plan`: preflight of a whole run on the simulated machine; no device is touched."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from agent.files import check_folder
 from agent.planning.cycle_time import PARTS, as_listed, minutes_by_part, walked
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import Rehearsal, rehearse, whole_procedure
+from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
 from agent.planning.time_model import S_PER_MIN
 from agent.probing.run_plan import position_key
 from agent.results.predicted_accuracy import Expectation, expect
@@ -48,7 +48,7 @@ def plan_command(
     preview: Path | None,
     as_json: bool,
 ) -> None:
-    """Rehearse the whole procedure: limits, collisions, minutes, and the VCE to expect."""
+    """Run the preflight of the whole procedure: limits, collisions, minutes and the expected VCE."""
     settings = with_overrides(
         load_settings(config), position_set=position_set, stations=stations, formulation=formulation
     )
@@ -56,27 +56,27 @@ def plan_command(
         job = prepare_job(settings, config.resolve().parent)
     draw = _drawing(job, preview) if preview else None
     try:
-        rehearsal = rehearse(job)
+        preflight = run_preflight(job)
     except PlanRefused as refused:
         for path in draw(refused) if draw else ():
             click.echo(f"preview: {path}", err=True)
         raise
     listed = as_listed(job)
     before_minutes = sum(timed.seconds for timed in walked(listed, whole_procedure(listed))[1]) / S_PER_MIN
-    expectation = expect(job, rehearsal.measured)
+    expectation = expect(job, preflight.measured)
     valuation = valuation_of(job, job.positions)
     files = draw(None) if draw else []
     if as_json:
         click.echo(
-            json.dumps(_document(job, rehearsal, before_minutes, expectation, valuation, files), allow_nan=False)
+            json.dumps(_document(job, preflight, before_minutes, expectation, valuation, files), allow_nan=False)
         )
         return
     console = Console()
     if steps:
-        for key, seconds in rehearsal.timeline.items():
+        for key, seconds in preflight.timeline.items():
             click.echo(f"{seconds:10.2f} s  {key}")
-    console.print(_table(job, rehearsal, before_minutes, expectation, valuation))
-    console.print(_minutes_table(minutes_by_part(rehearsal.steps)))
+    console.print(_table(job, preflight, before_minutes, expectation, valuation))
+    console.print(_minutes_table(minutes_by_part(preflight.steps)))
     for path in files:
         click.echo(str(path))
 
@@ -91,45 +91,45 @@ def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path
 
 def _document(
     job: Job,
-    rehearsal: Rehearsal,
+    preflight: PreflightResult,
     before_minutes: float,
     expectation: Expectation,
     valuation: Valuation,
     files: list[Path],
 ) -> dict[str, object]:
-    balls = sum(len(p.balls) for p in rehearsal.measured.positions)
+    balls = sum(len(p.balls) for p in preflight.measured.positions)
     return {
         "position_set": job.settings.procedure.position_set,
         "formulation": job.settings.identification.formulation,
         "positions": [position_key(p) for p in job.positions],
         "held_out": [position_key(p) for p in job.held_out],
         "order": [position_key(p) for p in job.measuring.positions],
-        "left_out": list(rehearsal.measured.left_out),
-        "unreachable_balls": rehearsal.measured.unreachable_balls,
+        "left_out": list(preflight.measured.left_out),
+        "unreachable_balls": preflight.measured.unreachable_balls,
         "balls": balls,
-        "touches": rehearsal.measured.touches + rehearsal.verified.touches,
-        "machine_minutes": round(rehearsal.machine_minutes, 3),
+        "touches": preflight.measured.touches + preflight.verified.touches,
+        "machine_minutes": round(preflight.machine_minutes, 3),
         "machine_minutes_as_listed": round(before_minutes, 3),
         "minutes_by_station": {
             str(station): {part: round(minutes, 3) for part, minutes in parts.items()}
-            for station, parts in minutes_by_part(rehearsal.steps).items()
+            for station, parts in minutes_by_part(preflight.steps).items()
         },
-        "steps": rehearsal.commands,
+        "steps": preflight.commands,
         "rank": expectation.rank,
         "parameters": expectation.parameters,
         "predicted_vce_um": expectation.vce.aligned_um,
         "predicted_vce_raw_um": expectation.vce.raw_um,
         "valuation_percent": round(valuation.percent, 2),
-        "wall_seconds": round(rehearsal.wall_seconds, 3),
+        "wall_seconds": round(preflight.wall_seconds, 3),
         "files": [str(path) for path in files],
     }
 
 
 def _table(
-    job: Job, rehearsal: Rehearsal, before_minutes: float, expectation: Expectation, valuation: Valuation
+    job: Job, preflight: PreflightResult, before_minutes: float, expectation: Expectation, valuation: Valuation
 ) -> Table:
-    table = Table(title="rehearsed: no collision, no limit", show_header=False)
-    measured = rehearsal.measured
+    table = Table(title="preflight passed: no collision, no limit", show_header=False)
+    measured = preflight.measured
     rows = [
         ("machine", job.machine.name),
         ("artefact", job.artefact.name),
@@ -137,12 +137,12 @@ def _table(
         ("positions", f"{len(job.positions)}, and {len(job.held_out)} held out for the proof"),
         ("left out", ", ".join(measured.left_out) or "none"),
         ("balls out of reach", str(measured.unreachable_balls)),
-        ("touches", str(measured.touches + rehearsal.verified.touches)),
-        ("machine time", f"{rehearsal.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain ways)"),
+        ("touches", str(measured.touches + preflight.verified.touches)),
+        ("machine time", f"{preflight.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain ways)"),
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
         ("VCE to expect", f"{expectation.vce.aligned_um:.2f} µm aligned ({expectation.vce.raw_um:.2f} as defined)"),
         ("valuation", f"{valuation.percent:.1f} % of the family's error is expected to go"),
-        ("rehearsal took", f"{rehearsal.wall_seconds:.2f} s for {rehearsal.commands} steps"),
+        ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
     ]
     for row in rows:
         table.add_row(*row)

@@ -21,7 +21,7 @@ from agent.results.run_outcome import Decision
 from agent.runs.reconcile_result import Done
 from agent.runs.resume.abandon import give_up as end_without_going_on
 from agent.runs.resume.resume import ResumeRequest, resume
-from agent.runs.session import Ended
+from agent.runs.session import RunResult
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from drivers.errors import StoreError
@@ -50,7 +50,7 @@ def resume_command(config: Path, give_up: bool, as_json: bool) -> None:
     _tell(ended, as_json=as_json)
 
 
-def _tell(ended: Ended, *, as_json: bool) -> None:
+def _tell(ended: RunResult, *, as_json: bool) -> None:
     """As the command would have ended that began the run."""
     outcome = ended.outcome
     if as_json:

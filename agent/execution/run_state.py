@@ -1,4 +1,4 @@
-"""The state of a run, and who hears of it: every change is checked, journaled, then announced."""
+"""State of a run: every change is checked against the table, journaled, then announced."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Announcement:
 Listener = Callable[[Announcement], None]
 
 
-class Conduct:
-    """Owns the state of one run."""
+class RunStateTracker:
+    """State of one run and its announcements: every change of the state goes through here."""
 
     def __init__(self, journal: RunJournal, listener: Listener, replayed: deque[RunState] | None = None) -> None:
         """`replayed`: states that a run which is gone on with has been in; entered again, they are no news."""

@@ -35,7 +35,8 @@ from twin.machine.machine_description import MachineDescription
 
 @dataclass(frozen=True)
 class Job:
-    """A calibration that can be listed, rehearsed and carried out. `held_out` is never used for the estimate."""
+    """A calibration that can be listed, checked by a preflight and carried out. `held_out` is never used for the
+    estimate."""
 
     settings: Settings
     machine: MachineDescription

@@ -13,7 +13,7 @@ from agent.execution.engine import Engine
 from agent.execution.steps import Plan, Point, Step
 from agent.planning.cycle_time import TimedStep
 from agent.planning.job import Job
-from agent.planning.preflight_rig import assemble_rehearsal
+from agent.planning.preflight_rig import assemble_preflight_rig
 from agent.planning.safety_rules import lawful
 from agent.planning.time_model import TimeModel, time_model
 from agent.probing.repeated_positions import measure_closed
@@ -26,8 +26,8 @@ Procedure = Callable[[Job], Plan[tuple[Measured, Measured]]]
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """What the run will be. `timeline`: step key → seconds of machine time when that step is done; `steps`: those that
+class PreflightResult:
+    """Simulated run. `timeline`: step key → seconds of machine time at which that step is done; `steps`: those that
     take time, in order."""
 
     measured: Measured
@@ -47,12 +47,12 @@ def unwatched() -> None:
     """Nobody wants to break off."""
 
 
-def rehearse(
+def run_preflight(
     job: Job,
     start_mm: Point | None = None,
     procedure: Procedure | None = None,
     watch: Callable[[], None] = unwatched,
-) -> Rehearsal:
+) -> PreflightResult:
     """Run the whole procedure, by default that of a calibration, on a machine without errors.
 
     `start_mm`: where the real machine stands; None for where the simulated one begins. Raises PlanRefused
@@ -62,7 +62,7 @@ def rehearse(
     plan = (procedure or whole_procedure)(job)
     began = wall_seconds()
     clock = VirtualClock()
-    rig = assemble_rehearsal(job, clock, start_mm)
+    rig = assemble_preflight_rig(job, clock, start_mm)
     times = _Times(clock, time_model(job.machine, job.settings.timing), watch)
     rig.open()
     try:
@@ -75,7 +75,7 @@ def rehearse(
         rig.close()
     _require_proof(verified)
     wall_s = wall_seconds() - began
-    return Rehearsal(measured, verified, times.timeline, times.steps, clock.now(), wall_s, len(times.timeline))
+    return PreflightResult(measured, verified, times.timeline, times.steps, clock.now(), wall_s, len(times.timeline))
 
 
 def _what_to_do(job: Job) -> str:

@@ -11,10 +11,10 @@ from drivers.registry import DeviceContext, create_device
 from drivers.roles import CompensationStore, Machine, Operator, Probe, Thermometer
 
 
-def assemble_rehearsal(job: Job, clock: VirtualClock, start_mm: Point | None) -> Rig:
-    """The rig of the dry run: one device of the plugin that `preflight.driver` names plays every role.
+def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None) -> Rig:
+    """Return a rig on which one device of the plugin named by `preflight.driver` plays every role.
 
-    It is given the machine's own files and geometry, and no errors: what is rehearsed is the procedure.
+    The device has the machine's own files and geometry and no errors: a preflight checks the procedure.
     """
     settings = job.settings
     options: dict[str, object] = {

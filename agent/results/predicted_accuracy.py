@@ -20,19 +20,19 @@ class Expectation:
     vce: Volumetric
 
 
-def expect(job: Job, rehearsed: Measured) -> Expectation:
-    """Rank and predicted VCE of the set as rehearsed, held-out positions left aside.
+def expect(job: Job, measured: Measured) -> Expectation:
+    """Rank and predicted VCE of the set as measured in a preflight, without the held-out positions.
 
     Raises ConfigurationError where the set cannot identify the machine.
     """
-    estimate = rehearsed_estimate(job, rehearsed)
+    estimate = preflight_estimate(job, measured)
     grid = evaluation_grid(job.machine.model.ranges_mm)
     vce = predicted_vce(estimate, grid, job.tool_offset_mm)
     return Expectation(estimate.rank, estimate.model.size, vce)
 
 
-def rehearsed_estimate(job: Job, rehearsed: Measured) -> Estimate:
-    """What the balls of the rehearsal identify: its covariance is that of the night to come.
+def preflight_estimate(job: Job, measured: Measured) -> Estimate:
+    """Estimate from the balls of a preflight: its covariance is that of the run to come.
 
     Raises ConfigurationError where the set cannot identify the machine.
     """
@@ -46,5 +46,5 @@ def rehearsed_estimate(job: Job, rehearsed: Measured) -> Estimate:
         outliers="none",
     )
     with translated(ConfigurationError, key="procedure.position_set", set=job.settings.procedure.position_set):
-        observations = observations_of(job.balls_of(rehearsed, held_out=False), job.tool_offset_mm, no_correction)
+        observations = observations_of(job.balls_of(measured, held_out=False), job.tool_offset_mm, no_correction)
         return identify(job.machine.model, observations, job.artefact, job.machine.family, options)

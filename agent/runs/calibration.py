@@ -54,7 +54,7 @@ class CalibrationRun(GuardedRun):
         job, progress = self._job, self.progress
         order = replace(job.measuring, standing_at=standing_at)
         progress.measured = self._engine.run(measure_closed(order, job.layout, self._rules, job.closing))
-        self._conduct.enter(RunState.IDENTIFYING)
+        self._tracker.enter(RunState.IDENTIFYING)
         balls = balls_for_estimate(job, progress.measured)
         with translated(MeasurementFault):
             finding = find_machine(job, balls, self._correction)
@@ -88,7 +88,7 @@ class CalibrationRun(GuardedRun):
 
     def _write_and_prove(self, finding: Finding, measured: Measured) -> None:
         """Stage, activate, and measure the held-out positions again; the former bank acts again where they disagree."""
-        progress, enter = self.progress, self._conduct.enter
+        progress, enter = self.progress, self._tracker.enter
         assert progress.found is not None  # noqa: S101  read before anything is measured
         image = image_of(finding.table, self._rig.store.store_limits())
         enter(RunState.STAGING)
@@ -118,11 +118,11 @@ class CalibrationRun(GuardedRun):
         record_held_out(self._journal, job, before, after)
         if progress.proof.accepted:
             self._accept(finding, image)
-            self._conduct.enter(RunState.COMPLETE, progress.proof.reason)
+            self._tracker.enter(RunState.COMPLETE, progress.proof.reason)
             return
-        self._conduct.enter(RunState.RESTORING, progress.proof.reason)
+        self._tracker.enter(RunState.RESTORING, progress.proof.reason)
         self._restore(after_fault=False)
-        self._conduct.enter(RunState.COMPLETE, f"restored: {progress.proof.reason}")
+        self._tracker.enter(RunState.COMPLETE, f"restored: {progress.proof.reason}")
 
     def _proof(self, finding: Finding, before: Sequence[MeasuredBall], after: Sequence[MeasuredBall]) -> Proof:
         return prove(self._job, finding, before, after)

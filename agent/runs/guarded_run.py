@@ -12,7 +12,7 @@ from agent.errors import Aborted, GateRefused, JournalFailed, PlanDiverged, Plan
 from agent.execution.engine import Engine
 from agent.execution.journal import RunJournal
 from agent.execution.rig import Rig
-from agent.execution.run_state import Conduct
+from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.steps import Step
 from agent.execution.supervisor import Supervisor
@@ -60,7 +60,7 @@ class Means:
     rig: Rig
     engine: Engine
     journal: RunJournal
-    conduct: Conduct
+    tracker: RunStateTracker
     supervisor: Supervisor
     clock: Clock
 
@@ -73,7 +73,7 @@ class GuardedRun(ABC):
         self._rig = means.rig
         self._engine = means.engine
         self._journal = means.journal
-        self._conduct = means.conduct
+        self._tracker = means.tracker
         self._supervisor = means.supervisor
         self._clock = means.clock
         self.progress = Progress()
@@ -101,11 +101,11 @@ class GuardedRun(ABC):
         except GateRefused as refusal:
             self.progress.error = refusal
             self._journal.decision("refused", {"reason": str(refusal)})
-            self._conduct.enter(RunState.REFUSED, str(refusal))
+            self._tracker.enter(RunState.REFUSED, str(refusal))
 
     def _begin(self) -> publish.FoundState:
         """Read what acts, completely, before anything moves."""
-        self._conduct.enter(RunState.MEASURING)
+        self._tracker.enter(RunState.MEASURING)
         found = self.progress.found = self._engine.run(publish.read_state("before"))
         self.progress.active_bank = found.bank
         self._journal.table("backup", found.bank, found.table)
@@ -150,7 +150,7 @@ class GuardedRun(ABC):
         self._engine, self._journal = self._engine.aside(), self._journal.aside()
         if isinstance(error, JournalFailed):
             self._engine = self._engine.without_journal()
-        complaints = attempt("record the state", lambda: self._conduct.enter(RunState.ABORTING, str(error)))
+        complaints = attempt("record the state", lambda: self._tracker.enter(RunState.ABORTING, str(error)))
         complaints += self._rig.stop()
         complaints += attempt("bring the axes to a standstill", self._rig.await_standstill)
         if not isinstance(error, (LinkError, PlanDiverged)):
@@ -159,7 +159,7 @@ class GuardedRun(ABC):
         complaints += not_restored
         reason = "; ".join([str(error), *complaints])
         end = RunState.ABORTED if aborted and not not_restored else RunState.FAULTED
-        attempt("record the end", lambda: self._conduct.enter(end, reason))
+        attempt("record the end", lambda: self._tracker.enter(end, reason))
 
     def _withdraw(self) -> None:
         probing = self._job.rules.probing

@@ -12,7 +12,7 @@ from agent.errors import PlanRefused
 from agent.execution.engine import Engine, Observer
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.rig import Rig
-from agent.execution.run_state import Conduct, Listener
+from agent.execution.run_state import Listener, RunStateTracker
 from agent.execution.states import RunState
 from agent.planning.job import Job
 from agent.results.journal_entries import INPUTS, inputs_of
@@ -45,7 +45,9 @@ class Beginning(Protocol):
         """Machine seconds of the run."""
         ...
 
-    def written(self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener) -> tuple[RunJournal, Conduct]:
+    def written(
+        self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener
+    ) -> tuple[RunJournal, RunStateTracker]:
         """The run in the journal, and its state."""
         ...
 
@@ -55,7 +57,7 @@ class Beginning(Protocol):
 
     def engine(self, rig: Rig, journal: RunJournal, observe: Observer) -> Engine: ...
 
-    def begun(self, run: GuardedRun, journal: RunJournal, conduct: Conduct) -> None:
+    def begun(self, run: GuardedRun, journal: RunJournal, tracker: RunStateTracker) -> None:
         """The preflight is over; nothing of the run has been done yet."""
         ...
 
@@ -75,12 +77,14 @@ class Fresh:
     def clock(self, outer: Clock) -> Clock:
         return outer
 
-    def written(self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener) -> tuple[RunJournal, Conduct]:
+    def written(
+        self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener
+    ) -> tuple[RunJournal, RunStateTracker]:
         self._journal = journal
         document, inputs = wanted.job.settings.model_dump(mode="json"), inputs_of(wanted.job)
         run_journal = journal.start_run(wanted.run_id, wanted.kind.name, document, version("volcal"), clock)
         run_journal.decision(INPUTS, inputs)
-        return run_journal, Conduct(run_journal, listener)
+        return run_journal, RunStateTracker(run_journal, listener)
 
     def outset(self, rig: Rig, journal: RunJournal, wanted: Wanted) -> Outset:
         x, y, z = rig.machine.position().tolist()
@@ -92,7 +96,7 @@ class Fresh:
     def engine(self, rig: Rig, journal: RunJournal, observe: Observer) -> Engine:
         return Engine(rig.actions(journal.run), journal, observe)
 
-    def begun(self, run: GuardedRun, journal: RunJournal, conduct: Conduct) -> None:
+    def begun(self, run: GuardedRun, journal: RunJournal, tracker: RunStateTracker) -> None:
         journal.begun()
         assert self._journal is not None  # noqa: S101  written first
         self._journal.close_dead(journal.run, f"broke off, followed by run {journal.run_id}")

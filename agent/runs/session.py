@@ -14,12 +14,12 @@ from agent.execution.engine import Observer
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.rig import Rig
 from agent.execution.run_lock import run_lock
-from agent.execution.run_state import Conduct, Listener
+from agent.execution.run_state import Listener, RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.steps import Record, Step
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
-from agent.planning.preflight import Rehearsal
+from agent.planning.preflight import PreflightResult
 from agent.reports.renderer import Reports, rebuilt_here
 from agent.results.journal_entries import record_outcome
 from agent.results.run_outcome import Outcome
@@ -69,16 +69,16 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Ended:
+class RunResult:
     """`error` is the first cause where the run did not complete."""
 
     outcome: Outcome
     error: VolcalError | None
 
 
-def carry_out(request: Request) -> Ended:
+def carry_out(request: Request) -> RunResult:
     """Carry out a run of any kind. Raises before a run exists (lock, link, configuration); afterwards every end,
-    good or bad, is an `Ended` with the journal closed."""
+    good or bad, is an `RunResult` with the journal closed."""
     began = wall_seconds()
     settings = request.job.settings
     run_id = request.run_id
@@ -92,10 +92,10 @@ def carry_out(request: Request) -> Ended:
         clock = WatchedClock(request.beginning.clock(outer), supervisor.check, slice_of(outer))
         rig = (request.rig or assemble)(settings, clock, request.base)
         wanted = Wanted(run_id, request.job, request.kind, request.base)
-        run_journal, conduct = request.beginning.written(journal, wanted, clock, request.listener)
+        run_journal, tracker = request.beginning.written(journal, wanted, clock, request.listener)
         if request.asked:
             run_journal.event("asked", request.asked)
-        session = _Session(request, run_id, clock, supervisor, run_journal, conduct)
+        session = _Session(request, run_id, clock, supervisor, run_journal, tracker)
         return session.run(rig, began)
 
 
@@ -107,7 +107,7 @@ class _Session:
         clock: Clock,
         supervisor: Supervisor,
         journal: RunJournal,
-        conduct: Conduct,
+        tracker: RunStateTracker,
     ) -> None:
         self._request = request
         self._beginning = request.beginning
@@ -115,17 +115,17 @@ class _Session:
         self._clock = clock
         self._supervisor = supervisor
         self._journal = journal
-        self._conduct = conduct
+        self._tracker = tracker
         self._job = request.job
         self._touches = 0
         self._balls = 0
-        self._rehearsal: Rehearsal | None = None
+        self._preflight_result: PreflightResult | None = None
 
-    def run(self, rig: Rig, began: float) -> Ended:
+    def run(self, rig: Rig, began: float) -> RunResult:
         started_s = self._clock.now()
         progress = Progress()
         try:
-            self._conduct.enter(self._beginning.state)
+            self._tracker.enter(self._beginning.state)
             progress = self._on(rig)
         except VolcalError as error:
             progress.error = error
@@ -137,16 +137,16 @@ class _Session:
             self._feed_history()
             outcome = write_results(self._job, outcome, progress, self._report())
             write_copy(self._job.settings.state_directory, self._run_id)
-        return Ended(outcome, progress.error)
+        return RunResult(outcome, progress.error)
 
     def _not_begun(self, error: VolcalError) -> None:
         """Nothing has moved."""
         if isinstance(error, (Aborted, Interrupted)):
-            self._conduct.enter(RunState.ABORTING, str(error))
-            self._conduct.enter(RunState.ABORTED, str(error))
+            self._tracker.enter(RunState.ABORTING, str(error))
+            self._tracker.enter(RunState.ABORTED, str(error))
             return
         refused = isinstance(error, (PlanRefused, UserError))
-        self._conduct.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
+        self._tracker.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
 
     def _feed_history(self) -> None:
         """The machine is as it should be and the journal has it all: a database that is away is worth a note."""
@@ -154,17 +154,17 @@ class _Session:
 
         complaint = feed(self._job.settings, self._run_id)
         if complaint:
-            attempt("note the complaint", lambda: self._conduct.note(complaint))
+            attempt("note the complaint", lambda: self._tracker.note(complaint))
 
     def _report(self) -> Mapping[str, str | bytes]:
         """Empty where nothing was begun, or where it could not be made; `volcal report` makes it any time."""
-        if self._rehearsal is None:
+        if self._preflight_result is None:
             return {}
         try:
             return self._request.reports(self._job.settings.state_directory, self._run_id)
         except VolcalError as error:
             complaint = f"no report: {error}"
-            attempt("note the complaint", lambda: self._conduct.note(complaint))
+            attempt("note the complaint", lambda: self._tracker.note(complaint))
             return {}
 
     def _on(self, rig: Rig) -> Progress:
@@ -176,60 +176,60 @@ class _Session:
             wanted = Wanted(self._run_id, request.job, request.kind, request.base)
             ready = self._preflight(self._beginning.outset(rig, self._journal, wanted))
             engine = self._beginning.engine(rig, self._journal, self._observe)
-            run = ready.begin(Means(rig, engine, self._journal, self._conduct, self._supervisor, self._clock))
-            self._beginning.begun(run, self._journal, self._conduct)
+            run = ready.begin(Means(rig, engine, self._journal, self._tracker, self._supervisor, self._clock))
+            self._beginning.begun(run, self._journal, self._tracker)
             progress = run.carry_out()
             if progress.error is not None:
-                self._beginning.broken_off(rig, self._conduct.note)
+                self._beginning.broken_off(rig, self._tracker.note)
             self._job = progress.job or self._job
             return progress
         finally:
             for complaint in rig.close():
-                self._conduct.note(f"closing: {complaint}")
+                self._tracker.note(f"closing: {complaint}")
 
     def _hold(self, rig: Rig) -> None:
         rig.machine.hold()
-        self._conduct.hold()
+        self._tracker.hold()
 
     def _resume(self, rig: Rig) -> None:
         rig.machine.resume()
-        self._conduct.go_on()
+        self._tracker.go_on()
 
     def _preflight(self, outset: Outset) -> Ready:
         ready = self._request.kind.ready(self._job, replace(outset, watch=self._supervisor.look))
         self._request.passed(ready)
-        self._job, self._rehearsal = ready.job, ready.rehearsal
-        rehearsal = ready.rehearsal
-        self._conduct.note(
+        self._job, self._preflight_result = ready.job, ready.preflight
+        preflight = ready.preflight
+        self._tracker.note(
             "preflight passed: no collision, no limit",
-            machine_minutes=rehearsal.machine_minutes,
-            commands=rehearsal.commands,
-            wall_seconds=rehearsal.wall_seconds,
+            machine_minutes=preflight.machine_minutes,
+            commands=preflight.commands,
+            wall_seconds=preflight.wall_seconds,
         )
         return ready
 
     def _observe(self, step: Step, result: object) -> None:
-        """Progress by the clock of the rehearsal: how far this step stands from its end."""
+        """Report progress on the time scale of the preflight: the share done and the minutes left at this step."""
         if self._request.observer is not None:
             self._request.observer(step, result)
         if type(step).__name__ == "TouchTowards":
             self._touches += 1
         if isinstance(step, Record) and "note" in step.payload:
-            self._conduct.told(step.payload["note"])
-        if not isinstance(step, Record) or step.kind != "ball" or self._rehearsal is None:
+            self._tracker.told(step.payload["note"])
+        if not isinstance(step, Record) or step.kind != "ball" or self._preflight_result is None:
             return
         self._balls += 1
-        done_s = self._rehearsal.timeline.get(step.key)
+        done_s = self._preflight_result.timeline.get(step.key)
         if done_s is not None:
-            left_s = self._rehearsal.machine_seconds - done_s
-            self._conduct.progress(
-                step.key, fraction=done_s / self._rehearsal.machine_seconds, minutes_left=left_s / 60.0
+            left_s = self._preflight_result.machine_seconds - done_s
+            self._tracker.progress(
+                step.key, fraction=done_s / self._preflight_result.machine_seconds, minutes_left=left_s / 60.0
             )
 
     def _outcome(self, progress: Progress, minutes: float, wall_s: float) -> Outcome:
         finding = progress.finding
         return Outcome(
-            state=self._conduct.state,
+            state=self._tracker.state,
             run_id=self._run_id,
             position_set=self._job.settings.procedure.position_set,
             formulation=self._job.settings.identification.formulation,
@@ -237,7 +237,7 @@ class _Session:
             touches=self._touches,
             machine_minutes=minutes,
             wall_seconds=wall_s,
-            predicted_minutes=None if self._rehearsal is None else self._rehearsal.machine_minutes,
+            predicted_minutes=None if self._preflight_result is None else self._preflight_result.machine_minutes,
             table_bank=progress.active_bank,
             report=None,
             rank=None if finding is None else finding.estimate.rank,

@@ -93,12 +93,14 @@ def run(case: StudyCase) -> StudyResult:
     goals.append((TARGET_KIND, Target(1e-3 * reference.criterion_um)))
     setting = Setting(base.jobs, GRID_DEG)
     designs = [
-        judge.design(base, setting, goal, kind=kind, rehearsable=True)
+        judge.design(base, setting, goal, kind=kind, with_preflight=True)
         for kind, goal in _counted(case, goals, "designs")
     ]
     slot = Slot(OF_VARIANTS * reference.minutes)
     ways = _counted(case, _ways(case.job), "artefacts and touches")
-    variants = [judge.design(way, Setting(way.jobs, GRID_DEG), slot, kind="variant", rehearsable=False) for way in ways]
+    variants = [
+        judge.design(way, Setting(way.jobs, GRID_DEG), slot, kind="variant", with_preflight=False) for way in ways
+    ]
     judged = [*named, *designs, *variants]
     return StudyResult(
         name=NAME,
@@ -130,8 +132,8 @@ class Judge:
         minutes = machine_minutes(_job(way), positions).total
         return self._judged(name, "named", way, positions, minutes, published=True)
 
-    def design(self, way: Variant, setting: Setting, goal: Goal, *, kind: str, rehearsable: bool) -> Judged:
-        found = designed(setting, goal, verify=False, rehearsable=rehearsable, say=lambda _: None)
+    def design(self, way: Variant, setting: Setting, goal: Goal, *, kind: str, with_preflight: bool) -> Judged:
+        found = designed(setting, goal, verify=False, with_preflight=with_preflight, say=lambda _: None)
         return self._judged(
             f"{len(found.positions)} designed", kind, way, found.positions, found.minutes, published=False
         )

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from agent.execution.states import RunState
-from agent.runs.session import Ended
+from agent.runs.session import RunResult
 from campaigns.aborts.breaking import Breaking
 from campaigns.aborts.case import FORMER, FORMER_BANK
 from drivers.roles import MotionState
@@ -29,7 +29,7 @@ WITHDRAWN = ("abort", "refused", "guard", "disk full", "no", "defect")
 """Ways after which the axes can and must go back; without a link, or in a fault, nothing moves any more."""
 
 
-def found(breaking: Breaking, ended: Ended | None, defect: BaseException | None) -> dict[str, Any]:
+def found(breaking: Breaking, ended: RunResult | None, defect: BaseException | None) -> dict[str, Any]:
     """`failures`: what must not be; `completed`: the run was through before anybody noticed."""
     way, world = breaking.way, breaking.world
     assert way is not None
@@ -62,7 +62,7 @@ def _machine(breaking: Breaking) -> list[str]:
     return failures
 
 
-def _compensation(breaking: Breaking, ended: Ended | None) -> list[str]:
+def _compensation(breaking: Breaking, ended: RunResult | None) -> list[str]:
     """The former table acts and is whole. Without a link it cannot be brought back, and that must be told."""
     controller, way = breaking.world.controller, breaking.way
     assert way is not None

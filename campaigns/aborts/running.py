@@ -14,7 +14,7 @@ from agent.execution import steps as s
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.planning.case_file import SHIPPED
-from agent.runs.session import Ended, Request, carry_out
+from agent.runs.session import Request, RunResult, carry_out
 from campaigns.aborts.breaking import Breaking
 from campaigns.aborts.case import FORMER, FORMER_BANK, Memory, job_of, world_of
 from campaigns.aborts.judging import found
@@ -78,7 +78,7 @@ def _case(wanted: Callable[[int, s.Step], bool]) -> Iterator[tuple[Breaking, Pat
 def _completed(breaking: Breaking, directory: Path) -> None:
     """Carry the run out. A child of it says what it has found, and is no more; the parent must complete."""
     defect: BaseException | None = None
-    ended: Ended | None = None
+    ended: RunResult | None = None
     try:
         ended = _carried_out(breaking, directory)
     except BaseException as error:  # noqa: BLE001  a child must not go on as its parent, whatever happens
@@ -91,14 +91,14 @@ def _completed(breaking: Breaking, directory: Path) -> None:
         raise RuntimeError(f"the run that nobody broke off did not complete: {ended and ended.error}")
 
 
-def _found(breaking: Breaking, ended: Ended | None, defect: BaseException | None) -> dict[str, Any]:
+def _found(breaking: Breaking, ended: RunResult | None, defect: BaseException | None) -> dict[str, Any]:
     try:
         return found(breaking, ended, defect)
     except BaseException as error:  # noqa: BLE001  as above
         return {"failures": [f"could not be judged: {error!r}"]}
 
 
-def _carried_out(breaking: Breaking, directory: Path, **sections: dict[str, Any]) -> Ended:
+def _carried_out(breaking: Breaking, directory: Path, **sections: dict[str, Any]) -> RunResult:
     job = job_of(directory, **sections)
 
     def keep(supervisor: Supervisor) -> None:

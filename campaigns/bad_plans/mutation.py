@@ -10,7 +10,7 @@ from typing import Any
 
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import rehearse
+from agent.planning.preflight import run_preflight
 from agent.settings.load import load_settings
 from campaigns.plans.drawing import toml
 from drivers.errors import VolcalError
@@ -36,7 +36,7 @@ Change = Callable[[Files], None]
 class Bad:
     """`error`: type of the refusal; `words`: each in its text; `where`: named places that it must give.
 
-    `rehearsed`: how it is rehearsed once its files have passed; by default as it stands.
+    `preflight`: preflight run once its files have passed; by default of the unchanged procedure.
     """
 
     name: str
@@ -44,12 +44,12 @@ class Bad:
     error: type[VolcalError]
     words: tuple[str, ...] = ()
     where: Mapping[str, str] | None = None
-    rehearsed: Callable[[Job], object] = rehearse
+    preflight: Callable[[Job], object] = run_preflight
 
     def complaint(self, directory: Path) -> str:
         """Empty where the plan is refused for the right reason; else what happened instead."""
         try:
-            prepared(self.change, directory, self.rehearsed)
+            prepared(self.change, directory, self.preflight)
         except VolcalError as refusal:
             return self._wrong(refusal)
         except Exception as defect:  # noqa: BLE001  a traceback is never the right refusal
@@ -82,7 +82,7 @@ def good(directory: Path) -> Files:
     return Files(settings, described, tomllib.loads(artefact.read_text()))
 
 
-def prepared(change: Change, directory: Path, rehearsed: Callable[[Job], object]) -> None:
+def prepared(change: Change, directory: Path, preflight: Callable[[Job], object]) -> None:
     """Everything that `volcal config check` and the preflight do with a changed case. Raises their refusal."""
     files = good(directory)
     change(files)
@@ -91,7 +91,7 @@ def prepared(change: Change, directory: Path, rehearsed: Callable[[Job], object]
     (directory / "positions.csv").write_text(files.positions)
     (directory / "settings.toml").write_text(toml(files.settings))
     job = prepare_job(load_settings(directory / "settings.toml"), directory)
-    rehearsed(job)
+    preflight(job)
 
 
 def unchanged(_: Files) -> None:

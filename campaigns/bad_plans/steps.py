@@ -12,7 +12,7 @@ import numpy as np
 from agent.errors import PlanRefused
 from agent.execution import steps as s
 from agent.planning.job import Job
-from agent.planning.preflight import rehearse, whole_procedure
+from agent.planning.preflight import run_preflight, whole_procedure
 from agent.probing.run_plan import Measured
 from campaigns.bad_plans.mutation import Bad, unchanged
 from drivers.errors import ConfigurationError
@@ -41,9 +41,9 @@ def rewritten(plan: s.Plan[Both], rewrite: Rewrite) -> s.Plan[Both]:
 
 
 def once(matches: Callable[[s.Step], bool], instead: Callable[[s.Step], Iterable[s.Step]]) -> Callable[[Job], object]:
-    """Rehearse the whole procedure with the first step that matches done otherwise."""
+    """Return a preflight of the whole procedure in which the first step that matches is replaced by `instead`."""
 
-    def rehearsed(job: Job) -> object:
+    def preflight(job: Job) -> object:
         done: list[str] = []
 
         def rewrite(step: s.Step) -> Iterable[s.Step] | None:
@@ -52,10 +52,10 @@ def once(matches: Callable[[s.Step], bool], instead: Callable[[s.Step], Iterable
             done.append(step.key)
             return instead(step)
 
-        result = rehearse(job, procedure=lambda prepared: rewritten(whole_procedure(prepared), rewrite))
+        result = run_preflight(job, procedure=lambda prepared: rewritten(whole_procedure(prepared), rewrite))
         return result if done else _never_came()
 
-    return rehearsed
+    return preflight
 
 
 def _never_came() -> object:
@@ -87,9 +87,9 @@ def to(x: float, y: float, z: float, **options: Any) -> s.MoveTo:
     return s.MoveTo(f"mutated/move-{x:g}-{y:g}-{z:g}", (x, y, z), **options)
 
 
-def refused(name: str, rehearsed: Callable[[Job], object], *words: str, step: str = "") -> Bad:
+def refused(name: str, preflight: Callable[[Job], object], *words: str, step: str = "") -> Bad:
     where = {"step": step} if step else None
-    return Bad(f"steps: {name}", unchanged, PlanRefused, ("preflight", *words), where, rehearsed)
+    return Bad(f"steps: {name}", unchanged, PlanRefused, ("preflight", *words), where, preflight)
 
 
 def _outside() -> list[Bad]:
@@ -120,8 +120,8 @@ def _odd_numbers() -> list[Bad]:
             bad.append(refused(f"wait {value}", once(touch, before(s.Dwell("mutated/dwell", value))), "a wait of"))
     bad.append(refused("touch feed of a rapid", once(touch, changed(feed_mm_per_s=200.0)), "a touch at 200.0 mm/s"))
     for azimuth, elevation, axis in ((200.0, 0.0, "azimuth"), (0.0, 120.0, "elevation"), (math.nan, 0.0, "azimuth")):
-        rehearsed = once(kind(s.OrientTo), changed(azimuth_deg=azimuth, elevation_deg=elevation))
-        bad.append(refused(f"orientation {azimuth:g} {elevation:g}", rehearsed, axis, "is outside", step="measure"))
+        preflight = once(kind(s.OrientTo), changed(azimuth_deg=azimuth, elevation_deg=elevation))
+        bad.append(refused(f"orientation {azimuth:g} {elevation:g}", preflight, axis, "is outside", step="measure"))
     return bad
 
 
@@ -191,7 +191,7 @@ def _unproved(job: Job) -> object:
         measured, verified = yield from whole_procedure(prepared)
         return measured, replace(verified, positions=())
 
-    return rehearse(job, procedure=procedure)
+    return run_preflight(job, procedure=procedure)
 
 
 def in_steps() -> list[Bad]:

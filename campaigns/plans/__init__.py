@@ -1,1 +1,1 @@
-"""Random plans, rehearsed and run with errors: does anything ever hit anything? And do bad ones get through?"""
+"""Random plans, checked by a preflight and run with errors: search for collisions and for bad plans that pass."""

@@ -4,7 +4,7 @@
     python -m campaigns.plans --only 123        # one plan again, and what came of it
 
 Each plan is drawn from its own seed (machine, probe, artefact, mount, stations, positions, procedure, errors of the
-world), rehearsed, run, and run again with an abort, a hold or an emergency stop at a random instant. Every
+world), checked by a preflight, run, and run again with an abort, a hold or an emergency stop at a random instant. Every
 `--judge-every`th run is watched by a second, independent collision check (`campaigns/plans/judge.py`), which is itself
 held against the simulator on random straight moves among the bodies. Exit code 0 only where nothing hit anything.
 """

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from agent.execution.states import RunState
 from agent.planning.job import Job
-from agent.planning.preflight import Rehearsal, rehearse, whole_procedure
+from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
 from agent.runs.guarded_run import GuardedRun
 from agent.runs.kinds.kind import Ready
 from agent.runs.start_conditions import Outset
@@ -20,23 +20,23 @@ class MovingRun(GuardedRun):
     def _work(self) -> None:
         self._begin()
         self.progress.measured, self.progress.verified = self._engine.run(whole_procedure(self._job))
-        self._conduct.enter(RunState.IDENTIFYING)
-        self._conduct.enter(RunState.COMPLETE)
+        self._tracker.enter(RunState.IDENTIFYING)
+        self._tracker.enter(RunState.COMPLETE)
 
 
 @dataclass
 class Moving:
-    """Rehearses once, from where the machine stands; a second run of the same plan begins there too."""
+    """Kind with one preflight from the current position; a second run of the same plan starts there too."""
 
     name: str = "moving"
 
     def __post_init__(self) -> None:
-        self.rehearsal: Rehearsal | None = None
+        self.preflight: PreflightResult | None = None
 
     def ready(self, job: Job, outset: Outset) -> Ready:
-        if self.rehearsal is None:
-            self.rehearsal = rehearse(job, outset.start_mm)
-        return Ready(job, self.rehearsal, lambda means: MovingRun(job, means))
+        if self.preflight is None:
+            self.preflight = run_preflight(job, outset.start_mm)
+        return Ready(job, self.preflight, lambda means: MovingRun(job, means))
 
 
 class AlarmClock(VirtualClock):

@@ -1,4 +1,4 @@
-"""One drawn plan: rehearsed, run with errors, run again and interrupted; and what came of it."""
+"""Trial of one drawn plan: preflight, run with errors, a second run interrupted, and their results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from time import perf_counter
 from agent.errors import PlanRefused
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.runs.session import Ended, Request, carry_out
+from agent.runs.session import Request, RunResult, carry_out
 from benchmarks.places import memory_directory
 from campaigns.nights.play import rig_of
 from campaigns.plans.drawing import Drawn, draw
@@ -69,8 +69,8 @@ def _run(trial: Trial, drawn: Drawn, kind: Moving, judged: bool) -> None:
     if isinstance(ended.error, (PlanRefused, UserError)):
         trial.refused = reason_of(ended.error)
         return
-    if kind.rehearsal is not None:
-        trial.commands, trial.machine_minutes = kind.rehearsal.commands, kind.rehearsal.machine_minutes
+    if kind.preflight is not None:
+        trial.commands, trial.machine_minutes = kind.preflight.commands, kind.preflight.machine_minutes
     if ended.error is not None:
         trial.stopped = reason_of(ended.error)
     _judge_world(trial, "run", world)
@@ -81,9 +81,9 @@ def _run(trial: Trial, drawn: Drawn, kind: Moving, judged: bool) -> None:
 
 def _interrupted(trial: Trial, drawn: Drawn, kind: Moving) -> None:
     """Once more from the start, until something comes in between; the way out ends at the retreat plane."""
-    assert kind.rehearsal is not None
+    assert kind.preflight is not None
     world, clock = World(drawn.scenario), AlarmClock()
-    instant_s = drawn.at_share * kind.rehearsal.machine_seconds
+    instant_s = drawn.at_share * kind.preflight.machine_seconds
     trial.interruption = drawn.interruption
 
     def prepare(supervisor: Supervisor) -> None:
@@ -116,7 +116,7 @@ def _judge_world(trial: Trial, what: str, world: World) -> None:
 
 def _carried_out(
     drawn: Drawn, kind: Moving, world: World, clock: AlarmClock, prepare: Callable[[Supervisor], None]
-) -> Ended:
+) -> RunResult:
     return carry_out(
         Request(
             drawn.job,

@@ -20,9 +20,9 @@ from agent.execution.rig import Rig
 from agent.execution.steps import Step
 from agent.planning.case_file import SHIPPED
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import rehearse, unwatched
+from agent.planning.preflight import run_preflight, unwatched
 from agent.runs.resume.resume import ResumeRequest, resume
-from agent.runs.session import Ended, Request, carry_out
+from agent.runs.session import Request, RunResult, carry_out
 from agent.settings.schema import Settings
 from drivers.clock import Clock, VirtualClock
 from simulators.backend import SimulatedMachineDevice
@@ -121,16 +121,16 @@ def fused_journal(fuse: Fuse) -> Callable[[], None]:
     return unfuse
 
 
-def rehearsed_once() -> None:
-    """The preflight of one case is the same every time; a copy of this process has it already."""
+def cache_preflight() -> None:
+    """Cache the preflight of one case, which is the same every time; copies of this process inherit it."""
     done: dict[Any, Any] = {}
 
     def once(job: Job, start_mm: Any = None, procedure: Any = None, watch: Any = unwatched) -> Any:
         if start_mm not in done:
-            done[start_mm] = rehearse(job, start_mm, procedure, watch)
+            done[start_mm] = run_preflight(job, start_mm, procedure, watch)
         return done[start_mm]
 
-    agent.runs.kinds.kind.rehearse = once  # type: ignore[attr-defined]
+    agent.runs.kinds.kind.run_preflight = once  # type: ignore[attr-defined]
 
 
 @dataclass
@@ -139,13 +139,13 @@ class Machine:
 
     world: World
 
-    def run(self, settings: Settings, fuse: Fuse | None = None) -> Ended:
+    def run(self, settings: Settings, fuse: Fuse | None = None) -> RunResult:
         job = prepare_job(settings, Path.cwd())
         rig = self._rig(fuse)
         request = Request(job, Path.cwd(), _nobody, _nobody, clock=VirtualClock(), rig=rig, files=False, run_id="run")
         return carry_out(request)
 
-    def go_on(self) -> Ended:
+    def go_on(self) -> RunResult:
         request = ResumeRequest(STATE, _nobody, _nobody, clock=VirtualClock(), rig=self._rig(None), files=False)
         return resume(request)
 

@@ -34,10 +34,10 @@ from campaigns.resume.case import (
     Fuse,
     Killed,
     Machine,
+    cache_preflight,
     fused_journal,
     journaled,
     prepare,
-    rehearsed_once,
     signature,
 )
 
@@ -108,7 +108,7 @@ def compared(every: int, moments: Sequence[str], only: str = "") -> dict[str, An
     began = perf_counter()
     with _working_directory() as directory:
         settings, machine = prepare(directory)
-        rehearsed_once()
+        cache_preflight()
         breaks = Breaks(machine, every, moments, directory, only=only)
         unfuse = fused_journal(breaks.fuse)
         try:

@@ -36,7 +36,7 @@ from agent.planning.job import Job, prepare_job
 from agent.results.estimation import find
 from agent.results.table_image import image_of
 from agent.results.thermal_drift import options_of
-from agent.runs.session import Ended, Request, carry_out
+from agent.runs.session import Request, RunResult, carry_out
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from benchmarks.places import memory_directory, write_csv
@@ -76,7 +76,7 @@ class Run:
 
     world: World
     job: Job
-    ended: Ended
+    ended: RunResult
     records: Sequence[Mapping[str, Any]]
 
     @property

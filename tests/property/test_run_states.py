@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from agent.execution.journal import FILE_NAME, Journal
-from agent.execution.run_state import Announcement, Conduct
+from agent.execution.run_state import Announcement, RunStateTracker
 from agent.execution.states import FINAL, RunState
 from drivers.clock import VirtualClock
 
@@ -38,35 +38,35 @@ class RunStates(RuleBasedStateMachine):
         self.journal = Journal(Path(self.folder.name))
         run = self.journal.start_run("run", "calibrate", {}, "0", VirtualClock())
         self.heard: list[Announcement] = []
-        self.conduct = Conduct(run, self.heard.append)
+        self.tracker = RunStateTracker(run, self.heard.append)
         self.entered = [RunState.IDLE]
 
     @rule(state=st.sampled_from(RunState), reason=st.text(max_size=20))
     def ask(self, state: RunState, reason: str) -> None:
-        before = self.conduct.state
+        before = self.tracker.state
         try:
-            self.conduct.enter(state, reason)
+            self.tracker.enter(state, reason)
         except ValueError:
-            assert self.conduct.state is before
+            assert self.tracker.state is before
         else:
             self.entered.append(state)
 
-    @precondition(lambda self: self.conduct.state in CHAIN[:-1])
+    @precondition(lambda self: self.tracker.state in CHAIN[:-1])
     @rule()
     def go_on(self) -> None:
         """The way forward is open from every state of the line."""
-        following = CHAIN[CHAIN.index(self.conduct.state) + 1]
-        self.conduct.enter(following)
+        following = CHAIN[CHAIN.index(self.tracker.state) + 1]
+        self.tracker.enter(following)
         self.entered.append(following)
 
-    @precondition(lambda self: self.conduct.state not in FINAL)
+    @precondition(lambda self: self.tracker.state not in FINAL)
     @rule()
     def break_off(self) -> None:
         """From anywhere it can be aborted and comes to an end."""
-        if self.conduct.state is not RunState.ABORTING:
-            self.conduct.enter(RunState.ABORTING, "button")
+        if self.tracker.state is not RunState.ABORTING:
+            self.tracker.enter(RunState.ABORTING, "button")
             self.entered.append(RunState.ABORTING)
-        self.conduct.enter(RunState.ABORTED, "button")
+        self.tracker.enter(RunState.ABORTED, "button")
         self.entered.append(RunState.ABORTED)
 
     @invariant()
@@ -74,8 +74,8 @@ class RunStates(RuleBasedStateMachine):
         with sqlite3.connect(Path(self.folder.name) / FILE_NAME) as other:
             ((state, ended),) = other.execute("SELECT state, ended FROM runs").fetchall()
         other.close()
-        assert state == self.conduct.state.value
-        assert (ended is not None) == (self.conduct.state in FINAL)
+        assert state == self.tracker.state.value
+        assert (ended is not None) == (self.tracker.state in FINAL)
 
     @invariant()
     def everybody_heard_of_everything_once(self) -> None:
@@ -104,9 +104,9 @@ TestRunStates.settings = settings(max_examples=25, stateful_step_count=20, deadl
 def test_a_jump_over_the_proof_is_refused() -> None:
     with tempfile.TemporaryDirectory() as folder:
         journal = Journal(Path(folder))
-        conduct = Conduct(journal.start_run("r", "calibrate", {}, "0", VirtualClock()), lambda _: None)
+        tracker = RunStateTracker(journal.start_run("r", "calibrate", {}, "0", VirtualClock()), lambda _: None)
         for state in CHAIN[1:6]:
-            conduct.enter(state)
+            tracker.enter(state)
         with pytest.raises(ValueError, match="no way from activating to complete"):
-            conduct.enter(RunState.COMPLETE)
+            tracker.enter(RunState.COMPLETE)
         journal.close()

@@ -22,7 +22,7 @@ from agent.execution.run_state import Announcement
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import prepare_job
 from agent.runs.kinds.kind import FullCalibration, Kind
-from agent.runs.session import Ended, Request, carry_out
+from agent.runs.session import Request, RunResult, carry_out
 from agent.settings.schema import Settings
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
@@ -99,7 +99,7 @@ class Night:
         *,
         files: bool = True,
         kind: Kind | None = None,
-    ) -> Ended:
+    ) -> RunResult:
         """Calibrate, or a run of another `kind`; the world of the first run stays the world of the following ones.
         `files`: write results."""
         with self.in_place():

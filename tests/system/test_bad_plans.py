@@ -13,7 +13,7 @@ BAD_PLANS = bad_plans()
 
 
 def test_the_plan_that_is_mutated_is_good(tmp_path: Path) -> None:
-    prepared(unchanged, tmp_path, BAD_PLANS[0].rehearsed)
+    prepared(unchanged, tmp_path, BAD_PLANS[0].preflight)
 
 
 def test_there_are_more_than_a_hundred_of_them_beside_wrong_numbers() -> None:

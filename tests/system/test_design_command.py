@@ -55,7 +55,7 @@ def test_a_designed_set_is_one_that_plan_takes_and_values_alike():
     assert said["machine_minutes"] <= 12.0
     assert said["rehearsed"] is True
     plan = volcal("plan", "--config", str(CONFIG / "case-study.toml"), "--position-set", "set.csv")
-    # the rehearsed fits know the radius from the qualification, so their centres are a little better than planned
+    # preflight fits know the radius from the qualification, so their centres are a little better than planned
     assert plan["predicted_vce_um"] == pytest.approx(said["expected_vce_um"], rel=1e-2)
     assert plan["predicted_vce_raw_um"] == pytest.approx(said["expected_vce_raw_um"], rel=1e-2)
     share = said["expected_vce_um"] / said["expected_ve_um"]
@@ -92,7 +92,7 @@ def test_a_target_is_kept_and_the_search_for_an_artefact_shows_every_way():
 def test_people_are_shown_what_a_machine_reads():
     result = CliRunner().invoke(main, ["design", "--positions", "3", "--verify-set", *COARSE])
     assert result.exit_code == 0, result.output
-    for words in ("valuation", "S3 of the settings", "rehearsed: no collision", "positions_deg = [[", "design.csv"):
+    for words in ("valuation", "S3 of the settings", "passed: no collision", "positions_deg = [[", "design.csv"):
         assert words in result.stdout
 
 

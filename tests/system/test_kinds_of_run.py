@@ -20,7 +20,7 @@ from agent.results.run_outcome import Decision, Outcome
 from agent.runs.kinds import nightly
 from agent.runs.kinds.verify import Verification
 from agent.runs.reference_state import COPY_NAME, full_needed, last_accepted, write_copy
-from agent.runs.session import Ended
+from agent.runs.session import RunResult
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.formats.estimate_file import parse_estimate
@@ -38,9 +38,9 @@ class Calibrated:
     night: Night
     state: Path
     settings: dict[str, Any]
-    first: Ended
+    first: RunResult
 
-    def run(self, kind: Any, **sections: Any) -> Ended:
+    def run(self, kind: Any, **sections: Any) -> RunResult:
         return self.night.run({**self.settings, **sections}, kind=kind, files=False)
 
 

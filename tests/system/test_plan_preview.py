@@ -27,10 +27,10 @@ def plan(*more: str | Path) -> Result:
 
 
 def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
-    def rehearse(_: object) -> None:
+    def run_preflight(_: object) -> None:
         raise PlanRefused("preflight: collision: ram with post 4", hint="the plan must change", step=REFUSED_STEP)
 
-    monkeypatch.setattr("agent.cli.plan.rehearse", rehearse)
+    monkeypatch.setattr("agent.cli.plan.run_preflight", run_preflight)
 
 
 @pytest.fixture(scope="module")
@@ -80,12 +80,12 @@ def test_a_refused_plan_is_drawn_and_stays_refused(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize("where", ["a file", "below a file", "not writable"])
-def test_a_folder_that_cannot_be_written_is_said_before_the_rehearsal(
+def test_a_folder_that_cannot_be_written_is_said_before_the_preflight(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "taken").write_text("")
     folder = {"a file": tmp_path / "taken", "below a file": tmp_path / "taken" / "x", "not writable": Path("/proc/x")}
-    monkeypatch.setattr("agent.cli.plan.rehearse", lambda _: pytest.fail("rehearsed in vain"))
+    monkeypatch.setattr("agent.cli.plan.run_preflight", lambda _: pytest.fail("preflight run in vain"))
     done = plan("--preview", folder[where])
     assert done.exit_code == 2
     assert done.stdout == ""
@@ -238,4 +238,4 @@ class TestProgram:
         assert "azimuth 0°, elevation 0°" in told["first"][0]
         minutes = told["first"][2].split(" of ")
         assert minutes[0] == minutes[1]
-        assert told["last"][1].startswith(("not rehearsed: ", "left out: "))
+        assert told["last"][1].startswith(("not reached: ", "left out: "))

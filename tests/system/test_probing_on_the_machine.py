@@ -20,7 +20,7 @@ from agent.execution.engine import Engine
 from agent.execution.rig import Rig
 from agent.planning.cycle_time import walked
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import rehearse
+from agent.planning.preflight import run_preflight
 from agent.probing.preparation import Prepared
 from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
 from agent.settings.schema import Settings
@@ -141,19 +141,19 @@ def test_dry_run_walk_and_machine_agree_on_what_two_stages_of_nine_touches_take(
     machine = bench(
         state, trigger, procedure=procedure, verification={"stations": [1], "positions_deg": [[30.0, 30.0]]}
     )
-    rehearsed = rehearse(machine.job)
+    preflight = run_preflight(machine.job)
     began = machine.rig.clock.now()
     prepared = machine.prepared()
     order = dataclasses.replace(machine.job.measuring, standing_at=prepared.standing_at)
     machine.run(measure_positions(order, machine.job.layout, prepared.rules))
-    last = next(key for step, _ in reversed(machine.seen) if (key := step.key) in rehearsed.timeline)
+    last = next(key for step, _ in reversed(machine.seen) if (key := step.key) in preflight.timeline)
     taken = machine.rig.clock.now() - began
-    assert taken == pytest.approx(rehearsed.timeline[last], rel=0.01)
+    assert taken == pytest.approx(preflight.timeline[last], rel=0.01)
     _, steps = walked(machine.job, machine.job.preparing())
     walked_s = sum(timed.seconds for timed in steps)
     assert 20.0 < walked_s < 240.0
     assert walked_s == pytest.approx(
-        max(t for key, t in rehearsed.timeline.items() if key.startswith("probe/")), rel=0.01
+        max(t for key, t in preflight.timeline.items() if key.startswith("probe/")), rel=0.01
     )
 
 

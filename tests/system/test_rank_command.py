@@ -72,11 +72,11 @@ class TestCaseStudy:
             assert 0.2 < field["blind_um"] < field["unseen_um"] < field["predicted_vce_um"] < field["prior_um"]
             assert field["unseen_um"] > own["unseen_um"]
 
-    def test_the_vce_is_that_of_the_rehearsal(self) -> None:
+    def test_the_vce_is_that_of_the_preflight(self) -> None:
         done = CliRunner().invoke(main, ["plan", "--config", str(SETTINGS), "--json"])
-        rehearsed = json.loads(done.stdout)
-        assert rehearsed["rank"] == case_study()["rank"]
-        assert case_study()["fields"][0]["predicted_vce_um"] == pytest.approx(rehearsed["predicted_vce_um"], rel=0.1)
+        planned = json.loads(done.stdout)
+        assert planned["rank"] == case_study()["rank"]
+        assert case_study()["fields"][0]["predicted_vce_um"] == pytest.approx(planned["predicted_vce_um"], rel=0.1)
 
     def test_advice_is_best_first(self) -> None:
         advice = case_study()["advice"]

@@ -22,7 +22,7 @@ from agent.reports.page.pdf import render_pdf
 from agent.reports.render_from_journal import rebuilt
 from agent.reports.run_report import report_of
 from agent.runs.kinds.verify import Verification
-from agent.runs.session import Ended
+from agent.runs.session import RunResult
 from drivers.errors import InputError
 from twin.formats.estimate_file import parse_estimate
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
@@ -36,9 +36,9 @@ class Season:
 
     state: Path
     document: dict[str, object]
-    calibrated: Ended
-    verified: Ended
-    aborted: Ended
+    calibrated: RunResult
+    verified: RunResult
+    aborted: RunResult
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def season() -> Iterator[Season]:
         yield Season(state, document, calibrated, verified, aborted)
 
 
-def page(season: Season, ended: Ended) -> str:
+def page(season: Season, ended: RunResult) -> str:
     """As it was written at the run's end; that the same can be made again is a test of its own."""
     assert ended.outcome.report is not None
     return ended.outcome.report.read_text(encoding="utf-8")

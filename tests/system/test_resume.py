@@ -29,7 +29,7 @@ from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import Done, Found
 from agent.runs.resume.abandon import give_up
 from agent.runs.resume.resume import ResumeRequest, resume
-from agent.runs.session import Ended
+from agent.runs.session import RunResult
 from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
@@ -58,7 +58,7 @@ class Broken:
         night.world = copy.deepcopy(self.night.world)
         return Broken(night)
 
-    def resume(self) -> Ended:
+    def resume(self) -> RunResult:
         with self.night.in_place():
             return resume(ResumeRequest(STATE, self.night.heard.append, lambda _: None, files=False))
 

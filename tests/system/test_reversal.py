@@ -18,7 +18,7 @@ from agent.execution import steps as s
 from agent.execution.device_assembly import assemble
 from agent.execution.engine import Engine
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import rehearse
+from agent.planning.preflight import run_preflight
 from agent.probing.reversal import Reversal
 from agent.settings.schema import Settings
 from drivers.clock import VirtualClock
@@ -99,7 +99,7 @@ def test_the_touches_are_those_that_the_plan_says_and_its_time_is_foreseen(state
     assert len(touches) == 3 * 2 * 2 * job.settings.reversal.touches
     keys = [x.key for x in seen]
     assert len(set(keys)) == len(keys)
-    assert any("/reversal/" in key for key in rehearse(job).timeline)
+    assert any("/reversal/" in key for key in run_preflight(job).timeline)
 
 
 def test_preloading_moves_one_axis_alone_right_before_the_touch(state: Path) -> None:

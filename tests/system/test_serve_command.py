@@ -259,7 +259,7 @@ def test_the_commands_and_their_exit_codes(served: Service) -> None:
     assert "Traceback" not in "".join(r.stderr for r in (nothing, other, too_short))
 
 
-def test_an_abort_while_it_is_rehearsed_ends_the_run_before_anything_moves(served: Service) -> None:
+def test_an_abort_during_the_preflight_ends_the_run_before_anything_moves(served: Service) -> None:
     run_id = served.start()
     assert served.post("/api/abort", {"reason": "a test"}).status_code == 200
     aborted = served.reached("aborted")

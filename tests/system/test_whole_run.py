@@ -18,7 +18,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.execution.steps import ACTING
-from agent.runs.session import Ended
+from agent.runs.session import RunResult
 from drivers.roles import TableImage
 from twin.compensation.table_file import parse_table
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
@@ -33,12 +33,12 @@ class TwoNights:
 
     night: Night
     state: Path
-    first: Ended
-    second: Ended
+    first: RunResult
+    second: RunResult
     after_first: tuple[int, dict[int, TableImage]]
     true_ve_um: tuple[float, float, float]
 
-    def steps(self, ended: Ended, columns: str, where: str = "1") -> list[tuple]:
+    def steps(self, ended: RunResult, columns: str, where: str = "1") -> list[tuple]:
         run_id = ended.outcome.run_id
         return rows(
             self.state,
@@ -46,7 +46,7 @@ class TwoNights:
             f"WHERE run_id = '{run_id}' AND {where} ORDER BY ordinal",
         )
 
-    def estimate(self, ended: Ended) -> StoredEstimate:
+    def estimate(self, ended: RunResult) -> StoredEstimate:
         path = self.state / ended.outcome.run_id / "estimate.json"
         return parse_estimate(path.read_text(), str(path))
 
@@ -257,7 +257,7 @@ def test_machine_without_error_is_left_alone(monkeypatch, state: Path) -> None:
     assert (night.active, night.banks) == (0, {})
 
 
-def exit_code(ended: Ended) -> int:
+def exit_code(ended: RunResult) -> int:
     with pytest.raises(SystemExit) as exit_:
         conclude(ended)
     return int(exit_.value.code or 0)

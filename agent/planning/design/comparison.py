@@ -36,7 +36,7 @@ def compared(variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify
     for variant in variants:
         try:
             setting = Setting(variant.jobs, grid_deg)
-            found = designed(setting, goal, verify=verify, rehearsable=not variant.made_up, say=say)
+            found = designed(setting, goal, verify=verify, with_preflight=not variant.made_up, say=say)
             choices.append(Choice(variant, found))
         except UserError as error:
             errors.append(error)

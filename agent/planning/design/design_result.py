@@ -1,4 +1,4 @@
-"""A finished design: chosen, put in order, priced by the run's own plan, rehearsed."""
+"""A finished design: positions chosen, ordered, timed by the run's own plan and proved by a preflight."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from agent.errors import PlanRefused
 from agent.files import translated
 from agent.planning.design.design_problem import Setting
 from agent.planning.design.pareto_front import FrontPoint, front_of
-from agent.planning.preflight import rehearse
+from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position
@@ -30,7 +30,7 @@ _MARGIN = 1.3  # beyond what a slot was exceeded by, so that one more search doe
 @dataclass(frozen=True, eq=False)
 class Designed:
     """`chosen` of the setting's candidates, as `positions` in the order of measuring; `minutes` by the run's own plan;
-    `held_out`: positions for the proof where they were asked for; `rehearsed`: whether a preflight has passed."""
+    `held_out`: positions for the proof, if asked for; `preflight_passed`: a preflight was run and passed."""
 
     setting: Setting
     chosen: tuple[int, ...]
@@ -39,7 +39,7 @@ class Designed:
     valuation: Valuation
     balls: int
     held_out: tuple[Position, ...]
-    rehearsed: bool
+    preflight_passed: bool
 
     @cached_property
     def front(self) -> tuple[FrontPoint, ...]:
@@ -51,7 +51,7 @@ class Designed:
         return self.balls * self.setting.job.settings.procedure.touches_per_ball
 
 
-def designed(setting: Setting, goal: Goal, *, verify: bool, rehearsable: bool, say: Say) -> Designed:
+def designed(setting: Setting, goal: Goal, *, verify: bool, with_preflight: bool, say: Say) -> Designed:
     """The best set found for `goal`. A position that the preflight refuses is left out and all is done again.
 
     Raises InputError for a goal that cannot be reached, ConfigurationError for settings that offer nothing.
@@ -66,7 +66,7 @@ def designed(setting: Setting, goal: Goal, *, verify: bool, rehearsable: bool, s
         chosen = _within(setting, search, goal)
         held_out = _held_out(setting, candidates, chosen) if verify else ()
         positions = setting.in_order([candidates.positions[index] for index in chosen])
-        if rehearsable:
+        if with_preflight:
             say("preflight")
             refused = _refused(setting, positions, held_out)
             if refused is not None:
@@ -80,7 +80,7 @@ def designed(setting: Setting, goal: Goal, *, verify: bool, rehearsable: bool, s
             valuation=Valuation(candidates.vce([]), candidates.vce(chosen)),
             balls=int(sum(candidates.balls[list(chosen)])),
             held_out=held_out,
-            rehearsed=rehearsable,
+            preflight_passed=with_preflight,
         )
     raise ConfigurationError(
         f"the preflight refused a position of each of {_MOST_TRIES} designs",
@@ -122,7 +122,7 @@ def _refused(setting: Setting, positions: Sequence[Position], held_out: Sequence
     for job, own in setting.by_tool(positions):
         proof = tuple(held_out) or job.held_out
         try:
-            rehearse(replace(job, positions=own, held_out=proof))
+            run_preflight(replace(job, positions=own, held_out=proof))
         except PlanRefused as error:
             step = error.where.get("step", "")
             for position in positions:

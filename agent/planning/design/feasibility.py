@@ -1,6 +1,6 @@
 """Whether a position can be measured without a collision, and in how many minutes: its own plan, walked in thought.
 
-The preflight rehearses the finished set with physics. A search looks at hundreds of positions, so here the straight
+The preflight simulates the finished set with physics. A search looks at hundreds of positions, so here the straight
 moves of the plan are checked against the bodies as they stand, which takes milliseconds.
 """
 

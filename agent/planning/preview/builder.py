@@ -24,7 +24,7 @@ MARGIN_MM = 200.0
 
 def preview_of(job: Job, refused: PlanRefused | None = None, waypoints: Sequence[Waypoint] | None = None) -> Preview:
     """The plan of `job` to look at; `refused`: what preflight had to say against it. `waypoints`: of a path that has
-    been rehearsed already; None: that of the whole calibration."""
+    been simulated by a preflight already; None: that of the whole calibration."""
     if waypoints is None:
         waypoints = walk(job, refused)
     positions = tuple(dict.fromkeys((*job.positions, *job.held_out)))
@@ -85,7 +85,7 @@ def _unvisited(placings: Sequence[Placing], walked: Sequence[Visit], refused: Pl
         if placing.reachable < FEWEST_BALLS:
             note = f"left out: {placing.reachable} of its balls can be reached, {FEWEST_BALLS} are needed"
         else:
-            note = "not rehearsed: the plan was refused before" if refused else "not part of the plan"
+            note = "not reached: the preflight was refused before" if refused else "not part of the plan"
         visits.append(Visit("", number, end, end, note))
     return visits
 

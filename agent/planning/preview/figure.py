@@ -58,7 +58,7 @@ def _title(preview: Preview) -> str:
     what = f"{preview.position_set} on {preview.machine} with {preview.artefact}"
     refusal = preview.refusal
     if refusal is None:
-        return f"{what}: rehearsed, {preview.minutes:.1f} min"
+        return f"{what}: preflight passed, {preview.minutes:.1f} min"
     bodies = f"\nthe two bodies: {' and '.join(refusal.bodies)}" if refusal.bodies else ""
     return f"{what}: REFUSED at step {refusal.step}{bodies}"
 

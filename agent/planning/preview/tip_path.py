@@ -56,7 +56,7 @@ def walk(job: Job, refused: PlanRefused | None = None) -> tuple[Waypoint, ...]:
 
 
 def lower_end(job: Job) -> Point:
-    """Axis positions at which a plan is taken to begin, as the rehearsal does."""
+    """Axis positions from which a plan is assumed to start, as in the preflight."""
     return point(low for low, _ in job.machine.limits)
 
 

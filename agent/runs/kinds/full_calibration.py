@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from agent.errors import GateRefused, PlanRefused
 from agent.execution.states import RunState
 from agent.planning.job import Job
-from agent.planning.preflight import rehearse
+from agent.planning.preflight import run_preflight
 from agent.results.run_outcome import Decision, NightReport
 from agent.runs.calibration import CalibrationRun
 from agent.runs.consent import Consent
@@ -36,18 +36,18 @@ class Slot:
 def ready_for_full(here: Job, station: int, judge: Judge, slot: Slot, pending: FullNeeded, outset: Outset) -> Ready:
     """The full calibration that an earlier night has asked for; where it cannot be tonight, a verification."""
     if slot.full_allowed:
-        rehearsal = rehearse(here, outset.start_mm, watch=outset.watch)
-        if slot.holds(rehearsal.machine_minutes):
-            return Ready(here, rehearsal, lambda means: FullRun(here, means, judge, station, pending))
+        preflight = run_preflight(here, outset.start_mm, watch=outset.watch)
+        if slot.holds(preflight.machine_minutes):
+            return Ready(here, preflight, lambda means: FullRun(here, means, judge, station, pending))
     plan = looking_plan(Chooser(here, station), judge)
     own = plan.job(here)
-    rehearsal = rehearse(own, outset.start_mm, only_looking(plan), outset.watch)
-    if not slot.holds(rehearsal.machine_minutes):
+    preflight = run_preflight(own, outset.start_mm, only_looking(plan), outset.watch)
+    if not slot.holds(preflight.machine_minutes):
         raise PlanRefused(
-            f"the verification takes {rehearsal.machine_minutes:.1f} min, the slot has {slot.minutes:g}",
+            f"the verification takes {preflight.machine_minutes:.1f} min, the slot has {slot.minutes:g}",
             hint=f"a full calibration is needed since run {pending.run_id}: give a slot for it",
         )
-    return Ready(own, rehearsal, lambda means: WaitingRun(own, means, judge, plan, pending))
+    return Ready(own, preflight, lambda means: WaitingRun(own, means, judge, plan, pending))
 
 
 class FullRun(GuardedRun):
@@ -89,7 +89,7 @@ class WaitingRun(GuardedRun):
         self._prepare_probe()
         measured = measure(self._engine, self._plan, LOOK, self._plan.first, self._job, self._rules)
         self.progress.measured = measured
-        self._conduct.enter(RunState.IDENTIFYING)
+        self._tracker.enter(RunState.IDENTIFYING)
         report = judged(self._judge, self._plan, self._job, measured, self._correction).report
         self.progress.night = replace(report, decision=Decision.FULL_NEEDED, reason=self._pending.reason)
         self._journal.decision("night", self.progress.night.as_json())

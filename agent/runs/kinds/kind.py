@@ -1,4 +1,4 @@
-"""What a kind of run has to say: what it will do, rehearsed, and who carries it out."""
+"""Kinds of run: each decides what will be measured, runs the preflight and says who carries it out."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from agent.planning.job import Job
-from agent.planning.preflight import Rehearsal, rehearse
-from agent.results.predicted_accuracy import rehearsed_estimate
+from agent.planning.preflight import PreflightResult, run_preflight
+from agent.results.predicted_accuracy import preflight_estimate
 from agent.runs.calibration import CalibrationRun
 from agent.runs.consent import Consent
 from agent.runs.guarded_run import GuardedRun, Means
@@ -21,7 +21,7 @@ class Ready:
     """A run that has passed its preflight: `job` as it will be measured, and what carries it out."""
 
     job: Job
-    rehearsal: Rehearsal
+    preflight: PreflightResult
     begin: Callable[[Means], GuardedRun]
 
 
@@ -32,8 +32,8 @@ class Kind(Protocol):
     def name(self) -> str: ...
 
     def ready(self, job: Job, outset: Outset) -> Ready:
-        """Decide what will be measured and rehearse it from where the machine stands; the same `outset` gives the same.
-        PlanRefused or UserError where it cannot be done."""
+        """Decide what will be measured and run the preflight from the machine's position; the same `outset` gives the
+        same result. Raise PlanRefused or UserError if it cannot be done."""
         ...
 
 
@@ -46,11 +46,11 @@ class FullCalibration:
     name: str = "calibrate"
 
     def ready(self, job: Job, outset: Outset) -> Ready:
-        rehearsal = rehearse(job, outset.start_mm, watch=outset.watch)
-        rehearsed_estimate(job, rehearsal.measured)
+        preflight = run_preflight(job, outset.start_mm, watch=outset.watch)
+        preflight_estimate(job, preflight.measured)
         last = accepted_for(job, outset.run)
         nights = nights_since(last, self.nights, outset.at)
-        return Ready(job, rehearsal, lambda means: CalibrationRun(job, means, last, nights, self.consent))
+        return Ready(job, preflight, lambda means: CalibrationRun(job, means, last, nights, self.consent))
 
 
 def nights_since(last: LastAccepted | None, stated: float | None, at: str) -> float:

@@ -1,5 +1,6 @@
-"""What a night is going to measure, decided and rehearsed before anything moves: where no knowledge of the machine but
-its covariance is needed, nothing has to be decided on the way."""
+"""Plan of a night, decided and proved by a preflight before anything moves.
+
+The choice needs only the covariance of what is known of the machine, so nothing has to be decided during the night."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from dataclasses import dataclass, replace
 from agent.errors import PlanRefused
 from agent.execution.steps import Plan
 from agent.planning.job import Job
-from agent.planning.preflight import Procedure, Rehearsal, rehearse
+from agent.planning.preflight import PreflightResult, Procedure, run_preflight
 from agent.probing.repeated_positions import joined
 from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
 from agent.runs.kinds.drift_check import Judge
@@ -83,8 +84,13 @@ def looking_plan(chooser: Chooser, judge: Judge) -> NightPlan:
     return NightPlan(chooser.station, held, looked)
 
 
-def night_plan(chooser: Chooser, judge: Judge, slot_minutes: float, outset: Outset) -> tuple[NightPlan, Rehearsal]:
-    """As many positions as the slot holds by the rehearsal, its reserve kept. PlanRefused where it is too short."""
+def night_plan(
+    chooser: Chooser, judge: Judge, slot_minutes: float, outset: Outset
+) -> tuple[NightPlan, PreflightResult]:
+    """Plan as many positions as fit into the slot less its reserve, timed by the preflight.
+
+    Raises PlanRefused if the slot is too short.
+    """
     chosen = chooser.job.settings.nightly
     held = _held_out(chooser, chosen.held_out)
     room = slot_minutes - chosen.reserve_minutes
@@ -93,18 +99,18 @@ def night_plan(chooser: Chooser, judge: Judge, slot_minutes: float, outset: Outs
     ahead = _AHEAD * max(budget - chooser.minutes(looked), 0.0)
     best = chooser.best(judge.known, most=_MOST, minutes=ahead, measured=looked, left_out=(*held, *looked))
     offered = (*looked, *best)
-    count, tried = _fitting(chooser, offered, budget), dict[int, tuple[NightPlan, Rehearsal]]()
+    count, tried = _fitting(chooser, offered, budget), dict[int, tuple[NightPlan, PreflightResult]]()
     for _ in range(_MOST_TRIES):
         count = max(count, FEWEST_FUSED, len(looked))
         if count in tried or count > len(offered):
             break
         plan = NightPlan(chooser.station, held, offered[: chosen.looked_at], offered[chosen.looked_at : count])
         own = plan.job(chooser.job)
-        tried[count] = plan, rehearse(own, outset.start_mm, whole_night(plan), outset.watch)
+        tried[count] = plan, run_preflight(own, outset.start_mm, whole_night(plan), outset.watch)
         left = room - tried[count][1].machine_minutes
         more = offered[count : count + 1]
         count += 1 if more and left > chooser.minutes(more) else -1 if left < 0.0 else 0
-    fits = [number for number, (_, rehearsal) in tried.items() if rehearsal.machine_minutes <= room]
+    fits = [number for number, (_, preflight) in tried.items() if preflight.machine_minutes <= room]
     if not fits:
         raise _too_short(slot_minutes, chosen.reserve_minutes, tried)
     return tried[max(fits)]
@@ -172,8 +178,8 @@ def _fitting(chooser: Chooser, offered: Sequence[Position], budget: float) -> in
     return count
 
 
-def _too_short(slot: float, reserve: float, tried: dict[int, tuple[NightPlan, Rehearsal]]) -> PlanRefused:
-    shortest = min((rehearsal.machine_minutes for _, rehearsal in tried.values()), default=float("nan"))
+def _too_short(slot: float, reserve: float, tried: dict[int, tuple[NightPlan, PreflightResult]]) -> PlanRefused:
+    shortest = min((preflight.machine_minutes for _, preflight in tried.values()), default=float("nan"))
     return PlanRefused(
         f"a slot of {slot:g} min is too short: the shortest night takes {shortest:.1f} min and {reserve:g} min reserve",
         hint="give a longer slot, fewer touches, or run `volcal verify`",

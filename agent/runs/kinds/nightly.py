@@ -10,7 +10,7 @@ from agent.execution.states import RunState
 from agent.execution.steps import Step
 from agent.files import translated
 from agent.planning.job import Job
-from agent.planning.preflight import Procedure, Rehearsal, rehearse
+from agent.planning.preflight import PreflightResult, Procedure, run_preflight
 from agent.probing.position import MeasuredBall
 from agent.probing.repeated_positions import joined
 from agent.probing.run_plan import Measured
@@ -78,9 +78,9 @@ class Night:
         if pending is not None:
             return ready_for_full(here, station, judge, slot, pending, outset)
         chooser = Chooser(here, station)
-        plan, rehearsal = night_plan(chooser, judge, slot.minutes, outset)
+        plan, preflight = night_plan(chooser, judge, slot.minutes, outset)
         own = plan.job(job)
-        return Ready(own, rehearsal, lambda means: NightlyRun(own, means, judge, plan, chooser, rehearsal, slot))
+        return Ready(own, preflight, lambda means: NightlyRun(own, means, judge, plan, chooser, preflight, slot))
 
 
 class NightlyRun(CalibrationRun):
@@ -93,7 +93,7 @@ class NightlyRun(CalibrationRun):
         judge: Judge,
         plan: NightPlan,
         chooser: Chooser,
-        rehearsal: Rehearsal,
+        preflight: PreflightResult,
         slot: Slot,
     ) -> None:
         super().__init__(job, means, judge.last, judge.nights, Consent.REFUSED)
@@ -101,7 +101,7 @@ class NightlyRun(CalibrationRun):
         self._judge = judge
         self._plan = plan
         self._chooser = chooser
-        self._rehearsal = rehearsal
+        self._preflight_result = preflight
         self._slot = slot
         self._began_s = self._clock.now()
 
@@ -118,7 +118,7 @@ class NightlyRun(CalibrationRun):
         if not judgement.within:
             self._out_of_limits(measured, judgement)
             return
-        self._conduct.enter(RunState.IDENTIFYING)
+        self._tracker.enter(RunState.IDENTIFYING)
         self._fuse(measured, judgement.report)
 
     def _use_rest(self, measured: Measured, judgement: Judgement) -> tuple[Measured, Judgement]:
@@ -131,7 +131,7 @@ class NightlyRun(CalibrationRun):
     def _still_fitting(self) -> tuple[Position, ...]:
         """Of the positions to come, those for which there is time, that of the proof kept."""
         further = list(self._plan.further)
-        needed = self._rehearsed_after(LOOK)
+        needed = self._planned_minutes_after(LOOK)
         while further and needed > self._left_minutes:
             needed -= self._chooser.minutes([further.pop()])
         return tuple(further)
@@ -139,9 +139,9 @@ class NightlyRun(CalibrationRun):
     def too_late(self, following: Step) -> PlanRefused | None:
         """A slot goes on while nothing runs. What was measured for the verification is of use only if the rest of it
         can be measured too."""
-        at_s = self._rehearsal.timeline.get(following.key)
-        needed = 0.0 if at_s is None else (self._rehearsal.machine_seconds - at_s) / S_PER_MIN
-        needed -= self._rehearsed_after(LOOK)
+        at_s = self._preflight_result.timeline.get(following.key)
+        needed = 0.0 if at_s is None else (self._preflight_result.machine_seconds - at_s) / S_PER_MIN
+        needed -= self._planned_minutes_after(LOOK)
         if max(needed, 0.0) > self._left_minutes or self._left_minutes <= 0.0:
             return PlanRefused(
                 f"the night cannot be gone on with: {self._left_minutes:.1f} min are left of its slot of "
@@ -150,10 +150,10 @@ class NightlyRun(CalibrationRun):
             )
         return None
 
-    def _rehearsed_after(self, prefix: str) -> float:
-        """Minutes from the end of a part of the night to the end of all, by the rehearsal."""
-        done = [seconds for key, seconds in self._rehearsal.timeline.items() if key.startswith(f"{prefix}/")]
-        return (self._rehearsal.machine_seconds - max(done, default=0.0)) / S_PER_MIN
+    def _planned_minutes_after(self, prefix: str) -> float:
+        """Minutes from the end of a part of the night to the end of the whole, according to the preflight."""
+        done = [seconds for key, seconds in self._preflight_result.timeline.items() if key.startswith(f"{prefix}/")]
+        return (self._preflight_result.machine_seconds - max(done, default=0.0)) / S_PER_MIN
 
     @property
     def _left_minutes(self) -> float:
@@ -180,7 +180,7 @@ class NightlyRun(CalibrationRun):
             calibrate_in_full(self, full, self._means, self._judge, report)
             return
         report = self._diagnosed(measured, judgement)
-        self._conduct.enter(RunState.IDENTIFYING)
+        self._tracker.enter(RunState.IDENTIFYING)
         self.progress.night = replace(report, decision=Decision.FULL_NEEDED)
         self._journal.decision("night", self.progress.night.as_json())
         record_full_needed(self._journal, report.reason)
@@ -208,8 +208,8 @@ class NightlyRun(CalibrationRun):
         return again.report if not again.within else replace(again.report, reason=report.reason)
 
     def _minutes_of(self, job: Job, procedure: Procedure | None = None) -> float:
-        """By a rehearsal, which an abort breaks off."""
-        return rehearse(job, procedure=procedure, watch=self._supervisor.look).machine_minutes
+        """Machine minutes of a procedure by a preflight; an abort interrupts it."""
+        return run_preflight(job, procedure=procedure, watch=self._supervisor.look).machine_minutes
 
     # ------------------------------------------------------------------ fusion
 
@@ -233,7 +233,7 @@ class NightlyRun(CalibrationRun):
         after_um = judge.left_um(finding.estimate, finding.estimate.parameters)
         report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
         worth = 1.0 - after_um / now_um >= chosen.nightly.smallest_gain
-        if not worth or self._rehearsed_after(FURTHER if self._plan.further else LOOK) > self._left_minutes:
+        if not worth or self._planned_minutes_after(FURTHER if self._plan.further else LOOK) > self._left_minutes:
             record_accepted(self._journal, judge.last.accepted)
             self._end(replace(report, decision=Decision.FUSED))
             return
@@ -258,4 +258,4 @@ class NightlyRun(CalibrationRun):
     def _end(self, report: NightReport) -> None:
         self.progress.night = report
         self._journal.decision("night", report.as_json())
-        self._conduct.enter(RunState.COMPLETE, report.reason or report.decision.value)
+        self._tracker.enter(RunState.COMPLETE, report.reason or report.decision.value)

@@ -12,7 +12,7 @@ from agent.execution.encoding import table_digest, table_from
 from agent.execution.journal import FILE_NAME
 from agent.execution.states import RunState
 from agent.planning.job import Job
-from agent.planning.preflight import Rehearsal
+from agent.planning.preflight import PreflightResult
 from agent.probing import publish
 from agent.probing.run_plan import Measured
 from agent.runs.guarded_run import GuardedRun, Means
@@ -40,8 +40,8 @@ class Restoration:
     def ready(self, job: Job, _: Outset) -> Ready:
         """InputError where the journal has no such table."""
         image = kept_table(job.settings.state_directory, self.run_id, self.role)
-        rehearsal = Rehearsal(_NOTHING, _NOTHING, {}, (), 0.0, 0.0, 0)
-        return Ready(job, rehearsal, lambda means: RestorationRun(job, means, image, self))
+        preflight = PreflightResult(_NOTHING, _NOTHING, {}, (), 0.0, 0.0, 0)
+        return Ready(job, preflight, lambda means: RestorationRun(job, means, image, self))
 
 
 class RestorationRun(GuardedRun):
@@ -54,9 +54,9 @@ class RestorationRun(GuardedRun):
 
     def _work(self) -> None:
         found = self._begin()
-        self._conduct.enter(RunState.RESTORING)
+        self._tracker.enter(RunState.RESTORING)
         if _same(found.table, self._image):
-            self._conduct.enter(RunState.COMPLETE, f"bank {found.bank} held that table and acted already")
+            self._tracker.enter(RunState.COMPLETE, f"bank {found.bank} held that table and acted already")
             return
         bank = self._staged(found.bank)
         self._journal.table("staged", bank, self._image)
@@ -70,7 +70,7 @@ class RestorationRun(GuardedRun):
         record = {"of_run": self._wanted.run_id, "role": self._wanted.role, "bank": bank, "crc32": crc32}
         self._journal.decision(DECISION, record)
         text = f"bank {bank} holds the {self._wanted.role} table of run {self._wanted.run_id}{late}"
-        self._conduct.enter(RunState.COMPLETE, text)
+        self._tracker.enter(RunState.COMPLETE, text)
 
     def _staged(self, active: int) -> int:
         """The bank that holds it now; bank 0 where no compensation is wanted."""

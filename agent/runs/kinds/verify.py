@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from agent.execution.states import RunState
 from agent.planning.job import Job
-from agent.planning.preflight import rehearse
+from agent.planning.preflight import run_preflight
 from agent.runs.guarded_run import GuardedRun, Means
 from agent.runs.kinds.check_measurement import judged, measure, require_table_of
 from agent.runs.kinds.drift_check import Judge
@@ -32,8 +32,8 @@ class Verification:
         judge = Judge(job, last, nights_since(last, self.nights, outset.at))
         plan = looking_plan(Chooser(standing(job, station), station), judge)
         own = plan.job(job)
-        rehearsal = rehearse(own, outset.start_mm, only_looking(plan), outset.watch)
-        return Ready(own, rehearsal, lambda means: VerifyRun(own, means, judge, plan))
+        preflight = run_preflight(own, outset.start_mm, only_looking(plan), outset.watch)
+        return Ready(own, preflight, lambda means: VerifyRun(own, means, judge, plan))
 
 
 class VerifyRun(GuardedRun):
@@ -50,7 +50,7 @@ class VerifyRun(GuardedRun):
         job, plan = self._job, self._plan
         measured = measure(self._engine, plan, LOOK, plan.first, job, self._rules)
         self.progress.measured = measured
-        self._conduct.enter(RunState.IDENTIFYING)
+        self._tracker.enter(RunState.IDENTIFYING)
         report = self.progress.night = judged(self._judge, plan, job, measured, self._correction).report
         self._journal.decision("verify", report.as_json())
-        self._conduct.enter(RunState.COMPLETE, report.reason or report.decision.value)
+        self._tracker.enter(RunState.COMPLETE, report.reason or report.decision.value)

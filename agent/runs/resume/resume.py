@@ -19,7 +19,7 @@ from agent.reports.renderer import Reports, rebuilt_here
 from agent.runs.kinds.kind import Ready
 from agent.runs.origin import Origin, read_origin
 from agent.runs.resume.resume_start import Resumption
-from agent.runs.session import Ended, Request, carry_out
+from agent.runs.session import Request, RunResult, carry_out
 from agent.runs.unfinished_run import UnfinishedRun, unfinished_run
 from agent.settings.schema import Settings
 from drivers.clock import Clock
@@ -46,9 +46,9 @@ class ResumeRequest:
     reports: Reports = rebuilt_here
 
 
-def resume(request: ResumeRequest) -> Ended:
+def resume(request: ResumeRequest) -> RunResult:
     """Raises InputError where there is nothing to go on with, PlanDiverged where a file has changed, and as `carry_out`
-    before the run lives again; afterwards every end is an `Ended`."""
+    before the run lives again; afterwards every end is an `RunResult`."""
     run = require_resumable(request.state_directory)
     origin = origin_of(request.state_directory, run)
     origin.require_unchanged()

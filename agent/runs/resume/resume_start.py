@@ -9,7 +9,7 @@ from datetime import datetime
 from agent.execution.engine import Engine, Observer
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.rig import Rig
-from agent.execution.run_state import Conduct, Listener
+from agent.execution.run_state import Listener, RunStateTracker
 from agent.execution.states import RunState
 from agent.runs.guarded_run import GuardedRun
 from agent.runs.origin import Origin
@@ -30,7 +30,7 @@ class _Parts:
     """What is put together as the run comes to life."""
 
     clock: ResumedClock
-    conduct: Conduct
+    tracker: RunStateTracker
     replay: Replay
     prefix: str
 
@@ -51,13 +51,15 @@ class Resumption:
         self._clock = ResumedClock(outer, self._origin.begun_s)
         return self._clock
 
-    def written(self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener) -> tuple[RunJournal, Conduct]:
+    def written(
+        self, journal: Journal, wanted: Wanted, clock: Clock, listener: Listener
+    ) -> tuple[RunJournal, RunStateTracker]:
         assert self._clock is not None  # noqa: S101  asked for first
         run_journal, recorded = journal.continue_run(self._origin.outset.run, wanted.run_id, clock)
-        conduct = Conduct(run_journal, listener, recorded.states)
+        tracker = RunStateTracker(run_journal, listener, recorded.states)
         replay = Replay(recorded, self._clock, Trace())
-        self._parts = _Parts(self._clock, conduct, replay, f"resume-{recorded.legs + 1}")
-        return run_journal, conduct
+        self._parts = _Parts(self._clock, tracker, replay, f"resume-{recorded.legs + 1}")
+        return run_journal, tracker
 
     def outset(self, rig: Rig, journal: RunJournal, wanted: Wanted) -> Outset:
         return self._origin.outset
@@ -71,7 +73,7 @@ class Resumption:
         self._engine = ReplayingEngine(actions, journal, observe, self._known.replay, stored)
         return self._engine
 
-    def begun(self, run: GuardedRun, journal: RunJournal, conduct: Conduct) -> None:
+    def begun(self, run: GuardedRun, journal: RunJournal, tracker: RunStateTracker) -> None:
         assert self._engine is not None  # noqa: S101  built just before
         assert self._rig is not None  # noqa: S101  the same
         known = self._known
@@ -83,7 +85,7 @@ class Resumption:
             aside,
             lambda: run.rules,
             run.too_late,
-            conduct,
+            tracker,
             known.clock,
             self._time_s(),
             run.activation,

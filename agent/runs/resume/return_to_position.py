@@ -8,7 +8,7 @@ from agent.errors import PlanDiverged, PlanRefused
 from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
 from agent.execution.rig import Rig
-from agent.execution.run_state import Conduct
+from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import (
     ActivateBank,
     AwaitActive,
@@ -40,7 +40,7 @@ class Returning:
         aside: Engine,
         rules: Callable[[], PositionRules],
         too_late: Callable[[Step], PlanRefused | None],
-        conduct: Conduct,
+        tracker: RunStateTracker,
         clock: ResumedClock,
         time_s: float,
         activation: Activation,
@@ -51,7 +51,7 @@ class Returning:
         self._aside = aside
         self._rules = rules
         self._too_late = too_late
-        self._conduct = conduct
+        self._tracker = tracker
         self._clock = clock
         self._time_s = time_s
         self._activation = activation
@@ -71,14 +71,14 @@ class Returning:
         rules = self._rules()
         way = WayBack(self._prefix, self._trace, rules, rules.drift.fault_mm)
         self._aside.run(way.plan(following))
-        self._conduct.announce_again()
+        self._tracker.announce_again()
 
     def _at_rest(self) -> None:
         """What the process that died had begun may still go on: a controller that hears nothing takes a second to
         notice, and drives that turn do not know that anybody is missing."""
         complaints = self._rig.stop()
         if complaints:
-            self._conduct.note(f"stopping what may still move: {'; '.join(complaints)}")
+            self._tracker.note(f"stopping what may still move: {'; '.join(complaints)}")
         self._rig.await_standstill()
 
 

@@ -16,7 +16,7 @@ from agent.files import load_machine
 from agent.planning.job import prepare_job
 from agent.runs.kinds.restoration import ROLES, Restoration, kept_table
 from agent.runs.resume.resume import origin_of, require_resumable
-from agent.runs.session import Ended, Request, new_run_id
+from agent.runs.session import Request, RunResult, new_run_id
 from agent.service import allowed_requests
 from agent.service.alarms import alarm_of
 from agent.service.control import Event, Source, StartRequest, Status
@@ -217,10 +217,10 @@ class Owner:
 
     # ------------------------------------------------------------------ the run's thread
 
-    def _launch(self, running: Running, carry_out: Callable[[], Ended]) -> None:
+    def _launch(self, running: Running, carry_out: Callable[[], RunResult]) -> None:
         threading.Thread(target=self._work, args=(running.run_id, carry_out), name=running.run_id, daemon=True).start()
 
-    def _work(self, run_id: str, carry_out: Callable[[], Ended]) -> None:
+    def _work(self, run_id: str, carry_out: Callable[[], RunResult]) -> None:
         self._house.health.begins()
         with structlog.contextvars.bound_contextvars(run_id=run_id):
             try:

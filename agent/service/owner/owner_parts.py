@@ -9,7 +9,7 @@ from pathlib import Path
 
 from agent.execution.run_lock import Ownership
 from agent.runs.resume.resume import ResumeRequest, resume
-from agent.runs.session import Ended, Request, carry_out
+from agent.runs.session import Request, RunResult, carry_out
 from agent.service.owner.health import Health
 from agent.service.owner.request_translation import Devices
 from agent.service.owner.unattended import Circumstances
@@ -41,6 +41,6 @@ class Household:
     reports: Reports
     scenes: Scenes = field(default_factory=Scenes)
     devices: Devices = field(default_factory=Devices)
-    carry_out: Callable[[Request], Ended] = carry_out
-    go_on: Callable[[ResumeRequest], Ended] = resume
+    carry_out: Callable[[Request], RunResult] = carry_out
+    go_on: Callable[[ResumeRequest], RunResult] = resume
     circumstances: Callable[[], Circumstances] = here_and_now

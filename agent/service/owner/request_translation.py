@@ -96,8 +96,8 @@ def kind_of(request: StartRequest, settings: Settings, slot_minutes: float | Non
 
 
 def require_within(ready: Ready, slot_minutes: float | None) -> None:
-    """PlanRefused where the rehearsal takes longer than there is time."""
-    needed = ready.rehearsal.machine_minutes
+    """Raise PlanRefused if the run takes longer than the time available."""
+    needed = ready.preflight.machine_minutes
     if slot_minutes is not None and needed > slot_minutes:
         raise PlanRefused(
             f"the run takes {needed:.0f} min of machine time, there are {slot_minutes:.0f}",

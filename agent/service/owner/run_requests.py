@@ -45,7 +45,7 @@ class Orders:
         house = self.house
 
         def passed(ready: Ready) -> None:
-            house.scenes.rehearsed(running.run_id, ready)
+            house.scenes.preflight_passed(running.run_id, ready)
             require_within(ready, slot_minutes)
 
         return Request(
@@ -75,7 +75,7 @@ class Orders:
             asked={"source": source.value, "resumed": True},
             lock=house.ownership.for_run,
             observer=self._observe,
-            passed=lambda ready: house.scenes.rehearsed(running.run_id, ready),
+            passed=lambda ready: house.scenes.preflight_passed(running.run_id, ready),
             reports=none_yet,
         )
 

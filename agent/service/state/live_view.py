@@ -1,7 +1,7 @@
-"""What the live view draws: machine, artefact in every position, and the path that was rehearsed.
+"""Data of the live view: machine, artefact in every position, and the path of the tip.
 
-Of the run under way it is what its own preflight has rehearsed; before any run it is the plan of the settings, walked
-once and kept.
+During a run it is the path of that run's own preflight; before any run the plan of the settings, computed once and
+cached.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Scenes:
         self._current: tuple[str, Ready] | None = None
         self._kept: tuple[tuple[object, ...], Document] | None = None
 
-    def rehearsed(self, run_id: str, ready: Ready) -> None:
+    def preflight_passed(self, run_id: str, ready: Ready) -> None:
         """The preflight of a run has passed."""
         self._current = (run_id, ready)
 
@@ -78,7 +78,7 @@ def machine_facts(job: Job) -> Document:
 
 
 def _of_run(ready: Ready) -> Document:
-    waypoints = tuple(_waypoints(ready.job, ready.rehearsal.steps, ready.rehearsal.timeline))
+    waypoints = tuple(_waypoints(ready.job, ready.preflight.steps, ready.preflight.timeline))
     return document(preview_of(ready.job, waypoints=waypoints))
 
 

@@ -10,8 +10,8 @@ S = RunState
 
 _STATES: dict[RunState, str] = {
     S.IDLE: "waiting for a start",
-    S.PREFLIGHT: "rehearsing the whole run on the simulated machine; nothing moves",
-    S.RESUMING: "rehearsing the rest of the run that broke off; nothing moves",
+    S.PREFLIGHT: "preflight: the whole run is simulated; nothing moves",
+    S.RESUMING: "preflight of the rest of the interrupted run; nothing moves",
     S.MEASURING: "measuring",
     S.HELD: "held",
     S.IDENTIFYING: "identifying the errors of the machine",

@@ -19,7 +19,7 @@ from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.results.run_outcome import Outcome
 from agent.runs.reconcile_result import Done, Found, Reconciliation
-from agent.runs.session import Ended, Request
+from agent.runs.session import Request, RunResult
 from agent.service.owner.health import Health
 from agent.service.owner.owner import Owner
 from agent.service.owner.owner_parts import Household
@@ -85,7 +85,7 @@ class Puppet:
         self.supervisor: Supervisor | None = None
         self.clock = VirtualClock()
 
-    def __call__(self, request: Request) -> Ended:
+    def __call__(self, request: Request) -> RunResult:
         self.inside += 1
         self.most_inside = max(self.inside, self.most_inside)
         self.requests.append(request)
@@ -97,7 +97,7 @@ class Puppet:
                 order = self.orders.get(timeout=PATIENCE_S)
                 if isinstance(order, BaseException):
                     raise order
-                if isinstance(order, Ended):
+                if isinstance(order, RunResult):
                     return order
                 order(request)
                 self.done.put("done")
@@ -112,7 +112,7 @@ class Puppet:
         assert self.done.get(timeout=PATIENCE_S) == "done"
 
     def end(self, state: RunState, error: VolcalError | None = None) -> None:
-        self.orders.put(Ended(outcome(self.requests[-1].run_id, state, error), error))
+        self.orders.put(RunResult(outcome(self.requests[-1].run_id, state, error), error))
 
     def crash(self, error: BaseException) -> None:
         self.orders.put(error)

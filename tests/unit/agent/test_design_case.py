@@ -16,7 +16,7 @@ from agent.planning.design.feasibility import Vetting
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.design.variants import variants_of
 from agent.planning.job import Job
-from agent.planning.preflight import rehearse
+from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position, positions_of
@@ -114,7 +114,9 @@ def test_vetting_gives_the_verdict_of_the_preflight_on_plain_ways():
     vetting = Vetting(job)
     for azimuth, elevation in (*REFUSED, *PASSED):
         position = Position(1, azimuth, elevation)
-        assert bool(vetting.hit(position)) is (not _rehearsed(job, position)) is ((azimuth, elevation) in REFUSED)
+        assert (
+            bool(vetting.hit(position)) is (not _passes_preflight(job, position)) is ((azimuth, elevation) in REFUSED)
+        )
 
 
 def test_ways_that_are_proved_pass_where_plain_ones_would_hit():
@@ -122,12 +124,12 @@ def test_ways_that_are_proved_pass_where_plain_ones_would_hit():
     for azimuth, elevation in (*REFUSED, *PASSED):
         position = Position(1, azimuth, elevation)
         assert vetting.hit(position) == ""
-        assert _rehearsed(case(), position)
+        assert _passes_preflight(case(), position)
 
 
-def _rehearsed(job: Job, position: Position) -> bool:
+def _passes_preflight(job: Job, position: Position) -> bool:
     try:
-        rehearse(replace(job, positions=(position,), held_out=(Position(1, 30.0, 30.0),)))
+        run_preflight(replace(job, positions=(position,), held_out=(Position(1, 30.0, 30.0),)))
     except PlanRefused:
         return False
     return True
@@ -137,12 +139,14 @@ def test_a_slot_holds_for_the_plan_as_a_whole_and_carries_cost_time():
     settings = case().settings
     timing = settings.timing.model_copy(update={"carrying_minutes": 4.0})
     job = replace(case(), settings=settings.model_copy(update={"timing": timing}))
-    found = designed(Setting({"probe": job}, 45.0), Slot(22.0), verify=True, rehearsable=False, say=lambda _: None)
+    found = designed(Setting({"probe": job}, 45.0), Slot(22.0), verify=True, with_preflight=False, say=lambda _: None)
     assert found.minutes == pytest.approx(machine_minutes(job, found.positions).total)
     assert found.minutes <= 22.0
     stations = [position.station for position in found.positions]
     assert stations == sorted(stations)
-    free = designed(Setting({"probe": case()}, 45.0), Slot(22.0), verify=False, rehearsable=False, say=lambda _: None)
+    free = designed(
+        Setting({"probe": case()}, 45.0), Slot(22.0), verify=False, with_preflight=False, say=lambda _: None
+    )
     assert len(set(stations)) <= len({position.station for position in free.positions})
     assert free.valuation.percent > found.valuation.percent > 0.0
     _assert_held_out(job, found.positions, found.held_out)
@@ -165,10 +169,12 @@ def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on(monkeypatch
         if len(seen) == 1:
             raise PlanRefused("preflight: collision", step=f"measure/{position_key(job.positions[1])}/ball-03/approach")
 
-    monkeypatch.setattr("agent.planning.design.design_result.rehearse", refusing_once)
-    found = designed(Setting({"probe": case()}, 90.0), Positions(3), verify=False, rehearsable=True, say=lambda _: None)
+    monkeypatch.setattr("agent.planning.design.design_result.run_preflight", refusing_once)
+    found = designed(
+        Setting({"probe": case()}, 90.0), Positions(3), verify=False, with_preflight=True, say=lambda _: None
+    )
     assert len(seen) == 2
-    assert found.rehearsed
+    assert found.preflight_passed
     assert found.positions == seen[1]
     assert seen[0][1] not in found.positions
 
@@ -211,4 +217,4 @@ def test_variants_that_cannot_be_are_refused(tmp_path, more, message):
 
 def test_an_unreachable_goal_is_the_users_error():
     with pytest.raises(InputError, match="shortest two take"):
-        designed(Setting({"probe": case()}, 90.0), Slot(1.0), verify=False, rehearsable=False, say=lambda _: None)
+        designed(Setting({"probe": case()}, 90.0), Slot(1.0), verify=False, with_preflight=False, say=lambda _: None)

@@ -1,4 +1,4 @@
-"""What a preview shows, against the rehearsal with physics, plain trigonometry and the numbers as embedded."""
+"""What a preview shows, against the preflight with physics, plain trigonometry and the numbers as embedded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from agent.errors import PlanRefused
 from agent.execution.steps import MoveTo, OrientTo
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import rehearse, whole_procedure
+from agent.planning.preflight import run_preflight, whole_procedure
 from agent.planning.preview.artefact_placement import standing_bodies
 from agent.planning.preview.blob import document, embedded
 from agent.planning.preview.builder import preview_of
@@ -48,17 +48,17 @@ def preview(at_two_stations: Job) -> Preview:
 # ------------------------------------------------------------------ what it holds
 
 
-def test_it_is_the_plan_that_was_rehearsed(at_two_stations: Job, preview: Preview) -> None:
-    rehearsal = rehearse(at_two_stations)
-    assert preview.minutes == pytest.approx(rehearsal.machine_minutes, rel=1e-6)
-    assert preview.unreachable == rehearsal.measured.unreachable_balls
+def test_it_is_the_plan_of_the_preflight(at_two_stations: Job, preview: Preview) -> None:
+    preflight = run_preflight(at_two_stations)
+    assert preview.minutes == pytest.approx(preflight.machine_minutes, rel=1e-6)
+    assert preview.unreachable == preflight.measured.unreachable_balls
     measuring = [visit for visit in preview.visits if visit.phase in ("measure", "verify")]
     touches = sum(point.touch for visit in measuring for point in preview.path[visit.first : visit.end])
-    assert touches == rehearsal.measured.touches + rehearsal.verified.touches
+    assert touches == preflight.measured.touches + preflight.verified.touches
     walked = measuring
-    assert len(walked) == len(rehearsal.measured.positions) + len(rehearsal.verified.positions)
+    assert len(walked) == len(preflight.measured.positions) + len(preflight.verified.positions)
     left_out = [visit for visit in preview.visits if visit.note]
-    assert len(left_out) == len(rehearsal.measured.left_out) > 0
+    assert len(left_out) == len(preflight.measured.left_out) > 0
     assert all(visit.note.startswith("left out: 0 of its balls") for visit in left_out)
 
 
@@ -135,7 +135,7 @@ def test_a_refused_plan_ends_at_its_step(at_two_stations: Job) -> None:
     walked = [visit for visit in preview.visits if not visit.note]
     assert refusal.visit == len(walked) - 1
     assert walked[-1].end == len(preview.path)
-    assert {visit.note.split(":")[0] for visit in preview.visits[len(walked) :]} == {"left out", "not rehearsed"}
+    assert {visit.note.split(":")[0] for visit in preview.visits[len(walked) :]} == {"left out", "not reached"}
 
 
 def test_the_tip_stops_where_the_bodies_meet(at_two_stations: Job) -> None:

@@ -12,7 +12,7 @@ from agent.execution.encoding import decode_result, encode_result, table_digest
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.replay_log import Recorded
 from agent.execution.rig import step_tag
-from agent.execution.run_state import Announcement, Conduct
+from agent.execution.run_state import Announcement, RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.steps import (
     MoveTo,
@@ -179,18 +179,18 @@ def test_trace_knows_how_each_axis_came_and_where_the_touch_was_short_of_the_sur
 
 def test_states_that_have_been_are_no_news(journal: Journal) -> None:
     run = begun(journal)
-    first = Conduct(run, lambda _: None)
+    first = RunStateTracker(run, lambda _: None)
     for state in (RunState.PREFLIGHT, RunState.MEASURING, RunState.HELD, RunState.MEASURING, RunState.IDENTIFYING):
         first.enter(state)
     heard: list[Announcement] = []
     again, recorded = journal.continue_run(run.run, run.run_id, VirtualClock())
     assert list(recorded.states) == [RunState.MEASURING, RunState.IDENTIFYING]
-    conduct = Conduct(again, heard.append, recorded.states)
-    conduct.enter(RunState.RESUMING)
-    conduct.enter(RunState.MEASURING)
-    conduct.enter(RunState.IDENTIFYING)
-    conduct.announce_again()
-    conduct.enter(RunState.STAGING)
+    tracker = RunStateTracker(again, heard.append, recorded.states)
+    tracker.enter(RunState.RESUMING)
+    tracker.enter(RunState.MEASURING)
+    tracker.enter(RunState.IDENTIFYING)
+    tracker.announce_again()
+    tracker.enter(RunState.STAGING)
     assert [one.data["state"] for one in heard] == ["resuming", "identifying", "staging"]
 
 

@@ -15,7 +15,7 @@ from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.cycle_time import CARRYING, PARTS, machine_minutes, minutes_by_part, position_minutes, walked
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import rehearse, whole_procedure
+from agent.planning.preflight import run_preflight, whole_procedure
 from agent.planning.time_model import TimeModel
 from agent.probing.run_plan import MeasuringOrder, measure_positions
 from agent.settings.load import load_settings, with_overrides
@@ -90,13 +90,13 @@ def at_two_stations() -> Job:
 
 
 def test_the_walk_agrees_with_the_dry_run_step_by_step(at_two_stations: Job) -> None:
-    rehearsal = rehearse(at_two_stations)
+    preflight = run_preflight(at_two_stations)
     (measured, verified), steps = walked(at_two_stations, whole_procedure(at_two_stations))
-    assert measured.touches + verified.touches == rehearsal.measured.touches + rehearsal.verified.touches
+    assert measured.touches + verified.touches == preflight.measured.touches + preflight.verified.touches
     walked_s = np.array([timed.seconds for timed in steps if timed.seconds > 0.0])
-    assert walked_s == pytest.approx(np.array([timed.seconds for timed in rehearsal.steps]), rel=1e-2, abs=1e-3)
-    assert walked_s.sum() == pytest.approx(rehearsal.machine_seconds, rel=1e-6)
-    assert minutes_by_part(steps)[2] == pytest.approx(minutes_by_part(rehearsal.steps)[2])
+    assert walked_s == pytest.approx(np.array([timed.seconds for timed in preflight.steps]), rel=1e-2, abs=1e-3)
+    assert walked_s.sum() == pytest.approx(preflight.machine_seconds, rel=1e-6)
+    assert minutes_by_part(steps)[2] == pytest.approx(minutes_by_part(preflight.steps)[2])
 
 
 def test_balls_are_found_where_they_stand(at_two_stations: Job) -> None:
@@ -132,7 +132,7 @@ def test_a_latency_costs_as_many_times_as_its_command_is_given() -> None:
     more = machine_total(slow) - machine_total(quick)
     assert touches > 300
     assert more == pytest.approx(touches / 60.0)
-    assert rehearse(slow).machine_minutes - rehearse(quick).machine_minutes == pytest.approx(touches / 60.0)
+    assert run_preflight(slow).machine_minutes - run_preflight(quick).machine_minutes == pytest.approx(touches / 60.0)
 
 
 def machine_total(of: Job) -> float:
@@ -184,7 +184,7 @@ def test_the_plan_shows_a_row_for_each_station() -> None:
     assert figures[2] == pytest.approx(figures[:2].sum(axis=0), abs=0.011)
 
 
-def test_a_rehearsal_is_broken_off_at_its_next_step(at_two_stations: Job) -> None:
+def test_a_preflight_is_interrupted_at_its_next_step(at_two_stations: Job) -> None:
     looked: list[int] = []
 
     def watch() -> None:
@@ -193,6 +193,6 @@ def test_a_rehearsal_is_broken_off_at_its_next_step(at_two_stations: Job) -> Non
             raise Aborted("aborted: a test")
 
     with pytest.raises(Aborted, match="a test") as ended:
-        rehearse(at_two_stations, watch=watch)
+        run_preflight(at_two_stations, watch=watch)
     assert len(looked) == 20
     assert "step" not in ended.value.where

@@ -9,7 +9,7 @@ import pytest
 from agent.errors import PlanRefused
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.job import Job, prepare_job
-from agent.planning.preflight import rehearse
+from agent.planning.preflight import run_preflight
 from agent.settings.load import load_settings
 
 TOO_NEAR_MM = 12.0
@@ -24,10 +24,10 @@ def job(**procedure: Any) -> Job:
 
 def test_plain_ways_that_are_not_free_are_refused_with_the_way_out() -> None:
     with pytest.raises(PlanRefused, match=r"collision: tip with ball \d+") as refused:
-        rehearse(job(paths="plain", retract_mm=TOO_NEAR_MM))
+        run_preflight(job(paths="plain", retract_mm=TOO_NEAR_MM))
     assert "step" in refused.value.where
     assert '`procedure.paths = "shortest"`' in refused.value.hint
 
 
 def test_the_ways_that_the_hint_promises_are_free() -> None:
-    assert rehearse(job(retract_mm=TOO_NEAR_MM)).measured.positions
+    assert run_preflight(job(retract_mm=TOO_NEAR_MM)).measured.positions
