@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TextIO
 
 from drivers.errors import ConfigurationError, InputError, UserError, VolcalError
-from drivers.tables.files import make_durable
+from drivers.tables.files import sync_directory
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position
 from twin.errors import TwinError
@@ -106,7 +106,7 @@ def write_all_atomically(directory: Path, contents: Mapping[str, str | bytes]) -
             staged[target] = _stage(directory, name, content)
         for target, temporary in staged.items():
             temporary.replace(target)
-        make_durable(directory)
+        sync_directory(directory)
     except (FileExistsError, NotADirectoryError):
         raise _file_in_the_way(directory) from None
     except OSError as cause:
@@ -154,7 +154,7 @@ def streamed_atomically(path: Path) -> Iterator[TextIO]:
             os.fchmod(file.fileno(), FILE_MODE)
             os.fsync(file.fileno())
         temporary.replace(path)
-        make_durable(path.parent)
+        sync_directory(path.parent)
     except OSError as cause:
         hint = "check the permissions and the free space"
         raise InputError(f"results cannot be written: {_reason(cause)}", hint=hint, file=str(path)) from None

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "linuxcnc"))
 from compensation_rig import Controller, built, machine, running, smooth_table, trilinear
 
 from drivers.clock import RealClock
-from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, store_of
+from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, create_store
 from drivers.roles import TableImage
 
 TABLE = smooth_table(1)
@@ -87,7 +87,9 @@ def main() -> None:
             work = machine(Path(folder) / way, build, way)
             settings = CompensationSettings.model_validate({"way": way, "directory": work / "tables"})
             with running(work) as controller:
-                measure(way, controller, store_of(settings, controller, RealClock(), base_path=work, device="linuxcnc"))
+                measure(
+                    way, controller, create_store(settings, controller, RealClock(), base_path=work, device="linuxcnc")
+                )
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from time import perf_counter
 
-from drivers.modbus_cnc.codes import Code
-from drivers.modbus_cnc.settings import Blocks
+from drivers.modbus_cnc.codes import CommandCode
+from drivers.modbus_cnc.settings import BlockAddresses
 
 HEADER = struct.Struct(">HHHB")
 WRITE_AND_READ = 23
@@ -62,7 +62,7 @@ def _is_stop(body: bytes) -> bool:
     if len(body) < _BODY.size + _COMMAND.size or body[0] != WRITE_AND_READ:
         return False
     _, _, _, register, _, _ = _BODY.unpack_from(body)
-    return bool(register == Blocks().command and _COMMAND.unpack_from(body, _BODY.size)[1] == Code.STOP)
+    return bool(register == BlockAddresses().command and _COMMAND.unpack_from(body, _BODY.size)[1] == CommandCode.STOP)
 
 
 @contextmanager

@@ -129,7 +129,7 @@ class LockstepClock:
             self._socket = None
 
 
-class WatchedClock:
+class InterruptibleClock:
     """A clock whose every sleep is sliced so that `check` runs at least each `slice_s` of machine time.
 
     `check` raises to abort, or blocks while the run is held. Time spent held does not count: deadlines
@@ -164,10 +164,10 @@ class WatchedClock:
         self._held_s += self._inner.now() - before
 
 
-def unwatched(clock: Clock) -> Clock:
+def without_interrupts(clock: Clock) -> Clock:
     """The clock without its interruptions: for the moments within one request and its answer, which are never torn
     apart, and which a hold or a STOP itself needs while the run is interrupted."""
-    return clock.inner if isinstance(clock, WatchedClock) else clock
+    return clock.inner if isinstance(clock, InterruptibleClock) else clock
 
 
 @dataclass(frozen=True)

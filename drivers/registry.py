@@ -19,7 +19,7 @@ from drivers.clock import Clock
 from drivers.errors import ConfigurationError
 from drivers.roles import Device
 
-GROUP = "volcal.drivers"
+ENTRY_POINT_GROUP = "volcal.drivers"
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class DriverPlugin:
 
     The device plays every role whose Protocol in `drivers.roles` it implements. `claims(settings)`: what no other
     device of the same machine may use as well, as text for people, with the option that says so. `several_mounts`:
-    whether it stands for a mount at each station (`drivers.roles.MountsAtStations`).
+    whether it stands for a mount at each station (`drivers.roles.MultiStationMount`).
     """
 
     name: str
@@ -93,7 +93,7 @@ def _plugin(driver: str, name: str) -> DriverPlugin:
 @lru_cache(maxsize=1)
 def _entries() -> tuple[EntryPoint, ...]:
     """What was installed when this process first asked."""
-    return tuple(entry_points(group=GROUP))
+    return tuple(entry_points(group=ENTRY_POINT_GROUP))
 
 
 def _validated(plugin: DriverPlugin, options: Mapping[str, object], name: str) -> BaseModel:

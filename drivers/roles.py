@@ -164,7 +164,7 @@ class Machine(Protocol):
 
 
 @runtime_checkable
-class Traced(Protocol):
+class StepTracing(Protocol):
     """A device that passes on which step of a procedure its motions belong to, for the controller's own log."""
 
     def trace(self, tag: int) -> None:
@@ -197,7 +197,7 @@ class RotaryMount(Protocol):
 
 
 @runtime_checkable
-class MountsAtStations(Protocol):
+class MultiStationMount(Protocol):
     """A device with a mount at each of several stations behind it (counted from 1)."""
 
     def mount_at(self, station: int) -> RotaryMount: ...
@@ -255,7 +255,7 @@ class Operator(Protocol):
 
 
 @dataclass(frozen=True)
-class Finding:
+class DiagnosticFinding:
     """One line of a device's self-diagnosis (`volcal doctor`)."""
 
     subject: str
@@ -273,5 +273,5 @@ class Device(Protocol):
 
     def stop(self) -> None: ...
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         """Reach, read, measure latency; moves nothing and writes nothing."""

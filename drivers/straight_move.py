@@ -24,8 +24,8 @@ def move_duration_s(
     if length_mm == 0.0:
         return 0.0
     shares = [delta / length_mm for delta in deltas]
-    speed = along_path(shares, rapid_mm_per_s)
-    acceleration = along_path(shares, acceleration_mm_per_s2)
+    speed = limit_along_direction(shares, rapid_mm_per_s)
+    acceleration = limit_along_direction(shares, acceleration_mm_per_s2)
     if feed_mm_per_s is not None:
         speed = min(speed, feed_mm_per_s)
     if length_mm < speed * speed / acceleration:
@@ -41,6 +41,6 @@ def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -
     return float(np.linalg.norm(point_mm - start_mm - share * along))
 
 
-def along_path(shares: Sequence[float], per_axis: Sequence[float]) -> float:
+def limit_along_direction(shares: Sequence[float], per_axis: Sequence[float]) -> float:
     """The largest value along a line on which no axis exceeds its own; `shares`: |direction|, of unit length."""
     return min(limit / share for share, limit in zip(shares, per_axis, strict=True) if share > 0.0)

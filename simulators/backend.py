@@ -12,7 +12,7 @@ from drivers.clock import Clock, Deadline, VirtualClock
 from drivers.errors import CommandRejected, GuardTripped, MotionFault, StoreError
 from drivers.roles import (
     AxisLimits,
-    Finding,
+    DiagnosticFinding,
     MachineStatus,
     Miss,
     MotionState,
@@ -62,10 +62,10 @@ class SimulatedMachineDevice:
         for mount in self.world.mounts.values():
             mount.halt()
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         scenario = self.world.scenario
         kind = "without error" if scenario.settings.ideal else "with its own errors"
-        return [Finding("simulated machine", True, f"{scenario.machine.name}, {kind}, in this process")]
+        return [DiagnosticFinding("simulated machine", True, f"{scenario.machine.name}, {kind}, in this process")]
 
     # ------------------------------------------------------------------ machine and probe
 

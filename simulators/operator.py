@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import CommandRejected, LinkLost, LinkTimeout, ProtocolError
 from drivers.registry import DeviceContext, DriverPlugin
-from drivers.roles import Finding, OperatorRequest, OperatorTask
+from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask
 
 LONGEST_ANSWER = 65536
 log = structlog.get_logger()
@@ -54,10 +54,10 @@ class SimulatedOperator:
     def stop(self) -> None:
         """Nothing of this device's doing goes on by itself."""
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         answer = self._request({"do": "status"})
         text = f"simulated machine at {self._place}, machine time {answer.get('machine_time_s')} s"
-        return [Finding(self._name, ok=True, text=text)]
+        return [DiagnosticFinding(self._name, ok=True, text=text)]
 
     def ask(self, request: OperatorRequest) -> bool:
         """True once the artefact stands at the station; consent is always given.

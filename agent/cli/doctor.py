@@ -16,7 +16,7 @@ from agent.planning.job import prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
 from drivers.errors import DeviceError, VolcalError
-from drivers.roles import Device, Finding
+from drivers.roles import Device, DiagnosticFinding
 
 
 @click.command("doctor")
@@ -39,27 +39,27 @@ def doctor_command(config: Path, as_json: bool) -> None:
         raise SystemExit(DeviceError.exit_code)
 
 
-def examine(settings: Settings, base: Path) -> dict[str, list[Finding]]:
+def examine(settings: Settings, base: Path) -> dict[str, list[DiagnosticFinding]]:
     """Findings of every device; one that cannot be opened is a finding too, and the others still follow."""
     with closed_after(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)
         return {name: _examined(device) for name, device in rig.devices.items()}
 
 
-def _examined(device: Device) -> list[Finding]:
+def _examined(device: Device) -> list[DiagnosticFinding]:
     try:
         device.open()
     except VolcalError as error:
-        return [Finding("open", ok=False, text=str(error)), *_without_opening(device)]
+        return [DiagnosticFinding("open", ok=False, text=str(error)), *_without_opening(device)]
     try:
         return device.diagnose()
     except DeviceError as error:
-        return [Finding("diagnose", ok=False, text=str(error))]
+        return [DiagnosticFinding("diagnose", ok=False, text=str(error))]
     finally:
         device.close()
 
 
-def _without_opening(device: Device) -> list[Finding]:
+def _without_opening(device: Device) -> list[DiagnosticFinding]:
     """What a device that refused to open can still tell; some can be looked at without."""
     try:
         return device.diagnose()
@@ -67,7 +67,7 @@ def _without_opening(device: Device) -> list[Finding]:
         return []
 
 
-def _table(findings: dict[str, list[Finding]]) -> Table:
+def _table(findings: dict[str, list[DiagnosticFinding]]) -> Table:
     table = Table("device", "subject", "", "finding")
     for name, lines in findings.items():
         for finding in lines:

@@ -15,7 +15,7 @@ from drivers.roles import (
     CompensationStore,
     Device,
     Machine,
-    MountsAtStations,
+    MultiStationMount,
     Operator,
     Probe,
     RotaryMount,
@@ -94,7 +94,7 @@ def _mounts(devices: Mapping[str, Device], settings: Settings) -> dict[int, Rota
 
 def mount_at_station(devices: Mapping[str, Device], name: str, station: int, key: str) -> RotaryMount:
     mount = in_role(devices, name, RotaryMount, key)
-    return mount.mount_at(station) if isinstance(mount, MountsAtStations) else mount
+    return mount.mount_at(station) if isinstance(mount, MultiStationMount) else mount
 
 
 def stations_of(settings: Settings) -> range:

@@ -26,9 +26,9 @@ from drivers.roles import (
     Orientation,
     Probe,
     RotaryMount,
+    StepTracing,
     Thermometer,
     Touch,
-    Traced,
 )
 
 Role = TypeVar("Role")
@@ -145,7 +145,7 @@ class Rig:
 
     def _told(self, run: int) -> Callable[[str], None]:
         """Tells every device that wants to know which step comes next."""
-        traced = [device for device in self.devices.values() if isinstance(device, Traced)]
+        traced = [device for device in self.devices.values() if isinstance(device, StepTracing)]
 
         def tell(key: str) -> None:
             tag = step_tag(run, key)

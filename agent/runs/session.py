@@ -30,7 +30,7 @@ from agent.runs.result_files import write_results
 from agent.runs.run_start import Beginning, Fresh, Wanted
 from agent.runs.start_conditions import Outset
 from agent.settings.schema import Settings
-from drivers.clock import Clock, WatchedClock, utc_timestamp, wall_seconds
+from drivers.clock import Clock, InterruptibleClock, utc_timestamp, wall_seconds
 from drivers.errors import UserError, VolcalError
 
 
@@ -89,7 +89,7 @@ def carry_out(request: Request) -> RunResult:
     ):
         supervisor = Supervisor(outer)
         request.interrupts(supervisor)
-        clock = WatchedClock(request.beginning.clock(outer), supervisor.check, slice_of(outer))
+        clock = InterruptibleClock(request.beginning.clock(outer), supervisor.check, slice_of(outer))
         rig = (request.rig or assemble)(settings, clock, request.base)
         wanted = Wanted(run_id, request.job, request.kind, request.base)
         run_journal, tracker = request.beginning.written(journal, wanted, clock, request.listener)

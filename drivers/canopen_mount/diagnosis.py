@@ -9,28 +9,28 @@ from drivers.canopen_mount import objects, states
 from drivers.canopen_mount.drive import Drive
 from drivers.canopen_mount.emergency import emergency_text
 from drivers.canopen_mount.factors import expected_factors, factor_text
-from drivers.canopen_mount.identity import prove_identity
+from drivers.canopen_mount.identity import verify_identity
 from drivers.canopen_mount.limits import active_switches, read_soft_limits
 from drivers.canopen_mount.states import DriveState
 from drivers.clock import wall_seconds
 from drivers.errors import DeviceError
-from drivers.roles import Finding
+from drivers.roles import DiagnosticFinding
 
 LATENCY_READS = 20
 
 Line = tuple[bool, str]
 
 
-def examine(drive: Drive) -> list[Finding]:
+def diagnose_drive(drive: Drive) -> list[DiagnosticFinding]:
     """Reach and latency, identity, versions, state, supply, position, units, limits, monitoring; ends at the first
     question that the drive leaves unanswered."""
     subject = f"{drive.node.axis} drive (node {drive.node.node_id})"
-    findings: list[Finding] = []
+    findings: list[DiagnosticFinding] = []
     try:
-        for look in _LOOKS:
-            findings.extend(Finding(subject, ok=ok, text=text) for ok, text in look(drive))
+        for look in _CHECKS:
+            findings.extend(DiagnosticFinding(subject, ok=ok, text=text) for ok, text in look(drive))
     except DeviceError as error:
-        findings.append(Finding(subject, ok=False, text=str(error)))
+        findings.append(DiagnosticFinding(subject, ok=False, text=str(error)))
     return findings
 
 
@@ -45,7 +45,7 @@ def _latency(drive: Drive) -> Iterator[Line]:
 
 def _identity(drive: Drive) -> Iterator[Line]:
     node = drive.node
-    prove_identity(node, drive.settings)
+    verify_identity(node, drive.settings)
     vendor, product = node.read(objects.VENDOR_ID), node.read(objects.PRODUCT_CODE)
     revision, serial = node.read_optional(objects.REVISION), node.read_optional(objects.SERIAL_NUMBER)
     yield (
@@ -121,7 +121,7 @@ def _hexadecimal(name: str, value: int | None) -> str:
     return "" if value is None else f"{name} 0x{value:X}"
 
 
-_LOOKS: tuple[Callable[[Drive], Iterator[Line]], ...] = (
+_CHECKS: tuple[Callable[[Drive], Iterator[Line]], ...] = (
     _latency,
     _identity,
     _state,

@@ -12,14 +12,14 @@ import structlog
 
 from drivers.canopen_mount import objects, states
 from drivers.canopen_mount.emergency import emergency_text
-from drivers.canopen_mount.factors import prove_factors
-from drivers.canopen_mount.identity import prove_identity
-from drivers.canopen_mount.limits import SoftLimits, barrier, hindrance, read_soft_limits
+from drivers.canopen_mount.factors import verify_factors
+from drivers.canopen_mount.identity import verify_identity
+from drivers.canopen_mount.limits import SoftLimits, blocking_limit, describe_unreached_target, read_soft_limits
 from drivers.canopen_mount.node import DriveNode
-from drivers.canopen_mount.node_monitor import NodeWatch
+from drivers.canopen_mount.node_monitor import NodeMonitor
 from drivers.canopen_mount.scale import turn_duration_s
 from drivers.canopen_mount.settings import AxisSettings, HomingSettings
-from drivers.canopen_mount.states import CLIMB, DriveState, Step, drive_state
+from drivers.canopen_mount.states import ENABLE_TRANSITIONS, DriveState, StateTransition, drive_state
 from drivers.clock import Clock, Deadline
 from drivers.errors import CommandRejected, DeadlineExpired, MotionFault, ProtocolError
 
@@ -27,7 +27,7 @@ POLL_S = 0.02
 """Between two looks at a state that is due."""
 HANDSHAKE_S = 1.0
 """For the set-point acknowledge and the mode display."""
-CLIMB_STEPS = 8
+MAX_TRANSITIONS = 8
 """From the worst state it takes seven; one more says that the drive goes in circles."""
 
 _log = structlog.get_logger("canopen_mount")
@@ -50,7 +50,7 @@ class Drive:
         self.node = node
         self.settings = settings
         self._heartbeat_ms = heartbeat_ms
-        self._watch = NodeWatch(node, clock, timeout_s=heartbeat_timeout_s if heartbeat_ms else None)
+        self._watch = NodeMonitor(node, clock, timeout_s=heartbeat_timeout_s if heartbeat_ms else None)
         self._clock = clock
         self._scale = settings.scale
         self._tolerated = tolerated_emergencies
@@ -67,8 +67,8 @@ class Drive:
     def prove(self) -> None:
         """Raises when the drive is not the one that the settings describe, or counts in other units; writes nothing,
         unless the units are to be written. Remembers its software limits."""
-        prove_identity(self.node, self.settings)
-        prove_factors(self.node, self.settings)
+        verify_identity(self.node, self.settings)
+        verify_factors(self.node, self.settings)
         self._soft_limits = read_soft_limits(self.node)
 
     @property
@@ -123,7 +123,7 @@ class Drive:
         if not self._prepared:
             self.prepare()
         self._enabled_here = True
-        for _ in range(CLIMB_STEPS):
+        for _ in range(MAX_TRANSITIONS):
             state = self.state()
             self.check()  # what came before that answer is known now
             if state is DriveState.OPERATION_ENABLED:
@@ -133,7 +133,7 @@ class Drive:
             elif state is DriveState.FAULT:
                 self._reset_fault()
             else:
-                self._take(CLIMB[state])
+                self._take(ENABLE_TRANSITIONS[state])
             self._found_as_left = False
         raise MotionFault(
             "the drive does not reach operation enabled", hint="check its enable inputs", **self.node.where
@@ -142,7 +142,7 @@ class Drive:
     def _reset_fault(self) -> None:
         _log.warning("fault reset", text=self.fault_text(), **self.node.where)
         try:
-            self._take(CLIMB[DriveState.FAULT])
+            self._take(ENABLE_TRANSITIONS[DriveState.FAULT])
         except DeadlineExpired as error:
             raise self._fault("the fault of the drive cannot be reset") from error
 
@@ -171,9 +171,9 @@ class Drive:
         """One look. Raises MotionFault for a fault, a following error, a drive that left operation."""
         return bool(self._statusword_in_motion() & states.TARGET_REACHED)
 
-    def hindrance(self) -> str:
+    def describe_unreached_target(self) -> str:
         """What the drive tells of a target that it does not reach."""
-        return hindrance(self.node, self._scale, self._target, self._way)
+        return describe_unreached_target(self.node, self._scale, self._target, self._way)
 
     def start_homing(self, homing: HomingSettings) -> None:
         self._homed = False
@@ -267,7 +267,7 @@ class Drive:
 
     def _judge_limit(self) -> None:
         """Bit 11 may also tell of a limited current; it is the end of a turn where something bars the way."""
-        if bars := barrier(self.node, self._target, self._way):
+        if bars := blocking_limit(self.node, self._target, self._way):
             raise MotionFault(
                 f"stopped at a limit (statusword bit 11): {bars}",
                 hint="check the limits of the drive and of the settings, the zero of the encoder, and the switches",
@@ -290,7 +290,7 @@ class Drive:
             **self.node.where,
         )
 
-    def _take(self, step: Step) -> None:
+    def _take(self, step: StateTransition) -> None:
         for controlword in step.controlwords:
             self.node.write(objects.CONTROLWORD, controlword)
         self._await(f"the drive to be {step.arrives.value}", lambda: self._arrived(step.arrives), step.within_s)

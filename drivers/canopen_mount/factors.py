@@ -70,13 +70,13 @@ def read_factor(node: DriveNode, factor: Factor) -> tuple[int, ...] | None:
     return None if None in found else tuple(value for value in found if value is not None)
 
 
-def prove_factors(node: DriveNode, settings: AxisSettings) -> None:
+def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
     """Raises ConfigurationError naming object and key where the drive says otherwise, after writing if that is asked
     for. Moves nothing."""
     for factor in expected_factors(settings):
         found = read_factor(node, factor)
         if found is not None and not factor.agrees(found) and settings.units.write:
-            _log.warning("factor written", object=str(factor), former=_told(factor, found), **node.where)
+            _log.warning("factor written", object=str(factor), former=_format_values(factor, found), **node.where)
             for entry, value in zip(factor.entries, factor.values, strict=True):
                 node.write(entry, value)
             found = read_factor(node, factor)
@@ -90,20 +90,20 @@ def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
     if found is None:
         return True, f"{factor}: the drive has no such object, not compared"
     if factor.agrees(found):
-        return True, f"{factor} {_told(factor, found)}, as configured"
-    stated = _told(factor, factor.values)
-    return False, f"{factor} is {_told(factor, found)} in the drive, {stated} in the settings ({factor.key})"
+        return True, f"{factor} {_format_values(factor, found)}, as configured"
+    stated = _format_values(factor, factor.values)
+    return False, f"{factor} is {_format_values(factor, found)} in the drive, {stated} in the settings ({factor.key})"
 
 
 def _mismatch(factor: Factor, found: tuple[int, ...]) -> ConfigurationError:
     return ConfigurationError(
-        f"{factor} is {_told(factor, found)} in the drive and {_told(factor, factor.values)} in the settings",
+        f"{factor} is {_format_values(factor, found)} in the drive and {_format_values(factor, factor.values)} in the settings",
         key=factor.key,
         object=f"0x{factor.entries[0].index:04X}",
         hint="a turn would end at another angle: correct the one that is wrong, or let units.write set the drive",
     )
 
 
-def _told(factor: Factor, values: tuple[int, ...]) -> str:
+def _format_values(factor: Factor, values: tuple[int, ...]) -> str:
     """Ratios as numbers, what is a code or a pattern of bits in hexadecimal."""
     return f"0x{values[0]:X}" if len(factor.entries) == 1 else " : ".join(str(value) for value in values)

@@ -8,7 +8,7 @@ from drivers.canopen_mount.settings import AxisSettings
 from drivers.errors import ProtocolError
 
 
-def prove_identity(node: DriveNode, settings: AxisSettings) -> None:
+def verify_identity(node: DriveNode, settings: AxisSettings) -> None:
     """Raises ProtocolError when the node is not the drive that the settings describe."""
     kind = node.read(objects.DEVICE_TYPE) & 0xFFFF
     if kind != objects.CIA_402:

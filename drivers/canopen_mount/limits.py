@@ -37,7 +37,7 @@ def active_switches(node: DriveNode) -> dict[int, str]:
     return {way: name for way, name in SWITCHES.items() if inputs & (1 if way < 0 else 2)}
 
 
-def barrier(node: DriveNode, target: int, way: int) -> str:
+def blocking_limit(node: DriveNode, target: int, way: int) -> str:
     """What bars the way to `target` counts; `way`: 1 upwards, -1 downwards. Empty when nothing that is told does."""
     switch = active_switches(node).get(way)
     if switch is not None:
@@ -48,10 +48,10 @@ def barrier(node: DriveNode, target: int, way: int) -> str:
     return ""
 
 
-def hindrance(node: DriveNode, scale: AxisScale, target: int, way: int) -> str:
+def describe_unreached_target(node: DriveNode, scale: AxisScale, target: int, way: int) -> str:
     """What the drive tells of a target that it does not reach."""
     told = [f"at {scale.angle_deg(node.read(objects.POSITION)):.4f} of {scale.angle_deg(target):.4f} degrees"]
-    if bars := barrier(node, target, way):
+    if bars := blocking_limit(node, target, way):
         told.append(bars)
     distance = node.read_optional(objects.FOLLOWING_DISTANCE)
     if distance is not None:

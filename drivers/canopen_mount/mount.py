@@ -5,7 +5,7 @@ from __future__ import annotations
 import structlog
 
 from drivers.canopen_mount.description import load_description
-from drivers.canopen_mount.diagnosis import examine
+from drivers.canopen_mount.diagnosis import diagnose_drive
 from drivers.canopen_mount.drive import POLL_S, Drive
 from drivers.canopen_mount.node import DriveNode
 from drivers.canopen_mount.settings import CanopenMountSettings
@@ -14,9 +14,9 @@ from drivers.errors import DeviceError, LinkLost, VolcalError
 from drivers.links.can_adapters import CanAddress
 from drivers.links.can_bus import PROCESS_NETWORKS, CanLink, CanNetworks
 from drivers.registry import DeviceContext
-from drivers.roles import Finding, Orientation
+from drivers.roles import DiagnosticFinding, Orientation
 
-WATCH_S = 0.4
+MAX_POLL_S = 0.4
 """Longest sleep between two looks at a turning drive."""
 
 _log = structlog.get_logger("canopen_mount")
@@ -106,22 +106,22 @@ class CanopenMount:
         azimuth, elevation = self._opened()
         return Orientation(azimuth.angle_deg(), elevation.angle_deg())
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         """Reads only. A mount that is not open is connected for the time of the diagnosis."""
         was_open = self._link is not None
         try:
             if not was_open:
                 self._connect()
-            return [*self._adapter(), *(finding for drive in self._drives for finding in examine(drive))]
+            return [*self._adapter(), *(finding for drive in self._drives for finding in diagnose_drive(drive))]
         except VolcalError as error:
-            return [Finding(self._address.name, ok=False, text=str(error))]
+            return [DiagnosticFinding(self._address.name, ok=False, text=str(error))]
         finally:
             if not was_open:
                 self._disconnect()
 
-    def _adapter(self) -> list[Finding]:
+    def _adapter(self) -> list[DiagnosticFinding]:
         told = self._link.adapter_text() if self._link is not None else ""
-        return [Finding(self._address.name, ok=told.endswith("no error"), text=told)] if told else []
+        return [DiagnosticFinding(self._address.name, ok=told.endswith("no error"), text=told)] if told else []
 
     def _connect(self) -> None:
         self._link = link = self._networks.acquire(self._address)
@@ -177,13 +177,13 @@ class CanopenMount:
         deadline = Deadline.after(self._clock, 1.5 * predicted_s + self._settings.turn_margin_s)
         turning = list(self._drives)
         while turning:
-            self._clock.sleep(max(POLL_S, min(WATCH_S, predicted.remaining_s)))
+            self._clock.sleep(max(POLL_S, min(MAX_POLL_S, predicted.remaining_s)))
             turning = [drive for drive in turning if not drive.turn_ended()]
             for drive in self._drives:
                 drive.check_in_motion()
             if turning and deadline.expired:
                 deadline.require(
-                    f"{turning[0].node.axis} to reach its target (statusword bit 10), {turning[0].hindrance()}",
+                    f"{turning[0].node.axis} to reach its target (statusword bit 10), {turning[0].describe_unreached_target()}",
                     hint="check that the mount is free to turn, its brake is open and nothing is jammed",
                     **turning[0].node.where,
                 )

@@ -13,7 +13,7 @@ from drivers.errors import MotionFault
 _log = structlog.get_logger("canopen_mount")
 
 
-class NodeWatch:
+class NodeMonitor:
     """Called wherever the driver waits.
 
     The age of the heartbeat is taken on the clock handed in, in the thread that waits. A heartbeat may be

@@ -1,6 +1,6 @@
 """The power drive state machine of CiA 402 as a table.
 
-The statusword tells the state (bits 0-3, 5, 6). `CLIMB` says, for each state, which controlword leads one
+The statusword tells the state (bits 0-3, 5, 6). `ENABLE_TRANSITIONS` says, for each state, which controlword leads one
 step nearer to *operation enabled*, where that step must arrive, and how long it may take. A step without a
 controlword is one that the drive takes by itself.
 """
@@ -54,7 +54,7 @@ START_HOMING = ENABLE_OPERATION | 0x0010
 
 
 @dataclass(frozen=True)
-class Step:
+class StateTransition:
     """`controlwords` are written in order, then `arrives` is awaited for `within_s` of machine time."""
 
     controlwords: tuple[int, ...]
@@ -62,14 +62,14 @@ class Step:
     within_s: float
 
 
-CLIMB: dict[DriveState, Step] = {
-    DriveState.NOT_READY: Step((), DriveState.SWITCH_ON_DISABLED, 10.0),
-    DriveState.FAULT_REACTION: Step((), DriveState.FAULT, 5.0),
-    DriveState.FAULT: Step((DISABLE_VOLTAGE, FAULT_RESET), DriveState.SWITCH_ON_DISABLED, 2.0),
-    DriveState.QUICK_STOP_ACTIVE: Step((DISABLE_VOLTAGE,), DriveState.SWITCH_ON_DISABLED, 5.0),
-    DriveState.SWITCH_ON_DISABLED: Step((SHUTDOWN,), DriveState.READY, 1.0),
-    DriveState.READY: Step((SWITCH_ON,), DriveState.SWITCHED_ON, 3.0),
-    DriveState.SWITCHED_ON: Step((ENABLE_OPERATION,), DriveState.OPERATION_ENABLED, 3.0),
+ENABLE_TRANSITIONS: dict[DriveState, StateTransition] = {
+    DriveState.NOT_READY: StateTransition((), DriveState.SWITCH_ON_DISABLED, 10.0),
+    DriveState.FAULT_REACTION: StateTransition((), DriveState.FAULT, 5.0),
+    DriveState.FAULT: StateTransition((DISABLE_VOLTAGE, FAULT_RESET), DriveState.SWITCH_ON_DISABLED, 2.0),
+    DriveState.QUICK_STOP_ACTIVE: StateTransition((DISABLE_VOLTAGE,), DriveState.SWITCH_ON_DISABLED, 5.0),
+    DriveState.SWITCH_ON_DISABLED: StateTransition((SHUTDOWN,), DriveState.READY, 1.0),
+    DriveState.READY: StateTransition((SWITCH_ON,), DriveState.SWITCHED_ON, 3.0),
+    DriveState.SWITCHED_ON: StateTransition((ENABLE_OPERATION,), DriveState.OPERATION_ENABLED, 3.0),
 }
 """CiA 402 transitions 1, 14, 15, 12, 2, 3, 4. Time-outs: power stages and brakes take the seconds."""
 

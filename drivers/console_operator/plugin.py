@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import PermissionMissing
 from drivers.registry import DeviceContext, DriverPlugin
-from drivers.roles import Finding, OperatorRequest, OperatorTask
+from drivers.roles import DiagnosticFinding, OperatorRequest, OperatorTask
 
 _CHOICES = {
     OperatorTask.MOVE_ARTEFACT: "[d]one / [n]o",
@@ -45,9 +45,9 @@ class ConsoleOperator:
     def stop(self) -> None:
         """Nothing moves."""
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         present = self._has_terminal
-        return [Finding("terminal", ok=present, text="present" if present else "stdin is not a terminal")]
+        return [DiagnosticFinding("terminal", ok=present, text="present" if present else "stdin is not a terminal")]
 
     def ask(self, request: OperatorRequest) -> bool:
         """True for done or yes. Raises PermissionMissing without a terminal or when it is closed meanwhile."""

@@ -108,7 +108,7 @@ class SlcanBus(slcanBus):
         self.refusals = 0
         with contextlib.ExitStack() as undo:
             undo.callback(setattr, self, "_is_shutdown", True)
-            self._claim = undo.enter_context(_claimed(channel.partition("@")[0]))
+            self._claim = undo.enter_context(_lock_port(channel.partition("@")[0]))
             super().__init__(channel, **options)
             undo.pop_all()
         self.serialPortOrig.write_timeout = SEND_WITHIN_S
@@ -187,7 +187,7 @@ class SlcanBus(slcanBus):
         return bool(readable)
 
 
-def _claimed(port: str) -> io.FileIO:
+def _lock_port(port: str) -> io.FileIO:
     """The port, locked: of two processes that talk to one adapter, the second is told so. Holds while it is open."""
     held = io.FileIO(os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), "r+")
     try:
@@ -200,7 +200,7 @@ def _claimed(port: str) -> io.FileIO:
 
 def open_bus(address: CanAddress) -> can.BusABC:
     """Raises ConfigurationError for settings that no bus can have, LinkLost when it cannot be reached."""
-    with _naming_the_link(address):
+    with _translate_errors(address):
         options = dict(address.options)
         if address.interface == "slcan":
             return SlcanBus(address.channel, **options)
@@ -212,7 +212,7 @@ def open_bus(address: CanAddress) -> can.BusABC:
 
 
 @contextlib.contextmanager
-def _naming_the_link(address: CanAddress) -> Iterator[None]:
+def _translate_errors(address: CanAddress) -> Iterator[None]:
     try:
         yield
     except (can.CanInterfaceNotImplementedError, TypeError, ValueError, KeyError, ImportError) as error:

@@ -33,7 +33,7 @@ class _Refused(Exception):
         self.code = code
 
 
-class Latency:
+class LatencyStatistics:
     """Round trips as seen from here, wall-clock seconds."""
 
     def __init__(self, window: int = 1000) -> None:
@@ -74,7 +74,7 @@ class ModbusLink:
     ) -> None:
         self.where = where
         self.transport = transport
-        self.latency = Latency()
+        self.latency = LatencyStatistics()
         self.repeated = 0
         """Requests that had to be sent again."""
         self._writable = tuple(writable)

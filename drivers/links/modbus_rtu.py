@@ -21,9 +21,9 @@ from pathlib import Path
 
 import serial
 
-from drivers.clock import Clock, unwatched, wall_seconds
+from drivers.clock import Clock, wall_seconds, without_interrupts
 from drivers.errors import LinkLost, LinkTimeout, ProtocolError
-from drivers.links.modbus_serial_line import ADDRESS_AND_CRC, SerialLine, framed, is_sound
+from drivers.links.modbus_serial_line import ADDRESS_AND_CRC, SerialLine, build_frame, has_valid_crc
 from drivers.links.modbus_transport import EXCEPTION_BIT, READ, WRITE, WRITE_AND_READ, DamagedFrame, answer_length
 
 QUIET_S = 0.02
@@ -53,7 +53,7 @@ class RtuTransport:
     def __init__(self, endpoint: RtuEndpoint, clock: Clock, *, timeout_s: float, where: Mapping[str, str]) -> None:
         self._line = endpoint.line
         self._unit = endpoint.unit
-        self._clock = unwatched(clock)
+        self._clock = without_interrupts(clock)
         self._timeout_s = timeout_s
         self._where = where
         self._serial: serial.Serial | None = None
@@ -101,7 +101,7 @@ class RtuTransport:
         try:
             self._settle(port)
             self._unsettled = True
-            answer = self._transact(port, framed(self._unit, request), request)
+            answer = self._transact(port, build_frame(self._unit, request), request)
             self._unsettled = False
         except LinkTimeout:
             owed_s += self._timeout_s
@@ -156,7 +156,7 @@ class RtuTransport:
             if wanted is None and len(data) >= ADDRESS_AND_CRC and _length(data, sent[1]) is None:
                 data += self._until_quiet(port)
                 break
-        if is_sound(data) and data != sent:
+        if has_valid_crc(data) and data != sent:
             return data
         data += self._until_quiet(port)
         self._require_no_echo(data, sent)

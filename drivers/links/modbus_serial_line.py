@@ -66,12 +66,12 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-def framed(unit: int, body: bytes) -> bytes:
+def build_frame(unit: int, body: bytes) -> bytes:
     frame = bytes((unit,)) + body
     return frame + crc16(frame).to_bytes(2, "little")
 
 
-def is_sound(frame: bytes) -> bool:
+def has_valid_crc(frame: bytes) -> bool:
     return len(frame) >= SHORTEST_FRAME and crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little")
 
 

@@ -26,7 +26,7 @@ logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True)
-class Endpoint:
+class TcpEndpoint:
     """Where a Modbus TCP server is reached."""
 
     host: str
@@ -40,7 +40,7 @@ class Endpoint:
 class TcpTransport:
     """One connection to one unit; a lost connection is never reopened behind the caller's back."""
 
-    def __init__(self, endpoint: Endpoint, *, timeout_s: float, where: Mapping[str, str]) -> None:
+    def __init__(self, endpoint: TcpEndpoint, *, timeout_s: float, where: Mapping[str, str]) -> None:
         self._unit = endpoint.unit
         self._timeout_s = timeout_s
         self._where = where

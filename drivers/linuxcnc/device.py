@@ -8,17 +8,17 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, LinkLost
 from drivers.linuxcnc.bridge_link import BridgeLink
-from drivers.linuxcnc.compensation import LinuxCncStore, store_of
+from drivers.linuxcnc.compensation import LinuxCncStore, create_store
 from drivers.linuxcnc.diagnosis import diagnose
-from drivers.linuxcnc.motion import Kind, Motion
-from drivers.linuxcnc.probing import Probing
-from drivers.linuxcnc.session import Session
+from drivers.linuxcnc.motion import LinuxCncMotion, MotionKind
+from drivers.linuxcnc.probing import LinuxCncProbing
+from drivers.linuxcnc.session import LinuxCncSession
 from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.linuxcnc.snapshot import ON
 from drivers.registry import DeviceContext
 from drivers.roles import (
     AxisLimits,
-    Finding,
+    DiagnosticFinding,
     MachineStatus,
     Miss,
     ProbeStatus,
@@ -39,7 +39,7 @@ class LinuxCnc:
             watch_s=settings.watch_s,
             device=context.name,
         )
-        self._session = Session(link, context.clock, settings)
+        self._session = LinuxCncSession(link, context.clock, settings)
         self._store = _store(settings, link, context)
         self._parts: _Parts | None = None
 
@@ -64,7 +64,7 @@ class LinuxCnc:
         finally:
             self._session.link.close()
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         return diagnose(self._session, self._store)
 
     @property
@@ -88,7 +88,7 @@ class LinuxCnc:
         return np.array(self._session.look().position)
 
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
-        kind = Kind.GUARDED if guarded else Kind.POSITIONING
+        kind = MotionKind.GUARDED if guarded else MotionKind.POSITIONING
         self._open.motion.run(kind, [float(value) for value in target_mm], feed_mm_per_s)
 
     def trace(self, tag: int) -> None:
@@ -166,12 +166,12 @@ class LinuxCnc:
 def _store(settings: LinuxCncSettings, link: BridgeLink, context: DeviceContext) -> LinuxCncStore | None:
     if settings.compensation is None:
         return None
-    return store_of(settings.compensation, link, context.clock, base_path=context.base_path, device=context.name)
+    return create_store(settings.compensation, link, context.clock, base_path=context.base_path, device=context.name)
 
 
 class _Parts:
     """What can be built only once LinuxCNC has stated its limits."""
 
-    def __init__(self, session: Session) -> None:
-        self.motion = Motion(session)
-        self.probing = Probing(session, self.motion)
+    def __init__(self, session: LinuxCncSession) -> None:
+        self.motion = LinuxCncMotion(session)
+        self.probing = LinuxCncProbing(session, self.motion)

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from drivers.clock import wall_seconds
 from drivers.errors import VolcalError
 from drivers.linuxcnc.compensation import LinuxCncStore
-from drivers.linuxcnc.session import XYZ, Session
+from drivers.linuxcnc.session import XYZ, LinuxCncSession
 from drivers.linuxcnc.snapshot import Snapshot
-from drivers.roles import Finding
+from drivers.roles import DiagnosticFinding
 
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.05
@@ -21,9 +21,9 @@ LATCH_MM_PER_S = 5.0
 """Usual speed of a touch, 300 mm/min, at which the latch is judged."""
 
 
-def diagnose(session: Session, store: LinuxCncStore | None) -> list[Finding]:
+def diagnose(session: LinuxCncSession, store: LinuxCncStore | None) -> list[DiagnosticFinding]:
     """Findings in the order in which a person would look; an error ends the list as a finding of its own."""
-    findings: list[Finding] = []
+    findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:
         if opened_here:
@@ -31,21 +31,25 @@ def diagnose(session: Session, store: LinuxCncStore | None) -> list[Finding]:
         findings.extend(_findings(session))
         findings.extend(_tables(store))
     except VolcalError as error:
-        findings.append(Finding("bridge", ok=False, text=str(error)))
+        findings.append(DiagnosticFinding("bridge", ok=False, text=str(error)))
     finally:
         if opened_here:
             session.link.close()
     return findings
 
 
-def _findings(session: Session) -> Iterator[Finding]:
+def _findings(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
     hello = session.link.hello
-    yield Finding("bridge", ok=True, text=f"LinuxCNC {hello['version']}, {session.facts.machine_name}, {hello['ini']}")
+    yield DiagnosticFinding(
+        "bridge", ok=True, text=f"LinuxCNC {hello['version']}, {session.facts.machine_name}, {hello['ini']}"
+    )
     first = session.look()
     yield _latency(session, first)
     yield _state(first)
     missing = [name.value for name, given in session.permissions(first).items() if not given]
-    yield Finding("permissions", ok=not missing, text=f"missing: {', '.join(missing)}" if missing else "all given")
+    yield DiagnosticFinding(
+        "permissions", ok=not missing, text=f"missing: {', '.join(missing)}" if missing else "all given"
+    )
     yield _probe(session, first)
     yield _travel(session)
     yield from _overrides(first)
@@ -53,13 +57,15 @@ def _findings(session: Session) -> Iterator[Finding]:
     yield _temperatures(session)
 
 
-def _tables(store: LinuxCncStore | None) -> list[Finding]:
+def _tables(store: LinuxCncStore | None) -> list[DiagnosticFinding]:
     if store is None:
-        return [Finding("tables", ok=True, text="no compensation configured: another device must be the store")]
+        return [
+            DiagnosticFinding("tables", ok=True, text="no compensation configured: another device must be the store")
+        ]
     return store.diagnose()
 
 
-def _latency(session: Session, first: Snapshot) -> Finding:
+def _latency(session: LinuxCncSession, first: Snapshot) -> DiagnosticFinding:
     """Round trips, and whether LinuxCNC's seconds are as long as ours."""
     began_s = wall_seconds()
     before = session.look()
@@ -72,44 +78,46 @@ def _latency(session: Session, first: Snapshot) -> Finding:
     skew_s = (last.monotonic_s - before.monotonic_s) - passed_s
     median_s, worst_s = sorted(took)[len(took) // 2], max(took)
     text = f"median {median_s * 1e3:.2f} ms, worst {worst_s * 1e3:.2f} ms; clock skew {skew_s * 1e3:.2f} ms"
-    return Finding("latency", ok=median_s <= SLOW_ROUND_TRIP_S and abs(skew_s) <= worst_s + SKEW_LEAST_S, text=text)
+    return DiagnosticFinding(
+        "latency", ok=median_s <= SLOW_ROUND_TRIP_S and abs(skew_s) <= worst_s + SKEW_LEAST_S, text=text
+    )
 
 
-def _state(snapshot: Snapshot) -> Finding:
+def _state(snapshot: Snapshot) -> DiagnosticFinding:
     homed = "homed" if snapshot.homed else "not homed: home it at the machine, or see option homing"
     fault = snapshot.fault
     text = f"{snapshot.state.value}{': ' if fault else ''}{fault}, {homed}"
-    return Finding("state", ok=not fault and snapshot.homed, text=text)
+    return DiagnosticFinding("state", ok=not fault and snapshot.homed, text=text)
 
 
-def _probe(session: Session, snapshot: Snapshot) -> Finding:
+def _probe(session: LinuxCncSession, snapshot: Snapshot) -> DiagnosticFinding:
     wanted = session.settings.probe_tool
     loaded = wanted is None or snapshot.tool == wanted
     healthy = session.probe_healthy(snapshot)
     pin = "tripped" if snapshot.deflected else "free"
     text = f"tool {snapshot.tool} in the spindle, motion.probe-input is {pin}{'' if healthy else ', not healthy'}"
-    return Finding("probe", ok=loaded and healthy and not snapshot.deflected, text=text)
+    return DiagnosticFinding("probe", ok=loaded and healthy and not snapshot.deflected, text=text)
 
 
-def _travel(session: Session) -> Finding:
+def _travel(session: LinuxCncSession) -> DiagnosticFinding:
     limits = session.facts.limits
     travel = ", ".join(
         f"{axis} {low:g} … {high:g} mm" for axis, low, high in zip(XYZ, limits.lower_mm, limits.upper_mm, strict=True)
     )
-    return Finding("travel", ok=True, text=f"{travel}; 1 unit is {session.facts.mm_per_unit:g} mm")
+    return DiagnosticFinding("travel", ok=True, text=f"{travel}; 1 unit is {session.facts.mm_per_unit:g} mm")
 
 
-def _overrides(snapshot: Snapshot) -> Iterator[Finding]:
+def _overrides(snapshot: Snapshot) -> Iterator[DiagnosticFinding]:
     for name, value in (("feed override", snapshot.feed_override), ("rapid override", snapshot.rapid_override)):
-        yield Finding(name, ok=value == 1.0, text=f"{100.0 * value:.0f} %")
-    yield Finding(
+        yield DiagnosticFinding(name, ok=value == 1.0, text=f"{100.0 * value:.0f} %")
+    yield DiagnosticFinding(
         "work coordinates",
         ok=snapshot.rotation_deg == 0.0,
         text=f"rotated by {snapshot.rotation_deg:g}°" if snapshot.rotation_deg else "not rotated",
     )
 
 
-def _ini(session: Session) -> Iterator[Finding]:
+def _ini(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
     """Settings that make calibrating wrong or dangerous, with what they do."""
     keys = [
         ("DISPLAY", "MAX_FEED_OVERRIDE"),
@@ -120,14 +128,14 @@ def _ini(session: Session) -> Iterator[Finding]:
     told = session.link.ask("ini", keys=keys)["values"]
     values = dict(zip([f"[{section}]{key}" for section, key in keys], told, strict=True))
     override = values["[DISPLAY]MAX_FEED_OVERRIDE"]
-    yield Finding(
+    yield DiagnosticFinding(
         "[DISPLAY]MAX_FEED_OVERRIDE",
         ok=override is None or _number(override) <= 1.0,
         text=f"{override}: up to so many times the feed asked for" if override else "not set",
     )
     period_s = session.facts.servo_period_s
     spread_um = 1e3 * LATCH_MM_PER_S * period_s
-    yield Finding(
+    yield DiagnosticFinding(
         "[EMCMOT]SERVO_PERIOD",
         ok=period_s <= LONGEST_PERIOD_S,
         text=f"{period_s * 1e3:g} ms: touches at {LATCH_MM_PER_S:g} mm/s latch up to {spread_um:.1f} µm late; half is "
@@ -135,14 +143,14 @@ def _ini(session: Session) -> Iterator[Finding]:
     )
     yield from _homing(values)
     ratios = [values[f"[AXIS_{axis}]OFFSET_AV_RATIO"] for axis in XYZ]
-    yield Finding(
+    yield DiagnosticFinding(
         "[AXIS_*]OFFSET_AV_RATIO",
         ok=True,
         text="none: external offsets cannot act" if not any(ratios) else f"{', '.join(str(ratio) for ratio in ratios)}",
     )
 
 
-def _homing(values: dict[str, str | None]) -> Iterator[Finding]:
+def _homing(values: dict[str, str | None]) -> Iterator[DiagnosticFinding]:
     """A joint without switch and without an absolute encoder takes wherever it stands for its home."""
     blind = [
         place.removesuffix("HOME_SEARCH_VEL")
@@ -154,16 +162,18 @@ def _homing(values: dict[str, str | None]) -> Iterator[Finding]:
     text = "joints home by a switch or an absolute encoder"
     if blind:
         text = f"{', '.join(blind)} neither HOME_SEARCH_VEL nor HOME_ABSOLUTE_ENCODER: homing takes any place for zero"
-    yield Finding("homing", ok=not blind, text=text)
+    yield DiagnosticFinding("homing", ok=not blind, text=text)
 
 
-def _temperatures(session: Session) -> Finding:
+def _temperatures(session: LinuxCncSession) -> DiagnosticFinding:
     pins = session.settings.temperatures
     if not pins:
-        return Finding("temperatures", ok=True, text="no HAL pins named: another device must be the thermometer")
+        return DiagnosticFinding(
+            "temperatures", ok=True, text="no HAL pins named: another device must be the thermometer"
+        )
     values = session.link.get_all(list(pins.values()))
     told = ", ".join(f"{name} {float(value):.2f} °C" for name, value in zip(pins, values, strict=True))
-    return Finding("temperatures", ok=True, text=told)
+    return DiagnosticFinding("temperatures", ok=True, text=told)
 
 
 def _number(text: str | None) -> float:

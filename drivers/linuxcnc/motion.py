@@ -18,7 +18,7 @@ from drivers.errors import (
     MotionFault,
     PermissionMissing,
 )
-from drivers.linuxcnc.session import XYZ, Session
+from drivers.linuxcnc.session import XYZ, LinuxCncSession
 from drivers.linuxcnc.snapshot import ON, Snapshot, Triple
 from drivers.roles import MotionState, Permission, Vector
 from drivers.straight_move import move_duration_s
@@ -39,24 +39,24 @@ FREE_WITHIN_MM = 2.0
 FREEING_MM_PER_S = 2.0
 
 
-class Kind(Enum):
+class MotionKind(Enum):
     POSITIONING = "positioning move"
     GUARDED = "guarded move"
     TOUCH = "touch"
 
 
 @dataclass(frozen=True)
-class Ended:
+class MotionResult:
     """Where a motion began, and the look that showed its end."""
 
     start: Triple
     snapshot: Snapshot
 
 
-class Motion:
+class LinuxCncMotion:
     """Starts motions and says how they ended. Whatever exception leaves a wait, the machine is stopped first."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: LinuxCncSession) -> None:
         self._session = session
         self._limits = session.facts.limits
         self._braking = False
@@ -65,7 +65,7 @@ class Motion:
         self.tag = 0
         """Which step the motions belong to; written as a comment behind the line."""
 
-    def run(self, kind: Kind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Ended:
+    def run(self, kind: MotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> MotionResult:
         """Returns at the target, or for a touch where it tripped or ended; anything else is raised."""
         target = self._proved(kind, target_mm, feed_mm_per_s)
         self._await_rest()
@@ -73,10 +73,10 @@ class Motion:
         self._require_ready(kind, before)
         before = self._freed(kind, before, target)
         if math.dist(before.position, target) < LIMIT_TOLERANCE_MM:
-            return Ended(before.position, replace(before, tripped=False))
+            return MotionResult(before.position, replace(before, tripped=False))
         self._modal_before = self._modal_before or before.modal
         ended = self._carried_out(kind, before, target, feed_mm_per_s)
-        return Ended(before.position, ended)
+        return MotionResult(before.position, ended)
 
     def stop(self) -> None:
         """Abort; does not wait for rest, since it is called where sleeping is not possible."""
@@ -107,7 +107,7 @@ class Motion:
 
     # ------------------------------------------------------------------ before
 
-    def _proved(self, kind: Kind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
+    def _proved(self, kind: MotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
         x, y, z = (float(value) for value in target_mm)
         feed_ok = feed_mm_per_s is None or (math.isfinite(feed_mm_per_s) and feed_mm_per_s > 0.0)
         if not all(map(math.isfinite, (x, y, z))) or not feed_ok:
@@ -128,7 +128,7 @@ class Motion:
             session.clock.sleep(REST_POLL_S)
         self._braking = False
 
-    def _require_ready(self, kind: Kind, before: Snapshot) -> None:
+    def _require_ready(self, kind: MotionKind, before: Snapshot) -> None:
         session = self._session
         missing = [name for name, given in session.permissions(before).items() if not given]
         if Permission.REFERENCED in missing:
@@ -149,12 +149,12 @@ class Motion:
         if snapshot.state is not MotionState.IDLE:
             raise self._rejected(f"LinuxCNC is {snapshot.state.value}", hint="end the program or the hold first")
 
-    def _freed(self, kind: Kind, before: Snapshot, target: Triple) -> Snapshot:
+    def _freed(self, kind: MotionKind, before: Snapshot, target: Triple) -> Snapshot:
         """LinuxCNC sees only the edge of the probe's signal, so a probe that is deflected guards nothing. It may be
         led back against the way it came; where that is not known, it is led a little and must come free."""
-        if kind is Kind.POSITIONING or not before.deflected:
+        if kind is MotionKind.POSITIONING or not before.deflected:
             return before
-        if kind is Kind.TOUCH:
+        if kind is MotionKind.TOUCH:
             raise self._rejected("the probe is deflected before the touch", hint="back off first")
         way = np.subtract(target, before.position)
         if self._came is None:
@@ -170,7 +170,7 @@ class Motion:
             return before
         x, y, z = (np.array(before.position) + way * min(1.0, FREE_WITHIN_MM / length)).tolist()
         self._modal_before = self._modal_before or before.modal
-        ended = self._carried_out(Kind.POSITIONING, before, (x, y, z), FREEING_MM_PER_S)
+        ended = self._carried_out(MotionKind.POSITIONING, before, (x, y, z), FREEING_MM_PER_S)
         if ended.deflected:
             raise GuardTripped(
                 f"the probe is deflected, and still is after {FREE_WITHIN_MM:g} mm of this move",
@@ -179,19 +179,19 @@ class Motion:
             )
         return ended
 
-    def _line(self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> str:
+    def _line(self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> str:
         """Machine positions by G53; G38 knows no G53, so the offsets that act are taken off."""
-        if kind is Kind.TOUCH:
+        if kind is MotionKind.TOUCH:
             target = _difference(target, before.program_offset)
         place = " ".join(f"{axis}{value:.7f}" for axis, value in zip(XYZ, target, strict=True))
-        word = "G38.3" if kind is Kind.TOUCH else ("G53 G0" if feed_mm_per_s is None else "G53 G1")
+        word = "G38.3" if kind is MotionKind.TOUCH else ("G53 G0" if feed_mm_per_s is None else "G53 G1")
         feed = "" if feed_mm_per_s is None else f" F{60.0 * feed_mm_per_s:.6f}"
         comment = f" (volcal {self.tag})" if self.tag else ""
         return f"{PREFIX} {word} {place}{feed}{comment}"
 
     # ------------------------------------------------------------------ while
 
-    def _carried_out(self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> Snapshot:
+    def _carried_out(self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> Snapshot:
         """The look that shows its end, which was a success."""
         if not before.deflected:
             self._came = _difference(target, before.position)
@@ -209,7 +209,7 @@ class Motion:
         return ended
 
     def _wait(
-        self, kind: Kind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
+        self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
     ) -> tuple[Snapshot, tuple[str, ...]]:
         """The look that shows the axes at rest, with what came of the motion when it ended, and all that LinuxCNC has
         said meanwhile: after a trip it is done with a move while the axes still brake."""
@@ -256,7 +256,7 @@ class Motion:
             self._session.settings.motion_margin_s
         )
 
-    def _require_still_permitted(self, kind: Kind, snapshot: Snapshot) -> None:
+    def _require_still_permitted(self, kind: MotionKind, snapshot: Snapshot) -> None:
         given = self._session.permissions(snapshot)
         missing = [name.value for name, present in given.items() if not present]
         if missing:
@@ -282,7 +282,7 @@ class Motion:
 
     # ------------------------------------------------------------------ after
 
-    def _require_success(self, kind: Kind, ended: Snapshot, target: Triple, said: tuple[str, ...]) -> None:
+    def _require_success(self, kind: MotionKind, ended: Snapshot, target: Triple, said: tuple[str, ...]) -> None:
         where = self._session.where
         text = "; ".join(said)
         if ended.task_state != ON:
@@ -293,7 +293,7 @@ class Motion:
             )
         if ended.abandoned:
             raise MotionFault(f"the bridge stopped a {kind.value}: nobody had asked after it", **where)
-        if kind is Kind.TOUCH and ended.tripped:
+        if kind is MotionKind.TOUCH and ended.tripped:
             return
         if TRIPPED in text:
             raise self._guard_tripped(kind, ended)
@@ -309,10 +309,10 @@ class Motion:
                 **where,
             )
 
-    def _guard_tripped(self, kind: Kind, ended: Snapshot) -> MotionFault:
+    def _guard_tripped(self, kind: MotionKind, ended: Snapshot) -> MotionFault:
         """LinuxCNC has stopped and is ready again: the way back is open."""
         x, y, z = ended.position
-        fault = GuardTripped if kind is Kind.GUARDED else MotionFault
+        fault = GuardTripped if kind is MotionKind.GUARDED else MotionFault
         return fault(
             f"probe tripped in a move that was no touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
             hint="something stands in the way, or mount and artefact are not where the plan has them",

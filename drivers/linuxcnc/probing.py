@@ -8,17 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.errors import PermissionMissing, ProtocolError
-from drivers.linuxcnc.motion import Ended, Kind, Motion
-from drivers.linuxcnc.session import Session
+from drivers.linuxcnc.motion import LinuxCncMotion, MotionKind, MotionResult
+from drivers.linuxcnc.session import LinuxCncSession
 from drivers.linuxcnc.snapshot import Snapshot
 from drivers.roles import Miss, ProbeStatus, Touch, Vector
-from drivers.straight_move import along_path, distance_to_segment_mm
+from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 
 
-class Probing:
+class LinuxCncProbing:
     """G38.3 gives no alarm on a miss; what happened is told by `probe_tripped`."""
 
-    def __init__(self, session: Session, motion: Motion) -> None:
+    def __init__(self, session: LinuxCncSession, motion: LinuxCncMotion) -> None:
         self._session = session
         self._motion = motion
 
@@ -31,7 +31,7 @@ class Probing:
     def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
         self._require_usable()
         target = tuple(float(value) for value in target_mm)
-        ended = self._motion.run(Kind.TOUCH, target, feed_mm_per_s)
+        ended = self._motion.run(MotionKind.TOUCH, target, feed_mm_per_s)
         if not ended.snapshot.tripped:
             return Miss(ended.snapshot.position)
         latched = np.array(ended.snapshot.probed)
@@ -45,7 +45,7 @@ class Probing:
         x, y, z = (latched - self._overshoot(ended, target, feed_mm_per_s)).tolist()
         return Touch((x, y, z))
 
-    def _overshoot(self, ended: Ended, target: Sequence[float], feed_mm_per_s: float) -> Vector:
+    def _overshoot(self, ended: MotionResult, target: Sequence[float], feed_mm_per_s: float) -> Vector:
         """(3,) mm by which the axes had gone on when the position was latched.
 
         LinuxCNC latches in the servo cycle that sees the pin, on average half a cycle after the trip, and as much later
@@ -58,8 +58,8 @@ class Probing:
         shares = np.abs(direction).tolist()
         speed = min(
             feed_mm_per_s * ended.snapshot.feed_override,
-            along_path(shares, facts.limits.rapid_mm_per_s),
-            math.sqrt(2.0 * along_path(shares, facts.limits.acceleration_mm_per_s2) * gone_mm),
+            limit_along_direction(shares, facts.limits.rapid_mm_per_s),
+            math.sqrt(2.0 * limit_along_direction(shares, facts.limits.acceleration_mm_per_s2) * gone_mm),
         )
         late_s = settings.latch_cycles * facts.servo_period_s + settings.probe_delay_s
         return np.asarray(direction * speed * late_s)

@@ -9,7 +9,7 @@ from drivers.clock import Clock, Deadline
 from drivers.errors import CommandRejected, ConfigurationError, LinkLost, ProtocolError
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.settings import LinuxCncSettings
-from drivers.linuxcnc.snapshot import ON, Snapshot, snapshot_of
+from drivers.linuxcnc.snapshot import ON, Snapshot, parse_snapshot
 from drivers.roles import AxisLimits, Permission
 
 XYZ = "XYZ"
@@ -17,7 +17,7 @@ XYZ_MASK = 0b111
 
 
 @dataclass(frozen=True)
-class Facts:
+class MachineProperties:
     """What LinuxCNC says of itself once: `servo_period_s`, `absolute_encoders` by joint, the rest as in AxisLimits."""
 
     limits: AxisLimits
@@ -27,7 +27,7 @@ class Facts:
     machine_name: str
 
 
-class Session:
+class LinuxCncSession:
     """Open while the bridge is. Positions in mm whatever LINEAR_UNITS are."""
 
     def __init__(self, link: BridgeLink, clock: Clock, settings: LinuxCncSettings) -> None:
@@ -35,7 +35,7 @@ class Session:
         self.clock = clock
         self.settings = settings
         self.where = link.where
-        self._facts: Facts | None = None
+        self._facts: MachineProperties | None = None
         self._pins = settings.pins()
 
     def open(self) -> None:
@@ -52,13 +52,13 @@ class Session:
             )
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> MachineProperties:
         if self._facts is None:
             raise LinkLost("device is not open", hint="open it first", **self.where)
         return self._facts
 
     def look(self) -> Snapshot:
-        return snapshot_of(self.link.ask("status", pins=self._pins), self.facts.mm_per_unit, self.where)
+        return parse_snapshot(self.link.ask("status", pins=self._pins), self.facts.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
         """HAL pins where they are named, LinuxCNC's own state otherwise."""
@@ -99,7 +99,7 @@ class Session:
                 self.link.ask("abort")
             raise
 
-    def _read_facts(self) -> Facts:
+    def _read_facts(self) -> MachineProperties:
         hello = self.link.hello
         if hello["axis_mask"] & XYZ_MASK != XYZ_MASK:
             raise ConfigurationError("LinuxCNC has no axes X, Y, Z", hint="see [TRAJ]COORDINATES", **self.where)
@@ -114,7 +114,7 @@ class Session:
         cap = math.inf if fastest is None else self._number(fastest, "[TRAJ]MAX_LINEAR_VELOCITY") * mm
         limits = hello["limits"]
         vx, ax, vy, ay, vz, az = dynamics
-        return Facts(
+        return MachineProperties(
             limits=AxisLimits(
                 lower_mm=(limits[0][0] * mm, limits[1][0] * mm, limits[2][0] * mm),
                 upper_mm=(limits[0][1] * mm, limits[1][1] * mm, limits[2][1] * mm),

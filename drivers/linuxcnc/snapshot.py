@@ -69,7 +69,7 @@ class Snapshot:
         return text
 
 
-def snapshot_of(told: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
+def parse_snapshot(told: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
     """From the bridge's answer to `status`. ProtocolError where something is missing."""
     try:
         offset = told["eoffset"]
@@ -84,13 +84,13 @@ def snapshot_of(told: dict[str, Any], mm_per_unit: float, where: dict[str, str])
             modal=tuple(told["modal"]),
             errors=tuple(told["errors"]),
             pins=tuple(told["pins"]),
-            **{name: told[name] for name in _AS_TOLD},
+            **{name: told[name] for name in _COPIED_FIELDS},
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ProtocolError(f"the bridge's status cannot be read: {error!r}", **where) from error
 
 
-_AS_TOLD = (
+_COPIED_FIELDS = (
     "tripped",
     "task_state",
     "mode",

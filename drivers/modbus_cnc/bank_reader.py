@@ -7,23 +7,23 @@ import math
 from drivers.clock import Deadline
 from drivers.errors import ChecksumMismatch, ProtocolError
 from drivers.modbus_cnc.codes import NO_BLOCK
-from drivers.modbus_cnc.registers import Descriptor
-from drivers.modbus_cnc.session import Session
+from drivers.modbus_cnc.registers import TableDescriptor
+from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.settings import READ_WINDOW_REGISTERS
-from drivers.modbus_cnc.table import block_count, crc32, table_of
+from drivers.modbus_cnc.table import block_count, crc32, decode_table
 from drivers.roles import TableImage
 
 
 class BankReader:
     """Reads complete banks; block 0 of a bank is its descriptor."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: ModbusSession) -> None:
         self._session = session
 
-    def read(self, bank: int) -> tuple[TableImage, Descriptor]:
+    def read(self, bank: int) -> tuple[TableImage, TableDescriptor]:
         """The table of a complete bank, its CRC-32 computed here and compared with the controller's."""
         layout = self._session.layouts.descriptor
-        descriptor = Descriptor(*layout.unpack(self._read_block(bank, 0)[: 2 * layout.size]))
+        descriptor = TableDescriptor(*layout.unpack(self._read_block(bank, 0)[: 2 * layout.size]))
         self._require_sound(bank, descriptor)
         nx, ny, nz = descriptor.nodes
         blocks = [self._read_block(bank, number + 1) for number in range(block_count(descriptor.nodes))]
@@ -37,7 +37,7 @@ class BankReader:
                 bank=bank,
                 **self._session.where,
             )
-        return table_of(descriptor, data), descriptor
+        return decode_table(descriptor, data), descriptor
 
     def _read_block(self, bank: int, number: int) -> bytes:
         """240 bytes of the read window, once it shows `bank` and `number`.
@@ -60,7 +60,7 @@ class BankReader:
             deadline.require(f"block {number} of bank {bank} in the read window", **self._session.where)
             clock.sleep(self._session.settings.fine_poll_interval_s)
 
-    def _require_sound(self, bank: int, descriptor: Descriptor) -> None:
+    def _require_sound(self, bank: int, descriptor: TableDescriptor) -> None:
         numbers = (*descriptor.origin, *descriptor.step, descriptor.resolution)
         sound = all(map(math.isfinite, numbers)) and min(descriptor.nodes) >= 1
         if descriptor.bank != bank or not sound:

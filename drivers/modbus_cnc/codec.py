@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Kind = Literal["u16", "u32", "i32", "number"]
+RegisterType = Literal["u16", "u32", "i32", "number"]
 WordOrder = Literal["high-first", "low-first"]
 
 _REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
@@ -28,18 +28,18 @@ class NumberFormat:
 
 
 @dataclass(frozen=True)
-class Register:
+class RegisterField:
     """One name of a block: a scalar where `count` is 1, else a tuple of `count` values."""
 
     name: str
-    kind: Kind
+    kind: RegisterType
     count: int = 1
 
 
-class Layout:
+class RegisterLayout:
     """The registers of one block, in order."""
 
-    def __init__(self, registers: Sequence[Register], numbers: NumberFormat) -> None:
+    def __init__(self, registers: Sequence[RegisterField], numbers: NumberFormat) -> None:
         self._registers = tuple(registers)
         self._numbers = numbers
         codes = {"u16": "H", "u32": "I", "i32": "i", "number": "d" if numbers.kind == "float64" else "i4x"}
@@ -93,7 +93,7 @@ class Layout:
         """Big-endian bytes of the whole layout as they go over the wire, and back: a reversal is its own inverse."""
         return data if self._order is None else bytes([data[index] for index in self._order])
 
-    def _kinds(self) -> Iterator[Kind]:
+    def _kinds(self) -> Iterator[RegisterType]:
         for register in self._registers:
             yield from (register.kind,) * register.count
 

@@ -10,7 +10,7 @@ PROTOCOL = 0x5643
 MAJOR_VERSION = 1
 
 
-class Code(IntEnum):
+class CommandCode(IntEnum):
     """Commands."""
 
     MOVE_RAPID = 11
@@ -32,7 +32,7 @@ class Code(IntEnum):
         return self.name.replace("_", " ")
 
 
-class Outcome(IntEnum):
+class MotionOutcome(IntEnum):
     """How a motion ended."""
 
     NONE = 0

@@ -9,18 +9,18 @@ import numpy as np
 
 from drivers.clock import Clock
 from drivers.errors import DeviceError, LinkLost, ProtocolError
-from drivers.modbus_cnc.codes import ACTIVATIONS, NO_TEMPERATURE, Code, fault_text
+from drivers.modbus_cnc.codes import ACTIVATIONS, NO_TEMPERATURE, CommandCode, fault_text
 from drivers.modbus_cnc.diagnosis import diagnose
-from drivers.modbus_cnc.link_factory import link_of
-from drivers.modbus_cnc.motion import Motion
-from drivers.modbus_cnc.probing import Probing
-from drivers.modbus_cnc.registers import Command, Limits
-from drivers.modbus_cnc.session import Session
+from drivers.modbus_cnc.link_factory import create_link
+from drivers.modbus_cnc.motion import ModbusMotion
+from drivers.modbus_cnc.probing import ModbusProbing
+from drivers.modbus_cnc.registers import CommandBlock, ControllerLimits
+from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.settings import ModbusCncSettings
-from drivers.modbus_cnc.store import Store
+from drivers.modbus_cnc.store import ModbusStore
 from drivers.roles import (
     AxisLimits,
-    Finding,
+    DiagnosticFinding,
     MachineStatus,
     Miss,
     ProbeStatus,
@@ -42,7 +42,7 @@ class ModbusCnc:
     """Composes motion, probing and store over one shared session; they exist while the device is open."""
 
     def __init__(self, settings: ModbusCncSettings, clock: Clock, name: str) -> None:
-        self._session = Session(link_of(settings, clock, name), clock, settings)
+        self._session = ModbusSession(create_link(settings, clock, name), clock, settings)
         self._parts: _Parts | None = None
 
     def open(self) -> None:
@@ -59,7 +59,7 @@ class ModbusCnc:
         self._parts = None
         self._session.close()
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         return diagnose(self._session)
 
     def limits(self) -> AxisLimits:
@@ -74,22 +74,22 @@ class ModbusCnc:
 
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         if feed_mm_per_s is None:
-            code = Code.GUARDED_RAPID if guarded else Code.MOVE_RAPID
+            code = CommandCode.GUARDED_RAPID if guarded else CommandCode.MOVE_RAPID
         else:
-            code = Code.GUARDED_FEED if guarded else Code.MOVE_FEED
+            code = CommandCode.GUARDED_FEED if guarded else CommandCode.MOVE_FEED
         self._open.motion.run(code, [float(value) for value in target_mm], feed_mm_per_s)
 
     def trace(self, tag: int) -> None:
         self._open.motion.tag = tag
 
     def hold(self) -> None:
-        self._session.urgent(Code.HOLD)
+        self._session.urgent(CommandCode.HOLD)
 
     def resume(self) -> None:
-        self._session.urgent(Code.RESUME)
+        self._session.urgent(CommandCode.RESUME)
 
     def reset(self) -> None:
-        self._session.command(Command(Code.RESET))
+        self._session.command(CommandBlock(CommandCode.RESET))
 
     def stop(self) -> None:
         """STOP; reconnects for it when the connection was lost. Does nothing on a device that is closed."""
@@ -135,7 +135,7 @@ class ModbusCnc:
             raise LinkLost("device is not open", hint="open it first", **self._session.where)
         return self._parts
 
-    def _require_sound(self, limits: Limits) -> None:
+    def _require_sound(self, limits: ControllerLimits) -> None:
         travels = [high - low for low, high in zip(limits.lower, limits.upper, strict=True)]
         numbers = (*limits.lower, *limits.upper, *limits.rapid, *limits.acceleration)
         sound = (
@@ -157,8 +157,8 @@ class ModbusCnc:
 class _Parts:
     """What can be built only once the controller has stated its limits."""
 
-    def __init__(self, session: Session, limits: Limits) -> None:
+    def __init__(self, session: ModbusSession, limits: ControllerLimits) -> None:
         self.axis_limits = AxisLimits(limits.lower, limits.upper, limits.rapid, limits.acceleration)
-        self.motion = Motion(session, self.axis_limits)
-        self.probing = Probing(session, self.motion)
-        self.store = Store(session, limits)
+        self.motion = ModbusMotion(session, self.axis_limits)
+        self.probing = ModbusProbing(session, self.motion)
+        self.store = ModbusStore(session, limits)

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 from drivers.errors import DeviceError
 from drivers.modbus_cnc.codes import PROBE_HEALTHY, PROBE_LOADED, fault_text
-from drivers.modbus_cnc.line_diagnosis import line_findings, where_it_answers
-from drivers.modbus_cnc.registers import Status
-from drivers.modbus_cnc.session import Session
-from drivers.roles import Finding
+from drivers.modbus_cnc.line_diagnosis import line_findings, search_baud_rate
+from drivers.modbus_cnc.registers import StatusImage
+from drivers.modbus_cnc.session import ModbusSession
+from drivers.roles import DiagnosticFinding
 
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.1
@@ -20,29 +20,29 @@ HEARTBEAT_PAUSE_S = 0.3
 """The map promises a new heartbeat every 0.25 s."""
 
 
-def diagnose(session: Session) -> list[Finding]:
+def diagnose(session: ModbusSession) -> list[DiagnosticFinding]:
     """Findings in the order in which a person would look; an error ends the list as a finding of its own."""
-    findings: list[Finding] = []
+    findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:
         if opened_here:
             session.link.open()
         findings.extend(_findings(session))
     except DeviceError as error:
-        findings.append(Finding("link", ok=False, text=str(error)))
+        findings.append(DiagnosticFinding("link", ok=False, text=str(error)))
         if opened_here:
             session.close()
-            findings.extend(where_it_answers(session.settings, session.clock, session.where["device"], error))
+            findings.extend(search_baud_rate(session.settings, session.clock, session.where["device"], error))
     finally:
         if opened_here:
             session.close()
     return findings
 
 
-def _findings(session: Session) -> Iterator[Finding]:
+def _findings(session: ModbusSession) -> Iterator[DiagnosticFinding]:
     status = session.look()
     version = f"{status.version >> 8}.{status.version & 0xFF}"
-    yield Finding("link", ok=True, text=f"{session.where['link']}, register map version {version}")
+    yield DiagnosticFinding("link", ok=True, text=f"{session.where['link']}, register map version {version}")
     yield _heartbeat(session, status)
     yield _latency(session)
     if session.settings.serial is not None:
@@ -52,35 +52,37 @@ def _findings(session: Session) -> Iterator[Finding]:
     travel = ", ".join(
         f"{axis} {low:g} … {high:g} mm" for axis, low, high in zip("XYZ", limits.lower, limits.upper, strict=True)
     )
-    yield Finding("travel", ok=True, text=travel)
-    yield Finding(
+    yield DiagnosticFinding("travel", ok=True, text=travel)
+    yield DiagnosticFinding(
         "tables",
         ok=limits.banks > 0,
         text=f"{limits.banks} banks, active {status.active_bank}, resolution {limits.resolution * 1e3:g} µm",
     )
 
 
-def _heartbeat(session: Session, before: Status) -> Finding:
+def _heartbeat(session: ModbusSession, before: StatusImage) -> DiagnosticFinding:
     session.clock.sleep(HEARTBEAT_PAUSE_S)
     after = session.look()
     runs = after.heartbeat != before.heartbeat
-    return Finding("heartbeat", ok=runs, text="runs" if runs else f"stands at {after.heartbeat}")
+    return DiagnosticFinding("heartbeat", ok=runs, text="runs" if runs else f"stands at {after.heartbeat}")
 
 
-def _latency(session: Session) -> Finding:
+def _latency(session: ModbusSession) -> DiagnosticFinding:
     for _ in range(LATENCY_READS):
         session.look()
     latency = session.link.latency
     text = f"median {latency.median_s * 1e3:.2f} ms, worst {latency.worst_s * 1e3:.2f} ms"
-    return Finding("latency", ok=latency.median_s <= SLOW_ROUND_TRIP_S + session.poll_line_s, text=text)
+    return DiagnosticFinding("latency", ok=latency.median_s <= SLOW_ROUND_TRIP_S + session.poll_line_s, text=text)
 
 
-def _machine(status: Status) -> Iterator[Finding]:
+def _machine(status: StatusImage) -> Iterator[DiagnosticFinding]:
     fault = fault_text(status.fault_code)
-    yield Finding("state", ok=not fault, text=status.state.value + (f": {fault}" if fault else ""))
+    yield DiagnosticFinding("state", ok=not fault, text=status.state.value + (f": {fault}" if fault else ""))
     missing = [name.value for name, given in status.permissions.items() if not given]
-    yield Finding("permissions", ok=not missing, text=f"missing: {', '.join(missing)}" if missing else "all given")
+    yield DiagnosticFinding(
+        "permissions", ok=not missing, text=f"missing: {', '.join(missing)}" if missing else "all given"
+    )
     loaded, healthy = bool(status.probe_bits & PROBE_LOADED), bool(status.probe_bits & PROBE_HEALTHY)
     text = f"{'loaded' if loaded else 'not loaded'}, {'healthy' if healthy else 'not healthy'}"
-    yield Finding("probe", ok=loaded and healthy, text=text)
-    yield Finding("temperatures", ok=status.temperature_count > 0, text=f"{status.temperature_count} sensors")
+    yield DiagnosticFinding("probe", ok=loaded and healthy, text=text)
+    yield DiagnosticFinding("temperatures", ok=status.temperature_count > 0, text=f"{status.temperature_count} sensors")

@@ -9,10 +9,10 @@ from drivers.errors import DeviceError, LinkTimeout
 from drivers.links.modbus_rtu import RtuTransport
 from drivers.links.modbus_serial_line import SerialLine
 from drivers.links.modbus_transport import DamagedFrame
-from drivers.modbus_cnc.link_factory import link_of
-from drivers.modbus_cnc.session import Session
+from drivers.modbus_cnc.link_factory import create_link
+from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.settings import ModbusCncSettings
-from drivers.roles import Finding
+from drivers.roles import DiagnosticFinding
 
 USUAL_BAUDS = (9600, 19200, 38400, 57600, 115200)
 USUAL_PARITIES = ("even", "none", "odd")
@@ -20,7 +20,7 @@ WATCHDOG_S = 1.0
 """The controller stops the motion when the heartbeat has not changed for so long (register map, section 7)."""
 
 
-def line_findings(session: Session, line: SerialLine) -> Iterator[Finding]:
+def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[DiagnosticFinding]:
     """After the link has been used: the time a poll takes, and what had to be repeated."""
     poll_s = session.poll_line_s
     left_s = WATCHDOG_S - max(session.settings.poll_interval_s, poll_s) - poll_s - session.settings.timeout_s
@@ -28,15 +28,17 @@ def line_findings(session: Session, line: SerialLine) -> Iterator[Finding]:
         f"a poll takes {poll_s * 1e3:.0f} ms of the line at {line.mode}; after one lost answer {left_s:.2f} s are left"
     )
     advice = "" if left_s > 0.0 else " of the controller's second: raise the baud rate, or shorten timeout_s"
-    yield Finding("line", ok=left_s > 0.0, text=text + advice)
+    yield DiagnosticFinding("line", ok=left_s > 0.0, text=text + advice)
     transport = session.link.transport
     if isinstance(transport, RtuTransport):
         repeated, stray = session.link.repeated, transport.stray_bytes
         text = f"{repeated} requests repeated, {stray} bytes that nobody had asked for, in {session.link.latency.count}"
-        yield Finding("line faults", ok=repeated == stray == 0, text=text)
+        yield DiagnosticFinding("line faults", ok=repeated == stray == 0, text=text)
 
 
-def where_it_answers(settings: ModbusCncSettings, clock: Clock, device: str, error: DeviceError) -> Iterator[Finding]:
+def search_baud_rate(
+    settings: ModbusCncSettings, clock: Clock, device: str, error: DeviceError
+) -> Iterator[DiagnosticFinding]:
     """Where nothing or garbage came at the configured rate: the other usual ones, each asked once for one register."""
     if settings.serial is None or not isinstance(error, LinkTimeout | DamagedFrame):
         return
@@ -45,10 +47,10 @@ def where_it_answers(settings: ModbusCncSettings, clock: Clock, device: str, err
             text = (
                 f"the controller answers at {line.mode}: set serial.baud = {line.baud}, serial.parity = {line.parity!r}"
             )
-            yield Finding("baud rate", ok=False, text=text)
+            yield DiagnosticFinding("baud rate", ok=False, text=text)
             return
     tried = ", ".join(str(baud) for baud in USUAL_BAUDS)
-    yield Finding("baud rate", ok=False, text=f"no answer at {tried} baud with even, no or odd parity either")
+    yield DiagnosticFinding("baud rate", ok=False, text=f"no answer at {tried} baud with even, no or odd parity either")
 
 
 def _other_lines(line: SerialLine) -> Iterator[SerialLine]:
@@ -59,7 +61,7 @@ def _other_lines(line: SerialLine) -> Iterator[SerialLine]:
 
 
 def _answers(settings: ModbusCncSettings, clock: Clock, device: str) -> bool:
-    link = link_of(settings, clock, device)
+    link = create_link(settings, clock, device)
     try:
         link.open()
         link.read(settings.blocks.status, 1)

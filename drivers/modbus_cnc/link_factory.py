@@ -6,15 +6,15 @@ from drivers.clock import Clock
 from drivers.links.modbus import ModbusLink
 from drivers.links.modbus_rtu import RtuEndpoint, RtuTransport
 from drivers.links.modbus_serial_line import SerialLine
-from drivers.links.modbus_tcp import Endpoint, TcpTransport
+from drivers.links.modbus_tcp import TcpEndpoint, TcpTransport
 from drivers.links.modbus_transport import Transport
 from drivers.modbus_cnc.settings import ModbusCncSettings
 
 
-def link_of(settings: ModbusCncSettings, clock: Clock, device: str) -> ModbusLink:
+def create_link(settings: ModbusCncSettings, clock: Clock, device: str) -> ModbusLink:
     if settings.serial is not None:
         return _serial_link(settings, settings.serial, clock, device)
-    endpoint = Endpoint(settings.host or "", settings.port, settings.unit)
+    endpoint = TcpEndpoint(settings.host or "", settings.port, settings.unit)
     where = {"device": device, "link": str(endpoint)}
     return _link(TcpTransport(endpoint, timeout_s=settings.timeout_s, where=where), settings, where)
 

@@ -18,12 +18,12 @@ from drivers.errors import (
 from drivers.modbus_cnc.codes import (
     FAULT_GUARD_TRIPPED,
     PERMISSION_FAULTS,
-    Code,
-    Outcome,
+    CommandCode,
+    MotionOutcome,
     fault_text,
 )
-from drivers.modbus_cnc.registers import Command, Status, Triple
-from drivers.modbus_cnc.session import Session
+from drivers.modbus_cnc.registers import CommandBlock, StatusImage, Triple
+from drivers.modbus_cnc.session import ModbusSession
 from drivers.roles import AxisLimits, MotionState
 from drivers.straight_move import move_duration_s
 
@@ -35,33 +35,35 @@ DURATION_FACTOR = 1.5
 """A motion may take this many times its predicted duration (feed override, look-ahead), plus the margin."""
 
 
-class Ended(NamedTuple):
+class MotionResult(NamedTuple):
     """Where a motion started, and the image that shows its outcome."""
 
     start: Triple
-    status: Status
+    status: StatusImage
 
 
-class Motion:
+class ModbusMotion:
     """Starts motions, keeps the heartbeat going while they last, and says how they ended.
 
     Whatever exception leaves a wait, STOP is sent before it travels on.
     """
 
-    def __init__(self, session: Session, limits: AxisLimits) -> None:
+    def __init__(self, session: ModbusSession, limits: AxisLimits) -> None:
         self._session = session
         self._limits = limits
         self._braking = False
         self.tag = 0
         """Which step the motions belong to; it travels in the place of the CRC, which motions do not use."""
 
-    def run(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Ended:
+    def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> MotionResult:
         """Returns when the outcome is in position, tripped or missed; any other is raised."""
         session = self._session
         target = self._proved(code, target_mm, feed_mm_per_s)
         try:
             self._await_rest()
-            sequence, accepted = session.start(Command(code, crc=self.tag, target=target, feed=feed_mm_per_s or 0.0))
+            sequence, accepted = session.start(
+                CommandBlock(code, crc=self.tag, target=target, feed=feed_mm_per_s or 0.0)
+            )
             status = self._wait(code, target, feed_mm_per_s, accepted)
         except BaseException as error:
             self._stop_because_of(error)
@@ -69,12 +71,12 @@ class Motion:
         if status.motion_sequence != sequence:
             raise self._protocol_error(f"asked for motion {sequence}, saw motion {status.motion_sequence} end")
         self._require_success(code, status)
-        return Ended(accepted.position, status)
+        return MotionResult(accepted.position, status)
 
     def stop(self) -> None:
         """Send STOP. It does not wait for rest, since it is called where sleeping is not possible."""
         self._braking = True
-        self._session.urgent(Code.STOP)
+        self._session.urgent(CommandCode.STOP)
 
     def _await_rest(self) -> None:
         """After a STOP the axes brake for a moment, in which the controller would refuse a motion."""
@@ -87,7 +89,7 @@ class Motion:
             session.clock.sleep(session.settings.fine_poll_interval_s)
         self._braking = False
 
-    def _proved(self, code: Code, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
+    def _proved(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
         x, y, z = (float(value) for value in target_mm)
         feed_ok = feed_mm_per_s is None or (math.isfinite(feed_mm_per_s) and feed_mm_per_s > 0.0)
         if not all(map(math.isfinite, (x, y, z))) or not feed_ok:
@@ -97,10 +99,12 @@ class Motion:
             )
         return x, y, z
 
-    def _wait(self, code: Code, target: Triple, feed_mm_per_s: float | None, status: Status) -> Status:
+    def _wait(self, code: CommandCode, target: Triple, feed_mm_per_s: float | None, status: StatusImage) -> StatusImage:
         session, clock, settings = self._session, self._session.clock, self._session.settings
         predicted_s = self._predicted_s(status.position, target, feed_mm_per_s)
-        slice_s = self._slice_s(settings.touch_poll_interval_s if code is Code.TOUCH else settings.poll_interval_s)
+        slice_s = self._slice_s(
+            settings.touch_poll_interval_s if code is CommandCode.TOUCH else settings.poll_interval_s
+        )
         end_s = clock.now() + predicted_s + JUST_AFTER_S
         allowed_s = DURATION_FACTOR * predicted_s + settings.motion_margin_s
         deadline = Deadline.after(clock, allowed_s)
@@ -115,7 +119,7 @@ class Motion:
             else:
                 held_deadline = None
                 deadline.require(f"the end of {code.label}", hint="see the controller", **session.where)
-                pause_s = _share(end_s - clock.now(), slice_s)
+                pause_s = _equal_slice_s(end_s - clock.now(), slice_s)
                 if pause_s < fine_s:
                     pause_s, fine_s = fine_s, min(1.5 * fine_s, COARSEST_FINE_POLL_S, slice_s)
             clock.sleep(pause_s)
@@ -150,16 +154,18 @@ class Motion:
         except DeviceError as failure:
             error.add_note(f"STOP after this failed: {failure}")
 
-    def _require_success(self, code: Code, status: Status) -> None:
-        expected = (Outcome.TRIPPED, Outcome.MISSED) if code is Code.TOUCH else (Outcome.IN_POSITION,)
+    def _require_success(self, code: CommandCode, status: StatusImage) -> None:
+        expected = (
+            (MotionOutcome.TRIPPED, MotionOutcome.MISSED) if code is CommandCode.TOUCH else (MotionOutcome.IN_POSITION,)
+        )
         if status.outcome not in expected:
             raise self._failure(code, status)
 
-    def _failure(self, code: Code, status: Status) -> DeviceError:
+    def _failure(self, code: CommandCode, status: StatusImage) -> DeviceError:
         where = self._session.where
-        if status.outcome is Outcome.GUARD_TRIPPED:
+        if status.outcome is MotionOutcome.GUARD_TRIPPED:
             return self._guard_tripped(status)
-        if status.outcome is Outcome.STOPPED:
+        if status.outcome is MotionOutcome.STOPPED:
             return MotionFault(f"{code.label} was stopped at the machine", hint="start the run again", **where)
         if status.state is MotionState.FAULT:
             missing = [name.value for name, given in status.permissions.items() if not given]
@@ -170,7 +176,7 @@ class Motion:
             return MotionFault(text, hint="clear the cause and reset the controller", **where)
         return self._protocol_error(f"{code.label} ended with outcome {status.outcome.name}")
 
-    def _guard_tripped(self, status: Status) -> GuardTripped:
+    def _guard_tripped(self, status: StatusImage) -> GuardTripped:
         """The trip is reported by the error, so its fault is cleared here: the way back must be open."""
         x, y, z = status.position
         error = GuardTripped(
@@ -180,7 +186,7 @@ class Motion:
         )
         if status.fault_code == FAULT_GUARD_TRIPPED:
             try:
-                self._session.command(Command(Code.RESET))
+                self._session.command(CommandBlock(CommandCode.RESET))
             except DeviceError as failure:
                 error.add_note(f"RESET after this failed: {failure}")
         return error
@@ -189,10 +195,10 @@ class Motion:
         return ProtocolError(text, hint="the controller does not follow the register map", **self._session.where)
 
 
-def _under_way(status: Status) -> bool:
-    return status.outcome is Outcome.UNDER_WAY and status.state is not MotionState.FAULT
+def _under_way(status: StatusImage) -> bool:
+    return status.outcome is MotionOutcome.UNDER_WAY and status.state is not MotionState.FAULT
 
 
-def _share(remaining_s: float, slice_s: float) -> float:
+def _equal_slice_s(remaining_s: float, slice_s: float) -> float:
     """The remaining time in equal parts of at most a slice, so that the last part ends with the motion."""
     return remaining_s / math.ceil(remaining_s / slice_s) if remaining_s > 0.0 else 0.0

@@ -9,22 +9,22 @@ from drivers.modbus_cnc.codes import (
     PROBE_DEFLECTED,
     PROBE_HEALTHY,
     PROBE_LOADED,
-    Code,
-    Outcome,
+    CommandCode,
+    MotionOutcome,
 )
-from drivers.modbus_cnc.motion import Motion
-from drivers.modbus_cnc.registers import Status, Triple
-from drivers.modbus_cnc.session import Session
+from drivers.modbus_cnc.motion import ModbusMotion
+from drivers.modbus_cnc.registers import StatusImage, Triple
+from drivers.modbus_cnc.session import ModbusSession
 from drivers.roles import Miss, ProbeStatus, Touch, Vector
 from drivers.straight_move import distance_to_segment_mm
 
-_LATCH_RESULTS = {Outcome.TRIPPED: 1, Outcome.MISSED: 2}
+_LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 
 
-class Probing:
+class ModbusProbing:
     """Touches; a latch is believed only when it carries the number of the touch and lies on its path."""
 
-    def __init__(self, session: Session, motion: Motion) -> None:
+    def __init__(self, session: ModbusSession, motion: ModbusMotion) -> None:
         self._session = session
         self._motion = motion
 
@@ -35,14 +35,14 @@ class Probing:
         return ProbeStatus(loaded, healthy, bool(bits & PROBE_DEFLECTED), detail)
 
     def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
-        start, status = self._motion.run(Code.TOUCH, tuple(float(value) for value in target_mm), feed_mm_per_s)
+        start, status = self._motion.run(CommandCode.TOUCH, tuple(float(value) for value in target_mm), feed_mm_per_s)
         self._require_own_latch(status)
-        if status.outcome is Outcome.MISSED:
+        if status.outcome is MotionOutcome.MISSED:
             return Miss(status.latched)
         self._require_on_path(status.latched, start, target_mm)
         return Touch(status.latched)
 
-    def _require_own_latch(self, status: Status) -> None:
+    def _require_own_latch(self, status: StatusImage) -> None:
         if status.latch_sequence != status.motion_sequence:
             raise self._latch_error(
                 f"stale latch: it belongs to touch {status.latch_sequence}, not to {status.motion_sequence}"

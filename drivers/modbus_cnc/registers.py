@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from drivers.errors import ProtocolError
-from drivers.modbus_cnc.codec import Layout, NumberFormat, Register
-from drivers.modbus_cnc.codes import MAJOR_VERSION, PERMISSION_BITS, PROTOCOL, STATES, BankState, Outcome
+from drivers.modbus_cnc.codec import NumberFormat, RegisterField, RegisterLayout
+from drivers.modbus_cnc.codes import MAJOR_VERSION, PERMISSION_BITS, PROTOCOL, STATES, BankState, MotionOutcome
 from drivers.roles import MotionState, Permission
 
 Triple = tuple[float, float, float]
 
 
-class Status(NamedTuple):
+class StatusImage(NamedTuple):
     """One status image. Positions in mm, temperatures in 0.001 °C."""
 
     protocol: int
@@ -57,8 +57,8 @@ class Status(NamedTuple):
         return STATES[self.state_code]
 
     @property
-    def outcome(self) -> Outcome:
-        return Outcome(self.motion_outcome)
+    def outcome(self) -> MotionOutcome:
+        return MotionOutcome(self.motion_outcome)
 
     @property
     def permissions(self) -> dict[Permission, bool]:
@@ -69,7 +69,7 @@ class Status(NamedTuple):
         return BankState(self.bank_states[bank - 1])
 
 
-class Limits(NamedTuple):
+class ControllerLimits(NamedTuple):
     """What the controller says about its travel and its tables; mm, mm/s, mm/s²."""
 
     lower: Triple
@@ -84,7 +84,7 @@ class Limits(NamedTuple):
     activation: int
 
 
-class Command(NamedTuple):
+class CommandBlock(NamedTuple):
     """A command block without heartbeat and sequence number, which belong to the session."""
 
     code: int
@@ -95,7 +95,7 @@ class Command(NamedTuple):
     feed: float = 0.0
 
 
-class Descriptor(NamedTuple):
+class TableDescriptor(NamedTuple):
     """What a table's counts mean; mm."""
 
     bank: int
@@ -106,22 +106,22 @@ class Descriptor(NamedTuple):
     crc: int
 
 
-_LAST_OUTCOME = max(Outcome)
+_LAST_OUTCOME = max(MotionOutcome)
 
 
-class Layouts:
+class BlockLayouts:
     """The layouts of all blocks for one number format."""
 
     def __init__(self, numbers: NumberFormat) -> None:
-        self.status = Layout(_STATUS, numbers)
-        self.limits = Layout(_LIMITS, numbers)
-        self.command = Layout(_COMMAND, numbers)
-        self.descriptor = Layout(_DESCRIPTOR, numbers)
-        self.block = Layout([Register("counts", "i32", 60)], numbers)
+        self.status = RegisterLayout(_STATUS, numbers)
+        self.limits = RegisterLayout(_LIMITS, numbers)
+        self.command = RegisterLayout(_COMMAND, numbers)
+        self.descriptor = RegisterLayout(_DESCRIPTOR, numbers)
+        self.block = RegisterLayout([RegisterField("counts", "i32", 60)], numbers)
 
-    def decode_status(self, data: bytes, where: Mapping[str, str], first_register: int) -> Status:
+    def decode_status(self, data: bytes, where: Mapping[str, str], first_register: int) -> StatusImage:
         """Raises ProtocolError for values that the map does not allow, naming the register."""
-        status = Status(*self.status.unpack(data))
+        status = StatusImage(*self.status.unpack(data))
         if status.protocol != PROTOCOL or status.version >> 8 != MAJOR_VERSION:
             raise ProtocolError(
                 f"no volcal register map: protocol {status.protocol:#06x}, version {status.version:#06x}",
@@ -142,7 +142,7 @@ class Layouts:
         return status
 
 
-def _first_illegal(status: Status) -> str:
+def _first_illegal(status: StatusImage) -> str:
     if status.state_code not in STATES:
         return "state_code"
     if status.motion_outcome > _LAST_OUTCOME:
@@ -157,48 +157,48 @@ def _first_illegal(status: Status) -> str:
 
 
 _STATUS = (
-    *(Register(name, "u16") for name in Status._fields[:12]),
-    Register("position", "number", 3),
-    Register("latch_sequence", "u16"),
-    Register("latch_result", "u16"),
-    Register("latched", "number", 3),
-    *(Register(name, "u16") for name in Status._fields[16:24]),
-    Register("bank_states", "u16", 2),
-    Register("bank_crcs", "u32", 2),
-    Register("temperature_count", "u16"),
-    Register("temperatures", "i32", 8),
-    Register("heartbeat_copy", "u16"),
+    *(RegisterField(name, "u16") for name in StatusImage._fields[:12]),
+    RegisterField("position", "number", 3),
+    RegisterField("latch_sequence", "u16"),
+    RegisterField("latch_result", "u16"),
+    RegisterField("latched", "number", 3),
+    *(RegisterField(name, "u16") for name in StatusImage._fields[16:24]),
+    RegisterField("bank_states", "u16", 2),
+    RegisterField("bank_crcs", "u32", 2),
+    RegisterField("temperature_count", "u16"),
+    RegisterField("temperatures", "i32", 8),
+    RegisterField("heartbeat_copy", "u16"),
 )
 
 _LIMITS = (
-    Register("lower", "number", 3),
-    Register("upper", "number", 3),
-    Register("rapid", "number", 3),
-    Register("acceleration", "number", 3),
-    Register("banks", "u16"),
-    Register("max_nodes", "u16", 3),
-    Register("max_total_nodes", "u32"),
-    Register("resolution", "number"),
-    Register("max_correction", "number"),
-    Register("activation", "u16"),
+    RegisterField("lower", "number", 3),
+    RegisterField("upper", "number", 3),
+    RegisterField("rapid", "number", 3),
+    RegisterField("acceleration", "number", 3),
+    RegisterField("banks", "u16"),
+    RegisterField("max_nodes", "u16", 3),
+    RegisterField("max_total_nodes", "u32"),
+    RegisterField("resolution", "number"),
+    RegisterField("max_correction", "number"),
+    RegisterField("activation", "u16"),
 )
 
 _COMMAND = (
-    Register("heartbeat", "u16"),
-    Register("code", "u16"),
-    Register("bank", "u16"),
-    Register("nonce", "u16"),
-    Register("crc", "u32"),
-    Register("target", "number", 3),
-    Register("feed", "number"),
-    Register("sequence", "u16"),
+    RegisterField("heartbeat", "u16"),
+    RegisterField("code", "u16"),
+    RegisterField("bank", "u16"),
+    RegisterField("nonce", "u16"),
+    RegisterField("crc", "u32"),
+    RegisterField("target", "number", 3),
+    RegisterField("feed", "number"),
+    RegisterField("sequence", "u16"),
 )
 
 _DESCRIPTOR = (
-    Register("bank", "u16"),
-    Register("nodes", "u16", 3),
-    Register("origin", "number", 3),
-    Register("step", "number", 3),
-    Register("resolution", "number"),
-    Register("crc", "u32"),
+    RegisterField("bank", "u16"),
+    RegisterField("nodes", "u16", 3),
+    RegisterField("origin", "number", 3),
+    RegisterField("step", "number", 3),
+    RegisterField("resolution", "number"),
+    RegisterField("crc", "u32"),
 )

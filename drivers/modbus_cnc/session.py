@@ -19,12 +19,12 @@ from drivers.modbus_cnc.codes import (
     ACCEPTED,
     FAULT_HEARTBEAT_LOST,
     PERMISSION_MISSING,
-    Code,
+    CommandCode,
     fault_text,
     result_text,
 )
 from drivers.modbus_cnc.heartbeat import PeerHeartbeat
-from drivers.modbus_cnc.registers import Command, Layouts, Limits, Status
+from drivers.modbus_cnc.registers import BlockLayouts, CommandBlock, ControllerLimits, StatusImage
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.roles import MotionState
 
@@ -33,7 +33,7 @@ URGENT_WITHIN_S = 1.0
 """Wall-clock time within which HOLD, RESUME and STOP must be acknowledged."""
 
 
-class Session:
+class ModbusSession:
     """Everything that is said over the link passes here, so sequence numbers and heartbeat have one owner."""
 
     def __init__(self, link: ModbusLink, clock: Clock, settings: ModbusCncSettings) -> None:
@@ -41,7 +41,7 @@ class Session:
         self.clock = clock
         self.settings = settings
         self.where: Mapping[str, str] = link.where
-        self.layouts = Layouts(
+        self.layouts = BlockLayouts(
             NumberFormat(settings.number, settings.number_scale, settings.word_order, settings.byte_order)
         )
         self._heartbeat = 0
@@ -50,24 +50,24 @@ class Session:
         self._known: dict[int, int] = {}
         self._unacknowledged = 0
 
-    def open(self) -> Status:
+    def open(self) -> StatusImage:
         """Connect, prove protocol and version, take over the sequence numbers where they stand."""
         self.link.open()
         status = self.look()
         self._sequence, self._unacknowledged = status.acknowledge, 0
         self._known = {status.acknowledge: status.result}
         if status.state is MotionState.FAULT and status.fault_code == FAULT_HEARTBEAT_LOST:
-            status = self.command(Command(Code.RESET))
+            status = self.command(CommandBlock(CommandCode.RESET))
         return status
 
     def close(self) -> None:
         self.link.close()
 
-    def status(self) -> Status:
+    def status(self) -> StatusImage:
         """Read one image; writes nothing."""
         return self._noted(self.look())
 
-    def look(self) -> Status:
+    def look(self) -> StatusImage:
         """As `status`, for onlookers: neither the heartbeat nor the acknowledgement is judged."""
         return self._whole(self._read_status())
 
@@ -76,22 +76,22 @@ class Session:
         """What the wire itself takes for a poll."""
         return self.link.exchange_line_s(1, self.layouts.status.size)
 
-    def poll(self) -> Status:
+    def poll(self) -> StatusImage:
         """Write the heartbeat and read one image."""
         return self.write_and_status(
             self.settings.blocks.command, self._next_heartbeat().to_bytes(2, "big"), idempotent=True
         )
 
-    def write_and_status(self, register: int, data: bytes, *, idempotent: bool) -> Status:
+    def write_and_status(self, register: int, data: bytes, *, idempotent: bool) -> StatusImage:
         blocks = self.settings.blocks
         answer = self.link.exchange(register, data, blocks.status, self.layouts.status.size, idempotent=idempotent)
         return self._noted(self._whole(self._decoded(answer)))
 
-    def command(self, command: Command, *, within_s: float | None = None) -> Status:
+    def command(self, command: CommandBlock, *, within_s: float | None = None) -> StatusImage:
         """Send and wait for the acknowledgement. Raises CommandRejected or PermissionMissing when refused."""
         return self.start(command, within_s=within_s)[1]
 
-    def start(self, command: Command, *, within_s: float | None = None) -> tuple[int, Status]:
+    def start(self, command: CommandBlock, *, within_s: float | None = None) -> tuple[int, StatusImage]:
         """As `command`; returns the sequence number too, by which its outcome is told from others."""
         sequence = self._next_sequence()
         status = self._send(command, sequence)
@@ -100,37 +100,37 @@ class Session:
         pause_s = self.settings.fine_poll_interval_s
         while sequence not in self._known:
             if deadline.expired:
-                raise self._not_acknowledged(Code(command.code), allowed_s)
+                raise self._not_acknowledged(CommandCode(command.code), allowed_s)
             self.clock.sleep(min(pause_s, deadline.remaining_s))
             pause_s = min(2.0 * pause_s, self.settings.poll_interval_s)
             status = self.poll()
         return sequence, self._accepted(command, self._known[sequence], status)
 
-    def urgent(self, code: Code) -> Status:
+    def urgent(self, code: CommandCode) -> StatusImage:
         """HOLD, RESUME, STOP: acknowledged without sleeping on the clock.
 
         They are sent from inside a sleep of the clock (a hold, an abort), where sleeping again would recurse.
         A command that is still without acknowledgement is let through first, except by STOP, which may well
         overwrite it.
         """
-        if code is not Code.STOP and self._unacknowledged:
+        if code is not CommandCode.STOP and self._unacknowledged:
             self._await_at_once(self._unacknowledged, code)
         sequence = self._next_sequence()
-        status = self._send(Command(code), sequence)
+        status = self._send(CommandBlock(code), sequence)
         if sequence not in self._known:
             status = self._await_at_once(sequence, code)
-        return self._accepted(Command(code), self._known[sequence], status)
+        return self._accepted(CommandBlock(code), self._known[sequence], status)
 
-    def read_limits(self) -> Limits:
+    def read_limits(self) -> ControllerLimits:
         data = self.link.read(self.settings.blocks.limits, self.layouts.limits.size)
-        return Limits(*self.layouts.limits.unpack(data))
+        return ControllerLimits(*self.layouts.limits.unpack(data))
 
-    def _send(self, command: Command, sequence: int) -> Status:
+    def _send(self, command: CommandBlock, sequence: int) -> StatusImage:
         try:
             block = self.layouts.command.pack((self._next_heartbeat(), *command, sequence))
         except ValueError as error:
             raise ConfigurationError(
-                f"{Code(command.code).label}: a value does not fit the controller's registers: {error}",
+                f"{CommandCode(command.code).label}: a value does not fit the controller's registers: {error}",
                 hint="use number float64 or a larger number_scale",
                 **self.where,
             ) from error
@@ -144,7 +144,7 @@ class Session:
         # The request was lost. Should it be seen after all: no number is executed twice (map, section 6).
         return self.write_and_status(self.settings.blocks.command, block, idempotent=True)
 
-    def _await_at_once(self, sequence: int, code: Code) -> Status:
+    def _await_at_once(self, sequence: int, code: CommandCode) -> StatusImage:
         give_up_s = wall_seconds() + URGENT_WITHIN_S
         while True:
             status = self.poll()
@@ -153,10 +153,10 @@ class Session:
             if wall_seconds() > give_up_s:
                 raise self._not_acknowledged(code, URGENT_WITHIN_S)
 
-    def _accepted(self, command: Command, result: int, status: Status) -> Status:
+    def _accepted(self, command: CommandBlock, result: int, status: StatusImage) -> StatusImage:
         if result == ACCEPTED:
             return status
-        label = Code(command.code).label
+        label = CommandCode(command.code).label
         if result == PERMISSION_MISSING:
             missing = [name.value for name, given in status.permissions.items() if not given]
             raise PermissionMissing(
@@ -167,14 +167,14 @@ class Session:
         fault = f"; controller in fault: {fault_text(status.fault_code)}" if status.fault_code else ""
         raise CommandRejected(f"{label} refused: {result_text(result)}{fault}", result=result, **self.where)
 
-    def _not_acknowledged(self, code: Code, allowed_s: float) -> LinkTimeout:
+    def _not_acknowledged(self, code: CommandCode, allowed_s: float) -> LinkTimeout:
         return LinkTimeout(
             f"{code.label} (command {self._unacknowledged}) not acknowledged within {allowed_s:g} s",
             hint="the controller's program does not handle commands",
             **self.where,
         )
 
-    def _noted(self, status: Status) -> Status:
+    def _noted(self, status: StatusImage) -> StatusImage:
         """Watch the heartbeat and the acknowledgement of an image."""
         self._peer.observe(status.heartbeat)
         if status.acknowledge == self._unacknowledged != 0:
@@ -190,7 +190,7 @@ class Session:
             )
         return status
 
-    def _whole(self, status: Status) -> Status:
+    def _whole(self, status: StatusImage) -> StatusImage:
         for _ in range(HALF_WRITTEN_READS):
             if status.whole:
                 return status
@@ -203,10 +203,10 @@ class Session:
             **self.where,
         )
 
-    def _read_status(self) -> Status:
+    def _read_status(self) -> StatusImage:
         return self._decoded(self.link.read(self.settings.blocks.status, self.layouts.status.size))
 
-    def _decoded(self, data: bytes) -> Status:
+    def _decoded(self, data: bytes) -> StatusImage:
         return self.layouts.decode_status(data, self.where, self.settings.blocks.status)
 
     def _next_heartbeat(self) -> int:

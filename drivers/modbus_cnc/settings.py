@@ -28,7 +28,7 @@ Address = Annotated[int, Field(ge=0, le=65535)]
 Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
-class Blocks(BaseModel):
+class BlockAddresses(BaseModel):
     """First register of each block, as it goes over the wire (0-based)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -87,7 +87,7 @@ class ModbusCncSettings(BaseModel):
     retries: int = Field(default=1, ge=0, le=10, description="for requests that may be sent again")
     combined_function: bool = Field(default=True, description="use function 23 (write and read in one)")
 
-    blocks: Blocks = Blocks()
+    blocks: BlockAddresses = BlockAddresses()
     number: Literal["float64", "int32"] = "float64"
     number_scale: float = Field(default=1e-5, gt=0.0, description="unit of an int32 number")
     word_order: Literal["high-first", "low-first"] = "high-first"

@@ -19,22 +19,22 @@ from drivers.modbus_cnc.codes import (
     CRC_DIFFERS,
     NO_BANK,
     BankState,
-    Code,
+    CommandCode,
     result_text,
 )
-from drivers.modbus_cnc.registers import Command, Descriptor, Limits, Status
-from drivers.modbus_cnc.session import Session
-from drivers.modbus_cnc.table import crc32, data_blocks, descriptor_of, table_bytes
+from drivers.modbus_cnc.registers import CommandBlock, ControllerLimits, StatusImage, TableDescriptor
+from drivers.modbus_cnc.session import ModbusSession
+from drivers.modbus_cnc.table import crc32, data_blocks, table_bytes, table_descriptor
 from drivers.roles import Activation, StoreLimits, TableImage
-from drivers.tables.objections import stage_objection
+from drivers.tables.objections import limits_violation
 
 COARSEST_POLL_S = 0.1
 
 
-class Store:
+class ModbusStore:
     """Plays CompensationStore for the session's controller."""
 
-    def __init__(self, session: Session, limits: Limits) -> None:
+    def __init__(self, session: ModbusSession, limits: ControllerLimits) -> None:
         self._session = session
         self._reader = BankReader(session)
         self._limits = StoreLimits(
@@ -74,10 +74,10 @@ class Store:
         self._require_stageable(bank, table)
         data = table_bytes(table)
         crc = crc32(data)
-        descriptor = self._packed(descriptor_of(bank, table, crc))
+        descriptor = self._packed(table_descriptor(bank, table, crc))
         settings = self._session.settings
         self._session.link.write(settings.blocks.descriptor, descriptor, idempotent=True)
-        self._table_command(Command(Code.TABLE_BEGIN, bank=bank))
+        self._table_command(CommandBlock(CommandCode.TABLE_BEGIN, bank=bank))
         for number, block in enumerate(data_blocks(data), start=1):
             self._write_block(number, block)
         self._commit(bank, crc)
@@ -94,12 +94,12 @@ class Store:
             if self._session.status().bank_state(bank) is not BankState.COMPLETE:
                 raise self._error(f"bank {bank} holds no complete table", hint="stage it first")
             crc = crc32(table_bytes(self._reader.read(bank)[0]))
-        status = self._table_command(Command(Code.TABLE_ARM, bank=bank, crc=crc))
+        status = self._table_command(CommandBlock(CommandCode.TABLE_ARM, bank=bank, crc=crc))
         if status.armed_bank != bank or status.armed_nonce == 0:
             raise self._protocol_error(
                 f"armed bank {bank}, controller shows bank {status.armed_bank} nonce {status.armed_nonce}"
             )
-        status = self._table_command(Command(Code.TABLE_ACTIVATE, bank=bank, nonce=status.armed_nonce))
+        status = self._table_command(CommandBlock(CommandCode.TABLE_ACTIVATE, bank=bank, nonce=status.armed_nonce))
         immediate = self._limits.activation is Activation.IMMEDIATE
         self._await(
             status,
@@ -113,7 +113,7 @@ class Store:
         status = session.write_and_status(session.settings.blocks.data_window, data, idempotent=True)
         self._await(status, lambda image: self._block_taken(number, image), f"data block {number} to be taken")
 
-    def _block_taken(self, number: int, status: Status) -> bool:
+    def _block_taken(self, number: int, status: StatusImage) -> bool:
         if status.block_acknowledge == number:
             return True
         if status.block_result not in (0, ACCEPTED):
@@ -123,7 +123,7 @@ class Store:
         return False
 
     def _commit(self, bank: int, crc: int) -> None:
-        status = self._table_command(Command(Code.TABLE_COMMIT, bank=bank, crc=crc))
+        status = self._table_command(CommandBlock(CommandCode.TABLE_COMMIT, bank=bank, crc=crc))
         if status.staged_bank != bank or status.bank_state(bank) is not BankState.COMPLETE:
             raise self._protocol_error(
                 f"committed bank {bank}, controller shows staged bank {status.staged_bank}, "
@@ -140,7 +140,7 @@ class Store:
                 **self._session.where,
             )
 
-    def _table_command(self, command: Command) -> Status:
+    def _table_command(self, command: CommandBlock) -> StatusImage:
         try:
             return self._session.command(command, within_s=self._session.settings.table_within_s)
         except CommandRejected as refusal:
@@ -152,7 +152,7 @@ class Store:
                 **self._session.where,
             ) from refusal
 
-    def _await(self, status: Status, reached: Callable[[Status], bool], awaited: str) -> None:
+    def _await(self, status: StatusImage, reached: Callable[[StatusImage], bool], awaited: str) -> None:
         clock, settings = self._session.clock, self._session.settings
         deadline = Deadline.after(clock, settings.table_within_s)
         pause_s = settings.fine_poll_interval_s
@@ -162,7 +162,7 @@ class Store:
             pause_s = min(2.0 * pause_s, COARSEST_POLL_S)
             status = self._session.status()
 
-    def _packed(self, descriptor: Descriptor) -> bytes:
+    def _packed(self, descriptor: TableDescriptor) -> bytes:
         try:
             return self._session.layouts.descriptor.pack(descriptor)
         except ValueError as error:
@@ -176,7 +176,7 @@ class Store:
         self._require_known(bank)
         if bank == self._session.status().active_bank:
             raise self._error(f"bank {bank} is active and cannot be written", hint="stage into another bank")
-        objection = stage_objection(self._limits, table)
+        objection = limits_violation(self._limits, table)
         if objection:
             raise self._error(objection)
 

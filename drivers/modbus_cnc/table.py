@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from drivers.modbus_cnc.registers import Descriptor
+from drivers.modbus_cnc.registers import TableDescriptor
 from drivers.roles import TableImage
 
 BLOCK_BYTES = 240
@@ -34,11 +34,11 @@ def data_blocks(data: bytes) -> Iterator[bytes]:
         yield data[start : start + BLOCK_BYTES].ljust(BLOCK_BYTES, b"\x00")
 
 
-def descriptor_of(bank: int, table: TableImage, crc: int) -> Descriptor:
-    return Descriptor(bank, table.shape, table.origin_mm, table.step_mm, table.resolution_mm, crc)
+def table_descriptor(bank: int, table: TableImage, crc: int) -> TableDescriptor:
+    return TableDescriptor(bank, table.shape, table.origin_mm, table.step_mm, table.resolution_mm, crc)
 
 
-def table_of(descriptor: Descriptor, data: bytes) -> TableImage:
+def decode_table(descriptor: TableDescriptor, data: bytes) -> TableImage:
     """`data` holds 12 bytes per node."""
     counts = np.frombuffer(data, dtype=">i4").astype(np.int32).reshape(*descriptor.nodes, 3)
     return TableImage(descriptor.origin, descriptor.step, descriptor.resolution, counts)

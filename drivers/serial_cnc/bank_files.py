@@ -8,8 +8,8 @@ from pathlib import Path
 
 from drivers.errors import StoreError
 from drivers.roles import TableImage
-from drivers.tables.files import read_whole, write_whole
-from drivers.tables.text import table_of, text_of
+from drivers.tables.files import read_if_exists, write_atomically
+from drivers.tables.text import format_table, parse_table
 
 _ACTIVE = re.compile(r"volcal-active-bank 1\nbank (\d)\ncounts_crc32 ([0-9A-F]{8})\n")
 
@@ -24,16 +24,16 @@ class BankFiles:
     def read(self, bank: int) -> TableImage | None:
         """None where nothing was ever written."""
         path = self.directory / f"bank{bank}.table"
-        text = read_whole(path)
-        return None if text is None else table_of(text, file=str(path), bank=bank, **self._where)
+        text = read_if_exists(path)
+        return None if text is None else parse_table(text, file=str(path), bank=bank, **self._where)
 
     def write(self, bank: int, table: TableImage) -> None:
         self._make()
-        write_whole(self.directory / f"bank{bank}.table", text_of(table))
+        write_atomically(self.directory / f"bank{bank}.table", format_table(table))
 
     def active(self) -> tuple[int, int]:
         """The bank that acts and the CRC-32 of its counts; (0, 0) where none was ever activated."""
-        text = read_whole(self._active_path)
+        text = read_if_exists(self._active_path)
         if text is None:
             return 0, 0
         match = _ACTIVE.fullmatch(text)
@@ -48,7 +48,7 @@ class BankFiles:
 
     def set_active(self, bank: int, crc32: int) -> None:
         self._make()
-        write_whole(self._active_path, f"volcal-active-bank 1\nbank {bank}\ncounts_crc32 {crc32:08X}\n")
+        write_atomically(self._active_path, f"volcal-active-bank 1\nbank {bank}\ncounts_crc32 {crc32:08X}\n")
 
     @property
     def _active_path(self) -> Path:

@@ -7,7 +7,7 @@ from drivers.errors import CommandRejected, PermissionMissing
 from drivers.roles import MotionState
 from drivers.serial_cnc.codes import POSITION_KEPT
 from drivers.serial_cnc.conversation import CANCEL_JOG, HOLD, RESUME, Conversation
-from drivers.serial_cnc.status_tracker import Look, Watch
+from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
 
 CLOSE_WITHIN_S = 1.0
 CLOSE_POLL_S = 0.05
@@ -15,12 +15,12 @@ DOOR_CLOSED_AGAIN = "Door:0"
 """The controller waits to resume."""
 
 
-class Control:
+class MotionControl:
     """A stop is a feed hold, which keeps the position, and a soft reset once the axes rest, which throws the rest of
     the motion away. The hold acts at once; the reset is sent by whoever looks next. In a braking axis it would cost
     the position (alarm 3)."""
 
-    def __init__(self, conversation: Conversation, watch: Watch, clock: Clock) -> None:
+    def __init__(self, conversation: Conversation, watch: StatusTracker, clock: Clock) -> None:
         self._conversation = conversation
         self._watch = watch
         self._clock = clock
@@ -43,7 +43,7 @@ class Control:
         self._conversation.realtime(CANCEL_JOG + HOLD)
         self.look()
 
-    def look(self) -> Look:
+    def look(self) -> TrackedStatus:
         """A report; finishes a stop if the axes have come to rest."""
         look = self._watch.look()
         if self._stopping and look.state is not MotionState.MOVING:
@@ -59,7 +59,7 @@ class Control:
             self.look()
             self._conversation.idle_for(CLOSE_POLL_S)
 
-    def ready(self, within_s: float) -> Look:
+    def ready(self, within_s: float) -> TrackedStatus:
         """A report that lets a motion begin. PermissionMissing or CommandRejected where it does not."""
         deadline = Deadline.after(self._clock, within_s)
         look = self.look()
@@ -98,7 +98,7 @@ class Control:
             )
         self.unlock()
 
-    def _forget_motion(self) -> Look:
+    def _forget_motion(self) -> TrackedStatus:
         """A soft reset of axes that rest: what was planned is gone, the position stays."""
         self._conversation.reset()
         self._watch.expect_restart()

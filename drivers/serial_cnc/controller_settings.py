@@ -9,8 +9,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from drivers.roles import AxisLimits, Finding
-from drivers.serial_cnc.lines import Message, Setting
+from drivers.roles import AxisLimits, DiagnosticFinding
+from drivers.serial_cnc.lines import MessageLine, SettingLine
 
 PROBE_INVERT, REPORT_MASK, REPORT_INCHES = 6, 10, 13
 SOFT_LIMITS, HARD_LIMITS, HOMING, HOMING_DIRECTION = 20, 21, 22, 23
@@ -37,20 +37,20 @@ class ControllerSettings:
     hal: bool
 
     @classmethod
-    def of(cls, told: Iterable[Message | Setting]) -> ControllerSettings:
+    def of(cls, told: Iterable[MessageLine | SettingLine]) -> ControllerSettings:
         """Settings that are no numbers (names, passwords) are left out."""
         values: dict[int, float] = {}
         version = options = ""
         hal = False
         for line in told:
             match line:
-                case Setting(number, text) if (value := _number(text)) is not None:
+                case SettingLine(number, text) if (value := _number(text)) is not None:
                     values[number] = value
-                case Message("VER", text):
+                case MessageLine("VER", text):
                     version = text.strip(":")
-                case Message("OPT", text):
+                case MessageLine("OPT", text):
                     options = text
-                case Message("FIRMWARE", text):
+                case MessageLine("FIRMWARE", text):
                     hal = "HAL" in text
                 case _:
                     pass
@@ -101,19 +101,19 @@ class ControllerSettings:
             return "steps, rates, accelerations and travels ($100 to $132) must be positive"
         return ""
 
-    def findings(self, *, referenced_by_hand: bool) -> Iterator[Finding]:
+    def findings(self, *, referenced_by_hand: bool) -> Iterator[DiagnosticFinding]:
         """One line for each group of settings, good or bad; what is bad says what to set."""
         fatal = self.fatal()
         if fatal:
-            yield Finding("settings", ok=False, text=fatal)
+            yield DiagnosticFinding("settings", ok=False, text=fatal)
         if self.missing:
             return
         yield self._reports()
         homes = self.homes or referenced_by_hand
         text = "homes with switches" if self.homes else "$22=0: the machine does not home"
-        yield Finding("homing", ok=homes, text=text + (" (referenced by hand)" if referenced_by_hand else ""))
+        yield DiagnosticFinding("homing", ok=homes, text=text + (" (referenced by hand)" if referenced_by_hand else ""))
         soft = bool(self.values[SOFT_LIMITS])
-        yield Finding(
+        yield DiagnosticFinding(
             "soft limits",
             ok=soft,
             text="on" if soft else "$20=0: nothing in the controller guards the travel; set $20=1",
@@ -121,27 +121,33 @@ class ControllerSettings:
         yield self._steps()
         yield self._idle()
         if self.values.get(LASER_MODE):
-            yield Finding("laser mode", ok=False, text="$32=1: motion does not stop for the spindle; set $32=0")
+            yield DiagnosticFinding(
+                "laser mode", ok=False, text="$32=1: motion does not stop for the spindle; set $32=0"
+            )
 
-    def _reports(self) -> Finding:
+    def _reports(self) -> DiagnosticFinding:
         mask = int(self.values[REPORT_MASK])
         lacking = [name for bit, name in HAL_FIELDS.items() if self.hal and not mask & bit]
         if lacking:
             wanted = mask | sum(HAL_FIELDS)
-            return Finding("reports", ok=False, text=f"$10={mask} leaves out {', '.join(lacking)}; set $10={wanted}")
-        return Finding("reports", ok=bool(mask & 1), text=f"$10={mask}, $13={self.values[REPORT_INCHES]:g}")
+            return DiagnosticFinding(
+                "reports", ok=False, text=f"$10={mask} leaves out {', '.join(lacking)}; set $10={wanted}"
+            )
+        return DiagnosticFinding("reports", ok=bool(mask & 1), text=f"$10={mask}, $13={self.values[REPORT_INCHES]:g}")
 
-    def _steps(self) -> Finding:
+    def _steps(self) -> DiagnosticFinding:
         sizes = [self.step_mm(axis) if self.values[STEPS + axis] > 0.0 else math.inf for axis in range(3)]
         text = ", ".join(f"{axis} {1e3 * size:.3g} µm" for axis, size in zip(AXES, sizes, strict=True))
         fine = max(sizes) <= FINEST_STEP_MM
-        return Finding("steps", ok=fine, text=text if fine else f"{text}: a touch is latched no finer ($100 to $102)")
+        return DiagnosticFinding(
+            "steps", ok=fine, text=text if fine else f"{text}: a touch is latched no finer ($100 to $102)"
+        )
 
-    def _idle(self) -> Finding:
+    def _idle(self) -> DiagnosticFinding:
         delay = self.values.get(IDLE_DELAY, float(ALWAYS_ON_MS))
         on = delay >= ALWAYS_ON_MS
         text = f"$1={delay:g}" + ("" if on else ": motors are released at rest, and axes may settle; set $1=255")
-        return Finding("motors at rest", ok=on, text=text)
+        return DiagnosticFinding("motors at rest", ok=on, text=text)
 
 
 def _number(text: str) -> float | None:

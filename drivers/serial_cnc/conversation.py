@@ -15,15 +15,15 @@ from drivers.errors import CommandRejected, LinkTimeout, ProtocolError
 from drivers.links.serial_port import SerialPort
 from drivers.serial_cnc.codes import LOCKED_ERRORS, error_text
 from drivers.serial_cnc.lines import (
-    AlarmRaised,
-    Answer,
+    AlarmLine,
+    AnswerLine,
     GarbledLineError,
     Line,
-    Message,
+    MessageLine,
     ProbeResult,
-    Setting,
+    SettingLine,
     StatusReport,
-    Welcome,
+    WelcomeLine,
     parse_line,
 )
 from drivers.serial_cnc.settings import SerialCncSettings
@@ -38,11 +38,11 @@ LATE_WITHIN_S = 0.02
 
 
 @dataclass
-class Ticket:
+class SentLine:
     """A line that was sent, and its answer once it has come."""
 
     line: str
-    answer: Answer | None = None
+    answer: AnswerLine | None = None
 
     @property
     def answered(self) -> bool:
@@ -56,11 +56,11 @@ class Conversation:
         self.line = line
         self.settings = settings
         self.where = line.where
-        self._pending: deque[Ticket] = deque()
+        self._pending: deque[SentLine] = deque()
         self._synchronised = False
         self._reports = 0
         self._last_report: StatusReport | None = None
-        self._told: list[Message | Setting] = []
+        self._told: list[MessageLine | SettingLine] = []
         self.restarts = 0
         self.alarm: int | None = None
         self.probe_results: list[ProbeResult] = []
@@ -109,7 +109,7 @@ class Conversation:
         give_up_s = wall_seconds() + self.settings.answer_within_s
         while wall_seconds() < give_up_s:
             line = self._line_or_rubbish(give_up_s - wall_seconds())
-            if isinstance(line, Answer) and line.error is not None:
+            if isinstance(line, AnswerLine) and line.error is not None:
                 while self._line_or_rubbish(LATE_WITHIN_S) is not None:
                     continue
                 self._synchronised = True
@@ -154,9 +154,9 @@ class Conversation:
             **self.where,
         )
 
-    def send(self, line: str) -> Ticket:
+    def send(self, line: str) -> SentLine:
         """Send a line; its answer comes later. Never more than the controller's receive buffer holds."""
-        ticket = Ticket(line)
+        ticket = SentLine(line)
         give_up_s = wall_seconds() + self.settings.answer_within_s
         while self._pending and self._buffered(line) >= self.settings.receive_buffer:
             if not self._read_one(give_up_s):
@@ -165,7 +165,7 @@ class Conversation:
         self.line.write(line.encode("ascii") + b"\n")
         return ticket
 
-    def ask(self, line: str) -> list[Message | Setting]:
+    def ask(self, line: str) -> list[MessageLine | SettingLine]:
         """Send a line that is answered at once; what was told before its ``ok``. CommandRejected for an error."""
         self._told.clear()
         ticket = self.send(line)
@@ -173,7 +173,7 @@ class Conversation:
         self.require_accepted(ticket)
         return list(self._told)
 
-    def await_answer(self, ticket: Ticket) -> None:
+    def await_answer(self, ticket: SentLine) -> None:
         give_up_s = wall_seconds() + self.settings.answer_within_s
         restarts = self.restarts
         while not ticket.answered:
@@ -184,7 +184,7 @@ class Conversation:
                     f"no answer to {ticket.line!r} within {self.settings.answer_within_s:g} s", **self.where
                 )
 
-    def require_accepted(self, ticket: Ticket) -> None:
+    def require_accepted(self, ticket: SentLine) -> None:
         error = ticket.answer.error if ticket.answer is not None else None
         if error is None:
             return
@@ -241,7 +241,7 @@ class Conversation:
                 **self.where,
             ) from error
         self._noted(line)
-        if isinstance(line, Answer):
+        if isinstance(line, AnswerLine):
             self._answer(line)
         return True
 
@@ -249,20 +249,20 @@ class Conversation:
         match line:
             case StatusReport():
                 self._reports, self._last_report = self._reports + 1, line
-            case AlarmRaised(code):
+            case AlarmLine(code):
                 self.alarm = code
             case ProbeResult():
                 self.probe_results.append(line)
-            case Welcome():
+            case WelcomeLine():
                 self.restarts += 1
                 self._pending.clear()
-            case Message() | Setting():
+            case MessageLine() | SettingLine():
                 self._told.append(line)
             case _:
                 pass
         return line
 
-    def _answer(self, answer: Answer) -> None:
+    def _answer(self, answer: AnswerLine) -> None:
         if not self._pending:
             if not self._synchronised:
                 return  # to a line of an earlier user

@@ -12,7 +12,7 @@ from drivers.links.serial_port import SerialAddress, SerialPort
 from drivers.registry import DeviceContext
 from drivers.roles import (
     AxisLimits,
-    Finding,
+    DiagnosticFinding,
     MachineStatus,
     Miss,
     MotionState,
@@ -23,16 +23,16 @@ from drivers.roles import (
     Vector,
 )
 from drivers.serial_cnc.bank_files import BankFiles
-from drivers.serial_cnc.control import Control
+from drivers.serial_cnc.control import MotionControl
 from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.diagnosis import diagnose
-from drivers.serial_cnc.frames import Frames
+from drivers.serial_cnc.frames import CoordinateFrames
 from drivers.serial_cnc.identity import await_rest, read_identity
-from drivers.serial_cnc.motion import Motion
-from drivers.serial_cnc.probing import Probing
+from drivers.serial_cnc.motion import SerialMotion
+from drivers.serial_cnc.probing import SerialProbing
 from drivers.serial_cnc.settings import SerialCncSettings
-from drivers.serial_cnc.status_tracker import Watch
+from drivers.serial_cnc.status_tracker import StatusTracker
 from drivers.serial_cnc.store import BankStore
 
 
@@ -59,7 +59,7 @@ class SerialCnc:
             fatal = identity.settings.fatal()
             if fatal:
                 raise ConfigurationError(fatal, hint="`volcal doctor` lists every setting that matters", **self._where)
-            watch = Watch(self._conversation, identity.settings, by_hand=self._settings.referenced_by_hand)
+            watch = StatusTracker(self._conversation, identity.settings, by_hand=self._settings.referenced_by_hand)
             watch.take_offset(identity.parameters, identity.modes)
             watch.look()
         except BaseException:
@@ -75,7 +75,7 @@ class SerialCnc:
         finally:
             self._conversation.close()
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         return diagnose(self._conversation, self._settings, self._store, self._directory)
 
     def limits(self) -> AxisLimits:
@@ -170,12 +170,12 @@ class _Parts:
         self,
         conversation: Conversation,
         told: ControllerSettings,
-        watch: Watch,
+        watch: StatusTracker,
         store: BankStore,
         clock: Clock,
     ) -> None:
         zero = conversation.settings.axis_zero_mm
-        self.control = Control(conversation, watch, clock)
-        self.frames = Frames(told.limits(zero), zero, store, conversation.where)
-        self.motion = Motion(conversation, watch, self.control, self.frames, clock)
-        self.probing = Probing(conversation, watch, self.motion, self.frames)
+        self.control = MotionControl(conversation, watch, clock)
+        self.frames = CoordinateFrames(told.limits(zero), zero, store, conversation.where)
+        self.motion = SerialMotion(conversation, watch, self.control, self.frames, clock)
+        self.probing = SerialProbing(conversation, watch, self.motion, self.frames)

@@ -8,11 +8,11 @@ from statistics import median
 
 from drivers.clock import wall_seconds
 from drivers.errors import DeviceError
-from drivers.roles import Finding
+from drivers.roles import DiagnosticFinding
 from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.identity import read_identity
 from drivers.serial_cnc.settings import SerialCncSettings
-from drivers.serial_cnc.status_tracker import Watch
+from drivers.serial_cnc.status_tracker import StatusTracker
 from drivers.serial_cnc.store import BankStore
 
 LATENCY_READS = 20
@@ -22,16 +22,16 @@ SLOW_ROUND_TRIP_S = 0.1
 
 def diagnose(
     conversation: Conversation, settings: SerialCncSettings, store: BankStore, directory: Path
-) -> list[Finding]:
+) -> list[DiagnosticFinding]:
     """Findings in the order in which a person would look; an error ends the list as a finding of its own."""
-    findings: list[Finding] = []
+    findings: list[DiagnosticFinding] = []
     opened_here = not conversation.line.connected
     try:
         if opened_here:
             conversation.open()
         findings.extend(_findings(conversation, settings))
     except DeviceError as error:
-        findings.append(Finding("link", ok=False, text=str(error)))
+        findings.append(DiagnosticFinding("link", ok=False, text=str(error)))
     finally:
         if opened_here:
             conversation.close()
@@ -39,10 +39,10 @@ def diagnose(
     return findings
 
 
-def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterator[Finding]:
+def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterator[DiagnosticFinding]:
     identity = read_identity(conversation)
     told = identity.settings
-    yield Finding("link", ok=True, text=f"{conversation.where['link']}, version {told.version}")
+    yield DiagnosticFinding("link", ok=True, text=f"{conversation.where['link']}, version {told.version}")
     yield from told.findings(referenced_by_hand=settings.referenced_by_hand)
     if told.fatal():
         yield _latency(conversation.report)
@@ -51,44 +51,46 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
     travel = ", ".join(
         f"{axis} {low:g} … {high:g} mm" for axis, low, high in zip("XYZ", limits.lower_mm, limits.upper_mm, strict=True)
     )
-    yield Finding("travel", ok=True, text=travel)
-    watch = Watch(conversation, told, by_hand=settings.referenced_by_hand)
+    yield DiagnosticFinding("travel", ok=True, text=travel)
+    watch = StatusTracker(conversation, told, by_hand=settings.referenced_by_hand)
     watch.take_offset(identity.parameters, identity.modes)
     yield _latency(watch.look)  # so many that every field that comes now and then has come
     look = watch.look()
-    yield Finding("state", ok=not look.fault, text=look.word + (f": {look.fault}" if look.fault else ""))
-    yield Finding("permissions", ok=not look.missing, text=f"missing: {look.missing}" if look.missing else "all given")
+    yield DiagnosticFinding("state", ok=not look.fault, text=look.word + (f": {look.fault}" if look.fault else ""))
+    yield DiagnosticFinding(
+        "permissions", ok=not look.missing, text=f"missing: {look.missing}" if look.missing else "all given"
+    )
     text = "deflected: touching something, or $6 is wrong" if look.deflected else "free; the controller tells no more"
-    yield Finding("probe", ok=not look.deflected, text=text)
+    yield DiagnosticFinding("probe", ok=not look.deflected, text=text)
     offset = ", ".join(f"{value:.3f}" for value in watch.work_offset().tolist())
-    yield Finding("work offset", ok=True, text=f"{offset} mm")
+    yield DiagnosticFinding("work offset", ok=True, text=f"{offset} mm")
     feed, rapid = look.overrides
-    yield Finding("overrides", ok=(feed, rapid) == (100, 100), text=f"feed {feed} %, rapids {rapid} %")
+    yield DiagnosticFinding("overrides", ok=(feed, rapid) == (100, 100), text=f"feed {feed} %, rapids {rapid} %")
     stated = settings.stated_temperatures_c
     if stated:
         named = ", ".join(f"{name} {value:g} °C" for name, value in stated.items())
-        yield Finding("temperatures", ok=True, text=f"stated, not measured: {named}")
+        yield DiagnosticFinding("temperatures", ok=True, text=f"stated, not measured: {named}")
 
 
-def _latency(look: Callable[[], object]) -> Finding:
+def _latency(look: Callable[[], object]) -> DiagnosticFinding:
     times_s: list[float] = []
     for _ in range(LATENCY_READS):
         start_s = wall_seconds()
         look()
         times_s.append(wall_seconds() - start_s)
     text = f"median {median(times_s) * 1e3:.2f} ms, worst {max(times_s) * 1e3:.2f} ms"
-    return Finding("latency", ok=median(times_s) <= SLOW_ROUND_TRIP_S, text=text)
+    return DiagnosticFinding("latency", ok=median(times_s) <= SLOW_ROUND_TRIP_S, text=text)
 
 
-def _tables(store: BankStore, directory: Path, *, look: bool) -> Finding:
+def _tables(store: BankStore, directory: Path, *, look: bool) -> DiagnosticFinding:
     """The controller has no tables, and must not seem to have any."""
     try:
         if look and directory.exists():
             store.open()
     except DeviceError as error:
-        return Finding("tables", ok=False, text=str(error))
+        return DiagnosticFinding("tables", ok=False, text=str(error))
     text = (
         f"none in the controller; files in {directory}, active {store.active_bank()}: the driver corrects what it "
         "commands, part programs act corrected only after `volcal gcode correct`"
     )
-    return Finding("tables", ok=True, text=text)
+    return DiagnosticFinding("tables", ok=True, text=text)

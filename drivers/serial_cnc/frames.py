@@ -17,7 +17,7 @@ from drivers.serial_cnc.store import BankStore
 LIMIT_TOLERANCE_MM = 1e-6
 
 
-class Frames:
+class CoordinateFrames:
     """`axis_zero_mm`: machine coordinates at which the axes of the machine file read 0."""
 
     def __init__(

@@ -8,20 +8,20 @@ from drivers.clock import Clock, Deadline
 from drivers.errors import CommandRejected, ProtocolError
 from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
-from drivers.serial_cnc.lines import Message
+from drivers.serial_cnc.lines import MessageLine
 
 MOVING = "Run"
 POLL_S = 0.2
-TELLING = frozenset({"Idle", "Alarm"})
+RESPONSIVE_STATES = frozenset({"Idle", "Alarm"})
 """States in which the controller answers everything."""
 
 
 @dataclass(frozen=True)
-class Identity:
+class ControllerIdentity:
     """`parameters`: the lines of ``$#``; `modes`: the words of ``$G``."""
 
     settings: ControllerSettings
-    parameters: list[Message]
+    parameters: list[MessageLine]
     modes: str
 
 
@@ -32,10 +32,10 @@ def await_rest(conversation: Conversation, clock: Clock, within_s: float) -> Non
         clock.sleep(POLL_S)
 
 
-def read_identity(conversation: Conversation) -> Identity:
+def read_identity(conversation: Conversation) -> ControllerIdentity:
     """Raises CommandRejected where something else runs on the controller, ProtocolError where it is no GRBL."""
     report = conversation.report()
-    if report.state not in TELLING:
+    if report.state not in RESPONSIVE_STATES:
         raise CommandRejected(
             f"the controller is in state {report.state}: it tells its settings only while idle",
             hint="end, resume or reset what runs there, then start again",
@@ -43,13 +43,13 @@ def read_identity(conversation: Conversation) -> Identity:
         )
     conversation.synchronise()
     told = conversation.ask("$I")
-    if not any(isinstance(line, Message) and line.kind == "VER" for line in told):
+    if not any(isinstance(line, MessageLine) and line.kind == "VER" for line in told):
         raise ProtocolError(
             "no version in the answer to $I", hint="GRBL 1.1 or grblHAL is needed", **conversation.where
         )
     settings = ControllerSettings.of([*told, *conversation.ask("$$")])
-    parameters = [line for line in conversation.ask("$#") if isinstance(line, Message)]
-    modes = [line.text for line in conversation.ask("$G") if isinstance(line, Message) and line.kind == "GC"]
+    parameters = [line for line in conversation.ask("$#") if isinstance(line, MessageLine)]
+    modes = [line.text for line in conversation.ask("$G") if isinstance(line, MessageLine) and line.kind == "GC"]
     if not modes:
         raise ProtocolError("no modes in the answer to $G", hint="GRBL 1.1 or grblHAL is needed", **conversation.where)
-    return Identity(settings, parameters, modes[0])
+    return ControllerIdentity(settings, parameters, modes[0])

@@ -19,7 +19,7 @@ class GarbledLineError(ValueError):
 
 
 @dataclass(frozen=True)
-class Answer:
+class AnswerLine:
     """`ok`, or `error:n`: exactly one for each line that was sent."""
 
     error: int | None
@@ -48,7 +48,7 @@ class StatusReport:
 
 
 @dataclass(frozen=True)
-class AlarmRaised:
+class AlarmLine:
     code: int
 
 
@@ -61,7 +61,7 @@ class ProbeResult:
 
 
 @dataclass(frozen=True)
-class Message:
+class MessageLine:
     """Any other line in brackets: ``[MSG:...]``, ``[GC:...]``, ``[G54:...]``, ``[VER:...]``."""
 
     kind: str
@@ -75,7 +75,7 @@ class Message:
 
 
 @dataclass(frozen=True)
-class Setting:
+class SettingLine:
     """`$number=text`."""
 
     number: int
@@ -83,7 +83,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Welcome:
+class WelcomeLine:
     """Says that the controller has just begun anew."""
 
     text: str
@@ -96,7 +96,7 @@ class StartupLine:
     text: str
 
 
-Line = Answer | StatusReport | AlarmRaised | ProbeResult | Message | Setting | Welcome | StartupLine
+Line = AnswerLine | StatusReport | AlarmLine | ProbeResult | MessageLine | SettingLine | WelcomeLine | StartupLine
 
 _ERROR: Final = re.compile(r"error:(\d{1,3})")
 _ALARM: Final = re.compile(r"ALARM:(\d{1,3})")
@@ -113,21 +113,21 @@ def parse_line(raw: bytes) -> Line:  # noqa: PLR0911  one line a class
     except UnicodeDecodeError:
         raise GarbledLineError(f"not ASCII: {raw!r}") from None
     if text == "ok":
-        return Answer(None)
+        return AnswerLine(None)
     if match := _ERROR.fullmatch(text):
-        return Answer(int(match[1]))
+        return AnswerLine(int(match[1]))
     if text.startswith("<") and text.endswith(">"):
         return _status(text)
     if match := _ALARM.fullmatch(text):
-        return AlarmRaised(int(match[1]))
+        return AlarmLine(int(match[1]))
     if text.startswith("[") and text.endswith("]"):
         return _bracketed(text[1:-1])
     if match := _SETTING.fullmatch(text):
         # GRBL built for terminals adds what the setting means: "$100=250.000 (x, step/mm)".
         name, value = match[1], match[2].split(" (", 1)[0].strip()
-        return StartupLine(text) if name.startswith("N") else Setting(int(name), value)
+        return StartupLine(text) if name.startswith("N") else SettingLine(int(name), value)
     if _WELCOME.fullmatch(text):
-        return Welcome(text)
+        return WelcomeLine(text)
     if text.startswith(">"):
         return StartupLine(text)
     raise GarbledLineError(f"a line of no known kind: {text!r}")
@@ -153,12 +153,12 @@ def _status(text: str) -> StatusReport:
     return report
 
 
-def _bracketed(text: str) -> ProbeResult | Message:
+def _bracketed(text: str) -> ProbeResult | MessageLine:
     kind, separator, rest = text.partition(":")
     if not separator:
         raise GarbledLineError(f"malformed message [{text}]")
     if kind != "PRB":
-        return Message(kind, rest)
+        return MessageLine(kind, rest)
     match = _PROBE.fullmatch(rest)
     if match is None:
         raise GarbledLineError(f"malformed probe result [{text}]")

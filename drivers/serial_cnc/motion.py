@@ -22,11 +22,11 @@ from drivers.errors import (
 )
 from drivers.roles import MotionState, Permission, Vector
 from drivers.serial_cnc.codes import ALARM_PROBE_STATE
-from drivers.serial_cnc.control import Control
-from drivers.serial_cnc.conversation import Conversation, Ticket
-from drivers.serial_cnc.frames import Frames
-from drivers.serial_cnc.polling import Pace, Prediction
-from drivers.serial_cnc.status_tracker import Look, Watch
+from drivers.serial_cnc.control import MotionControl
+from drivers.serial_cnc.conversation import Conversation, SentLine
+from drivers.serial_cnc.frames import CoordinateFrames
+from drivers.serial_cnc.polling import DurationPrediction, PollSchedule
+from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
 
 PREAMBLE = "G21G90G94"
 """Millimetres, absolute, mm/min: every line says so itself, whatever somebody else has left."""
@@ -37,7 +37,7 @@ ANSWER_LOST_AFTER = 4
 
 
 @dataclass(frozen=True)
-class Order:
+class MotionOrder:
     """A line and what it is meant to do. Machine coordinates."""
 
     line: str
@@ -48,11 +48,16 @@ class Order:
     barrier: bool
 
 
-class Motion:
+class SerialMotion:
     """Carries out orders. Whatever exception leaves a wait, a stop is sent before it travels on."""
 
     def __init__(
-        self, conversation: Conversation, watch: Watch, control: Control, frames: Frames, clock: Clock
+        self,
+        conversation: Conversation,
+        watch: StatusTracker,
+        control: MotionControl,
+        frames: CoordinateFrames,
+        clock: Clock,
     ) -> None:
         self._conversation = conversation
         self._watch = watch
@@ -62,7 +67,7 @@ class Motion:
         self._settings = conversation.settings
         self.where = conversation.where
 
-    def ready(self) -> Look:
+    def ready(self) -> TrackedStatus:
         return self._control.ready(self._settings.motion_margin_s)
 
     def straight(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
@@ -73,10 +78,10 @@ class Motion:
         line = f"{PREAMBLE}G53{word}{axis_words(goal)}"
         if feed_mm_per_s is not None:
             line += feed_word(feed_mm_per_s)
-        order = Order(line, "move", goal, feed_mm_per_s, self._settings.poll_interval_s, barrier=True)
+        order = MotionOrder(line, "move", goal, feed_mm_per_s, self._settings.poll_interval_s, barrier=True)
         self.require_at(goal, self.carry_out(order, start), "move")
 
-    def carry_out(self, order: Order, start_mm: Vector) -> Look:
+    def carry_out(self, order: MotionOrder, start_mm: Vector) -> TrackedStatus:
         """Send and wait for the end; the report after it."""
         conversation = self._conversation
         conversation.probe_results.clear()
@@ -97,7 +102,7 @@ class Motion:
         conversation.require_accepted(ticket)
         return look
 
-    def require_at(self, goal_mm: Vector, look: Look, what: str) -> None:
+    def require_at(self, goal_mm: Vector, look: TrackedStatus, what: str) -> None:
         off_mm = float(np.linalg.norm(look.position_mm - goal_mm))
         if off_mm > self._settings.position_tolerance_mm:
             raise MotionFault(
@@ -106,7 +111,7 @@ class Motion:
                 **self.where,
             )
 
-    def _await_planned(self, ticket: Ticket) -> None:
+    def _await_planned(self, ticket: SentLine) -> None:
         """`ok` comes at once. An alarm in its place is told by the next look."""
         try:
             self._conversation.await_answer(ticket)
@@ -117,12 +122,12 @@ class Motion:
             raise
         self._conversation.require_accepted(ticket)
 
-    def _await_end(self, ticket: Ticket, order: Order, start_mm: Vector, surprises: int) -> Look:
+    def _await_end(self, ticket: SentLine, order: MotionOrder, start_mm: Vector, surprises: int) -> TrackedStatus:
         look = self._watch.look()
-        predicted_s = Prediction(self._frames.limits).of(
+        predicted_s = DurationPrediction(self._frames.limits).of(
             start_mm, order.goal_mm, order.feed_mm_per_s, look.slowest_share
         )
-        pace = Pace(self._clock, self._settings, predicted_s, order.slice_s)
+        pace = PollSchedule(self._clock, self._settings, predicted_s, order.slice_s)
         held: Deadline | None = None
         idle = 0
         while True:
@@ -154,7 +159,7 @@ class Motion:
             **self.where,
         )
 
-    def _require_sound(self, look: Look, what: str) -> None:
+    def _require_sound(self, look: TrackedStatus, what: str) -> None:
         """The alarms and lost permissions that end a motion, each as its own error."""
         if look.state is not MotionState.FAULT:
             return
@@ -166,7 +171,7 @@ class Motion:
             raise GuardTripped(f"probe tripped in a {what}", hint="see what the probe touched", **self.where)
         raise MotionFault(f"{what} ended in an alarm: {look.fault}", hint="see the controller", **self.where)
 
-    def _require_resumed(self, held: Deadline, look: Look) -> None:
+    def _require_resumed(self, held: Deadline, look: TrackedStatus) -> None:
         if not look.permissions[Permission.DOORS_CLOSED]:
             raise PermissionMissing("the door was opened in motion", hint="close it, start again", **self.where)
         if held.expired:
@@ -176,7 +181,7 @@ class Motion:
                 **self.where,
             )
 
-    def _require_answer(self, idle: int, ticket: Ticket) -> None:
+    def _require_answer(self, idle: int, ticket: SentLine) -> None:
         if idle >= ANSWER_LOST_AFTER:
             raise ProtocolError(
                 f"the axes rest, and no answer to {ticket.line!r} has come",

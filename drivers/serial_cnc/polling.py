@@ -16,7 +16,7 @@ JUST_AFTER_S = 0.001
 """A look aimed at the very end would come too early half the time."""
 
 
-class Prediction:
+class DurationPrediction:
     def __init__(self, limits: AxisLimits) -> None:
         self._limits = limits
 
@@ -32,7 +32,7 @@ class Prediction:
         return at_full_speed_s / slowest_share
 
 
-class Pace:
+class PollSchedule:
     """Coarse looks until the predicted end, then fine ones that grow coarser again."""
 
     def __init__(self, clock: Clock, settings: SerialCncSettings, predicted_s: float, slice_s: float) -> None:

@@ -13,11 +13,11 @@ import numpy as np
 from drivers.errors import CommandRejected, GuardTripped, MotionFault, ProtocolError
 from drivers.roles import Miss, Touch, Vector
 from drivers.serial_cnc.conversation import Conversation
-from drivers.serial_cnc.frames import Frames
+from drivers.serial_cnc.frames import CoordinateFrames
 from drivers.serial_cnc.lines import ProbeResult
-from drivers.serial_cnc.motion import PREAMBLE, Motion, Order, axis_words, feed_word
-from drivers.serial_cnc.status_tracker import Look, Watch
-from drivers.straight_move import along_path, distance_to_segment_mm
+from drivers.serial_cnc.motion import PREAMBLE, MotionOrder, SerialMotion, axis_words, feed_word
+from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
+from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 
 UNTIL_CONTACT, UNTIL_FREE = "G38.3", "G38.5"
 SHORTEST_MM = 5e-4
@@ -25,17 +25,19 @@ SHORTEST_MM = 5e-4
 
 
 @dataclass(frozen=True)
-class Ended:
+class ProbeCycleResult:
     """A probe cycle: its result, and the report after it."""
 
     result: ProbeResult
-    look: Look
+    look: TrackedStatus
 
 
-class Probing:
+class SerialProbing:
     """A latch is believed only when it is the only one, and lies on the path of its touch."""
 
-    def __init__(self, conversation: Conversation, watch: Watch, motion: Motion, frames: Frames) -> None:
+    def __init__(
+        self, conversation: Conversation, watch: StatusTracker, motion: SerialMotion, frames: CoordinateFrames
+    ) -> None:
         self._conversation = conversation
         self._watch = watch
         self._motion = motion
@@ -74,7 +76,7 @@ class Probing:
                 **self._motion.where,
             )
 
-    def _led_off(self, look: Look, goal: Vector, feed_mm_per_s: float | None) -> Look:
+    def _led_off(self, look: TrackedStatus, goal: Vector, feed_mm_per_s: float | None) -> TrackedStatus:
         """Towards the goal until the probe comes free; MotionFault where it does not within `free_within_mm`."""
         start, way = look.position_mm, goal - look.position_mm
         length = float(np.linalg.norm(way))
@@ -97,10 +99,10 @@ class Probing:
             )
         return ended.look
 
-    def _cycle(self, code: str, what: str, start: Vector, goal: Vector, feed_mm_per_s: float) -> Ended:
+    def _cycle(self, code: str, what: str, start: Vector, goal: Vector, feed_mm_per_s: float) -> ProbeCycleResult:
         work = goal - self._watch.work_offset()
         line = f"{PREAMBLE}{code}{axis_words(work)}{feed_word(feed_mm_per_s)}"
-        order = Order(line, what, goal, feed_mm_per_s, self._settings.touch_poll_interval_s, barrier=False)
+        order = MotionOrder(line, what, goal, feed_mm_per_s, self._settings.touch_poll_interval_s, barrier=False)
         look = self._motion.carry_out(order, start)
         results = self._conversation.probe_results
         if len(results) != 1:
@@ -114,7 +116,7 @@ class Probing:
             self._motion.require_at(goal, look, what)
             if _distance(np.array(result.position), look.position_mm) > self._settings.position_tolerance_mm:
                 raise self._error(f"{what} has missed, and its result is not where the axes are")
-        return Ended(result, look)
+        return ProbeCycleResult(result, look)
 
     def _require_on_path(self, result: ProbeResult, start: Vector, goal: Vector) -> None:
         off_mm = distance_to_segment_mm(np.array(result.position), start, goal)
@@ -127,7 +129,7 @@ class Probing:
         if feed_mm_per_s is not None:
             return feed_mm_per_s
         shares = (np.abs(goal - start) / _distance(goal, start)).tolist()
-        return along_path(shares, self._frames.limits.rapid_mm_per_s)
+        return limit_along_direction(shares, self._frames.limits.rapid_mm_per_s)
 
     def _error(self, text: str) -> ProtocolError:
         return ProtocolError(

@@ -12,7 +12,7 @@ from drivers.roles import MotionState, Permission, Vector
 from drivers.serial_cnc.codes import NEEDS_RESET, POSITION_KEPT, alarm_text
 from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.conversation import Conversation
-from drivers.serial_cnc.lines import GarbledLineError, Message, StatusReport, Triple
+from drivers.serial_cnc.lines import GarbledLineError, MessageLine, StatusReport, Triple
 
 REPORTS_UNTIL_OFFSET = 40
 """GRBL tells its work offset in every tenth or thirtieth report, and in the first one after a reset."""
@@ -22,7 +22,7 @@ NOT_AUTOMATIC = frozenset({"Check", "Sleep", "Jog", "Home", "Tool"})
 
 
 @dataclass(frozen=True)
-class Look:
+class TrackedStatus:
     """One report, and what was known besides. `position_mm`: machine coordinates, (3,)."""
 
     word: str
@@ -48,7 +48,7 @@ class Look:
         return ", ".join(name.value for name, given in self.permissions.items() if not given)
 
 
-class Watch:
+class StatusTracker:
     """Owns what is remembered of the controller while the device is open."""
 
     def __init__(self, conversation: Conversation, settings: ControllerSettings, *, by_hand: bool) -> None:
@@ -68,7 +68,7 @@ class Watch:
         self.surprises = 0
         """Restarts that nobody here has asked for."""
 
-    def take_offset(self, told: list[Message], modes: str) -> None:
+    def take_offset(self, told: list[MessageLine], modes: str) -> None:
         """The work offset out of the answers to ``$#`` and ``$G``. Told in another form, it will come with a report."""
         offsets = {message.kind: message for message in told}
         system = next((word for word in modes.split() if word in COORDINATE_SYSTEMS), None)
@@ -79,7 +79,7 @@ class Watch:
         x, y, z = (sum(values) for values in zip(*parts, strict=True))
         self._offset = (x, y, z)
 
-    def look(self) -> Look:
+    def look(self) -> TrackedStatus:
         """Ask for a report. A critical alarm silences the controller until it is reset, which moves nothing."""
         conversation = self._conversation
         try:
@@ -113,7 +113,7 @@ class Watch:
             **self._conversation.where,
         )
 
-    def _taken(self, report: StatusReport) -> Look:
+    def _taken(self, report: StatusReport) -> TrackedStatus:
         self._note_restart(expected=False)
         self._note_fields(report)
         self._note_alarm(report)
@@ -123,7 +123,7 @@ class Watch:
                 "the controller reports work positions (WPos)", hint="add 1 to $10", **self._conversation.where
             )
         pins = report.fields.get("Pn", "")
-        return Look(
+        return TrackedStatus(
             word=report.state if report.substate is None else f"{report.state}:{report.substate}",
             state=_motion_state(report),
             position_mm=np.array(position),
@@ -194,6 +194,6 @@ def _motion_state(report: StatusReport) -> MotionState:
     return MotionState.IDLE
 
 
-def _tool_offset(message: Message) -> Triple:
+def _tool_offset(message: MessageLine) -> Triple:
     """GRBL tells a length, along Z; grblHAL all three."""
     return message.triple() if "," in message.text else (0.0, 0.0, message.number())

@@ -14,11 +14,11 @@ from drivers.roles import Activation, StoreLimits, TableImage
 from drivers.serial_cnc.bank_files import BankFiles
 from drivers.serial_cnc.correction import Correction
 from drivers.serial_cnc.settings import BankSettings
-from drivers.tables.objections import form_objection, stage_objection
+from drivers.tables.objections import limits_violation, table_defect
 from drivers.tables.text import counts_crc32
 
 BANKS = (1, 2)
-STEEPEST = 0.1
+MAX_SLOPE = 0.1
 """So that taking a correction out of a latch converges: each step gains a digit at least."""
 
 
@@ -61,7 +61,7 @@ class BankStore:
         self._require_known(bank)
         if bank == self._active:
             raise self._error(f"bank {bank} is active and cannot be written", hint="stage into another bank")
-        objection = stage_objection(self.limits, table) or form_objection(table, STEEPEST)
+        objection = limits_violation(self.limits, table) or table_defect(table, MAX_SLOPE)
         if objection:
             raise self._error(objection)
         self._files.write(bank, table)

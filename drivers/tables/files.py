@@ -8,7 +8,7 @@ from pathlib import Path
 from drivers.errors import StoreError
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_atomically(path: Path, text: str) -> None:
     """Beside it, made durable, then put in its place. StoreError where the disk refuses; the old file stays."""
     part = path.with_name(path.name + ".part")
     try:
@@ -17,14 +17,14 @@ def write_whole(path: Path, text: str) -> None:
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
-        make_durable(path.parent)
+        sync_directory(path.parent)
     except OSError as error:
         raise StoreError(
             f"cannot write {path}: {error.strerror}", hint="check the disk and the rights of the directory"
         ) from error
 
 
-def read_whole(path: Path) -> str | None:
+def read_if_exists(path: Path) -> str | None:
     """The text, bytes that are none kept as they are; None where there is no file."""
     try:
         return path.read_bytes().decode("ascii", "surrogateescape")
@@ -34,7 +34,7 @@ def read_whole(path: Path) -> str | None:
         raise StoreError(f"cannot read {path}: {error.strerror}", hint="check the rights of the directory") from error
 
 
-def make_durable(folder: Path) -> None:
+def sync_directory(folder: Path) -> None:
     """Renames in `folder` survive a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.roles import StoreLimits, TableImage
 
 
-def stage_objection(limits: StoreLimits, table: TableImage) -> str:
+def limits_violation(limits: StoreLimits, table: TableImage) -> str:
     """Why a controller of these limits cannot take the table; empty where it can."""
     if any(have > most for have, most in zip(table.shape, limits.max_nodes, strict=True)) or (
         math.prod(table.shape) > limits.max_total_nodes
@@ -23,7 +23,7 @@ def stage_objection(limits: StoreLimits, table: TableImage) -> str:
     return ""
 
 
-def form_objection(table: TableImage, steepest: float) -> str:
+def table_defect(table: TableImage, steepest: float) -> str:
     """Why a table is none: numbers that are no numbers, an empty grid, steps that do not rise, too steep a slope.
 
     `steepest`: mm of correction per mm of way between two neighbours.

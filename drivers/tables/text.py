@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from drivers.errors import ChecksumMismatch, StoreError
 from drivers.roles import TableImage
 
-HEAD = re.compile(
+HEADER = re.compile(
     r"volcal-compensation-table 1\n"
     r"origin_mm (?P<origin>\S+ \S+ \S+)\nstep_mm (?P<step>\S+ \S+ \S+)\nresolution_mm (?P<resolution>\S+)\n"
     r"nodes (?P<nodes>\d{1,6} \d{1,6} \d{1,6})\ncounts_crc32 (?P<crc>[0-9A-F]{8})\n"
 )
-LAST = re.compile(r"file_crc32 ([0-9A-F]{8})\n\Z")
+TRAILER = re.compile(r"file_crc32 ([0-9A-F]{8})\n\Z")
 
 
 def counts_crc32(counts: NDArray[np.int32]) -> int:
@@ -40,7 +40,7 @@ def counts_crc32(counts: NDArray[np.int32]) -> int:
     return zlib.crc32(counts.astype(">i4").tobytes(order="C"))
 
 
-def text_of(table: TableImage) -> str:
+def format_table(table: TableImage) -> str:
     rows = io.StringIO()
     np.savetxt(rows, table.counts.reshape(-1, 3), fmt="%d")
     head = (
@@ -55,24 +55,24 @@ def text_of(table: TableImage) -> str:
     return f"{body}file_crc32 {zlib.crc32(body.encode('ascii')):08X}\n"
 
 
-def table_of(text: str, **where: str | int) -> TableImage:
+def parse_table(text: str, **where: str | int) -> TableImage:
     """StoreError for a text that is no table, ChecksumMismatch for one that was changed; `where` goes into them."""
-    last = LAST.search(text)
+    last = TRAILER.search(text)
     if last is None:
-        raise StoreError("table file does not end as it must: cut off, or no table", hint=AGAIN, **where)
+        raise StoreError("table file does not end as it must: cut off, or no table", hint=RESTAGE_HINT, **where)
     body = text[: last.start()]
     if zlib.crc32(body.encode("utf-8", "surrogateescape")) != int(last[1], 16):
-        raise ChecksumMismatch("table file was changed after it was written", hint=AGAIN, **where)
-    head = HEAD.match(body)
+        raise ChecksumMismatch("table file was changed after it was written", hint=RESTAGE_HINT, **where)
+    head = HEADER.match(body)
     if head is None:
-        raise StoreError("table file has no head of version 1", hint=AGAIN, **where)
+        raise StoreError("table file has no head of version 1", hint=RESTAGE_HINT, **where)
     try:
         return _image(head, body[head.end() :])
     except ValueError as error:
-        raise StoreError(f"table file makes no sense: {error}", hint=AGAIN, **where) from error
+        raise StoreError(f"table file makes no sense: {error}", hint=RESTAGE_HINT, **where) from error
 
 
-AGAIN = "stage the table again"
+RESTAGE_HINT = "stage the table again"
 
 
 def _image(head: re.Match[str], rows: str) -> TableImage:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.clock import Clock, LockstepClock, VirtualClock, WatchedClock
+from drivers.clock import Clock, InterruptibleClock, LockstepClock, VirtualClock
 from drivers.contract.rig import ContractRig, Interrupt
 from drivers.registry import DeviceContext, create_device
 from drivers.roles import CompensationStore, Machine, Operator, Probe, RotaryMount, Thermometer
@@ -72,7 +72,7 @@ class Played(ContractRig):
 def in_process() -> Iterator[Played]:
     clock = VirtualClock()
     interrupt = Interrupt(clock)
-    watched = WatchedClock(clock, interrupt.check)
+    watched = InterruptibleClock(clock, interrupt.check)
     world = World(read_scenario(SCENARIO).made_ideal())
     device = SimulatedMachineDevice(world, watched)
     device.open()
@@ -98,7 +98,7 @@ def on_wires(cnc_link: str = "modbus", resolution_mm: float = 1e-5, **links: Any
     assert machine.time is not None
     clock = LockstepClock(*machine.time.address)
     interrupt = Interrupt(clock)
-    watched = WatchedClock(clock, interrupt.check)
+    watched = InterruptibleClock(clock, interrupt.check)
     ready = machine.ready_line()
     devices = {
         "cnc": (f"{cnc_link}-cnc", {**ready[cnc_link], **MORE_OPTIONS.get(cnc_link, {})}),

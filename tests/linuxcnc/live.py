@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from campaigns.linuxcnc import ANSWER_WITHIN_S
-from drivers.clock import ScaledClock, WatchedClock
+from drivers.clock import InterruptibleClock, ScaledClock
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.device import LinuxCnc
 from drivers.registry import DeviceContext, create_device
@@ -39,7 +39,7 @@ class Live:
 
     def device(self, *, interrupt: Any = lambda: None, **options: Any) -> LinuxCnc:
         """A driver that is not open yet."""
-        clock = WatchedClock(ScaledClock(SPEED), interrupt)
+        clock = InterruptibleClock(ScaledClock(SPEED), interrupt)
         given = {"bridge_command": self.process.bridge_command, "watch_s": 0.0, **PATIENCE, **options}
         device = create_device("linuxcnc", given, DeviceContext("cnc", clock, self.process.work))
         assert isinstance(device, LinuxCnc)

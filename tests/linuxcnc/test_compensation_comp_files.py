@@ -12,7 +12,7 @@ from needing import needing
 
 from drivers.clock import RealClock
 from drivers.errors import ChecksumMismatch, StoreError
-from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, store_of
+from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, create_store
 from drivers.roles import Activation, CompensationStore, TableImage
 
 pytestmark = needing(why_not())
@@ -52,7 +52,7 @@ class Rig:
 
     def store_accepting(self, loss_um: float) -> LinuxCncStore:
         settings = CompensationSettings(way="comp-files", directory=Path("tables"), accepted_loss_um=loss_um)
-        return store_of(settings, self.controller, RealClock(), base_path=self.work, device="linuxcnc")
+        return create_store(settings, self.controller, RealClock(), base_path=self.work, device="linuxcnc")
 
     def shift_at(self, *place_mm: float) -> np.ndarray:
         """What the motors add once they have come to rest there."""

@@ -12,7 +12,7 @@ from needing import needing
 
 from drivers.clock import RealClock
 from drivers.errors import ChecksumMismatch, StoreError
-from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, store_of
+from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, create_store
 from drivers.roles import Activation, CompensationStore, TableImage
 
 ONE, TWO = smooth_table(1), smooth_table(2)
@@ -32,7 +32,7 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def store_in(work: Path, controller: Controller, way: str) -> LinuxCncStore:
     settings = CompensationSettings.model_validate({"way": way, "directory": "tables"})
-    return store_of(settings, controller, RealClock(), base_path=work, device="linuxcnc")
+    return create_store(settings, controller, RealClock(), base_path=work, device="linuxcnc")
 
 
 class Rig:
@@ -286,7 +286,7 @@ def without_loader(rig: Rig) -> None:
     rig.controller.at(*PLACE)
     assert rig.shift() == pytest.approx(expected(ONE, PLACE)[0], abs=REST_MM[rig.way])
     settings = CompensationSettings.model_validate({"way": rig.way, "directory": "tables", "within_s": 0.3})
-    store = store_of(settings, rig.controller, RealClock(), base_path=rig.work, device="linuxcnc")
+    store = create_store(settings, rig.controller, RealClock(), base_path=rig.work, device="linuxcnc")
     assert [finding.ok for finding in store.diagnose()] == [False]
     with pytest.raises(StoreError, match="does not run"):
         store.activate(0)

@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 from needing import needing
 
 from drivers.roles import TableImage
-from drivers.tables.text import text_of
+from drivers.tables.text import format_table
 
 HEADERS = Path("/usr/include/linuxcnc/rtapi.h")
 MISSING = "" if HEADERS.exists() and shutil.which("gcc") else "linuxcnc-uspace-dev OR gcc IS NOT INSTALLED"
@@ -73,7 +73,7 @@ def tables(draw: st.DrawFn) -> TableImage:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(tables(), st.lists(st.tuples(*[st.floats(-2500.0, 4000.0)] * 3), min_size=1, max_size=5))
 def test_lookup_is_trilinear_and_constant_beyond(library: ctypes.CDLL, table: TableImage, places: list) -> None:
-    assert read(library, text_of(table)) == OK
+    assert read(library, format_table(table)) == OK
     last = np.array(table.shape) - 1
     for place in [*map(np.array, places), np.array(table.origin_mm) + last * table.step_mm]:
         assert looked_up(library, place) == pytest.approx(trilinear(table, place[None])[0], abs=1e-12)
@@ -81,7 +81,7 @@ def test_lookup_is_trilinear_and_constant_beyond(library: ctypes.CDLL, table: Ta
 
 @given(tables(), st.data())
 def test_cut_or_changed_files_are_refused(library: ctypes.CDLL, table: TableImage, data: st.DataObject) -> None:
-    text = text_of(table)
+    text = format_table(table)
     at = data.draw(st.integers(0, len(text) - 1))
     other = data.draw(st.characters(min_codepoint=0, max_codepoint=255).filter(lambda c: c != text[at]))
     assert read(library, text[:at]) in (MALFORMED, CRC_DIFFERS)
@@ -89,7 +89,7 @@ def test_cut_or_changed_files_are_refused(library: ctypes.CDLL, table: TableImag
 
 
 SMALL = TableImage((0.0, 0.0, 0.0), (10.0, 10.0, 10.0), 1e-4, np.zeros((1, 1, 2, 3), dtype=np.int32))
-BODY = text_of(SMALL).partition("file_crc32")[0]
+BODY = format_table(SMALL).partition("file_crc32")[0]
 
 
 @pytest.mark.parametrize(
@@ -120,9 +120,9 @@ def test_files_that_make_no_sense_are_refused(library: ctypes.CDLL, old: str, ne
 
 def test_corrections_too_large_or_too_steep_are_refused(library: ctypes.CDLL) -> None:
     counts = np.full((2, 2, 2, 3), 10000, dtype=np.int32)
-    assert read(library, text_of(TableImage((0.0,) * 3, (10.0,) * 3, 1e-4, counts))) == OK
-    assert read(library, text_of(TableImage((0.0,) * 3, (10.0,) * 3, 1e-4, counts + 1))) == BEYOND_LIMITS
+    assert read(library, format_table(TableImage((0.0,) * 3, (10.0,) * 3, 1e-4, counts))) == OK
+    assert read(library, format_table(TableImage((0.0,) * 3, (10.0,) * 3, 1e-4, counts + 1))) == BEYOND_LIMITS
     counts[1, 0, 0, 2] = -1
-    assert read(library, text_of(TableImage((0.0,) * 3, (10.0,) * 3, 1e-4, counts))) == BEYOND_LIMITS
+    assert read(library, format_table(TableImage((0.0,) * 3, (10.0,) * 3, 1e-4, counts))) == BEYOND_LIMITS
     counts[1, 0, 0, 2] = 0
-    assert read(library, text_of(TableImage((0.0,) * 3, (10.0,) * 3, 1e-4, counts))) == OK
+    assert read(library, format_table(TableImage((0.0,) * 3, (10.0,) * 3, 1e-4, counts))) == OK

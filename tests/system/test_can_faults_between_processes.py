@@ -15,7 +15,7 @@ import pytest
 from agent.cli.simulator_process import SimulatorProcess
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.settings import CanopenMountSettings
-from drivers.clock import LockstepClock, WatchedClock
+from drivers.clock import InterruptibleClock, LockstepClock
 from drivers.errors import DeadlineExpired, LinkLost, LinkTimeout, MotionFault
 from drivers.registry import DeviceContext
 
@@ -82,7 +82,7 @@ def bench(kind: str, directory: Path) -> Iterator[Bench]:
             }
         )
         due = Due(clock, (ready["control"]["host"], ready["control"]["port"]))
-        mount = CanopenMount(settings, DeviceContext("mount", WatchedClock(clock, due.check), directory))
+        mount = CanopenMount(settings, DeviceContext("mount", InterruptibleClock(clock, due.check), directory))
         try:
             mount.open()
             yield Bench(mount, clock, due)

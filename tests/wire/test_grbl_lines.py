@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 
 from drivers.serial_cnc.controller_settings import ControllerSettings
 from drivers.serial_cnc.lines import (
-    AlarmRaised,
-    Answer,
+    AlarmLine,
+    AnswerLine,
     GarbledLineError,
-    Message,
+    MessageLine,
     ProbeResult,
-    Setting,
+    SettingLine,
     StartupLine,
     StatusReport,
-    Welcome,
+    WelcomeLine,
     parse_line,
 )
 
@@ -26,25 +26,25 @@ MODES = "G0 G54 G17 G21 G90 G94 M0 M5 M9 T0 F0. S0."
 @pytest.mark.parametrize(
     ("line", "parsed"),
     [
-        (b"ok", Answer(None)),
-        (b"error:20", Answer(20)),
-        (b"ALARM:5", AlarmRaised(5)),
+        (b"ok", AnswerLine(None)),
+        (b"error:20", AnswerLine(20)),
+        (b"ALARM:5", AlarmLine(5)),
         (b"[PRB:-1.500,2.000,0.005:1]", ProbeResult((-1.5, 2.0, 0.005), True)),
         (b"[PRB:0.000,0.000,0.000:0]", ProbeResult((0.0, 0.0, 0.0), False)),
         (b"[PRB:1.000,2.000,3.000,4.000:1]", ProbeResult((1.0, 2.0, 3.0), True)),
-        (b"[MSG:'$H'|'$X' to unlock]", Message("MSG", "'$H'|'$X' to unlock")),
-        (b"[GC:G0 G54 G17 G21 G90 G94 M0 M5 M9 T0 F0. S0.]", Message("GC", MODES)),
-        (b"[G54:4.000,0.000,0.000]", Message("G54", "4.000,0.000,0.000")),
-        (b"[TLO:0.000]", Message("TLO", "0.000")),
-        (b"[VER:v1.1d.20161014:Some string]", Message("VER", "v1.1d.20161014:Some string")),
-        (b"[FIRMWARE:grblHAL]", Message("FIRMWARE", "grblHAL")),
-        (b"$110=500.000", Setting(110, "500.000")),
-        (b"$110=500.000 (x max rate, mm/min)", Setting(110, "500.000")),
-        (b"$74=workshop", Setting(74, "workshop")),
+        (b"[MSG:'$H'|'$X' to unlock]", MessageLine("MSG", "'$H'|'$X' to unlock")),
+        (b"[GC:G0 G54 G17 G21 G90 G94 M0 M5 M9 T0 F0. S0.]", MessageLine("GC", MODES)),
+        (b"[G54:4.000,0.000,0.000]", MessageLine("G54", "4.000,0.000,0.000")),
+        (b"[TLO:0.000]", MessageLine("TLO", "0.000")),
+        (b"[VER:v1.1d.20161014:Some string]", MessageLine("VER", "v1.1d.20161014:Some string")),
+        (b"[FIRMWARE:grblHAL]", MessageLine("FIRMWARE", "grblHAL")),
+        (b"$110=500.000", SettingLine(110, "500.000")),
+        (b"$110=500.000 (x max rate, mm/min)", SettingLine(110, "500.000")),
+        (b"$74=workshop", SettingLine(74, "workshop")),
         (b"$N0=G54", StartupLine("$N0=G54")),
         (b">G54G20:ok", StartupLine(">G54G20:ok")),
-        (b"Grbl 1.1d ['$' for help]", Welcome("Grbl 1.1d ['$' for help]")),
-        (b"GrblHAL 1.1f ['$' or '$HELP' for help]", Welcome("GrblHAL 1.1f ['$' or '$HELP' for help]")),
+        (b"Grbl 1.1d ['$' for help]", WelcomeLine("Grbl 1.1d ['$' for help]")),
+        (b"GrblHAL 1.1f ['$' or '$HELP' for help]", WelcomeLine("GrblHAL 1.1f ['$' or '$HELP' for help]")),
     ],
 )  # fmt: skip
 def test_each_line_has_its_class(line: bytes, parsed: object) -> None:
@@ -98,7 +98,7 @@ class TestControllerSettings:
         base |= {130: 200, 131: 300, 132: 80}
         given_lines = [f"${number}={value}" for number, value in base.items()] + list(lines)
         parsed = [parse_line(line.encode()) for line in given_lines]
-        return ControllerSettings.of([line for line in parsed if isinstance(line, Setting | Message)])
+        return ControllerSettings.of([line for line in parsed if isinstance(line, SettingLine | MessageLine)])
 
     def test_machine_space_is_negative(self) -> None:
         limits = self.told().limits((-200.0, -300.0, -80.0))
@@ -123,5 +123,5 @@ class TestControllerSettings:
         assert all(finding.ok for finding in fine)
 
     def test_setting_that_is_not_told_is_named(self) -> None:
-        told = ControllerSettings.of([Setting(10, "1")])
+        told = ControllerSettings.of([SettingLine(10, "1")])
         assert "$13" in told.fatal()

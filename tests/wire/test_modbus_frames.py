@@ -19,12 +19,12 @@ from waiting import PATIENCE_S, SILENCE_S
 from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, ProtocolError
 from drivers.links.modbus import ModbusLink
-from drivers.links.modbus_tcp import Endpoint, TcpTransport
-from drivers.modbus_cnc.codes import Code
-from drivers.modbus_cnc.registers import Command, Layouts, NumberFormat
-from drivers.modbus_cnc.session import Session
-from drivers.modbus_cnc.settings import Blocks, ModbusCncSettings
-from drivers.modbus_cnc.table import crc32, descriptor_of, table_bytes
+from drivers.links.modbus_tcp import TcpEndpoint, TcpTransport
+from drivers.modbus_cnc.codes import CommandCode
+from drivers.modbus_cnc.registers import BlockLayouts, CommandBlock, NumberFormat
+from drivers.modbus_cnc.session import ModbusSession
+from drivers.modbus_cnc.settings import BlockAddresses, ModbusCncSettings
+from drivers.modbus_cnc.table import crc32, table_bytes, table_descriptor
 from drivers.roles import Permission, TableImage
 
 DOCUMENT = Path(__file__).parents[2] / "docs/reference/modbus-register-map.md"
@@ -83,10 +83,10 @@ def script(request: pytest.FixtureRequest) -> Iterator[Script]:
 
 
 def link_at(port: int, retries: int = 0, timeout_s: float = PATIENCE_S) -> ModbusLink:
-    endpoint = Endpoint("127.0.0.1", port, 1)
+    endpoint = TcpEndpoint("127.0.0.1", port, 1)
     where = {"device": "cnc", "link": str(endpoint)}
     transport = TcpTransport(endpoint, timeout_s=timeout_s, where=where)
-    return ModbusLink(transport, writable=Blocks().writable(), where=where, retries=retries)
+    return ModbusLink(transport, writable=BlockAddresses().writable(), where=where, retries=retries)
 
 
 def link_to(script: Script, retries: int = 0, timeout_s: float = PATIENCE_S) -> ModbusLink:
@@ -103,7 +103,7 @@ def status_answer(transaction: int) -> bytes:
 @pytest.mark.parametrize("script", [[answer(1, "03 8C" + GOLDEN["D"].hex()[18:]), status_answer(2)]], indirect=True)
 def test_status_and_heartbeat_requests_are_the_golden_ones(script: Script) -> None:
     with closing(link_to(script)) as link:
-        session = Session(link, VirtualClock(), ModbusCncSettings(host="127.0.0.1"))
+        session = ModbusSession(link, VirtualClock(), ModbusCncSettings(host="127.0.0.1"))
         session.look()
         session._heartbeat = 6
         session._known = {7: 1}
@@ -118,12 +118,12 @@ def test_status_and_heartbeat_requests_are_the_golden_ones(script: Script) -> No
 )
 def test_a_touch_command_is_the_golden_one_and_its_answer_is_understood(script: Script) -> None:
     with closing(link_to(script)) as link:
-        session = Session(link, VirtualClock(), ModbusCncSettings(host="127.0.0.1"))
+        session = ModbusSession(link, VirtualClock(), ModbusCncSettings(host="127.0.0.1"))
         session.look()
         session._known, session._heartbeat, session._sequence = {7: 1}, 6, 6
         session.poll()
         session._known = {6: 1}
-        command = Command(Code.TOUCH, target=(1000.0, 200.5, -0.25), feed=5.0)
+        command = CommandBlock(CommandCode.TOUCH, target=(1000.0, 200.5, -0.25), feed=5.0)
         sequence, status = session.start(command)
     assert script.requests[2] == GOLDEN["C"]
     assert (sequence, status.acknowledge, status.result) == (7, 7, 1)
@@ -144,7 +144,7 @@ def test_the_descriptor_and_its_checksum_are_the_golden_ones(script: Script) -> 
     table = TableImage((0.0, 0.0, 0.0), (4000.0, 1.0, 1.0), 0.0001, counts)
     crc = crc32(table_bytes(table))
     assert crc == 0xCD808051
-    packed = Layouts(NumberFormat()).descriptor.pack(descriptor_of(2, table, crc))
+    packed = BlockLayouts(NumberFormat()).descriptor.pack(table_descriptor(2, table, crc))
     with closing(link_to(script, timeout_s=SILENCE_S)) as link:
         for _ in range(4):
             with pytest.raises(LinkTimeout):

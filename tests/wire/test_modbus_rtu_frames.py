@@ -11,7 +11,7 @@ import pytest
 from rtu_slave import RtuSlave, crc, framed, scripted
 from waiting import PATIENCE_S, SILENCE_S
 
-from drivers.clock import VirtualClock, WatchedClock
+from drivers.clock import InterruptibleClock, VirtualClock
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, ProtocolError
 from drivers.links.modbus import ModbusLink
 from drivers.links.modbus_rtu import RtuEndpoint, RtuTransport
@@ -240,7 +240,7 @@ def test_no_hold_and_no_abort_between_a_request_and_its_answer() -> None:
     def check() -> None:
         raise AssertionError("interrupted within a transaction")
 
-    with linked(scripted(ANSWER_17), clock=WatchedClock(VirtualClock(), check)) as link:
+    with linked(scripted(ANSWER_17), clock=InterruptibleClock(VirtualClock(), check)) as link:
         assert link.read(0x6B, 3) == VALUE_17
 
 

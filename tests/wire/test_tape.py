@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from drivers.clock import VirtualClock
 from drivers.errors import DeadlineExpired, LinkLost, LinkTimeout, ProtocolError, ReadBackMismatch
 from drivers.serial_cnc.tape.blocks import TapeError, differences, parse_tape
-from drivers.serial_cnc.tape.characters import Control, ParityFault, decode, encode, encode_control
+from drivers.serial_cnc.tape.characters import DeviceControl, ParityFault, decode, encode, encode_control
 from drivers.serial_cnc.tape.settings import TapeSettings
 from drivers.serial_cnc.tape.transfer import PunchRead
 from simulators.wire.tape.controller import Mode, TapeCnc
@@ -81,7 +81,7 @@ class TestCharacters:
         assert encode(text) == bytes((holes,))
 
     def test_controls(self) -> None:
-        assert [encode_control(c).hex() for c in Control] == ["11", "12", "93", "14"]
+        assert [encode_control(c).hex() for c in DeviceControl] == ["11", "12", "93", "14"]
 
     def test_blank_tape_and_returns_mean_nothing(self) -> None:
         assert decode(b"\x00\x8d\xff\xa0\xa5") == ["%"]

@@ -1,6 +1,6 @@
 """Two banks of compensation tables in LinuxCNC, in three ways."""
 
-from drivers.linuxcnc.compensation.factory import LinuxCncStore, store_of
+from drivers.linuxcnc.compensation.factory import LinuxCncStore, create_store
 from drivers.linuxcnc.compensation.settings import CompensationSettings
 
-__all__ = ["CompensationSettings", "LinuxCncStore", "store_of"]
+__all__ = ["CompensationSettings", "LinuxCncStore", "create_store"]

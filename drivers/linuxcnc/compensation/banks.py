@@ -7,14 +7,14 @@ from pathlib import Path
 from drivers.errors import StoreError
 from drivers.linuxcnc.compensation.settings import CompensationSettings
 from drivers.roles import Activation, StoreLimits, TableImage
-from drivers.tables.files import read_whole, write_whole
-from drivers.tables.objections import form_objection, stage_objection
-from drivers.tables.text import table_of, text_of
+from drivers.tables.files import read_if_exists, write_atomically
+from drivers.tables.objections import limits_violation, table_defect
+from drivers.tables.text import format_table, parse_table
 
 BANKS = (1, 2)
 MAX_NODES = (256, 256, 256)
 MAX_TOTAL_NODES = 262_144
-STEEPEST = 0.1
+MAX_SLOPE = 0.1
 """As the loader has it: the way back through the kinematics must contract."""
 
 
@@ -37,12 +37,12 @@ class Banks:
         return self.directory / f"bank{bank}.table"
 
     def write(self, bank: int, table: TableImage) -> None:
-        write_whole(self.path(bank), text_of(table))
+        write_atomically(self.path(bank), format_table(table))
 
     def read(self, bank: int) -> TableImage | None:
         """What the file of the bank holds; None where there is none. StoreError for a file that is no table."""
-        text = read_whole(self.path(bank))
-        return None if text is None else table_of(text, file=str(self.path(bank)), device=self._device, bank=bank)
+        text = read_if_exists(self.path(bank))
+        return None if text is None else parse_table(text, file=str(self.path(bank)), device=self._device, bank=bank)
 
     def require_known(self, bank: int) -> None:
         if bank not in BANKS:
@@ -53,7 +53,7 @@ class Banks:
         self.require_known(bank)
         if bank in taken:
             raise self.error(f"bank {bank} is active and cannot be written", hint="stage into another bank")
-        objection = stage_objection(self.limits, table) or form_objection(table, STEEPEST)
+        objection = limits_violation(self.limits, table) or table_defect(table, MAX_SLOPE)
         if objection:
             raise self.error(objection)
 

@@ -16,8 +16,8 @@ from drivers.errors import ChecksumMismatch, CommandRejected, StoreError
 from drivers.linuxcnc.compensation.banks import Banks
 from drivers.linuxcnc.compensation.reduction import OwnAxisPart, own_axis_part
 from drivers.linuxcnc.pins import Pins
-from drivers.roles import Finding, StoreLimits, TableImage
-from drivers.tables.files import make_durable, read_whole, write_whole
+from drivers.roles import DiagnosticFinding, StoreLimits, TableImage
+from drivers.tables.files import read_if_exists, sync_directory, write_atomically
 from drivers.tables.text import counts_crc32
 
 ACTING = "acting"
@@ -70,7 +70,7 @@ class CompFileStore:
             raise self._banks.error(f"cannot make {folder}: {error.strerror}") from error
         self._banks.write(bank, table)
         for name, text in _files(bank, table).items():
-            write_whole(folder / name, text)
+            write_atomically(folder / name, text)
 
     def activate(self, bank: int) -> None:
         """Arm: every file proved again, a link laid beside; confirm: the link put in place. Acts after a restart."""
@@ -85,24 +85,24 @@ class CompFileStore:
             armed.unlink(missing_ok=True)
             armed.symlink_to(f"bank{bank}")
             armed.replace(self._link)
-            make_durable(self._banks.directory)
+            sync_directory(self._banks.directory)
         except OSError as error:
             raise self._banks.error(f"cannot put the link {self._link}: {error.strerror}") from error
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         """Which bank acts and which waits, and what of the table is lost; reads only."""
         subject = "compensation"
         try:
             active, pending = self.active_bank(), self.pending_bank()
             table = self.read_table(active)
         except StoreError as error:
-            return [Finding(subject, ok=False, text=str(error))]
+            return [DiagnosticFinding(subject, ok=False, text=str(error))]
         acts = f"bank {active} acts joint by joint" if active else "no table acts"
         waits = "" if pending is None else f"; bank {pending} waits for a restart of LinuxCNC"
-        findings = [Finding(subject, ok=True, text=acts + waits)]
+        findings = [DiagnosticFinding(subject, ok=True, text=acts + waits)]
         if table is not None:
             lost_um = own_axis_part(table).lost_mm * 1e3
-            findings.append(Finding(subject, ok=True, text=f"up to {lost_um:.1f} µm of its table do not act"))
+            findings.append(DiagnosticFinding(subject, ok=True, text=f"up to {lost_um:.1f} µm of its table do not act"))
         return findings
 
     def _prove(self, bank: int) -> None:
@@ -112,7 +112,7 @@ class CompFileStore:
             raise self._banks.error(f"bank {bank} holds no table", hint="stage it first")
         folder = self._banks.directory / f"bank{bank}"
         for name, text in _files(bank, table).items():
-            if read_whole(folder / name) != text:
+            if read_if_exists(folder / name) != text:
                 raise self._mismatch(f"{folder / name} is not what the table of bank {bank} makes")
 
     def _require_acceptable(self, part: OwnAxisPart) -> None:

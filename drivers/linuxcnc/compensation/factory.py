@@ -11,18 +11,18 @@ from drivers.linuxcnc.compensation.comp_files import CompFileStore
 from drivers.linuxcnc.compensation.live import LiveStore
 from drivers.linuxcnc.compensation.settings import CompensationSettings
 from drivers.linuxcnc.pins import Pins
-from drivers.roles import Activation, CompensationStore, Finding
+from drivers.roles import Activation, CompensationStore, DiagnosticFinding
 
 
 class LinuxCncStore(CompensationStore, Protocol):
     """A store that can be diagnosed."""
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         """Reads only."""
         ...
 
 
-def store_of(
+def create_store(
     settings: CompensationSettings, pins: Pins, clock: Clock, *, base_path: Path, device: str
 ) -> LinuxCncStore:
     """`base_path`: where a relative directory starts; `device`: its name in errors. Reads and writes nothing yet."""

@@ -11,7 +11,7 @@ from drivers.clock import Clock, Deadline
 from drivers.errors import ChecksumMismatch, CommandRejected, DeadlineExpired, ReadBackMismatch, StoreError
 from drivers.linuxcnc.compensation.banks import Banks
 from drivers.linuxcnc.pins import Pins, PinValue
-from drivers.roles import Finding, StoreLimits, TableImage
+from drivers.roles import DiagnosticFinding, StoreLimits, TableImage
 from drivers.tables.text import counts_crc32
 
 POLL_S = 0.01
@@ -31,7 +31,7 @@ FAULTS = {
     2: "the bank that was chosen is empty",
     3: "the acting table was damaged; its last correction is held",
 }
-HELD_OR_NONE = (1, 3)
+FAULTS_WITHOUT_BANK = (1, 3)
 
 
 class LiveStore:
@@ -49,7 +49,7 @@ class LiveStore:
     def active_bank(self) -> int:
         """StoreError where what acts is no bank: a correction that is held after damage."""
         fault = int(self._get("acting-fault"))
-        if fault in HELD_OR_NONE:
+        if fault in FAULTS_WITHOUT_BANK:
             raise self._banks.error(FAULTS[fault], hint="activate bank 0, then look at the controller")
         return int(self._get("acting-bank"))
 
@@ -106,30 +106,30 @@ class LiveStore:
         self._await(lambda: int(self._get("bank")) == bank, f"bank {bank} to be chosen")
         self._await(lambda: self._acts(bank), f"bank {bank} to act and settle")
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         """Loader, table that acts, faults; reads only."""
         subject = "compensation"
         try:
             self._require_alive()
         except StoreError as error:
-            return [Finding(subject, ok=False, text=str(error))]
+            return [DiagnosticFinding(subject, ok=False, text=str(error))]
         fault = int(self._get("acting-fault"))
         bank, crc = int(self._get("acting-bank")), int(self._get("acting-crc"))
         applied = "applied" if self._get("acting") else "not applied while the machine is off or not homed"
         age_s = float(self._get("age"))
         acts = f"bank {bank}, CRC-32 {crc:08X}, loaded {age_s:.0f} s ago, {applied}" if bank else "no table acts"
-        findings = [Finding(subject, ok=fault == 0, text=FAULTS.get(fault, acts))]
+        findings = [DiagnosticFinding(subject, ok=fault == 0, text=FAULTS.get(fault, acts))]
         if self._get("limited"):
             text = "an axis stands at its soft limit, where LinuxCNC cuts the offset off; move it inwards"
-            findings.append(Finding(subject, ok=False, text=text))
+            findings.append(DiagnosticFinding(subject, ok=False, text=text))
         if self._get("table-lost"):
             text = "the table that acted before the restart is lost; nothing is compensated: restore it"
-            findings.append(Finding(subject, ok=False, text=text))
+            findings.append(DiagnosticFinding(subject, ok=False, text=text))
         return findings
 
     def _acts(self, bank: int) -> bool:
         fault = int(self._get("acting-fault"))
-        if fault in HELD_OR_NONE and int(self._get("acting-bank")) == bank:
+        if fault in FAULTS_WITHOUT_BANK and int(self._get("acting-bank")) == bank:
             raise self._banks.error(FAULTS[fault])
         settled = bool(self._get("settled")) or not self._get("acting")
         return settled and int(self._get("acting-bank")) == bank

@@ -89,7 +89,7 @@ def _block(line: str, number: int) -> Block:
 
 
 @dataclass(frozen=True)
-class Difference:
+class TapeDifference:
     """A parameter that reads back as something else; `found` is None where it is missing."""
 
     number: int
@@ -102,7 +102,7 @@ class Difference:
         return f"{where}: wrote {self.wanted}, " + ("not there" if self.found is None else f"reads {self.found}")
 
 
-def differences(wanted: Tape, found: Tape) -> list[Difference]:
+def differences(wanted: Tape, found: Tape) -> list[TapeDifference]:
     """Every value of `wanted` that `found` has not, or not so. What `found` has besides is no difference. TapeError
     for a block that is no parameter."""
     there = dict(_values(found.blocks))
@@ -110,7 +110,7 @@ def differences(wanted: Tape, found: Tape) -> list[Difference]:
     for (number, place), word in _values(wanted.blocks):
         other = there.get((number, place))
         if other is None or not word.same_as(other):
-            found_differences.append(Difference(number, place, word, other))
+            found_differences.append(TapeDifference(number, place, word, other))
     return found_differences
 
 

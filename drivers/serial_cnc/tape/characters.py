@@ -15,7 +15,7 @@ IGNORED = frozenset({0x00, 0x0D, 0x7F, 0x20})
 """Blank tape, carriage return, a punched-out character, space: they mean nothing on a tape."""
 
 
-class Control(IntEnum):
+class DeviceControl(IntEnum):
     """Without their parity bit."""
 
     READER_START = 0x11
@@ -24,7 +24,7 @@ class Control(IntEnum):
     PUNCH_OFF = 0x14
 
 
-_CONTROLS = {control.value: control for control in Control}
+_CONTROLS = {control.value: control for control in DeviceControl}
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class ParityFault:
     byte: int
 
 
-Character = str | Control | ParityFault
+Character = str | DeviceControl | ParityFault
 
 
 def punched(byte: int) -> int:
@@ -47,7 +47,7 @@ def encode(text: str) -> bytes:
     return bytes(punched(byte) for byte in text.encode("ascii"))
 
 
-def encode_control(control: Control) -> bytes:
+def encode_control(control: DeviceControl) -> bytes:
     return bytes((punched(control),))
 
 

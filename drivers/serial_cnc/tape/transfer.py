@@ -16,7 +16,7 @@ from drivers.clock import Clock, Deadline
 from drivers.errors import DeadlineExpired, LinkTimeout, ProtocolError, ReadBackMismatch
 from drivers.links.serial_port import SerialAddress, SerialPort
 from drivers.serial_cnc.tape.blocks import MARK, Tape, TapeError, differences, parse_tape
-from drivers.serial_cnc.tape.characters import Character, Control, ParityFault, decode, encode, encode_control
+from drivers.serial_cnc.tape.characters import Character, DeviceControl, ParityFault, decode, encode, encode_control
 from drivers.serial_cnc.tape.settings import TapeSettings
 
 AT_ONCE = 8
@@ -136,7 +136,7 @@ class PunchRead:
                 self._refuse(
                     f"parity fault in block {text.count(chr(10)) + new.count(chr(10))}: 0x{character.byte:02X}"
                 )
-            if character is Control.PUNCH_OFF and (text + new).count(MARK) < 2:
+            if character is DeviceControl.PUNCH_OFF and (text + new).count(MARK) < 2:
                 self._refuse(f"the controller has ended its tape (DC4) without a second {MARK}")
             if isinstance(character, str):
                 new += character
@@ -147,12 +147,12 @@ class PunchRead:
 
     def _await_start(self) -> None:
         deadline = Deadline.after(self._clock, self._settings.operator_within_s)
-        while Control.READER_START not in self._come():
+        while DeviceControl.READER_START not in self._come():
             self._require_pressed(deadline, "READ")
 
     def _obey(self, sent: int, *, ended: bool = False) -> None:
         """Go on unless the controller has stopped us; then wait until it lets us go on. At the end it need not."""
-        stopped = self._last_word(self._come()) is Control.READER_STOP
+        stopped = self._last_word(self._come()) is DeviceControl.READER_STOP
         deadline = Deadline.after(self._clock, self._settings.stopped_within_s)
         while stopped and not ended:
             if deadline.expired:
@@ -163,16 +163,16 @@ class PunchRead:
                     **self.where,
                 )
             self._clock.sleep(POLL_S)
-            stopped = self._last_word(self._come()) is not Control.READER_START
+            stopped = self._last_word(self._come()) is not DeviceControl.READER_START
 
-    def _last_word(self, characters: list[Character]) -> Control | None:
+    def _last_word(self, characters: list[Character]) -> DeviceControl | None:
         """The last of reader start and reader stop; None where neither has come."""
-        words = [c for c in characters if c in (Control.READER_START, Control.READER_STOP)]
+        words = [c for c in characters if c in (DeviceControl.READER_START, DeviceControl.READER_STOP)]
         for character in characters:
             if isinstance(character, ParityFault):
                 self._refuse(f"parity fault in a control character: 0x{character.byte:02X}")
         last = words[-1] if words else None
-        return last if isinstance(last, Control) else None
+        return last if isinstance(last, DeviceControl) else None
 
     # ------------------------------------------------------------------ both
 
@@ -189,7 +189,7 @@ class PunchRead:
         self._clock.sleep(POLL_S)
 
     def _refuse(self, text: str) -> NoReturn:
-        self._port.write(encode_control(Control.READER_STOP))
+        self._port.write(encode_control(DeviceControl.READER_STOP))
         raise ProtocolError(
             text, hint="check baud, stop bits and cable; the controller must be set to ISO code", **self.where
         )

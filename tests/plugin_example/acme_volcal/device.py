@@ -7,7 +7,17 @@ import numpy as np
 from acme_volcal.line import AcmeLine
 from drivers.clock import Clock, Deadline
 from drivers.errors import CommandRejected, DeviceError, GuardTripped, MotionFault
-from drivers.roles import AxisLimits, Finding, MachineStatus, Miss, MotionState, Permission, ProbeStatus, Touch, Vector
+from drivers.roles import (
+    AxisLimits,
+    DiagnosticFinding,
+    MachineStatus,
+    Miss,
+    MotionState,
+    Permission,
+    ProbeStatus,
+    Touch,
+    Vector,
+)
 
 POLL_S = 0.05
 MARGIN_S = 5.0
@@ -28,7 +38,7 @@ class AcmeCnc:
     def close(self) -> None:
         self._line.close()
 
-    def diagnose(self) -> list[Finding]:
+    def diagnose(self) -> list[DiagnosticFinding]:
         """Reads only."""
         opened_here = not self._line.connected
         try:
@@ -36,12 +46,12 @@ class AcmeCnc:
                 self._line.open()
             status = self.status()
             return [
-                Finding("link", ok=True, text=self._line.where["link"]),
-                Finding("state", ok=status.state is not MotionState.FAULT, text=status.state.value),
-                Finding("permissions", ok=not status.missing, text=f"{len(status.missing)} missing"),
+                DiagnosticFinding("link", ok=True, text=self._line.where["link"]),
+                DiagnosticFinding("state", ok=status.state is not MotionState.FAULT, text=status.state.value),
+                DiagnosticFinding("permissions", ok=not status.missing, text=f"{len(status.missing)} missing"),
             ]
         except DeviceError as error:
-            return [Finding("link", ok=False, text=str(error))]
+            return [DiagnosticFinding("link", ok=False, text=str(error))]
         finally:
             if opened_here:
                 self._line.close()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from acme_controller import WALL_Y, AcmeController
 
-from drivers.clock import VirtualClock, WatchedClock
+from drivers.clock import InterruptibleClock, VirtualClock
 from drivers.contract.motion_contract import MachineContract, ProbeContract
 from drivers.contract.rig import ContractRig, Interrupt
 from drivers.registry import DeviceContext, create_device
@@ -21,7 +21,7 @@ class AcmeRig(ContractRig):
 
     def __init__(self, port: int, clock: VirtualClock) -> None:
         self.interrupt = Interrupt(clock)
-        self.clock = WatchedClock(clock, self.interrupt.check)
+        self.clock = InterruptibleClock(clock, self.interrupt.check)
         device = create_device(
             "acme-cnc", {"host": "127.0.0.1", "port": port}, DeviceContext("cnc", self.clock, Path())
         )

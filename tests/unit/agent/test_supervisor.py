@@ -6,13 +6,13 @@ import pytest
 
 from agent.errors import Aborted, Interrupted
 from agent.execution.supervisor import Supervisor
-from drivers.clock import INTERRUPT_SLICE_S, Deadline, VirtualClock, WatchedClock
+from drivers.clock import INTERRUPT_SLICE_S, Deadline, VirtualClock, InterruptibleClock
 
 
 def test_an_abort_is_noticed_within_a_slice() -> None:
     inner = VirtualClock()
     supervisor = Supervisor(inner)
-    clock = WatchedClock(inner, supervisor.check)
+    clock = InterruptibleClock(inner, supervisor.check)
     inner.subscribe(lambda now: supervisor.request_abort("button") if now >= 1.0 else None)
     with pytest.raises(Aborted, match="button"):
         clock.sleep(60.0)
@@ -30,7 +30,7 @@ def test_the_first_reason_of_an_abort_stays() -> None:
 def test_a_hold_stops_the_machine_and_does_not_count_against_a_deadline() -> None:
     inner = VirtualClock()
     supervisor = Supervisor(inner)
-    clock = WatchedClock(inner, supervisor.check)
+    clock = InterruptibleClock(inner, supervisor.check)
     calls: list[tuple[str, float]] = []
     supervisor.on_hold = lambda: calls.append(("hold", inner.now()))
     supervisor.on_resume = lambda: calls.append(("resume", inner.now()))
@@ -56,7 +56,7 @@ def test_an_abort_ends_a_hold() -> None:
     supervisor.request_hold()
     inner.subscribe(lambda now: supervisor.request_abort("enough") if now > 2.0 else None)
     with pytest.raises(Aborted, match="enough"):
-        WatchedClock(inner, supervisor.check).sleep(1.0)
+        InterruptibleClock(inner, supervisor.check).sleep(1.0)
 
 
 def test_the_program_that_must_end_is_no_person_who_wants_the_end() -> None:
@@ -83,5 +83,5 @@ def test_the_way_out_is_not_interrupted_again() -> None:
     supervisor = Supervisor(inner)
     supervisor.request_abort("button")
     supervisor.shield()
-    WatchedClock(inner, supervisor.check).sleep(1.0)
+    InterruptibleClock(inner, supervisor.check).sleep(1.0)
     assert inner.now() == pytest.approx(1.0)

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from drivers.canopen_mount.emergency import emergency_text
 from drivers.canopen_mount.scale import AxisScale, turn_duration_s
 from drivers.canopen_mount.settings import CanopenMountSettings
-from drivers.canopen_mount.states import CLIMB, DriveState, drive_state
+from drivers.canopen_mount.states import ENABLE_TRANSITIONS, DriveState, drive_state
 
 
 def scale(**changes: Any) -> AxisScale:
@@ -123,8 +123,8 @@ def test_every_state_leads_to_operation_enabled() -> None:
         state, path_s = start, 0.0
         for _ in DriveState:
             if state is not DriveState.OPERATION_ENABLED:
-                path_s += CLIMB[state].within_s
-                state = CLIMB[state].arrives
+                path_s += ENABLE_TRANSITIONS[state].within_s
+                state = ENABLE_TRANSITIONS[state].arrives
         assert state is DriveState.OPERATION_ENABLED
         assert math.isfinite(path_s)
 

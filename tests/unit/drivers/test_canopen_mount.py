@@ -11,7 +11,7 @@ from canopen_rig import Rig, axis_settings, rig
 from agent.errors import Aborted
 from drivers.canopen_mount.mount import CanopenMount
 from drivers.canopen_mount.plugin import PLUGIN
-from drivers.clock import VirtualClock, WatchedClock
+from drivers.clock import InterruptibleClock, VirtualClock
 from drivers.errors import (
     CommandRejected,
     ConfigurationError,
@@ -276,7 +276,7 @@ def test_abort_stops_both_drives_without_sleeping() -> None:
             if bench.clock.now() > 1.0:
                 raise Aborted("somebody asked for it")
 
-        context = DeviceContext("mount", WatchedClock(bench.clock, check), Path())
+        context = DeviceContext("mount", InterruptibleClock(bench.clock, check), Path())
         mount = CanopenMount(bench.settings, context, bench.networks)
         mount.open()
         try:

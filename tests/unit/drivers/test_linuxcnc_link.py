@@ -30,7 +30,7 @@ from drivers.linuxcnc.device import LinuxCnc
 from drivers.linuxcnc.plugin import PLUGIN
 from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.registry import DeviceContext
-from drivers.roles import Finding, MotionState
+from drivers.roles import DiagnosticFinding, MotionState
 
 FAKE = Path(__file__).with_name("linuxcnc_fake_bridge.py")
 HELLO = {
@@ -277,7 +277,7 @@ class TestDevice:
 
 class TestDoctor:
     @staticmethod
-    def findings(device: LinuxCnc) -> dict[str, Finding]:
+    def findings(device: LinuxCnc) -> dict[str, DiagnosticFinding]:
         return {finding.subject: finding for finding in device.diagnose()}
 
     def test_wrong_settings_are_told(self, make: Make) -> None:

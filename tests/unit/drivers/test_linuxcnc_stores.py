@@ -9,11 +9,11 @@ import pytest
 
 from drivers.clock import VirtualClock
 from drivers.errors import ChecksumMismatch, CommandRejected, DeadlineExpired, LinkLost, StoreError
-from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, store_of
+from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, create_store
 from drivers.linuxcnc.compensation.reduction import own_axis_part
 from drivers.linuxcnc.pins import PinValue
 from drivers.roles import TableImage
-from drivers.tables.text import counts_crc32, table_of
+from drivers.tables.text import counts_crc32, parse_table
 
 TABLE = TableImage((0.0, 0.0, 0.0), (10.0, 10.0, 10.0), 1e-4, np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3))
 
@@ -62,7 +62,7 @@ class Loader:
             self.pins |= {"bank": self.pins["armed-bank"], "acting-bank": self.pins["armed-bank"], "armed-nonce": 0}
 
     def _load(self, bank: int) -> None:
-        table = table_of((self.directory / f"bank{bank}.table").read_text())
+        table = parse_table((self.directory / f"bank{bank}.table").read_text())
         self.pins |= {f"bank{bank}-state": 1, f"bank{bank}-crc": counts_crc32(table.counts)}
 
 
@@ -74,7 +74,7 @@ def loader(tmp_path: Path) -> Loader:
 @pytest.fixture
 def store(loader: Loader, tmp_path: Path) -> LinuxCncStore:
     settings = CompensationSettings(way="kinematics", directory=Path())
-    return store_of(settings, loader, VirtualClock(), base_path=tmp_path, device="cnc")
+    return create_store(settings, loader, VirtualClock(), base_path=tmp_path, device="cnc")
 
 
 def test_table_goes_in_acts_and_goes_out(store: LinuxCncStore) -> None:
@@ -184,7 +184,7 @@ def signals() -> Signals:
 @pytest.fixture
 def files(signals: Signals, tmp_path: Path) -> LinuxCncStore:
     settings = CompensationSettings(way="comp-files", directory=tmp_path, accepted_loss_um=10.0)
-    return store_of(settings, signals, VirtualClock(), base_path=tmp_path, device="cnc")
+    return create_store(settings, signals, VirtualClock(), base_path=tmp_path, device="cnc")
 
 
 def test_directory_that_was_not_prepared_is_said(files: LinuxCncStore, signals: Signals, tmp_path: Path) -> None:

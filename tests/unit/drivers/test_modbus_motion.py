@@ -10,7 +10,7 @@ import pytest
 from modbus_plc import FakePlc
 
 from agent.errors import Aborted
-from drivers.clock import Clock, VirtualClock, WatchedClock
+from drivers.clock import Clock, VirtualClock, InterruptibleClock
 from drivers.errors import (
     CommandRejected,
     DeadlineExpired,
@@ -188,7 +188,7 @@ def test_an_abort_while_waiting_stops_the_motion(plc: FakePlc, clock: VirtualClo
         if clock.now() > 0.7:
             raise Aborted("asked for")
 
-    with opened(plc, WatchedClock(clock, check)) as cnc:
+    with opened(plc, InterruptibleClock(clock, check)) as cnc:
         with pytest.raises(Aborted):
             cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
         assert plc.commands == [11, 23]
@@ -221,7 +221,7 @@ def test_a_hold_from_within_the_wait_and_its_resume_do_not_disturb_it(plc: FakeP
             clock.sleep(30.0)
             cnc.resume()
 
-    with opened(plc, WatchedClock(clock, check)) as cnc:
+    with opened(plc, InterruptibleClock(clock, check)) as cnc:
         cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
         assert plc.commands == [11, 21, 22]
         assert cnc.position().tolist() == [250.0, 200.0, 300.0]

@@ -13,21 +13,26 @@ from pydantic import ValidationError
 
 from drivers.clock import VirtualClock
 from drivers.errors import LinkLost
-from drivers.modbus_cnc.codec import Layout, NumberFormat, Register
+from drivers.modbus_cnc.codec import NumberFormat, RegisterField, RegisterLayout
 from drivers.modbus_cnc.heartbeat import PeerHeartbeat
 from drivers.modbus_cnc.plugin import PLUGIN
-from drivers.modbus_cnc.settings import Blocks, ModbusCncSettings
-from drivers.registry import GROUP, DeviceContext
+from drivers.modbus_cnc.settings import BlockAddresses, ModbusCncSettings
+from drivers.registry import ENTRY_POINT_GROUP, DeviceContext
 from drivers.straight_move import move_duration_s
 
-REGISTERS = [Register("a", "u16"), Register("b", "i32"), Register("c", "number", 2), Register("d", "u32")]
+REGISTERS = [
+    RegisterField("a", "u16"),
+    RegisterField("b", "i32"),
+    RegisterField("c", "number", 2),
+    RegisterField("d", "u32"),
+]
 
 
 def test_overlapping_blocks_are_named() -> None:
     with pytest.raises(ValidationError, match=r"blocks status .1000 … 1069. and limits .1060 … 1122. overlap"):
-        Blocks(limits=1060)
+        BlockAddresses(limits=1060)
     with pytest.raises(ValidationError, match="block command does not end before register 65536"):
-        Blocks(command=65530)
+        BlockAddresses(command=65530)
 
 
 def test_unknown_keys_and_doubled_sensor_names_are_errors() -> None:
@@ -38,12 +43,12 @@ def test_unknown_keys_and_doubled_sensor_names_are_errors() -> None:
 
 
 def test_only_what_the_agent_has_to_write_may_be_written() -> None:
-    written = {register for block in Blocks().writable() for register in block}
+    written = {register for block in BlockAddresses().writable() for register in block}
     assert written == {*range(2000, 2023), *range(2100, 2134), *range(2200, 2321), 2400, 2401}
 
 
 def test_the_plugin_is_installed_and_builds_a_device_that_is_not_yet_open() -> None:
-    (entry,) = entry_points(group=GROUP, name="modbus-cnc")
+    (entry,) = entry_points(group=ENTRY_POINT_GROUP, name="modbus-cnc")
     assert entry.load() is PLUGIN
     device = PLUGIN.create(PLUGIN.settings(host="127.0.0.1"), DeviceContext("cnc", VirtualClock(), Path()))
     with pytest.raises(LinkLost, match="device cnc"):
@@ -63,7 +68,7 @@ def test_the_plugin_is_installed_and_builds_a_device_that_is_not_yet_open() -> N
     ],
 )
 def test_every_number_format_has_its_bytes(numbers: NumberFormat, expected: str) -> None:
-    layout = Layout(REGISTERS, numbers)
+    layout = RegisterLayout(REGISTERS, numbers)
     values = (0x0102, -2, (1.5, -2.0), 0x01020304)
     assert layout.pack(values) == bytes.fromhex(expected)
     assert tuple(layout.unpack(bytes.fromhex(expected))) == values
@@ -71,7 +76,7 @@ def test_every_number_format_has_its_bytes(numbers: NumberFormat, expected: str)
 
 
 def test_a_number_beyond_int32_is_refused() -> None:
-    layout = Layout([Register("x", "number")], NumberFormat("int32", 1e-5))
+    layout = RegisterLayout([RegisterField("x", "number")], NumberFormat("int32", 1e-5))
     with pytest.raises(ValueError, match="format requires"):
         layout.pack([30000.0])
 
@@ -149,8 +154,8 @@ def test_links_that_cannot_be(options: dict[str, object], text: str) -> None:
 )
 def test_four_orders_of_a_value(words, bytes_, hexed: str) -> None:
     """258, -2 and 1.5 (3FF8 0000 0000 0000)."""
-    registers = [Register("a", "u16"), Register("b", "i32"), Register("c", "number")]
-    layout = Layout(registers, NumberFormat("float64", 1.0, words, bytes_))
+    registers = [RegisterField("a", "u16"), RegisterField("b", "i32"), RegisterField("c", "number")]
+    layout = RegisterLayout(registers, NumberFormat("float64", 1.0, words, bytes_))
     assert layout.pack((0x0102, -2, 1.5)) == bytes.fromhex(hexed)
     assert list(layout.unpack(bytes.fromhex(hexed))) == [0x0102, -2, 1.5]
 

@@ -14,7 +14,7 @@ from serial_rig import rig
 from drivers.errors import ChecksumMismatch, CommandRejected, StoreError
 from drivers.roles import TableImage, Touch
 from drivers.serial_cnc.correction import Correction
-from drivers.serial_cnc.store import STEEPEST
+from drivers.serial_cnc.store import MAX_SLOPE
 from simulators.world.field import TableField
 
 SHAPE = (5, 3, 4)
@@ -45,7 +45,7 @@ class TestCorrection:
     @settings(max_examples=20)
     @given(positions, st.integers(0, 20))
     def test_is_taken_out_at_the_steepest_that_is_let_in(self, place: tuple[float, float, float], seed: int) -> None:
-        steep = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, table(seed, round(STEEPEST / 2e-4)).counts)
+        steep = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, table(seed, round(MAX_SLOPE / 2e-4)).counts)
         correction = Correction(steep)
         assert correction.taken_out(correction.applied(np.array(place))) == pytest.approx(np.array(place), abs=1e-4)
 

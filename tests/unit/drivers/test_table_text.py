@@ -13,9 +13,9 @@ from hypothesis.extra.numpy import arrays
 
 from drivers.errors import ChecksumMismatch, StoreError
 from drivers.roles import Activation, StoreLimits, TableImage
-from drivers.tables.files import read_whole, write_whole
-from drivers.tables.objections import form_objection, stage_objection
-from drivers.tables.text import table_of, text_of
+from drivers.tables.files import read_if_exists, write_atomically
+from drivers.tables.objections import limits_violation, table_defect
+from drivers.tables.text import format_table, parse_table
 
 numbers = st.floats(-1e6, 1e6, allow_nan=False)
 steps = st.floats(1e-3, 1e5)
@@ -32,23 +32,23 @@ def tables(draw: st.DrawFn) -> TableImage:
 
 @given(tables())
 def test_every_bit_comes_back(table: TableImage) -> None:
-    assert table_of(text_of(table)).same_as(table)
+    assert parse_table(format_table(table)).same_as(table)
 
 
 @given(tables(), st.data())
 def test_cut_text_is_no_table(table: TableImage, data: st.DataObject) -> None:
-    text = text_of(table)
+    text = format_table(table)
     with pytest.raises(StoreError):
-        table_of(text[: data.draw(st.integers(0, len(text) - 1))])
+        parse_table(text[: data.draw(st.integers(0, len(text) - 1))])
 
 
 @given(tables(), st.data())
 def test_changed_byte_is_noticed(table: TableImage, data: st.DataObject) -> None:
-    text = text_of(table)
+    text = format_table(table)
     at = data.draw(st.integers(0, len(text) - 1))
     other = data.draw(st.characters(min_codepoint=0, max_codepoint=255).filter(lambda c: c != text[at]))
     with pytest.raises(StoreError):
-        table_of(text[:at] + other + text[at + 1 :], file="bank1.table")
+        parse_table(text[:at] + other + text[at + 1 :], file="bank1.table")
 
 
 def signed(body: str) -> str:
@@ -56,7 +56,7 @@ def signed(body: str) -> str:
     return f"{body}file_crc32 {zlib.crc32(body.encode()):08X}\n"
 
 
-GOOD = text_of(TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((1, 1, 2, 3), dtype=np.int32)))
+GOOD = format_table(TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((1, 1, 2, 3), dtype=np.int32)))
 BODY = GOOD[: GOOD.index("file_crc32")]
 
 
@@ -75,14 +75,14 @@ BODY = GOOD[: GOOD.index("file_crc32")]
 )
 def test_text_that_makes_no_sense_is_no_table(body: str) -> None:
     with pytest.raises(StoreError) as caught:
-        table_of(signed(body), file="bank1.table")
+        parse_table(signed(body), file="bank1.table")
     assert caught.value.where["file"] == "bank1.table"
     assert caught.value.hint
 
 
 def test_changed_text_is_a_checksum_mismatch() -> None:
     with pytest.raises(ChecksumMismatch):
-        table_of(GOOD.replace("step_mm 1.0", "step_mm 2.0"))
+        parse_table(GOOD.replace("step_mm 1.0", "step_mm 2.0"))
 
 
 LIMITS = StoreLimits((1, 2), (4, 4, 4), 32, 1e-4, 0.1, Activation.IMMEDIATE)
@@ -103,7 +103,7 @@ def image(counts: np.ndarray, step: float = 10.0, resolution: float = 1e-4) -> T
     ],
 )
 def test_what_a_store_cannot_take(table: TableImage, said: str) -> None:
-    objection = stage_objection(LIMITS, table)
+    objection = limits_violation(LIMITS, table)
     assert said in objection
     assert bool(objection) == bool(said)
 
@@ -111,22 +111,22 @@ def test_what_a_store_cannot_take(table: TableImage, said: str) -> None:
 def test_what_is_no_grid() -> None:
     steep = np.zeros((2, 2, 2, 3))
     steep[1] = 1000
-    assert form_objection(image(steep), 0.01) == ""
-    assert "along X" in form_objection(image(steep), 0.0099)
-    assert "no nodes" in form_objection(image(np.zeros((0, 2, 2, 3))), 1.0)
+    assert table_defect(image(steep), 0.01) == ""
+    assert "along X" in table_defect(image(steep), 0.0099)
+    assert "no nodes" in table_defect(image(np.zeros((0, 2, 2, 3))), 1.0)
     for step in (0.0, -1.0, float("nan"), float("inf")):
-        assert "no grid" in form_objection(image(np.zeros((2, 2, 2, 3)), step=step), 1.0)
+        assert "no grid" in table_defect(image(np.zeros((2, 2, 2, 3)), step=step), 1.0)
 
 
 def test_file_is_whole_or_not_there(tmp_path: Path) -> None:
     file = tmp_path / "bank1.table"
-    assert read_whole(file) is None
-    write_whole(file, "first")
+    assert read_if_exists(file) is None
+    write_atomically(file, "first")
     with pytest.raises(StoreError, match="cannot write"):
-        write_whole(tmp_path / "nowhere" / "bank1.table", "second")
+        write_atomically(tmp_path / "nowhere" / "bank1.table", "second")
     (tmp_path / "bank1.table.part").mkdir()
     with pytest.raises(StoreError, match="cannot write"):
-        write_whole(file, "second")
-    assert read_whole(file) == "first"
+        write_atomically(file, "second")
+    assert read_if_exists(file) == "first"
     with pytest.raises(StoreError, match="cannot read"):
-        read_whole(tmp_path)
+        read_if_exists(tmp_path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.clock import VirtualClock, WatchedClock
+from drivers.clock import InterruptibleClock, VirtualClock
 
 
 def test_time_passes_however_short_the_sleep() -> None:
@@ -16,7 +16,7 @@ def test_an_instant_just_ahead_is_reached_after_a_hold_too() -> None:
     """A hold shifts the clock of the run against that of the world by a number that no sleep matches exactly."""
     clock = VirtualClock()
     held = iter([0.1 + 0.2])
-    watched = WatchedClock(clock, lambda: clock.sleep(next(held, 0.0)))
+    watched = InterruptibleClock(clock, lambda: clock.sleep(next(held, 0.0)))
     watched.sleep(1.0 / 3.0)
     instant = watched.now() + 0.7
     for _ in range(100):

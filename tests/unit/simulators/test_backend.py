@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from worlds import REACH, TOOL, before_ball, case_study, device, ideal_world
 
-from drivers.clock import VirtualClock, WatchedClock
+from drivers.clock import InterruptibleClock, VirtualClock
 from drivers.errors import CommandRejected, DeadlineExpired, GuardTripped, MotionFault, StoreError
 from drivers.roles import (
     CompensationStore,
@@ -76,7 +76,7 @@ def test_a_wait_that_is_broken_off_stops_the_machine() -> None:
 
     inner = VirtualClock()
     world = ideal_world()
-    played = SimulatedMachineDevice(world, WatchedClock(inner, check))
+    played = SimulatedMachineDevice(world, InterruptibleClock(inner, check))
     inner.subscribe(world.advance_to)
     played.open()
     with pytest.raises(EnoughError):
@@ -90,7 +90,7 @@ def test_a_machine_held_for_ever_is_a_missed_deadline() -> None:
     world = ideal_world()
     clock = VirtualClock()
     clock.subscribe(world.advance_to)
-    played = SimulatedMachineDevice(world, WatchedClock(clock, world.controller.hold))
+    played = SimulatedMachineDevice(world, InterruptibleClock(clock, world.controller.hold))
     with pytest.raises(DeadlineExpired):
         played.move_to(np.array([100.0, 0.0, 0.0]), feed_mm_per_s=10.0, guarded=False)
 
