@@ -15,7 +15,7 @@ HOLD_POLL_S = 0.05
 class Supervisor:
     """The small mailbox between those who may interrupt a run and the one thread that runs it.
 
-    `check` is what a `WatchedClock` calls. `on_hold` and `on_resume` are the machine's feed hold; they run on
+    `check` is what an `InterruptibleClock` calls. `on_hold` and `on_resume` are the machine's feed hold; they run on
     the run's own thread, between two waits of a driver, never inside a transaction. `alive` is called at every
     check and while held: who watches over the run's thread sees by it that it has not hung.
     """

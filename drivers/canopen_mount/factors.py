@@ -97,7 +97,8 @@ def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
 
 def _mismatch(factor: Factor, found: tuple[int, ...]) -> ConfigurationError:
     return ConfigurationError(
-        f"{factor} is {_format_values(factor, found)} in the drive and {_format_values(factor, factor.values)} in the settings",
+        f"{factor} is {_format_values(factor, found)} in the drive"
+        f" and {_format_values(factor, factor.values)} in the settings",
         key=factor.key,
         object=f"0x{factor.entries[0].index:04X}",
         hint="a turn would end at another angle: correct the one that is wrong, or let units.write set the drive",

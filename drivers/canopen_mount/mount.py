@@ -182,10 +182,11 @@ class CanopenMount:
             for drive in self._drives:
                 drive.check_in_motion()
             if turning and deadline.expired:
+                late = turning[0]
                 deadline.require(
-                    f"{turning[0].node.axis} to reach its target (statusword bit 10), {turning[0].describe_unreached_target()}",
+                    f"{late.node.axis} to reach its target (statusword bit 10), {late.describe_unreached_target()}",
                     hint="check that the mount is free to turn, its brake is open and nothing is jammed",
-                    **turning[0].node.where,
+                    **late.node.where,
                 )
 
     def _settled(self, targets: tuple[float, float]) -> Orientation:

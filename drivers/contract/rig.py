@@ -19,7 +19,7 @@ class StoppedError(Exception):
 @dataclass
 class Interrupt:
     """Raises from the clock's sleeps once its time has come to `at_s`: give the driver
-    ``WatchedClock(clock, interrupt.check)``."""
+    ``InterruptibleClock(clock, interrupt.check)``."""
 
     clock: Clock
     at_s: float | None = None

@@ -6,7 +6,7 @@ import pytest
 
 from agent.errors import Aborted, Interrupted
 from agent.execution.supervisor import Supervisor
-from drivers.clock import INTERRUPT_SLICE_S, Deadline, VirtualClock, InterruptibleClock
+from drivers.clock import INTERRUPT_SLICE_S, Deadline, InterruptibleClock, VirtualClock
 
 
 def test_an_abort_is_noticed_within_a_slice() -> None:

@@ -10,7 +10,7 @@ import pytest
 from modbus_plc import FakePlc
 
 from agent.errors import Aborted
-from drivers.clock import Clock, VirtualClock, InterruptibleClock
+from drivers.clock import Clock, InterruptibleClock, VirtualClock
 from drivers.errors import (
     CommandRejected,
     DeadlineExpired,
