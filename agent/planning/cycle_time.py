@@ -94,7 +94,7 @@ def position_minutes(job: Job, position: Position) -> float:
 
 def as_listed(job: Job) -> Job:
     """The same with stations and positions in the order in which they are listed, and plain ways."""
-    procedure = job.settings.procedure.model_copy(update={"paths": "plain", "reorder": False})
+    procedure = job.settings.procedure.model_copy(update={"paths": "plain", "optimise_order": False})
     rules = replace(job.rules, course=replace(job.rules.course, roads=None))
     return replace(job, settings=job.settings.model_copy(update={"procedure": procedure}), rules=rules)
 

@@ -67,7 +67,7 @@ class Job:
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
         standing_at = self.settings.stations.standing_at if carried else None
-        if not self.settings.procedure.reorder:
+        if not self.settings.procedure.optimise_order:
             return MeasuringOrder("measure", by_station(both, self.stations), standing_at)
         stations = self._ordering.stations(self.stations, standing_at, self.verified_stations)
         return MeasuringOrder("measure", self._ordering.positions(both, stations), standing_at)
@@ -80,7 +80,9 @@ class Job:
     def closing(self) -> ClosingRules:
         """When the first position is measured again at the end: one of the set, never a held-out one."""
         chosen = self.settings.temperature
-        return ClosingRules(chosen.close_run_k, chosen.declared_change_k, chosen.close_positions, self.positions)
+        return ClosingRules(
+            chosen.repeat_after_change_k, chosen.declared_change_k, chosen.repeat_positions, self.positions
+        )
 
     def preparing(self) -> Plan[Prepared]:
         """The probe check and the qualification before everything else."""
@@ -89,7 +91,7 @@ class Job:
     def verifying(self, standing_at: int | None) -> MeasuringOrder:
         """The held-out positions again, beginning where the artefact stands."""
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
-        if not self.settings.procedure.reorder:
+        if not self.settings.procedure.optimise_order:
             return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
         return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
 

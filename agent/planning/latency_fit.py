@@ -87,7 +87,7 @@ def suggested_settings(model: TimeModel) -> dict[str, float]:
         "command_latency_s": round(model.command_latency_s, 4),
         "touch_latency_s": round(model.touch_latency_s, 4),
         "turn_latency_s": round(model.turn_latency_s, 4),
-        "carrying_minutes": round(model.carrying_s / S_PER_MIN, 2),
+        "relocation_minutes": round(model.carrying_s / S_PER_MIN, 2),
     }
 
 

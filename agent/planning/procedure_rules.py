@@ -49,8 +49,10 @@ def probing_of(settings: Settings, artefact: Artefact) -> Probing:
         recentre_mm=chosen.recentre_mm,
         repeats=chosen.repeats,
         stop_on_failure=chosen.on_failure == "stop",
-        careful_mm_per_s=chosen.careful_feed_mm_per_min / 60.0,
-        find=FindFirst(chosen.find_feed_mm_per_min / 60.0, chosen.back_off_mm) if chosen.touch_stages == 2 else None,
+        careful_mm_per_s=chosen.guarded_feed_mm_per_min / 60.0,
+        find=FindFirst(chosen.first_touch_feed_mm_per_min / 60.0, chosen.back_off_mm)
+        if chosen.touch_stages == 2
+        else None,
     )
 
 
@@ -63,7 +65,7 @@ def preparation_of(
     dense = replace(probing, directions=directions_of(QUALIFYING_RINGS, STYLUS_AXIS))
     limit_mm = qualifying.limit_um * MM_PER_UM
     limits = BallLimits(probing.limits.radius_deviation_mm, limit_mm, limit_mm, limit_mm)
-    spread_mm = qualifying.ball_spread_um * MM_PER_UM
+    spread_mm = qualifying.ball_radius_sigma_um * MM_PER_UM
     rules = QualificationRules(dense.directions, qualifying.ball, qualifying.pretravel_map, limits, spread_mm)
     return Preparation(
         check=ProbeCheck(check.touches, check.limit_um * MM_PER_UM) if check.enabled else None,

@@ -81,7 +81,7 @@ class _Rules:
         if not self._probe_seen:
             yield "touches before the probe has been looked at"
         chosen = self.settings.procedure
-        fastest = max(chosen.touch_feed_mm_per_min, chosen.find_feed_mm_per_min) / SECONDS_A_MINUTE
+        fastest = max(chosen.touch_feed_mm_per_min, chosen.first_touch_feed_mm_per_min) / SECONDS_A_MINUTE
         if not 0.0 < step.feed_mm_per_s <= fastest * (1.0 + 1e-9):
             yield f"a touch at {step.feed_mm_per_s} mm/s, the settings allow up to {fastest:g} mm/s"
 

@@ -19,16 +19,16 @@ def settling_of(settings: Settings) -> SettlingRules:
     )
     return SettlingRules(
         thermometers=thermometers,
-        largest_rate_k_per_h=chosen.largest_rate_k_per_h,
-        largest_departure_k=chosen.largest_departure_k,
-        look_every_s=chosen.look_every_s,
-        deadline_s=S_PER_MIN * chosen.deadline_minutes,
+        max_rate_k_per_h=chosen.max_rate_k_per_h,
+        max_departure_k=chosen.max_departure_k,
+        poll_interval_s=chosen.poll_interval_s,
+        deadline_s=S_PER_MIN * chosen.max_wait_minutes,
     )
 
 
 def drift_limits_of(settings: Settings) -> DriftLimits:
     fault_um = settings.procedure.drift_limit_um
-    return DriftLimits(MM_PER_UM * min(settings.temperature.drift_event_um, fault_um), MM_PER_UM * fault_um)
+    return DriftLimits(MM_PER_UM * min(settings.temperature.drift_warning_um, fault_um), MM_PER_UM * fault_um)
 
 
 def drift_prior_of(settings: Settings) -> DriftPrior:

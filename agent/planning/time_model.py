@@ -85,5 +85,5 @@ def time_model(machine: MachineDescription, timing: TimingSettings) -> TimeModel
         command_latency_s=timing.command_latency_s,
         touch_latency_s=timing.touch_latency_s,
         turn_latency_s=timing.turn_latency_s,
-        carrying_s=timing.carrying_minutes * S_PER_MIN,
+        carrying_s=timing.relocation_minutes * S_PER_MIN,
     )

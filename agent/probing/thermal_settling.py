@@ -21,25 +21,25 @@ class SettlingRules:
     """Limits of the artefact's rate and of its departure from 20 °C; how often a held run looks, how long at most."""
 
     thermometers: Thermometers = field(default_factory=Thermometers)
-    largest_rate_k_per_h: float = math.inf
-    largest_departure_k: float = math.inf
-    look_every_s: float = 60.0
+    max_rate_k_per_h: float = math.inf
+    max_departure_k: float = math.inf
+    poll_interval_s: float = 60.0
     deadline_s: float = 3600.0
 
     def complaint(self, trace: Sequence[Conditions]) -> str:
         """Why the last reading of `trace` must be waited on; empty where it need not."""
         now = trace[-1]
-        if abs(now.departure_k) > self.largest_departure_k:
+        if abs(now.departure_k) > self.max_departure_k:
             return (
                 f"the artefact has {now.artefact_c:.2f} °C, {abs(now.departure_k):.2f} K from 20 °C, "
-                f"allowed {self.largest_departure_k:g} K"
+                f"allowed {self.max_departure_k:g} K"
             )
         recent = [one for one in trace if now.instant_s - one.instant_s <= WINDOW_S]
         if now.instant_s - recent[0].instant_s < SHORTEST_S:
             return ""
         rate = rate_k_per_h(recent)
-        if rate is not None and abs(rate) > self.largest_rate_k_per_h:
-            return f"the artefact changes by {rate:+.1f} K/h, allowed {self.largest_rate_k_per_h:g} K/h"
+        if rate is not None and abs(rate) > self.max_rate_k_per_h:
+            return f"the artefact changes by {rate:+.1f} K/h, allowed {self.max_rate_k_per_h:g} K/h"
         return ""
 
 
@@ -49,7 +49,7 @@ def settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Pl
     `history`: readings that came with the balls before, oldest first. Raises MeasurementFault at the deadline.
     """
     trace = [*history, (yield from read_conditions(key, rules.thermometers))]
-    looks = math.ceil(rules.deadline_s / rules.look_every_s)
+    looks = math.ceil(rules.deadline_s / rules.poll_interval_s)
     for look in range(1, looks + 1):
         complaint = rules.complaint(trace)
         if not complaint:
@@ -57,8 +57,8 @@ def settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Pl
         here = f"{key}/settle-{look}"
         if look == 1:
             note = f"waiting until the artefact has settled: {complaint}"
-            yield Record(f"{here}/held", "event", {"note": note, "deadline_minutes": rules.deadline_s / S_PER_MIN})
-        yield Dwell(f"{here}/wait", rules.look_every_s)
+            yield Record(f"{here}/held", "event", {"note": note, "max_wait_minutes": rules.deadline_s / S_PER_MIN})
+        yield Dwell(f"{here}/wait", rules.poll_interval_s)
         trace.append((yield from read_conditions(here, rules.thermometers)))
     complaint = rules.complaint(trace)
     if complaint:

@@ -124,7 +124,7 @@ def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Seq
         )
         before_um, after_um = UM_PER_MM * _left(job, before).rms_mm, UM_PER_MM * result.rms_mm
     limits = job.settings.verification
-    reason = _judgement(after_um / before_um, limits.largest_share, expected.chi2_normalised, limits.largest_chi2)
+    reason = _judgement(after_um / before_um, limits.max_remaining_fraction, expected.chi2_normalised, limits.max_chi2)
     return Proof(
         accepted=not reason,
         before_um=before_um,
@@ -152,12 +152,12 @@ def provenance(job: Job, run_id: str) -> dict[str, str]:
     }
 
 
-def _judgement(share: float, largest_share: float, chi2: float, largest_chi2: float) -> str:
+def _judgement(share: float, max_remaining_fraction: float, chi2: float, max_chi2: float) -> str:
     """Empty where both hold."""
-    if share > largest_share:
-        return f"held-out positions keep {share:.2f} of their error, allowed {largest_share:.2f}"
-    if chi2 > largest_chi2:
-        return f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {largest_chi2:.2f}"
+    if share > max_remaining_fraction:
+        return f"held-out positions keep {share:.2f} of their error, allowed {max_remaining_fraction:.2f}"
+    if chi2 > max_chi2:
+        return f"held-out positions are not as predicted: normalised χ² {chi2:.2f}, allowed {max_chi2:.2f}"
     return ""
 
 

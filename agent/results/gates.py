@@ -41,23 +41,23 @@ def estimate_gates(
     return (
         Gate(
             "fit",
-            estimate.chi2_normalised <= limits.largest_chi2,
+            estimate.chi2_normalised <= limits.max_chi2,
             estimate.chi2_normalised,
-            limits.largest_chi2,
+            limits.max_chi2,
             "normalised χ² of the residuals: the model and the stated noise explain what was measured",
         ),
         Gate(
             "redundancy",
-            estimate.degrees_of_freedom >= limits.smallest_freedom,
+            estimate.degrees_of_freedom >= limits.min_degrees_of_freedom,
             float(estimate.degrees_of_freedom),
-            float(limits.smallest_freedom),
+            float(limits.min_degrees_of_freedom),
             "degrees of freedom left: enough measurements to notice a wrong one",
         ),
         Gate(
             "gain",
-            share <= limits.largest_remaining_share,
+            share <= limits.max_remaining_fraction,
             share,
-            limits.largest_remaining_share,
+            limits.max_remaining_fraction,
             f"predicted VCE {expected.aligned_mm * 1e3:.2f} µm as a share of the VE before "
             f"{before.aligned_mm * 1e3:.2f} µm (aligned): the improvement must stand out of its uncertainty",
         ),
@@ -70,9 +70,9 @@ def change_gate(change_um: float, expected_um: float, limits: GateLimits) -> Gat
     share = change_um / expected_um if expected_um > 0.0 else float("inf")
     return Gate(
         CHANGE,
-        share <= limits.largest_change,
+        share <= limits.max_change,
         share,
-        limits.largest_change,
+        limits.max_change,
         f"change against the last accepted night, {change_um:.2f} µm, in units of its uncertainty {expected_um:.2f} µm",
     )
 
@@ -85,7 +85,7 @@ def table_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits
 def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits) -> tuple[Gate, ...]:
     """What its values must satisfy."""
     largest_um = float(np.abs(table.corrections).max()) * 1e3
-    allowed_um = min(limits.largest_correction_um, store.max_correction_mm * 1e3)
+    allowed_um = min(limits.max_correction_um, store.max_correction_mm * 1e3)
     slope = _largest_slope_um_per_mm(table)
     return (
         Gate(
@@ -97,9 +97,9 @@ def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits
         ),
         Gate(
             "slope",
-            slope <= limits.largest_slope_um_per_mm,
+            slope <= limits.max_slope_um_per_mm,
             slope,
-            limits.largest_slope_um_per_mm,
+            limits.max_slope_um_per_mm,
             "steepest change between neighbouring nodes in µm/mm",
         ),
     )

@@ -28,7 +28,7 @@ def balls_for_estimate(job: Job, measured: Measured) -> list[MeasuredBall]:
 def is_drifting(settings: Settings, balls: Sequence[MeasuredBall]) -> bool:
     """Whether the machine has changed by more than may be neglected."""
     chosen = settings.temperature
-    return chosen.fit_machine_drift and change_k(settings, balls) >= chosen.smallest_change_k
+    return chosen.fit_machine_drift and change_k(settings, balls) >= chosen.min_change_k
 
 
 def change_k(settings: Settings, balls: Sequence[MeasuredBall]) -> float:

@@ -20,6 +20,7 @@ from agent.runs.start_conditions import Outset
 from agent.settings.load import POSITION_FILES
 from agent.settings.schema import Settings
 from drivers.errors import InputError
+from twin.formats.toml_reading import with_current_keys
 
 KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
 
@@ -74,7 +75,7 @@ def read_origin(connection: sqlite3.Connection, run: int) -> Origin:
     x, y, z = record["start_mm"]
     return Origin(
         run_id=run_id,
-        settings=Settings.model_validate_json(settings),
+        settings=Settings.model_validate(with_current_keys(json.loads(settings), Settings)),
         kind=_kind(record["kind"], record["options"]),
         base=Path(record["base"]),
         outset=Outset(run, record["at"], (x, y, z)),

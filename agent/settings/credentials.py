@@ -1,4 +1,4 @@
-"""Secrets in files: those that systemd hands over (LoadCredential=), and those that lie somewhere."""
+"""Secrets in files: credentials passed by systemd (LoadCredential=), and access permissions of secret files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DIRECTORY = "CREDENTIALS_DIRECTORY"
 
 
 def handed_over(name: str, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """The credential of this name, where systemd has handed it over."""
+    """Return the path of credential `name` if systemd has passed it to this service."""
     directory = environment.get(DIRECTORY)
     if directory and (Path(directory) / name).is_file():
         return Path(directory) / name
@@ -19,10 +19,10 @@ def handed_over(name: str, environment: Mapping[str, str] = os.environ) -> Path 
 
 
 def open_mode(path: Path, environment: Mapping[str, str] = os.environ) -> int | None:
-    """The file's mode where others than its owner may get at it, None where nobody may. Raises OSError.
+    """Return the mode of the file if users other than its owner can access it, else None. Raise OSError.
 
-    systemd keeps credentials in a directory for one service, and lets it in by an access control list: the group bits
-    of such a file are the mask of that list (0440) and let no group in.
+    systemd stores credentials in a directory per service and grants access with an access control list. The group bits
+    of such a file (0440) are the mask of that list and grant no access to a group.
     """
     mode = stat.S_IMODE(path.stat().st_mode)
     directory = environment.get(DIRECTORY)

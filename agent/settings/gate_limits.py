@@ -9,10 +9,10 @@ from dataclasses import dataclass
 class GateLimits:
     """Bounds of the settings' `[gates]` section; µm where the name says so."""
 
-    largest_chi2: float
-    smallest_freedom: int
-    largest_remaining_share: float
-    largest_correction_um: float
-    largest_slope_um_per_mm: float
+    max_chi2: float
+    min_degrees_of_freedom: int
+    max_remaining_fraction: float
+    max_correction_um: float
+    max_slope_um_per_mm: float
     allow_extrapolation: bool
-    largest_change: float = 3.0
+    max_change: float = 3.0

@@ -1,4 +1,4 @@
-"""Where history is kept, and from when on a trend is worth an alarm."""
+"""Section `[history]`: database of the run history, and tolerances of trend alarms."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Error = Annotated[str, Field(pattern=r"^[A-Z0-9_]{2,8}(\[[a-z0-9]+\])?$")]
 
 
 class HistorySettings(Strict):
-    """`url`: of the database for all machines of a plant (SQLAlchemy's form, no password in it); a SQLite file in the
-    state directory where none is named. `credentials_file`: its password, one line. `machine`: the name in history; the
-    settings' machine file where none is given.
+    """Settings of the run history. `url`: database URL without password (SQLAlchemy form), shared by all machines of a
+    plant; by default a SQLite file in the state directory. `credentials_file`: file with the password, one line.
+    `machine`: name of this machine in the history; by default the name of the machine file.
 
-    Tolerances in µm, of parameters (a whole error as EXX, a coefficient as EXX[1]) in µm or µrad; an alarm is raised
-    where a trend will leave its tolerance within `warn_nights`.
+    Tolerances are in µm, those of parameters (an error as EXX, a coefficient as EXX[1]) in µm or µrad. An alarm is
+    raised if a trend is expected to leave its tolerance within `warn_nights`.
     """
 
     url: str | None = None
@@ -31,7 +31,7 @@ class HistorySettings(Strict):
     parameter_tolerances: dict[Error, PositiveFloat] = Field(default={})
 
     def resolved(self, base: Path) -> Self:
-        """The same with its path made absolute, starting from `base`."""
+        """Return these settings with relative paths resolved against `base`."""
         if self.credentials_file is None:
             return self
         return self.model_copy(update={"credentials_file": (base / self.credentials_file).resolve()})

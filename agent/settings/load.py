@@ -1,4 +1,4 @@
-"""Settings from their file, and with what a command line says instead."""
+"""Load settings from their file, and apply overrides of the command line."""
 
 from __future__ import annotations
 
@@ -16,15 +16,18 @@ POSITION_FILES = (".csv", ".toml")
 
 
 def read_settings(path: Path) -> Settings:
-    """Settings of a file with every path in it made absolute; its devices' options are not looked at, so no driver is
-    loaded. For who only speaks to the service or reads what it kept. Raises ConfigurationError."""
+    """Read settings from a file and make its paths absolute. Raise ConfigurationError.
+
+    Device options are not validated, so no driver is loaded: for commands that only talk to the service or read its
+    stored results.
+    """
     text = read_text(path, error=ConfigurationError)
     with translated(ConfigurationError, file=str(path)):
         return parse_settings(text, str(path)).resolved(path.resolve().parent)
 
 
 def load_settings(path: Path) -> Settings:
-    """As `read_settings`, with every device's options checked by its driver. Raises ConfigurationError."""
+    """Read settings as `read_settings` and validate the options of every device. Raise ConfigurationError."""
     settings = read_settings(path)
     try:
         _check_devices(settings)
@@ -35,7 +38,7 @@ def load_settings(path: Path) -> Settings:
 
 @contextmanager
 def naming(config: Path) -> Iterator[None]:
-    """Errors of the user's making inside name the settings file, unless they name another file already."""
+    """Add the settings file to every UserError raised in the block, unless the error names a file already."""
     try:
         yield
     except UserError as error:
@@ -49,7 +52,7 @@ def with_overrides(
     stations: Sequence[int] | None = None,
     formulation: str | None = None,
 ) -> Settings:
-    """Settings with what the command line says instead; validated again."""
+    """Return validated settings with the overrides of the command line."""
     document = settings.model_dump()
     if position_set is not None:
         is_file = position_set.endswith(POSITION_FILES)
@@ -66,15 +69,15 @@ def with_overrides(
 
 
 def _check_devices(settings: Settings) -> None:
-    """Every driver is installed and takes its options, no two want the same, every role has a device: known before
-    anything is opened."""
+    """Raise ConfigurationError if a driver is missing, refuses its options, or shares a resource with another device,
+    or if a role names an unknown device. Nothing is opened."""
     claimed: dict[str, str] = {}
     for name, device in settings.devices.items():
         for claim, option in check_options(device.driver, device.options, name).items():
             first = claimed.setdefault(claim, name)
             if first != name:
                 raise ConfigurationError(
-                    f"{claim} belongs to device {first!r} already", key=f"devices.{name}.options.{option}"
+                    f"{claim} is already used by device {first!r}", key=f"devices.{name}.options.{option}"
                 )
     for role, named in settings.roles:
         for name in [named] if isinstance(named, str) else named.values():

@@ -1,4 +1,4 @@
-"""The section `[opcua]`: where the OPC UA server listens and whom it trusts."""
+"""Section `[opcua]`: listening address of the OPC UA server, and its trusted clients."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def _address(text: str) -> str:
 
 
 class OpcUaSettings(Strict):
-    """`trusted_clients`: directory with the certificates of the clients (DER or PEM); by default ``opcua/trusted``
-    under the state directory. `anonymous_reading`: such a client may also read, hold and abort without a token."""
+    """Settings of the OPC UA server. `trusted_clients`: directory with client certificates (DER or PEM); by default
+    ``opcua/trusted`` in the state directory. `anonymous_reading`: anonymous clients may read, hold and abort."""
 
     enabled: bool = False
     host: Annotated[str, AfterValidator(_address)] = "127.0.0.1"
@@ -26,7 +26,7 @@ class OpcUaSettings(Strict):
     anonymous_reading: bool = False
 
     def resolved(self, base: Path) -> OpcUaSettings:
-        """The same with every path made absolute, starting from `base`."""
+        """Return these settings with relative paths resolved against `base`."""
         if self.trusted_clients is None:
             return self
         return self.model_copy(update={"trusted_clients": (base / self.trusted_clients).resolve()})

@@ -1,10 +1,11 @@
-"""The section `[gateway]`: who may reach the Modbus server for panels, and what becomes of a silent one."""
+"""Section `[gateway]`: access to the Modbus server for panels, and the reaction to a silent panel."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from ipaddress import ip_address, ip_network
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -24,21 +25,30 @@ Address = Annotated[str, AfterValidator(_address)]
 
 
 class GatewaySettings(Strict):
-    """`clients`: addresses, or networks without host bits; anybody else is hung up on. Without `access_code_file`
-    panels may only read, hold and abort."""
+    """Settings of the panel gateway. `clients`: permitted addresses or networks; other connections are closed.
+
+    Without `access_code_file` panels may only read, hold and abort.
+    """
+
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "most_clients": "max_clients",
+        "idle_s": "idle_timeout_s",
+        "silence_s": "panel_timeout_s",
+        "on_silence": "on_panel_timeout",
+    }
 
     enabled: bool = False
     host: Address = "127.0.0.1"
     port: int = Field(default=5020, ge=0, le=65535)
     clients: list[Network] = Field(default=["127.0.0.0/8", "::1/128"], min_length=1)
     access_code_file: Path | None = None
-    most_clients: int = Field(default=8, ge=1, le=64)
-    idle_s: float = Field(default=60.0, ge=1.0, le=3600.0)
-    silence_s: int = Field(default=5, ge=2, le=600)
-    on_silence: Literal["note", "hold"] = "note"
+    max_clients: int = Field(default=8, ge=1, le=64)
+    idle_timeout_s: float = Field(default=60.0, ge=1.0, le=3600.0)
+    panel_timeout_s: int = Field(default=5, ge=2, le=600)
+    on_panel_timeout: Literal["note", "hold"] = "note"
 
     def resolved(self, base: Path) -> GatewaySettings:
-        """The same with every path made absolute, starting from `base`."""
+        """Return these settings with relative paths resolved against `base`."""
         if self.access_code_file is None:
             return self
         return self.model_copy(update={"access_code_file": (base / self.access_code_file).resolve()})

@@ -1,12 +1,13 @@
-"""The settings of an agent: one TOML file, every key bounded, unknown keys refused, paths relative to the file.
+"""Settings file of the agent (TOML): bounded values, unknown keys refused, paths relative to the file.
 
-Units are in the key where they are not mm. The JSON schema of this module is committed under ``config/schema``.
+A key carries its unit if that is not mm. The JSON schema of this module is committed under ``config/schema``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
@@ -27,7 +28,7 @@ Order = Literal["evidence", "file"] | Annotated[int, Field(ge=1, le=15)]
 
 
 class ClockSettings(Strict):
-    """`real` on a machine; `scaled` and `lockstep` against simulators."""
+    """Clock of the run: `real` on a machine, `scaled` or `lockstep` against simulators."""
 
     kind: Literal["real", "scaled", "lockstep"] = "real"
     factor: PositiveFloat = 1.0
@@ -36,14 +37,14 @@ class ClockSettings(Strict):
 
 
 class DeviceSettings(Strict):
-    """One device: which plugin drives it, and the options that this plugin validates."""
+    """A device: the name of its driver plugin, and the options that this plugin validates."""
 
     driver: Name
     options: dict[str, Any] = Field(default_factory=dict)
 
 
 class RoleSettings(Strict):
-    """Which device plays which role. `mount`: one device for every station, or one for each."""
+    """Device that plays each role. `mount`: one device for all stations, or a device for each station."""
 
     machine: Name
     probe: Name
@@ -54,10 +55,10 @@ class RoleSettings(Strict):
 
 
 class StationSettings(Strict):
-    """`places_mm`: foot of the mount at each station (counted from 1), workpiece frame.
+    """Stations of the mount. `places_mm`: foot of the mount at each station (numbered from 1), workpiece frame.
 
-    Where each station has a mount of its own: `artefacts`, one file a station, if nothing is carried; `parked_deg`:
-    azimuth and elevation of every mount but the one that is measured at.
+    If each station has its own mount: `artefacts` lists one artefact file per station (omit it if a single artefact is
+    moved between the mounts), and `parked_deg` is azimuth and elevation of the mounts that are not being measured.
     """
 
     places_mm: list[Coordinates] = Field(min_length=1)
@@ -67,14 +68,20 @@ class StationSettings(Strict):
     park_distance_mm: PositiveFloat = 1000.0
 
     def resolved(self, base: Path) -> StationSettings:
-        """The same with every path made absolute, starting from `base`."""
+        """Return these settings with relative paths resolved against `base`."""
         if self.artefacts is None:
             return self
         return self.model_copy(update={"artefacts": [(base / path).resolve() for path in self.artefacts]})
 
 
 class ProcedureSettings(Strict):
-    """What is measured and how. `position_set`: names joined by + (S1+S3), or the path of a position file."""
+    """Measuring procedure. `position_set`: names joined by + (S1+S3), or the path of a position file."""
+
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "find_feed_mm_per_min": "first_touch_feed_mm_per_min",
+        "careful_feed_mm_per_min": "guarded_feed_mm_per_min",
+        "reorder": "optimise_order",
+    }
 
     position_set: str = "S3"
     stations: list[PositiveInt] | None = None
@@ -84,14 +91,14 @@ class ProcedureSettings(Strict):
     search_mm: PositiveFloat = Field(default=3.0, le=10.0)
     wide_approach_mm: PositiveFloat = Field(default=8.0, le=50.0)
     wide_search_mm: PositiveFloat = Field(default=8.0, le=20.0)
-    careful_feed_mm_per_min: PositiveFloat = Field(default=3000.0, le=6000.0)
+    guarded_feed_mm_per_min: PositiveFloat = Field(default=3000.0, le=6000.0)
     recentre_mm: PositiveFloat = 0.3
     retract_mm: PositiveFloat = 45.0
     paths: Literal["shortest", "plain"] = "shortest"
     clearance_mm: PositiveFloat = Field(default=1.0, le=50.0)
-    reorder: bool = True
+    optimise_order: bool = True
     touch_stages: Literal[1, 2] = 1
-    find_feed_mm_per_min: PositiveFloat = Field(default=1000.0, le=3000.0)
+    first_touch_feed_mm_per_min: PositiveFloat = Field(default=1000.0, le=3000.0)
     back_off_mm: PositiveFloat = Field(default=1.0, le=10.0)
     touch_sigma_um: PositiveFloat = 1.1
     radius_limit_um: PositiveFloat = 20.0
@@ -104,7 +111,7 @@ class ProcedureSettings(Strict):
 
 
 class ProbeCheckSettings(Strict):
-    """Before a run the pole of one ball is touched `touches` times; 2σ of them against `limit_um`."""
+    """Repeatability check of the probe before a run: 2σ of `touches` touches at a ball's pole against `limit_um`."""
 
     enabled: bool = True
     touches: int = Field(default=5, ge=3, le=50)
@@ -112,22 +119,29 @@ class ProbeCheckSettings(Strict):
 
 
 class QualificationSettings(Strict):
-    """The stylus on the datum ball, touched 25 times before a run.
+    """Stylus qualification on the datum ball with 25 touches before a run.
 
-    `ball`: its number; by default the first that is free all around. `limit_um`: of form and of each residual there.
-    `ball_spread_um`: standard deviation of the radii of the artefact's balls.
+    `ball`: number of the datum ball; by default the first ball that is accessible from all sides. `limit_um`: limit of
+    the form error and of each residual. `ball_radius_sigma_um`: standard deviation of the artefact's ball radii.
     """
+
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "ball_spread_um": "ball_radius_sigma_um",
+    }
 
     enabled: bool = True
     ball: int | None = Field(default=None, ge=0)
     pretravel_map: bool = False
     limit_um: PositiveFloat = 20.0
-    ball_spread_um: float = Field(default=0.2, ge=0.0, le=10.0)
+    ball_radius_sigma_um: float = Field(default=0.2, ge=0.0, le=10.0)
 
 
 class ReversalSettings(Strict):
-    """Lost motion of the linear axes when they turn round, on the datum ball: `touches` from either side at each of two
-    places an axis. Above `limit_um` a warning; surely beyond it the run goes on, or with `stop` ends."""
+    """Reversal test of the linear axes on the datum ball: `touches` from either side at two points per axis.
+
+    Lost motion above `limit_um` raises a warning. If it exceeds the limit by more than its uncertainty and `on_excess`
+    is `stop`, the run ends.
+    """
 
     enabled: bool = True
     touches: int = Field(default=2, ge=1, le=20)
@@ -136,7 +150,7 @@ class ReversalSettings(Strict):
 
 
 class IdentificationSettings(Strict):
-    """`order` of the Legendre series: for which the measurements speak, that of the machine file, or a number."""
+    """Identification. `order` of the Legendre series: chosen by `evidence`, that of the machine `file`, or a number."""
 
     formulation: Literal["centres", "distances"] = "centres"
     prior: bool = True
@@ -145,78 +159,108 @@ class IdentificationSettings(Strict):
 
 
 class TableSettings(Strict):
-    """Grid and anchor of the compensation table. `anchor_mm`: where the correction is zero (axis positions)."""
+    """Grid and anchor of the compensation table. `anchor_mm`: axis positions at which the correction is zero."""
 
     step_mm: Coordinates = (100.0, 100.0, 100.0)
     anchor_mm: Coordinates | None = None
 
 
 class GateSettings(Strict):
-    largest_chi2: PositiveFloat = 2.0
-    smallest_freedom: PositiveInt = 30
-    largest_remaining_share: float = Field(default=0.5, gt=0.0, le=1.0)
-    largest_correction_um: PositiveFloat = 300.0
-    largest_slope_um_per_mm: PositiveFloat = 0.5
-    largest_change: PositiveFloat = 3.0
+    """Limits of the gates between an estimate and a machine."""
+
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "largest_chi2": "max_chi2",
+        "smallest_freedom": "min_degrees_of_freedom",
+        "largest_remaining_share": "max_remaining_fraction",
+        "largest_correction_um": "max_correction_um",
+        "largest_slope_um_per_mm": "max_slope_um_per_mm",
+        "largest_change": "max_change",
+    }
+
+    max_chi2: PositiveFloat = 2.0
+    min_degrees_of_freedom: PositiveInt = 30
+    max_remaining_fraction: float = Field(default=0.5, gt=0.0, le=1.0)
+    max_correction_um: PositiveFloat = 300.0
+    max_slope_um_per_mm: PositiveFloat = 0.5
+    max_change: PositiveFloat = 3.0
     allow_extrapolation: bool = False
 
 
 class VerificationSettings(Strict):
-    """Held-out positions: measured before and after at these stations, never used for the estimate."""
+    """Held-out positions: measured before and after at these stations and not used for the estimate."""
+
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "largest_chi2": "max_chi2",
+        "largest_share": "max_remaining_fraction",
+    }
 
     positions_deg: list[Angles] = Field(default=[(30.0, 30.0), (-30.0, -30.0)], min_length=1)
     stations: list[PositiveInt] | None = None
-    largest_chi2: PositiveFloat = 2.0
-    largest_share: float = Field(default=0.8, gt=0.0, le=1.0)
+    max_chi2: PositiveFloat = 2.0
+    max_remaining_fraction: float = Field(default=0.8, gt=0.0, le=1.0)
 
 
 class TimingSettings(Strict):
-    """What must be known to predict the machine time; the axes' figures are the machine file's.
+    """Parameters of the cycle time prediction; speeds of the linear axes come from the machine file.
 
-    Speed and acceleration are the mount's. The latencies come on top of the motion of each command; that of a turn
-    includes the mount's settling. The simulated operator carries the artefact in no time.
+    Speed and acceleration are those of the mount. Each latency is added to the motion time of its command;
+    `turn_latency_s` includes the settling of the mount. `relocation_minutes`: time to move the artefact to another
+    station (the simulated operator needs none).
     """
+
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "carrying_minutes": "relocation_minutes",
+    }
 
     speed_deg_per_s: PositiveFloat = 20.0
     acceleration_deg_per_s2: PositiveFloat = 40.0
     command_latency_s: float = Field(default=0.0, ge=0.0, le=60.0)
     touch_latency_s: float = Field(default=0.0, ge=0.0, le=60.0)
     turn_latency_s: float = Field(default=0.0, ge=0.0, le=600.0)
-    carrying_minutes: float = Field(default=0.0, ge=0.0, le=600.0)
+    relocation_minutes: float = Field(default=0.0, ge=0.0, le=600.0)
 
 
 class NightlySettings(Strict):
-    """Nights after a full calibration: what `verify` and `nightly` measure, and when a machine is another one.
+    """Nights after a full calibration: measurements of `verify` and `nightly`, and limits for a changed machine.
 
-    `held_out` positions of `verification.positions_deg` are measured first, and again with a new table; `looked_at`
-    designed ones belong to the verification too. `drift_um`: rms field by which the machine may change a night, shaped
-    like its family; `scale_drift_um_per_m`: besides, of the scale of each axis. Out of limits: normalised χ² of what
-    was predicted above `largest_chi2`; one error that jumped, with at least `step_evidence` (ln of the likelihood
-    ratio); VE now above `largest_growth` times that after the last accepted night.
+    The first `held_out_positions` of `verification.positions_deg` are measured at the start, and again if a new table
+    is written; `check_positions` designed positions complete the verification. `drift_um`: rms field by which the
+    machine may change per night, distributed like its family; `scale_drift_um_per_m`: additional drift of the scale of
+    each axis. The machine is out of limits if the normalised χ² of the prediction exceeds `max_chi2`, if one error has
+    stepped with at least `step_evidence` (ln of the likelihood ratio), or if the VE exceeds `max_ve_growth` times the
+    VE after the last accepted night.
     """
+
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "held_out": "held_out_positions",
+        "looked_at": "check_positions",
+        "largest_chi2": "max_chi2",
+        "largest_growth": "max_ve_growth",
+        "smallest_gain": "min_gain",
+    }
 
     slot_minutes: PositiveFloat = Field(default=15.0, le=1440.0)
     reserve_minutes: float = Field(default=0.5, ge=0.0, le=60.0)
-    held_out: PositiveInt = 1
-    looked_at: PositiveInt = 2
+    held_out_positions: PositiveInt = 1
+    check_positions: PositiveInt = 2
     grid_deg: PositiveFloat = Field(default=45.0, le=45.0)
     drift_um: float = Field(default=0.15, ge=0.0, le=100.0)
     scale_drift_um_per_m: float = Field(default=0.4, ge=0.0, le=100.0)
-    largest_chi2: PositiveFloat = 2.0
+    max_chi2: PositiveFloat = 2.0
     step_evidence: PositiveFloat = 8.0
-    largest_growth: float = Field(default=2.0, ge=1.0)
-    smallest_gain: float = Field(default=0.02, ge=0.0, lt=1.0)
+    max_ve_growth: float = Field(default=2.0, ge=1.0)
+    min_gain: float = Field(default=0.02, ge=0.0, lt=1.0)
     full_allowed: bool = False
 
 
 class PreflightSettings(Strict):
-    """The plugin that plays the machine in the dry run."""
+    """Driver plugin that simulates the machine in the preflight."""
 
     driver: Name = "simulated"
 
 
 class Settings(Strict):
-    """Everything about one machine and its procedure."""
+    """All settings of one machine and its procedure."""
 
     machine: Path
     artefact: Path
@@ -260,12 +304,12 @@ class Settings(Strict):
         return self
 
     def resolved(self, base: Path) -> Settings:
-        """The same with every path made absolute, starting from `base`."""
+        """Return these settings with relative paths resolved against `base`."""
         paths = {name: (base / getattr(self, name)).resolve() for name in ("machine", "artefact", "state_directory")}
         doors = {name: getattr(self, name).resolved(base) for name in ("service", "gateway", "opcua", "history")}
         return self.model_copy(update={**paths, **doors, "stations": self.stations.resolved(base)})
 
 
 def parse_settings(text: str, source: str) -> Settings:
-    """Settings from TOML text; FormatError names file, key and what is known there."""
+    """Parse settings from TOML text. Raise FormatError with file, key and the keys known there."""
     return read_toml(text, source, Settings)

@@ -1,10 +1,11 @@
-"""The section `[service]`: who may reach the service, when it may start by itself, how long it waits."""
+"""Section `[service]`: network access, permitted hours of unattended starts, timeouts."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
@@ -14,8 +15,18 @@ HourSpan = Annotated[str, Field(pattern=r"^([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3
 
 
 class ServiceSettings(Strict):
-    """`host`: an address of this computer; any but loopback needs a certificate. `hours` (local time, 22:00-05:30) and
-    `warm_up_minutes` since this computer was switched on bind starts that nobody at the machine has consented to."""
+    """Settings of the service. `host`: listening address; any address but loopback requires a certificate.
+
+    Unattended starts are permitted only within `hours` (local time, for example 22:00-05:30) and `warm_up_minutes`
+    after this computer was switched on.
+    """
+
+    former_keys: ClassVar[Mapping[str, str]] = {
+        "answer_within_minutes": "answer_timeout_minutes",
+        "hung_after_s": "hang_timeout_s",
+        "computing_minutes": "computation_timeout_minutes",
+        "stop_within_s": "stop_timeout_s",
+    }
 
     host: str = "127.0.0.1"
     port: int = Field(default=8517, ge=0, le=65535)
@@ -25,10 +36,10 @@ class ServiceSettings(Strict):
     token_file: Path | None = None
     warm_up_minutes: float = Field(default=30.0, ge=0.0, le=1440.0)
     hours: list[HourSpan] = Field(default=[])
-    answer_within_minutes: PositiveFloat = Field(default=120.0, le=1440.0)
-    hung_after_s: float = Field(default=30.0, ge=5.0, le=600.0)
-    computing_minutes: PositiveFloat = Field(default=15.0, le=240.0)
-    stop_within_s: float = Field(default=60.0, ge=5.0, le=600.0)
+    answer_timeout_minutes: PositiveFloat = Field(default=120.0, le=1440.0)
+    hang_timeout_s: float = Field(default=30.0, ge=5.0, le=600.0)
+    computation_timeout_minutes: PositiveFloat = Field(default=15.0, le=240.0)
+    stop_timeout_s: float = Field(default=60.0, ge=5.0, le=600.0)
 
     @property
     def loopback(self) -> bool:
@@ -36,7 +47,7 @@ class ServiceSettings(Strict):
 
     @property
     def reached_at(self) -> str:
-        """Host part of the address by which this computer reaches itself."""
+        """Host part of the URL under which this computer reaches the service."""
         if self.host != "localhost" and ip_address(self.host).is_unspecified:
             return "[::1]" if ":" in self.host else "127.0.0.1"
         return f"[{self.host}]" if ":" in self.host else self.host
@@ -51,18 +62,18 @@ class ServiceSettings(Strict):
             try:
                 ip_address(self.host)
             except ValueError:
-                raise ValueError(f"service.host is the address to listen at, and {self.host!r} is none") from None
+                raise ValueError(f"service.host must be an IP address or 'localhost', found {self.host!r}") from None
         if (self.certificate_file is None) is not (self.key_file is None):
-            raise ValueError("service.certificate_file and service.key_file belong together")
+            raise ValueError("service.certificate_file and service.key_file must be given together")
         if not self.loopback and self.certificate_file is None:
             raise ValueError(
-                "service.host is not loopback, so service.certificate_file and service.key_file are needed: "
-                "a token must not travel in the clear"
+                "service.host is not loopback, so service.certificate_file and service.key_file are required: "
+                "the token must not be sent unencrypted"
             )
         return self
 
     def resolved(self, base: Path) -> ServiceSettings:
-        """The same with every path made absolute, starting from `base`."""
+        """Return these settings with relative paths resolved against `base`."""
         named = {name: getattr(self, name) for name in ("certificate_file", "key_file", "token_file")}
         return self.model_copy(
             update={name: (base / path).resolve() for name, path in named.items() if path is not None}

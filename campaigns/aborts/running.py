@@ -118,8 +118,8 @@ def _carried_out(breaking: Breaking, directory: Path, **sections: dict[str, Any]
 
 
 ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
-    "a gate stays closed": ({"gates": {"largest_chi2": 1e-6}}, RunState.REFUSED),
-    "the proof fails": ({"verification": {"largest_chi2": 1e-6}}, RunState.COMPLETE),
+    "a gate stays closed": ({"gates": {"max_chi2": 1e-6}}, RunState.REFUSED),
+    "the proof fails": ({"verification": {"max_chi2": 1e-6}}, RunState.COMPLETE),
 }
 
 

@@ -39,7 +39,7 @@ hours = ["22:00-05:30"]
 warm_up_minutes = 30
 
 [nightly]
-smallest_gain = 0.0
+min_gain = 0.0
 
 [history]
 ve_tolerance_um = 5.0

@@ -31,7 +31,7 @@ SHORT = {
 }
 AT_ONCE = (
     "\n[identification]\norder = 4\n"
-    "[nightly]\nslot_minutes = 30.0\nlooked_at = 1\nlargest_chi2 = 4.0\nlargest_growth = 20.0\nstep_evidence = 30.0\n"
+    "[nightly]\nslot_minutes = 30.0\ncheck_positions = 1\nmax_chi2 = 4.0\nmax_ve_growth = 20.0\nstep_evidence = 30.0\n"
     "[service]\nwarm_up_minutes = 0\n"
 )
 

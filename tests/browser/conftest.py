@@ -43,7 +43,7 @@ def settings(ready: dict, directory: Path) -> Path:
         text = text.replace("[stations]", "[stations]\nstanding_at = 1")
     assert text.count("[table]") <= 1
     text = text.replace("[table]", f"[table]\n{COARSE}") if "[table]" in text else f"{text}\n[table]\n{COARSE}\n"
-    path.write_text(f"{text}\n[nightly]\nlooked_at = 1\n")
+    path.write_text(f"{text}\n[nightly]\ncheck_positions = 1\n")
     return path
 
 

@@ -68,8 +68,13 @@ def short_document(state: Path, **sections: Any) -> dict[str, Any]:
     short = {
         "devices": {"twin": {"driver": "simulated", "options": scenario}},
         "procedure": {"position_set": str(listed), "stations": [1]},
-        "verification": {"stations": [1], "positions_deg": [[20.0, 25.0]], "largest_share": 1.0, "largest_chi2": 1e3},
-        "gates": {"smallest_freedom": 1, "largest_remaining_share": 1.0, "largest_chi2": 1e3},
+        "verification": {
+            "stations": [1],
+            "positions_deg": [[20.0, 25.0]],
+            "max_remaining_fraction": 1.0,
+            "max_chi2": 1e3,
+        },
+        "gates": {"min_degrees_of_freedom": 1, "max_remaining_fraction": 1.0, "max_chi2": 1e3},
         "table": {"step_mm": [500.0, 325.0, 500.0]},
     }
     return merged(document(state, **short), sections)

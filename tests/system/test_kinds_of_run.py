@@ -28,7 +28,7 @@ from twin.formats.estimate_file import parse_estimate
 pytestmark = pytest.mark.timeout(180)
 
 COLLISION = {"night": 1, "collision_night": 1, "collision": {"B0Z": 120.0}}
-WIDE = {"slot_minutes": 30.0, "looked_at": 1, "largest_chi2": 4.0, "largest_growth": 20.0, "step_evidence": 30.0}
+WIDE = {"slot_minutes": 30.0, "check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}
 
 
 @dataclass
@@ -159,7 +159,7 @@ def test_a_slot_that_is_too_short_is_refused_before_anything_moves(machine: Cali
 
 def test_a_night_stays_inside_its_slot_and_goes_on_from_the_last(machine: Calibrated) -> None:
     ended = machine.run(
-        nightly.Night(slot_minutes=16.0, nights=1.0), gates={**machine.settings["gates"], "largest_change": 50.0}
+        nightly.Night(slot_minutes=16.0, nights=1.0), gates={**machine.settings["gates"], "max_change": 50.0}
     )
     assert told(ended.outcome) in (Decision.FUSED, Decision.WRITTEN), ended.outcome.reason
     assert ended.outcome.machine_minutes <= 16.0
@@ -210,7 +210,7 @@ def test_commands_tell_within_limits_by_their_exit_code(machine: Calibrated, mon
     verified = commands.run("verify", "--json")
     assert verified.exit_code == 0, verified.output
     assert json.loads(verified.stdout)["night"]["decision"] == "within limits"
-    machine.settings["gates"]["largest_change"] = 50.0
+    machine.settings["gates"]["max_change"] = 50.0
     kept = commands.run("nightly", "--slot", "0.3h", "--json")
     document = json.loads(kept.stdout)
     assert document["kind"] == "nightly"

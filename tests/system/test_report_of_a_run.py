@@ -46,7 +46,7 @@ def season() -> Iterator[Season]:
     with memory_directory() as directory, pytest.MonkeyPatch.context() as patch:
         state = Path(directory) / "state"
         night, document = Night(patch), short_document(state)
-        document["nightly"] = {"looked_at": 1, "largest_chi2": 4.0, "largest_growth": 20.0, "step_evidence": 30.0}
+        document["nightly"] = {"check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}
         calibrated = night.run(document)
         verified = night.run(document, kind=Verification(station=1, nights=1.0))
         asked: list[Supervisor] = []

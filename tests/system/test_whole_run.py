@@ -217,7 +217,7 @@ def test_table_applied_with_the_wrong_sign_is_noticed_and_withdrawn(monkeypatch,
 
 def test_proof_that_cannot_be_met_restores_the_former_bank(monkeypatch, state: Path) -> None:
     night = Night(monkeypatch)
-    ended = night.run(short_document(state, verification={"largest_share": 1e-3}), files=False)
+    ended = night.run(short_document(state, verification={"max_remaining_fraction": 1e-3}), files=False)
     assert ended.outcome.proof is not None
     assert not ended.outcome.proof.accepted
     assert "0.00" in ended.outcome.proof.reason

@@ -58,7 +58,7 @@ SETTINGS = {
     "no number": (changed("[700.0,", "[nan,"), ["stations.places_mm[0][0]", "nan"]),
     "outside its bounds": (
         changed("[gates]", "[gates]\nlargest_remaining_share = 2.0"),
-        ["gates.largest_remaining_share"],
+        ["gates.max_remaining_fraction"],
     ),
     "no TOML": (lambda text: text + "x = [", ["not valid TOML"]),
     "no machine file": (changed("machines/case-study.toml", "machines/none.toml"), ["none.toml"]),

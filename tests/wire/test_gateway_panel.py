@@ -365,7 +365,7 @@ def test_a_panel_that_never_reads_its_answers_keeps_nobody_waiting(door, panel, 
 
 
 def test_the_quietest_panel_makes_room_for_a_new_one(control, tmp_path):
-    with opened(control, tmp_path, most_clients=2) as door, panel_at(door) as old, panel_at(door) as busy:
+    with opened(control, tmp_path, max_clients=2) as door, panel_at(door) as old, panel_at(door) as busy:
         assert old.read(0) == busy.read(0) == [1]
         with panel_at(door) as new:
             assert new.read(0) == [1]
@@ -377,7 +377,7 @@ def test_the_quietest_panel_makes_room_for_a_new_one(control, tmp_path):
 
 def test_a_silent_connection_is_hung_up_on(control, tmp_path):
     with (
-        opened(control, tmp_path, idle_s=1.0) as door,
+        opened(control, tmp_path, idle_timeout_s=1.0) as door,
         socket.create_connection(door.address, timeout=SLOWLY_S) as link,
     ):
         link.sendall(b"\0\1")

@@ -7,7 +7,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar, get_args
+from typing import Any, ClassVar, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
@@ -18,6 +18,8 @@ class Strict(BaseModel):
     """Base of everything read from a file: unknown keys, NaN and infinity are errors; values are frozen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    former_keys: ClassVar[Mapping[str, str]] = {}
+    """Renamed keys: old to new. A file that uses an old key is refused, and the message names the new one."""
 
 
 _UNION_LABEL = re.compile(r"(float|int|bool|str|constrained-\w+)$|.*\[")
@@ -56,6 +58,21 @@ def validated(document: dict[str, Any], source: str, kind: type[Section]) -> Sec
         raise _explained(error, source, kind) from None
 
 
+def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
+    """Return `document` with the former keys of `kind` and of its sections replaced by the current ones.
+
+    For documents that an earlier version of this program has stored; a file written by a person is refused instead.
+    """
+    former = kind.former_keys if issubclass(kind, Strict) else {}
+    current = {former.get(key, key): value for key, value in document.items()}
+    for key, value in current.items():
+        field = kind.model_fields.get(key)
+        section = _model_inside(field.annotation) if field else None
+        if section is not None and isinstance(value, Mapping) and issubclass(section, Strict):
+            current[key] = with_current_keys(value, section)
+    return current
+
+
 def key_path(location: Sequence[str | int]) -> str:
     """`("axes", "X", "range_mm", 0)` as `axes.X.range_mm[0]`."""
     text = ""
@@ -85,6 +102,12 @@ def _in_words(
     known = _known_keys(kind, location[:-1])
     name = str(location[-1]) if location else ""
     if problem == "extra_forbidden":
+        section = _section_at(kind, location[:-1])
+        if section is not None and issubclass(section, Strict) and name in section.former_keys:
+            return (
+                f"key '{name}' has been renamed",
+                f"Write '{section.former_keys[name]}' instead; its meaning is the same",
+            )
         close = difflib.get_close_matches(name, known, n=1)
         return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _listing(known)
     if problem == "missing":
@@ -101,13 +124,18 @@ def _listing(known: list[str]) -> str:
 
 
 def _known_keys(kind: type[BaseModel], location: list[str | int]) -> list[str]:
+    section = _section_at(kind, location)
+    return sorted(section.model_fields) if section else []
+
+
+def _section_at(kind: type[BaseModel], location: list[str | int]) -> type[BaseModel] | None:
     current: type[BaseModel] | None = kind
     for part in location:
         if current is None:
-            return []
+            return None
         if isinstance(part, str) and part in current.model_fields:
             current = _model_inside(current.model_fields[part].annotation)
-    return sorted(current.model_fields) if current else []
+    return current
 
 
 def _model_inside(annotation: object) -> type[BaseModel] | None:

@@ -80,7 +80,7 @@ class Setting:
         return Prices(
             minutes=minutes,
             stations=np.array(codes),
-            carry_minutes=self.job.settings.timing.carrying_minutes,
+            carry_minutes=self.job.settings.timing.relocation_minutes,
             standing_at=self.job.settings.stations.standing_at,
         )
 

@@ -124,12 +124,12 @@ class Judge:
         reasons = []
         if jumped:
             reasons.append(f"the machine has changed at once: {', '.join(one.text for one in jumped)}")
-        if found.chi2_normalised > limits.largest_chi2:
+        if found.chi2_normalised > limits.max_chi2:
             chi2 = found.chi2_normalised
-            reasons.append(f"ball centres are not as predicted, χ² {chi2:.2f}, allowed {limits.largest_chi2:.2f}")
-        if now_um > limits.largest_growth * self.before_um:
+            reasons.append(f"ball centres are not as predicted, χ² {chi2:.2f}, allowed {limits.max_chi2:.2f}")
+        if now_um > limits.max_ve_growth * self.before_um:
             times = now_um / self.before_um
-            reasons.append(f"VE is {times:.2f} times that of the last night, allowed {limits.largest_growth:.2f}")
+            reasons.append(f"VE is {times:.2f} times that of the last night, allowed {limits.max_ve_growth:.2f}")
         return "; ".join(reasons)
 
 

@@ -79,8 +79,8 @@ def station_of(job: Job, named: int | None) -> int:
 def looking_plan(chooser: Chooser, judge: Judge) -> NightPlan:
     """The verification alone."""
     chosen = chooser.job.settings.nightly
-    held = _held_out(chooser, chosen.held_out)
-    looked = chooser.noticing(judge.known, chosen.looked_at, held)
+    held = _held_out(chooser, chosen.held_out_positions)
+    looked = chooser.noticing(judge.known, chosen.check_positions, held)
     return NightPlan(chooser.station, held, looked)
 
 
@@ -92,10 +92,10 @@ def night_plan(
     Raises PlanRefused if the slot is too short.
     """
     chosen = chooser.job.settings.nightly
-    held = _held_out(chooser, chosen.held_out)
+    held = _held_out(chooser, chosen.held_out_positions)
     room = slot_minutes - chosen.reserve_minutes
     budget = max(room - 2.0 * chooser.minutes(held), 0.0)
-    looked = chooser.noticing(judge.known, chosen.looked_at, held)
+    looked = chooser.noticing(judge.known, chosen.check_positions, held)
     ahead = _AHEAD * max(budget - chooser.minutes(looked), 0.0)
     best = chooser.best(judge.known, most=_MOST, minutes=ahead, measured=looked, left_out=(*held, *looked))
     offered = (*looked, *best)
@@ -104,7 +104,9 @@ def night_plan(
         count = max(count, FEWEST_FUSED, len(looked))
         if count in tried or count > len(offered):
             break
-        plan = NightPlan(chooser.station, held, offered[: chosen.looked_at], offered[chosen.looked_at : count])
+        plan = NightPlan(
+            chooser.station, held, offered[: chosen.check_positions], offered[chosen.check_positions : count]
+        )
         own = plan.job(chooser.job)
         tried[count] = plan, run_preflight(own, outset.start_mm, whole_night(plan), outset.watch)
         left = room - tried[count][1].machine_minutes

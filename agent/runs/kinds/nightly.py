@@ -232,7 +232,7 @@ class NightlyRun(CalibrationRun):
         now_um = judge.left_um(finding.estimate, written)
         after_um = judge.left_um(finding.estimate, finding.estimate.parameters)
         report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
-        worth = 1.0 - after_um / now_um >= chosen.nightly.smallest_gain
+        worth = 1.0 - after_um / now_um >= chosen.nightly.min_gain
         if not worth or self._planned_minutes_after(FURTHER if self._plan.further else LOOK) > self._left_minutes:
             record_accepted(self._journal, judge.last.accepted)
             self._end(replace(report, decision=Decision.FUSED))

@@ -39,7 +39,7 @@ def prove_step(job: Job, finding: Finding, before: Sequence[MeasuredBall], after
         expected = held_out_test(observed, result, job.artefact, covariance)
     doubts = [_doubt(one, observed, finding.estimate.scales.noise) for one in (former, result)]
     worse = result.rms_mm**2 - former.rms_mm**2 > _COVERAGE * math.hypot(*doubts)
-    limit = job.settings.verification.largest_chi2
+    limit = job.settings.verification.max_chi2
     reason = ""
     if worse:
         before_um, after_um = UM_PER_MM * former.rms_mm, UM_PER_MM * result.rms_mm

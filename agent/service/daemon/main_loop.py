@@ -110,7 +110,7 @@ class Life:
         self.notifier.send(READY=1, STATUS=text)
 
     def _end(self, name: str) -> None:
-        within_s = self.owner.settings.service.stop_within_s
+        within_s = self.owner.settings.service.stop_timeout_s
         log.info("ending", asked_by=name, within_s=within_s)
         self.notifier.send(
             STOPPING=1, STATUS="stopping: withdrawing the probe", EXTEND_TIMEOUT_USEC=int(US_PER_S * within_s)

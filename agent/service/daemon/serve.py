@@ -78,12 +78,12 @@ def _household(
     settings: Settings, config: Path, owned: Ownership, circumstances: Callable[[], Circumstances]
 ) -> Household:
     service, bulletin = settings.service, Bulletin()
-    computing_s = S_PER_MIN * service.computing_minutes
+    computing_s = S_PER_MIN * service.computation_timeout_minutes
     return Household(
         config=config,
         bulletin=bulletin,
         board=Board(load_machine(settings.machine).name, bulletin),
-        health=Health(RealClock().now, hung_after_s=service.hung_after_s, computing_s=computing_s),
+        health=Health(RealClock().now, hang_timeout_s=service.hang_timeout_s, computing_s=computing_s),
         ownership=owned,
         past=Past(settings.state_directory),
         reports=Reports(settings.state_directory),

@@ -52,8 +52,8 @@ class GatewayDoor:
             (settings.host, settings.port),
             [ipaddress.ip_network(client) for client in settings.clients],
             lambda: Session(gateway),
-            most_clients=settings.most_clients,
-            idle_s=settings.idle_s,
+            max_clients=settings.max_clients,
+            idle_timeout_s=settings.idle_timeout_s,
         )
         self._stopped.clear()
         self._ticker = threading.Thread(target=self._tick_forever, args=(gateway,), name="gateway tick", daemon=True)
@@ -75,7 +75,7 @@ class GatewayDoor:
         code_file = access_code_path(self._settings)
         access = AccessCode(None if code_file is None else read_access_code(code_file))
         desk = CommandDesk(control, SequenceLedger(self._state_directory), access)
-        return Gateway(control, desk, access, Watch(self._settings.silence_s), self._settings.on_silence)
+        return Gateway(control, desk, access, Watch(self._settings.panel_timeout_s), self._settings.on_panel_timeout)
 
     def _tick_forever(self, gateway: Gateway) -> None:
         while not self._stopped.wait(TICK_S):

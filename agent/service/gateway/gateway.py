@@ -19,13 +19,13 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class Gateway:
-    """`on_silence`: what becomes of a run that a panel began, when the panel's beat stops."""
+    """`on_panel_timeout`: what becomes of a run that a panel began, when the panel's beat stops."""
 
     control: Control
     desk: CommandDesk
     access: AccessCode
     watch: Watch
-    on_silence: Literal["note", "hold"]
+    on_panel_timeout: Literal["note", "hold"]
 
     def status(self) -> Status:
         return self.control.status()
@@ -48,9 +48,9 @@ class Gateway:
         self.access.tick()
         status = self._status_or_none()
         if self.watch.tick(well=status is not None):
-            log.warning("panel fell silent", then=self.on_silence)
+            log.warning("panel fell silent", then=self.on_panel_timeout)
             ours = status is not None and status.run_id is not None and status.run_id == self.desk.latest_start
-            if ours and self.on_silence == "hold":
+            if ours and self.on_panel_timeout == "hold":
                 self._hold()
 
     def _hold(self) -> None:

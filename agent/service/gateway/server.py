@@ -45,8 +45,9 @@ class _Client:
 class ModbusServer:
     """Listens at once; answers from `start` to `stop`.
 
-    Peers outside of `allowed` are hung up on. With `most_clients` connected the one that has been quiet longest makes
-    room for a new one, as the Modbus implementation guide has it (4.2.2). Who sends nothing for `idle_s`, takes that
+    Peers outside of `allowed` are hung up on. With `max_clients` connected the one that has been quiet longest makes
+    room for a new one, as the Modbus implementation guide has it (4.2.2). Who sends nothing for `idle_timeout_s`, takes
+    that
     long to read its answer, or sends what is no Modbus is hung up on.
     Raises ConfigurationError where the address cannot be had.
     """
@@ -57,13 +58,13 @@ class ModbusServer:
         allowed: Sequence[Network],
         session: Callable[[], Table],
         *,
-        most_clients: int = 8,
-        idle_s: float = 60.0,
+        max_clients: int = 8,
+        idle_timeout_s: float = 60.0,
     ) -> None:
         self._allowed = allowed
         self._session = session
-        self._most_clients = most_clients
-        self._idle_s = idle_s
+        self._most_clients = max_clients
+        self._idle_s = idle_timeout_s
         self._guard = threading.Lock()
         self._clients: set[_Client] = set()
         self._requests = itertools.count(1)

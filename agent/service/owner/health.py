@@ -18,9 +18,9 @@ COMPUTING = frozenset({RunState.PREFLIGHT, RunState.IDENTIFYING})
 class Health:
     """`now`: seconds of a clock that runs on whatever the engine does."""
 
-    def __init__(self, now: Callable[[], float], *, hung_after_s: float, computing_s: float) -> None:
+    def __init__(self, now: Callable[[], float], *, hang_timeout_s: float, computing_s: float) -> None:
         self._now = now
-        self._hung_after_s = hung_after_s
+        self._hung_after_s = hang_timeout_s
         self._computing_s = computing_s
         self._last_s = now()
         self._concludes = False

@@ -84,7 +84,7 @@ class ServiceOperator:
                 if deadline.expired:
                     raise PermissionMissing(
                         f"nobody answered within {self.within_minutes:g} min: {request.text}",
-                        hint="see `service.answer_within_minutes`",
+                        hint="see `service.answer_timeout_minutes`",
                     )
                 self.clock.sleep(POLL_S)
             outcome = "yes" if answer else "no"

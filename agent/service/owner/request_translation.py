@@ -63,7 +63,7 @@ class Devices:
             rig = self.assemble(settings, clock, base)
             if settings.devices[settings.roles.operator].driver != CONSOLE:
                 return rig
-            within = settings.service.answer_within_minutes
+            within = settings.service.answer_timeout_minutes
             return replace(rig, operator=ServiceOperator(questions, clock, within, attended))
 
         return assembled

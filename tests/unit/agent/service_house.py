@@ -170,7 +170,7 @@ def house(
             config=state / "volcal.toml",
             bulletin=bulletin,
             board=Board("case-study", bulletin),
-            health=Health(VirtualClock().now, hung_after_s=30.0, computing_s=900.0),
+            health=Health(VirtualClock().now, hang_timeout_s=30.0, computing_s=900.0),
             ownership=owned,
             past=Past(state),
             reports=Reports(state, lambda *_: {}),

@@ -137,7 +137,7 @@ def _passes_preflight(job: Job, position: Position) -> bool:
 
 def test_a_slot_holds_for_the_plan_as_a_whole_and_carries_cost_time():
     settings = case().settings
-    timing = settings.timing.model_copy(update={"carrying_minutes": 4.0})
+    timing = settings.timing.model_copy(update={"relocation_minutes": 4.0})
     job = replace(case(), settings=settings.model_copy(update={"timing": timing}))
     found = designed(Setting({"probe": job}, 45.0), Slot(22.0), verify=True, with_preflight=False, say=lambda _: None)
     assert found.minutes == pytest.approx(machine_minutes(job, found.positions).total)

@@ -12,10 +12,11 @@ from agent.cli.main import main
 from agent.files import load_artefact, load_machine
 from agent.planning.job import prepare_job
 from agent.settings.load import load_settings
-from agent.settings.schema import parse_settings
+from agent.settings.schema import Settings, parse_settings
 from drivers.registry import check_options
 from simulators.scenario import read_scenario
 from twin.errors import FormatError
+from twin.formats.toml_reading import Strict, validated
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 READERS = {
@@ -69,3 +70,23 @@ def test_wrong_value_names_file_and_key(former: str, now: str, key: str) -> None
         parse_settings(text.replace(former, now, 1), "volcal.toml")
     assert "volcal.toml" in str(caught.value)
     assert key in str(caught.value)
+
+
+def test_every_former_key_is_refused_with_its_new_name_and_none_is_in_use() -> None:
+    renamed = [
+        (name, former, now)
+        for name, field in Settings.model_fields.items()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Strict)
+        for former, now in field.annotation.former_keys.items()
+        if former not in field.annotation.model_fields and now in field.annotation.model_fields
+    ]
+    assert len(renamed) == sum(
+        len(field.annotation.former_keys)
+        for field in Settings.model_fields.values()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Strict)
+    )
+    document = tomllib.loads((CONFIG / "case-study.toml").read_text())
+    for section, former, now in renamed:
+        wrong = {**document, section: {**document.get(section, {}), former: 1}}
+        with pytest.raises(FormatError, match=f"'{former}' has been renamed.*{section}.{former}.*Write '{now}'"):
+            validated(wrong, "volcal.toml", Settings)

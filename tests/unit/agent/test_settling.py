@@ -15,7 +15,7 @@ from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_
 from agent.probing.thermal_settling import SettlingRules, settled
 from agent.settings.temperature import TemperatureSettings
 
-RULES = SettlingRules(largest_rate_k_per_h=5.0, largest_departure_k=4.0, look_every_s=60.0, deadline_s=1800.0)
+RULES = SettlingRules(max_rate_k_per_h=5.0, max_departure_k=4.0, poll_interval_s=60.0, deadline_s=1800.0)
 
 
 def played(plan: s.Plan[Any], bar_c: Callable[[float], float]) -> tuple[list[s.Step], Any]:
@@ -89,9 +89,9 @@ def test_several_thermometers_are_averaged_and_a_silent_one_is_named() -> None:
 
 
 def test_a_declared_temperature_needs_its_uncertainty_and_must_be_near_enough() -> None:
-    with pytest.raises(ValueError, match="needs its standard_uncertainty_k"):
+    with pytest.raises(ValueError, match="requires standard_uncertainty_k greater than 0"):
         TemperatureSettings(declared_artefact_c=21.0)
-    with pytest.raises(ValueError, match="no run would begin"):
+    with pytest.raises(ValueError, match="no run could start"):
         TemperatureSettings(declared_artefact_c=35.0, standard_uncertainty_k=0.5)
     assert TemperatureSettings(declared_artefact_c=21.0, standard_uncertainty_k=0.5).declared_artefact_c == 21.0
 

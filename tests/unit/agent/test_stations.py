@@ -74,7 +74,7 @@ def test_a_node_id_twice_on_one_bus_is_refused_before_anything_opens(
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(CONFIG.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     with pytest.raises(
-        ConfigurationError, match=r"CANopen node 1 on socketcand:can0.* belongs to device 'mount-1'"
+        ConfigurationError, match=r"CANopen node 1 on socketcand:can0.* is already used by device 'mount-1'"
     ) as it:
         load_settings(wrong)
     assert it.value.where["key"] == f"devices.mount-2.options.{refused}.node_id"

@@ -86,7 +86,7 @@ def test_every_command_has_its_latency_and_only_carrying_takes_a_person() -> Non
 
 @pytest.fixture(scope="module")
 def at_two_stations() -> Job:
-    return job([1, 2], carrying_minutes=4.0)
+    return job([1, 2], relocation_minutes=4.0)
 
 
 def test_the_walk_agrees_with_the_dry_run_step_by_step(at_two_stations: Job) -> None:

@@ -103,7 +103,7 @@ def test_a_replay_knows_where_the_axes_stand() -> None:
         "command_latency_s": 0.75,
         "touch_latency_s": 0.7,
         "turn_latency_s": 2.0,
-        "carrying_minutes": 1.0,
+        "relocation_minutes": 1.0,
     }
 
 
@@ -139,7 +139,7 @@ def test_the_command_finds_what_a_run_took(slow_run: Path) -> None:
         "command_latency_s": 0.02,
         "touch_latency_s": 0.1,
         "turn_latency_s": 0.6,
-        "carrying_minutes": 1.5,
+        "relocation_minutes": 1.5,
     }
     kinds = {kind["kind"]: kind for kind in said["steps"]}
     located, positions, balls_and_the_first_again = 1, 2, 11 + 1
