@@ -15,7 +15,7 @@ from agent.cli.calibrate import conclude, run_calibration, summary_table
 from agent.cli.errors import reported
 from agent.cli.simulator_process import SimulatorProcess
 from agent.files import translated
-from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.runs.session import RunResult
 from agent.settings.load import load_settings, naming, with_overrides
 from agent.settings.schema import Settings
@@ -37,7 +37,7 @@ class Truth:
 @click.option(
     "--scenario",
     type=click.Path(path_type=Path),
-    default=SHIPPED / "simulators" / "case-study.toml",
+    default=SHIPPED_CONFIGURATION / "simulators" / "case-study.toml",
     help="What is simulated.",
 )
 @click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")

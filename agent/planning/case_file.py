@@ -1,10 +1,11 @@
-"""The case that studies and design look at: a machine with an artefact before it; no device is asked."""
+"""Cases for studies and design: a machine with an artefact in front of it, read from a settings file; no device is
+contacted."""
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 
-import agent
 from agent.files import load_artefact, load_machine
 from agent.planning.job import Job, prepare_job
 from agent.settings.load import load_settings, naming
@@ -13,8 +14,11 @@ from drivers.errors import ConfigurationError
 from twin.artefact.position_set import station_places
 from twin.errors import DataError
 
-SHIPPED = Path(agent.__file__).resolve().parents[1] / "config"
-CASE_STUDY = SHIPPED / "case-study.toml"
+# A directory on disk, not an archive member: settings name their machine and artefact files relative to themselves, and
+# the simulator reads them in a process of its own. Resolved, because volcal/config is a link in a checkout.
+SHIPPED_CONFIGURATION = Path(str(files("volcal") / "config")).resolve()
+"""Directory of the shipped configuration: package data of `volcal`."""
+CASE_STUDY = SHIPPED_CONFIGURATION / "case-study.toml"
 
 
 def load_case(
@@ -25,8 +29,8 @@ def load_case(
     stations: int | None = None,
     tool: str | None = None,
 ) -> Job:
-    """The job of a settings file, with another machine or artefact file, with `stations` places evenly along X, or with
-    another of the machine's tools.
+    """Return the job of a settings file, optionally with another machine or artefact file, with `stations` stations
+    spaced evenly along X, or with another of the machine's tools.
 
     Raises ConfigurationError naming file and key.
     """
@@ -46,7 +50,8 @@ def load_case(
 
 
 def _with_stations(settings: Settings, count: int) -> Settings:
-    """`count` places at the depth and height of the first one of the settings, the outer ones a bar's half inside."""
+    """Return the settings with `count` stations at the Y and Z of their first station; the outer stations are half a
+    bar length inside the travel."""
     machine, artefact = load_machine(settings.machine), load_artefact(settings.artefact)
     _, y_mm, z_mm = settings.stations.places_mm[0]
     half_span_mm = artefact.half_length_mm + settings.mount.bar_overhang_mm

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
@@ -46,12 +46,12 @@ def job_of(directory: Path, **sections: dict[str, Any]) -> Job:
     for name in {*changes, *sections}:
         document[name] = {**document[name], **changes.get(name, {}), **sections.get(name, {})}
     settings = Settings.model_validate(document).model_copy(update={"state_directory": directory / "state"})
-    return prepare_job(settings, SHIPPED)
+    return prepare_job(settings, SHIPPED_CONFIGURATION)
 
 
 def world_of() -> World:
     """The shipped machine, worse, with the former table in its bank and active."""
-    shipped = read_scenario(SHIPPED / "simulators" / "case-study.toml")
+    shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
     truth = shipped.settings.truth.model_copy(update={"scale": SCALE})
     world = World(replace(shipped, settings=shipped.settings.model_copy(update={"truth": truth})))
     world.controller.write_bank(FORMER_BANK, FORMER)

@@ -13,7 +13,7 @@ from typing import Any
 from agent.execution import steps as s
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.planning.case_file import SHIPPED
+from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.runs.session import Request, RunResult, carry_out
 from campaigns.aborts.breaking import Breaking
 from campaigns.aborts.case import FORMER, FORMER_BANK, Memory, job_of, world_of
@@ -107,7 +107,7 @@ def _carried_out(breaking: Breaking, directory: Path, **sections: dict[str, Any]
     return carry_out(
         Request(
             job,
-            SHIPPED,
+            SHIPPED_CONFIGURATION,
             lambda _: None,
             keep,
             clock=breaking.clock,

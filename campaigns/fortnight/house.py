@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 import httpx
 
-from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.service import address_file
 from agent.service.allowed_requests import AT_REST
 from campaigns.fortnight.almanac import turn_to
@@ -189,8 +189,8 @@ def settings_text(ready: Mapping[str, Any], changes: Mapping[str, str]) -> str:
         "port = 5020\n\n": f"port = {ready['modbus']['port']}\n\n",
         "port = 29536": f"port = {ready['can']['options']['port']}",
         "port = 5022\n\n": f"port = {ready['control']['port']}\n\n",
-        '"machines/': f'"{SHIPPED}/machines/',
-        '"artefacts/': f'"{SHIPPED}/artefacts/',
+        '"machines/': f'"{SHIPPED_CONFIGURATION}/machines/',
+        '"artefacts/': f'"{SHIPPED_CONFIGURATION}/artefacts/',
         '"../runs"': '"state"',
         **changes,
     }

@@ -29,7 +29,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first
 
 
 from agent.execution.rig import Rig
-from agent.planning.case_file import SHIPPED
+from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from agent.results.run_outcome import Decision, Outcome
 from agent.runs.kinds.kind import FullCalibration, Kind
@@ -121,7 +121,7 @@ class Machine:
         job = standing(case(self._state), self._season.station(night))
         request = Request(
             job,
-            SHIPPED,
+            SHIPPED_CONFIGURATION,
             lambda _: None,
             lambda _: None,
             kind=self._kind(night),

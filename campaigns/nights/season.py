@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
 from agent.results.estimation import find
 from agent.results.table_image import image_of
@@ -40,7 +40,7 @@ class Season:
     @property
     def scenario(self) -> Scenario:
         """Scales of a season of three months, a slow walk of everything, and the collision."""
-        shipped = read_scenario(SHIPPED / "simulators" / "case-study.toml")
+        shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
         ageing = AgeingSettings(
             seed=self.seed,
             seasonal_um_per_m=(6.0, 5.0, -5.0),
@@ -60,7 +60,7 @@ class Season:
 def case(state: Path) -> Job:
     """The shipped case study with its runs under `state`."""
     settings = load_settings(CASE_STUDY).model_copy(update={"state_directory": state})
-    return prepare_job(settings, SHIPPED)
+    return prepare_job(settings, SHIPPED_CONFIGURATION)
 
 
 def reach_um(season: Season, night: int) -> float:

@@ -18,7 +18,7 @@ from agent.execution.encoding import table_digest
 from agent.execution.journal import RunJournal
 from agent.execution.rig import Rig
 from agent.execution.steps import Step
-from agent.planning.case_file import SHIPPED
+from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import run_preflight, unwatched
 from agent.runs.resume.resume import ResumeRequest, resume
@@ -171,12 +171,12 @@ class Machine:
 def prepare(directory: Path) -> tuple[Settings, Machine]:
     """Files of a small case in `directory`, which is the working directory: five balls, two positions, one held out; a
     machine so bad, and gates so wide, that the table is written and proved."""
-    artefact = (SHIPPED / "artefacts" / "ball-bar-1500.toml").read_text()
+    artefact = (SHIPPED_CONFIGURATION / "artefacts" / "ball-bar-1500.toml").read_text()
     head, rows = artefact.split("balls = [\n")
     lines = rows.splitlines()
     (directory / "bar.toml").write_text(head + "balls = [\n" + "\n".join(lines[ball] for ball in BALLS) + "\n]\n")
     (directory / "positions.csv").write_text("station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n")
-    machine = str(SHIPPED / "machines" / "case-study.toml")
+    machine = str(SHIPPED_CONFIGURATION / "machines" / "case-study.toml")
     scenario = {
         "machine": machine,
         "artefact": "bar.toml",

@@ -31,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first
 import numpy as np
 
 from agent.execution.journal import Journal
-from agent.planning.case_file import CASE_STUDY, SHIPPED
+from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
 from agent.results.estimation import find
 from agent.results.table_image import image_of
@@ -119,10 +119,10 @@ def carried_out(seed: int, temperatures: TemperatureSettings) -> Run:
     """One calibration from an empty controller on."""
     with memory_directory("warming") as directory:
         state = Path(directory) / "state"
-        world, job = World(_scenario(seed, temperatures)), prepare_job(_settings(state), SHIPPED)
+        world, job = World(_scenario(seed, temperatures)), prepare_job(_settings(state), SHIPPED_CONFIGURATION)
         request = Request(
             job,
-            SHIPPED,
+            SHIPPED_CONFIGURATION,
             lambda _: None,
             lambda _: None,
             clock=VirtualClock(),
@@ -147,7 +147,7 @@ def _settings(state: Path) -> Settings:
 
 
 def _scenario(seed: int, temperatures: TemperatureSettings) -> Scenario:
-    shipped = read_scenario(SHIPPED / "simulators" / "case-study.toml")
+    shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
     settings = shipped.settings.model_copy(
         update={
             "seed": seed,

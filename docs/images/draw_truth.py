@@ -1,7 +1,7 @@
-"""Draws docs/images/before-after.png: what the simulator alone knows of the demonstration's machine.
+"""Draw docs/images/before-after.png: the true deviation of the demonstration's machine, known to the simulator only.
 
 Run `volcal demo --out runs`, then `python docs/images/draw_truth.py runs/RUN_ID/table.csv before-after.png`.
-The true deviation of the scenario's machine is shown bare and with that run's table, rigid motion taken out.
+The figure shows the true deviation of the scenario's machine without and with that run's table, rigid motion removed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-import agent
+from agent.planning.case_file import SHIPPED_CONFIGURATION
 from simulators.scenario import read_scenario
 from simulators.world.world import true_machine
 from twin.compensation.table_file import parse_table
@@ -24,7 +24,7 @@ from twin.machine.volumetric import align_rigidly, evaluation_grid, rms
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 
-SCENARIO = Path(agent.__file__).parents[1] / "config" / "simulators" / "case-study.toml"
+SCENARIO = SHIPPED_CONFIGURATION / "simulators" / "case-study.toml"
 SHAPE = (81, 27, 3)
 
 

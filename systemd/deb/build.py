@@ -49,22 +49,21 @@ def main() -> None:
     shutil.rmtree(tree, ignore_errors=True)
     site = tree / SITE.relative_to("/")
     install(ROOT, BUILD, site)
-    lay_out(tree, site)
+    lay_out(tree)
     describe(tree, site, version)
     package = pack(tree, out, version, date)
     size = package.stat().st_size / KIB**2
     sys.stdout.write(f"{package}\n{size:.1f} MiB, built in {time.monotonic() - began:.0f} s\n")
 
 
-def lay_out(tree: Path, site: Path) -> None:
-    """Everything but the environment, the licences and the control files."""
+def lay_out(tree: Path) -> None:
+    """Write everything except the environment, the licences and the control files."""
     private = tree / "usr/lib/volcal"
     put(private / "bin/volcal", LAUNCHER, PROGRAM)
     (private / "bin/python3").symlink_to(f"/usr/bin/{PYTHON}")
     put(private / "pyvenv.cfg", f"home = /usr/bin\ninclude-system-site-packages = false\nversion = {PYTHON[6:]}\n")
     link(tree / "usr/bin/volcal", "../lib/volcal/bin/volcal")
     copy(ROOT / "config", tree / "usr/share/volcal/config")
-    link(site / "config", "/usr/share/volcal/config")  # where the program looks for the shipped case study
     for unit in ("volcal.service", "volcal-nightly.service", "volcal-nightly.timer"):
         put(tree / "usr/lib/systemd/system" / unit, (UNITS / unit).read_text())
     put(tree / "usr/lib/sysusers.d/volcal.conf", (UNITS / "volcal.sysusers").read_text())
@@ -79,7 +78,7 @@ def lay_out(tree: Path, site: Path) -> None:
 
 
 def describe(tree: Path, site: Path, version: str) -> None:
-    """The copyright page and the control files."""
+    """Write the copyright page and the control files."""
     copyright_page = (HERE / "copyright").read_text() + licences(site)
     put(tree / "usr/share/doc/volcal/copyright", copyright_page)
     size = sum(path.stat().st_size for path in tree.rglob("*") if path.is_file() and not path.is_symlink())
@@ -98,7 +97,7 @@ def describe(tree: Path, site: Path, version: str) -> None:
 
 
 def pack(tree: Path, out: Path, version: str, date: int) -> Path:
-    """Modes and times that depend on nobody's umask and clock."""
+    """Pack the tree with modes and times that do not depend on the umask and the clock of the builder."""
     for path in (tree, *tree.rglob("*")):
         if not path.is_symlink():
             path.chmod(PROGRAM if path.is_dir() or path.stat().st_mode & 0o100 else TEXT)

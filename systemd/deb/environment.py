@@ -1,4 +1,4 @@
-"""The package's own Python environment: pinned dependencies, nothing of the computer that it was made on."""
+"""The package's own Python environment: pinned dependencies, and no trace of the computer it was built on."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from urllib.parse import urlsplit
 
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 SITE = Path("/usr/lib/volcal/lib") / PYTHON / "site-packages"
-SOURCES = ("agent", "drivers", "simulators", "twin", "pyproject.toml", "README.md", "LICENSE")
+SOURCES = ("agent", "config", "drivers", "simulators", "twin", "volcal", "pyproject.toml", "README.md", "LICENSE")
 EXTRAS = "opcua,postgres"
-"""What a plant may want from the service; the cluster of studies belongs to another computer."""
+"""Extras that a plant may need for the service; the cluster for studies runs on another computer."""
 TESTS_OF = ("matplotlib", "mpl_toolkits", "numpy", "pandas", "scipy")
 PUBLIC_INDEX = "pypi.org"
 
 
 def install(root: Path, build: Path, site: Path) -> None:
-    """Fill `site` with volcal of the tracked files below `root` and what it needs. SystemExit where a trace is left."""
+    """Install volcal, from the tracked files below `root`, and its dependencies into `site`.
+
+    Raises SystemExit if a trace of this computer is left in a file.
+    """
     wheel = _wheel(root, build)
     _pip("install", "--no-compile", "--target", site, "--constraint", root / "constraints.txt", f"{wheel}[{EXTRAS}]")
     shutil.rmtree(site / "bin")
@@ -37,7 +40,7 @@ def install(root: Path, build: Path, site: Path) -> None:
 
 
 def licences(site: Path) -> str:
-    """A paragraph for each bundled package, after the form of Debian's copyright pages."""
+    """Return one paragraph for each bundled package, in the form of Debian's copyright pages."""
     found = []
     for metadata in site.glob("*.dist-info/METADATA"):
         about = HeaderParser().parsestr(metadata.read_text(encoding="utf-8"))
@@ -57,7 +60,7 @@ def _licence(about: Message) -> str:
 
 
 def _wheel(root: Path, build: Path) -> Path:
-    """Of what git tracks, as it stands; built away from the checkout, whose leftovers setuptools would pick up."""
+    """Build the wheel from the tracked files, away from old build files of the checkout, which it would include."""
     source, wheels = build / "source", build / "wheels"
     for folder in (source, wheels):
         shutil.rmtree(folder, ignore_errors=True)
@@ -67,7 +70,7 @@ def _wheel(root: Path, build: Path) -> Path:
     ).stdout  # fmt: skip
     for name in filter(None, listed.split("\0")):
         (source / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(root / name, source / name)
+        shutil.copy(root / name, source / name, follow_symlinks=False)  # volcal/config is a link to config/
     _pip("wheel", "--no-deps", "--wheel-dir", wheels, source)
     return next(wheels.glob("volcal-*.whl"))
 
@@ -84,7 +87,7 @@ def _only_what_is_there(record: Path, site: Path) -> None:
 
 
 def _hosts() -> set[str]:
-    """Of the indexes that pip was told to use on this computer, by file or environment."""
+    """Return the hosts of the package indexes that pip uses on this computer, by file or environment."""
     told = subprocess.run(
         [sys.executable, "-m", "pip", "config", "list"],
         check=True, stdout=subprocess.PIPE, text=True,

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([ROOT / "README.md", ROOT / "systemd" / "README.md", *(ROOT / "docs").rglob("*.md")])
-ROOTED = re.compile(r"^(agent|benchmarks|campaigns|config|docs|drivers|simulators|systemd|tests|twin)/[\w./-]*$")
+ROOTED = re.compile(r"^(agent|benchmarks|campaigns|config|docs|drivers|simulators|systemd|tests|twin|volcal)/[\w./-]*$")
 
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")

@@ -1,0 +1,1 @@
+"""volcal as a library."""
