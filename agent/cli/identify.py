@@ -14,7 +14,8 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.results.estimation import order_text
 from agent.runs.offline_identification import Request, Result, identify_files
-from agent.settings.schema import IdentificationSettings, Order
+from agent.settings.load import read_settings
+from agent.settings.schema import GateSettings, IdentificationSettings, Order
 from drivers.clock import utc_timestamp, wall_seconds
 from twin.identification import Options
 
@@ -75,6 +76,7 @@ def _order(_context: click.Context, _option: click.Parameter, text: str) -> Orde
     help="With --carried-over: rms over the workspace by which the machine may have changed since [default: 0].",
 )
 @click.option("--tool", metavar="NAME", help="Tool that the table is made for [default: the one used most].")
+@click.option("--config", type=PATH, help="Settings file whose [gates] are the limits [default: their defaults].")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
 @reported
 def identify(
@@ -90,6 +92,7 @@ def identify(
     carried_over: Path | None,
     process_noise_um: float | None,
     tool: str | None,
+    config: Path | None,
     as_json: bool,
 ) -> None:
     """Identify a machine from measured ball centres.
@@ -101,7 +104,8 @@ def identify(
     options = Options(formulation=formulation, use_prior=prior == "on", weights=weights)
     if process_noise_um is not None and carried_over is None:
         raise click.UsageError("--process-noise-um says how an estimate has aged: give it with --carried-over")
-    request = Request(balls, machine, artefact, out, options, tool, order, carried_over, process_noise_um or 0.0)
+    gates = GateSettings() if config is None else read_settings(config).gates
+    request = Request(balls, machine, artefact, out, options, tool, order, carried_over, process_noise_um or 0.0, gates)
     result = identify_files(request, utc_timestamp())
     if as_json:
         click.echo(json.dumps(result.as_json(wall_seconds() - started)))

@@ -20,9 +20,8 @@ from agent.probing.position import MeasuredBall, PositionRules
 from agent.probing.preparation import Preparation, Prepared, prepare_probe
 from agent.probing.repeated_positions import ClosingRules
 from agent.probing.run_plan import Measured, MeasuringOrder, by_station
-from agent.settings.gate_limits import GateLimits
 from agent.settings.load import POSITION_FILES
-from agent.settings.schema import Settings
+from agent.settings.schema import GateSettings, Settings
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
@@ -48,7 +47,7 @@ class Job:
     layout: Layout
     rules: PositionRules
     preparation: Preparation
-    gate_limits: GateLimits
+    gate_limits: GateSettings
 
     @property
     def tool_offset_mm(self) -> Array:
@@ -149,7 +148,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
             settling_of(settings),
             station_change(settings),
         ),
-        gate_limits=GateLimits(**settings.gates.model_dump()),
+        gate_limits=settings.gates,
     )
     _refuse_nothing_reachable(job)
     if settings.procedure.position_set.endswith(POSITION_FILES):

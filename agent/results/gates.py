@@ -1,4 +1,4 @@
-"""Gates between an estimate and a machine: each a number, its limit and a sentence. Pure."""
+"""Gates between an estimate and a machine: each has a number, its limit and a sentence. Pure functions."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.errors import GateRefused
-from agent.settings.gate_limits import GateLimits
+from agent.settings.schema import GateSettings
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
 from twin.identification import Estimate
 from twin.machine.volumetric import Volumetric
 
 CHANGE = "change"
-"""The gate that an operator may open: a machine that was mended or hit has changed, and has to be calibrated."""
+"""Gate that an operator may open: a machine that was repaired or had a collision has changed and must be calibrated."""
 
 
 @dataclass(frozen=True)
 class Gate:
-    """One condition. `passed` is the verdict on `value` against `limit`, both in the unit the text names."""
+    """One condition. `passed` is the verdict on `value` against `limit`, both in the unit that the text names."""
 
     name: str
     passed: bool
@@ -30,12 +30,12 @@ class Gate:
 
 
 def estimate_gates(
-    estimate: Estimate, expected: Volumetric, before: Volumetric, limits: GateLimits
+    estimate: Estimate, expected: Volumetric, before: Volumetric, limits: GateSettings
 ) -> tuple[Gate, ...]:
-    """What the estimate itself must satisfy.
+    """Return the gates on the estimate itself: fit, redundancy and gain.
 
-    `before`: the VE of the bare machine that the estimate shows, uncertainty not added; `expected`: the VCE with
-    the table active. Both aligned: a rigid motion of the workspace is no fault of a machine.
+    `before`: VE of the bare machine that the estimate shows, uncertainty not added; `expected`: VCE with the table
+    active. Both are aligned, because a rigid motion of the workspace is not an error of the machine.
     """
     share = expected.aligned_mm / before.aligned_mm if before.aligned_mm > 0.0 else float("inf")
     return (
@@ -64,9 +64,11 @@ def estimate_gates(
     )
 
 
-def change_gate(change_um: float, expected_um: float, limits: GateLimits) -> Gate:
-    """How far the field has moved since the last accepted night (rms, aligned), against what uncertainty and the drift
-    of the nights between lead one to expect."""
+def change_gate(change_um: float, expected_um: float, limits: GateSettings) -> Gate:
+    """Return the gate on the change of the field since the last accepted night, `change_um` (rms, aligned).
+
+    `expected_um`: change that uncertainty and the drift of the nights in between explain.
+    """
     share = change_um / expected_um if expected_um > 0.0 else float("inf")
     return Gate(
         CHANGE,
@@ -77,13 +79,13 @@ def change_gate(change_um: float, expected_um: float, limits: GateLimits) -> Gat
     )
 
 
-def table_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits) -> tuple[Gate, ...]:
-    """What the table must satisfy before it is written."""
+def table_gates(table: CompensationTable, store: StoreLimits, limits: GateSettings) -> tuple[Gate, ...]:
+    """Return the gates that a table must pass before it is written."""
     return (*shape_gates(table, store, limits), extrapolation_gate(table, limits))
 
 
-def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits) -> tuple[Gate, ...]:
-    """What its values must satisfy."""
+def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateSettings) -> tuple[Gate, ...]:
+    """Return the gates on the values of the table: largest correction and steepest slope."""
     largest_um = float(np.abs(table.corrections).max()) * 1e3
     allowed_um = min(limits.max_correction_um, store.max_correction_mm * 1e3)
     slope = _largest_slope_um_per_mm(table)
@@ -105,8 +107,8 @@ def shape_gates(table: CompensationTable, store: StoreLimits, limits: GateLimits
     )
 
 
-def extrapolation_gate(table: CompensationTable, limits: GateLimits) -> Gate:
-    """Whether it may say something where nothing was measured."""
+def extrapolation_gate(table: CompensationTable, limits: GateSettings) -> Gate:
+    """Return the gate on nodes outside the measured region."""
     outside = float(np.mean(table.extrapolated))
     return Gate(
         "extrapolation",
@@ -118,7 +120,7 @@ def extrapolation_gate(table: CompensationTable, limits: GateLimits) -> Gate:
 
 
 def consented(gates: Sequence[Gate]) -> list[Gate]:
-    """The same with the gate on the change open: somebody has consented."""
+    """Return the gates with that on the change passed, because the operator has consented."""
     return [
         replace(gate, passed=True, text=f"{gate.text}; consented") if gate.name == CHANGE and not gate.passed else gate
         for gate in gates

@@ -1,8 +1,8 @@
-"""Identification from files, with no device: ball centres in, estimate, table and report out."""
+"""Identification from files without a device: ball centres in; estimate, table and report out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from agent.reports.page import Header, Identified, ReportData, name_of_positions
 from agent.results.estimation import Finding, find, order_text, scale_warnings
 from agent.results.facts import ArtefactFacts, TableFacts, triple
 from agent.results.gates import Gate, estimate_gates, table_gates
-from agent.settings.gate_limits import GateLimits
 from agent.settings.schema import GateSettings, Order, TableSettings
 from drivers.errors import ConfigurationError, InputError
 from drivers.roles import Activation, StoreLimits
@@ -34,17 +33,17 @@ from twin.identification import CarriedOver, Options, process_noise
 from twin.machine.machine_description import MachineDescription
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
-"""A file holds corrections of any size."""
+"""Limits of a store that does not exist: a file can hold corrections of any size."""
 
 MM_PER_UM = 1e-3
 
 
 @dataclass(frozen=True)
 class Request:
-    """The files and how to identify. `tool` None: the tool with which most balls were found.
+    """Files and options of an identification. `tool` None: the tool with which most balls were measured.
 
-    `carried_over`: an earlier estimate as prior, the machine having changed since by `process_noise_um` (rms of the
-    field over the workspace, rigidly aligned).
+    `carried_over`: an earlier estimate as prior; the machine may have changed since by `process_noise_um` (rms of the
+    field over the workspace, rigidly aligned). `gates`: limits that the results are judged by, those of a run.
     """
 
     balls: Path
@@ -56,11 +55,12 @@ class Request:
     order: Order = "evidence"
     carried_over: Path | None = None
     process_noise_um: float = 0.0
+    gates: GateSettings = field(default_factory=GateSettings)
 
 
 @dataclass(frozen=True)
 class Material:
-    """What the files say, and the tool for which the table is to be made."""
+    """Contents of the files, and the tool that the table is made for."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -80,7 +80,7 @@ class Result:
     report: Path
 
     def as_json(self, wall_seconds: float) -> dict[str, Any]:
-        """The keys that every command ends with; None for what only a machine can give."""
+        """Return the keys that every command ends with; None for values that only a machine can give."""
         estimate, volumetric = self.finding.estimate, self.finding.volumetric
         return {
             "state": "complete",
@@ -108,14 +108,14 @@ class Result:
 
 
 def identify_files(request: Request, timestamp: str) -> Result:
-    """Read, identify and write estimate.json, table.csv, table.json and report.html into `request.out`.
+    """Read the files, identify, and write estimate.json, table.csv, table.json and report.html into `request.out`.
 
-    `timestamp` (ISO 8601 UTC) dates the results. Raises UserError for wrong input; then nothing is written.
+    `timestamp` (ISO 8601 UTC) dates the results. Raises UserError for wrong input; nothing is written in that case.
     """
     check_folder(request.out)
     material = read_material(request)
     with translated(file=str(request.balls)):
-        finding, gates = _gated(material, request.order)
+        finding, gates = _gated(material, request)
     result = Result(
         run_id=f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z",
         timestamp=timestamp,
@@ -130,12 +130,12 @@ def identify_files(request: Request, timestamp: str) -> Result:
 
 
 def read_material(request: Request) -> Material:
-    """Raises UserError naming file and place for whatever cannot be used."""
+    """Return the contents of the files. Raises UserError naming file and key or row if something cannot be used."""
     machine = load_machine(request.machine)
     artefact = load_artefact(request.artefact)
     balls = load_balls(request.balls, machine)
     if not machine.family.half_widths.any():
-        hint = "give the half-widths that machines of this kind have"
+        hint = "enter the half-widths of machines of this kind"
         message = "every half-width of the family is zero, so there is nothing to identify"
         raise ConfigurationError(message, hint=hint, file=str(request.machine), key="model.family")
     tool = _table_tool(request, machine, balls)
@@ -148,7 +148,7 @@ def read_material(request: Request) -> Material:
 
 
 def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOver:
-    """What an estimate file knows of this machine, the machine having changed since."""
+    """Return an earlier estimate of this machine as prior, widened by the change since."""
     text = read_text(path)
     with translated(InputError, file=str(path)):
         known = parse_estimate(text, str(path)).carried_over()
@@ -156,8 +156,8 @@ def _carried_over(path: Path, machine: MachineDescription, tool: str, process_no
         return known.after(process_noise(family, MM_PER_UM * process_noise_um, machine.tool(tool)))
 
 
-def _gated(material: Material, order: Order) -> tuple[Finding, tuple[Gate, ...]]:
-    """Estimate and table, and what the gates of a machine would say. Raises TwinError."""
+def _gated(material: Material, request: Request) -> tuple[Finding, tuple[Gate, ...]]:
+    """Return estimate and table, and the verdicts of the gates that a run has. Raises TwinError."""
     finding = find(
         material.machine,
         material.artefact,
@@ -165,12 +165,11 @@ def _gated(material: Material, order: Order) -> tuple[Finding, tuple[Gate, ...]]
         material.balls.observations,
         material.options,
         TableSettings(),
-        order,
+        request.order,
     )
-    limits = GateLimits(**GateSettings().model_dump())
     gates = (
-        *estimate_gates(finding.estimate, finding.volumetric.after, finding.volumetric.before, limits),
-        *table_gates(finding.table, NO_STORE, limits),
+        *estimate_gates(finding.estimate, finding.volumetric.after, finding.volumetric.before, request.gates),
+        *table_gates(finding.table, NO_STORE, request.gates),
     )
     return finding, gates
 
@@ -186,8 +185,8 @@ def _table_tool(request: Request, machine: MachineDescription, balls: BallFile) 
 
 
 def _texts(result: Result, request: Request) -> dict[str, str]:
-    """The four files, by name."""
-    from agent.reports.page.render import render_report  # noqa: PLC0415  what is refused waits for no drawing library
+    """Return the four result files by name."""
+    from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib
 
     table = format_table(result.finding.table)
     return {
@@ -257,15 +256,15 @@ def _report_data(result: Result, request: Request, crc32: str) -> ReportData:
 
 
 def _warnings(material: Material, finding: Finding, options: Options) -> tuple[str, ...]:
-    """What somebody should know before the table is loaded into a machine."""
-    notes = ["Nothing was measured with the table active: what is said about the time after is a prediction."]
+    """Return notes to read before the table is loaded into a machine."""
+    notes = ["Nothing was measured with the table active: values after compensation are predictions."]
     share = float(np.mean(finding.table.extrapolated))
     if share > 0.0:
         notes.append(f"{100.0 * share:.0f} % of the table's nodes lie outside the measured region.")
     if material.tool not in _used_tools(material):
-        notes.append(f"The table is made for the tool {material.tool}, with which nothing was measured.")
+        notes.append(f"The table is made for the tool {material.tool}, but nothing was measured with this tool.")
     if not options.use_prior:
-        notes.append("Without the family what was not seen counts as zero: the stated uncertainties leave it out.")
+        notes.append("Without the family, unseen directions count as zero: the stated uncertainties leave them out.")
     return (*notes, *scale_warnings(finding.estimate))
 
 

@@ -166,7 +166,10 @@ class TableSettings(Strict):
 
 
 class GateSettings(Strict):
-    """Limits of the gates between an estimate and a machine."""
+    """Limits of the gates between an estimate and a machine; µm where the key says so.
+
+    Runs take them from the settings file, `volcal identify` from the file it is given or else these defaults.
+    """
 
     former_keys: ClassVar[Mapping[str, str]] = {
         "largest_chi2": "max_chi2",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -90,6 +91,22 @@ class TestGoodInput:
         assert "predicted after compensation" in done.stdout
         assert str(tmp_path / "out" / "report.html") in done.stdout.replace("\n", "")
         assert sorted(path.name for path in (tmp_path / "out").iterdir()) == RESULTS
+
+    def test_the_gates_judge_by_the_limits_of_the_settings_file(self, measured: tuple, tmp_path: Path) -> None:
+        """The same balls pass with the default limits, which are those of a run without a `[gates]` section."""
+        said = measured[2]
+        assert said["gates"]["redundancy"]
+        assert said["gates"]["correction"]
+        text = (MACHINE_FILE.parents[1] / "case-study.toml").read_text()
+        strict = "[gates]\nmin_degrees_of_freedom = 100000\nmax_correction_um = 0.001\n"
+        assert "[gates]\n" in text
+        (tmp_path / "volcal.toml").write_text(re.sub(r"\[gates\]\n(?:[^\[\n].*)?\n", strict + "\n", text))
+        config = ("--config", tmp_path / "volcal.toml")
+        done = run(*arguments(measured[0], tmp_path / "out"), *config, "--order", "2", "--json")
+        assert done.returncode == 0, done.stderr
+        gates = json.loads(done.stdout)["gates"]
+        assert not gates["redundancy"]
+        assert not gates["correction"]
 
     def test_a_wrong_ball_is_found_and_named(self, tmp_path: Path) -> None:
         rng = np.random.default_rng(11)

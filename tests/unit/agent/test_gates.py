@@ -9,12 +9,12 @@ import pytest
 
 from agent.errors import GateRefused
 from agent.results.gates import Gate, require, table_gates
-from agent.settings.gate_limits import GateLimits
+from agent.settings.schema import GateSettings
 from drivers.roles import Activation, StoreLimits
 from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError
 
-LIMITS = GateLimits(2.0, 30, 0.5, 300.0, 0.5, False)
+LIMITS = GateSettings()
 STORE = StoreLimits((1, 2), (64, 64, 64), 20000, 1e-4, 0.2, Activation.IMMEDIATE)
 
 
@@ -31,7 +31,7 @@ def table(corrections: np.ndarray, *, outside: bool = False) -> CompensationTabl
     )
 
 
-def verdicts(of: CompensationTable, limits: GateLimits = LIMITS) -> dict[str, bool]:
+def verdicts(of: CompensationTable, limits: GateSettings = LIMITS) -> dict[str, bool]:
     return {gate.name: gate.passed for gate in table_gates(of, STORE, limits)}
 
 
@@ -57,7 +57,7 @@ def test_extrapolation_needs_its_flag() -> None:
     flat = np.zeros((2, 2, 2, 3))
     assert verdicts(table(flat))["extrapolation"]
     assert not verdicts(table(flat, outside=True))["extrapolation"]
-    allowed = GateLimits(2.0, 30, 0.5, 300.0, 0.5, True)
+    allowed = GateSettings(allow_extrapolation=True)
     assert verdicts(table(flat, outside=True), allowed)["extrapolation"]
 
 
