@@ -24,7 +24,7 @@ from drivers.linuxcnc.device import LinuxCnc
 from drivers.linuxcnc.settings import LinuxCncSettings
 from drivers.registry import DeviceContext
 from drivers.roles import TableImage
-from simulators.linuxcnc.namespaces import why_not
+from simulators.linuxcnc.namespaces import unavailable_reason
 from simulators.linuxcnc.process import LinuxCncProcess
 from simulators.scenario import read_scenario
 from simulators.world.field import TableField
@@ -194,7 +194,7 @@ def main() -> None:
     parser.add_argument("--stations", help="as volcal calibrate takes it")
     parser.add_argument("--work", type=Path, help="kept; without it a temporary directory")
     options = parser.parse_args()
-    reason = why_not()
+    reason = unavailable_reason()
     if reason:
         print(json.dumps({"not_run": reason}))
         raise SystemExit(NOT_RUN)

@@ -26,13 +26,13 @@ from drivers.roles import (
     Touch,
     Vector,
 )
-from simulators.world.motion_forecast import Kind
+from simulators.world.motion_forecast import MotionKind
 from simulators.world.mount import AZIMUTH, ELEVATION, MountPhysics
 from simulators.world.world import World
 
 POLL_S = 0.05
 """How often a held motion is looked at; held time costs nothing else."""
-PATIENCE_S = 60.0
+MOTION_MARGIN_S = 60.0
 """A motion may take this much longer than it said when it began, holds not counted by a watched clock."""
 
 
@@ -87,7 +87,7 @@ class SimulatedMachineDevice:
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         self._catch_up()
         self._controller.begin_move(target_mm, feed_mm_per_s, guarded)
-        self._await_motion(Kind.GUARDED if guarded else Kind.POSITIONING)
+        self._await_motion(MotionKind.GUARDED if guarded else MotionKind.POSITIONING)
 
     def hold(self) -> None:
         self._catch_up()
@@ -111,7 +111,7 @@ class SimulatedMachineDevice:
         controller = self._controller
         before = controller.latch.sequence if controller.latch else 0
         controller.begin_touch(target_mm, feed_mm_per_s)
-        self._await_motion(Kind.TOUCH)
+        self._await_motion(MotionKind.TOUCH)
         if controller.latch is not None and controller.latch.sequence > before:
             return Touch(_triple(controller.latch.position))
         return Miss(_triple(controller.displayed_position()))
@@ -189,12 +189,12 @@ class SimulatedMachineDevice:
     def _catch_up(self) -> None:
         self.world.advance_to(self._clock.now())
 
-    def _await_motion(self, kind: Kind) -> None:
+    def _await_motion(self, kind: MotionKind) -> None:
         self._sleep_until(self._motion_ends_s)
         controller = self._controller
         if controller.motion is MotionState.FAULT:
             fault = controller.fault
-            if kind is Kind.GUARDED and not self._crashed():
+            if kind is MotionKind.GUARDED and not self._crashed():
                 controller.reset()
                 raise GuardTripped(fault, hint="see what the probe touched")
             raise MotionFault(fault, hint="move the probe free, then clear the fault at the machine")
@@ -213,7 +213,7 @@ class SimulatedMachineDevice:
         end = ends_s()
         if end is None:
             return
-        deadline = Deadline.after(self._clock, end - self.world.now + PATIENCE_S)
+        deadline = Deadline.after(self._clock, end - self.world.now + MOTION_MARGIN_S)
         try:
             while end is not None:
                 deadline.require("the end of a motion", hint="is the machine held?")

@@ -15,9 +15,9 @@ import structlog
 
 from drivers.errors import VolcalError
 from simulators.scenario import read_scenario
-from simulators.wire.modbus.numbers import Float64Numbers, NumberFormat, ScaledInt32Numbers
+from simulators.wire.modbus.numbers import Float64Numbers, RegisterNumberFormat, ScaledInt32Numbers
 from simulators.wire.modbus.rtu import LineSettings
-from simulators.wire.wired_machine import Links, MachineOnWires
+from simulators.wire.wired_machine import Links, WiredMachine
 
 log = structlog.get_logger()
 
@@ -42,7 +42,7 @@ def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float | 
     return _number(factor if kind == "scaled" else "", value, "lockstep, real, or scaled:F", FASTEST)
 
 
-def _numbers(_ctx: click.Context, _param: click.Parameter, value: str) -> NumberFormat:
+def _numbers(_ctx: click.Context, _param: click.Parameter, value: str) -> RegisterNumberFormat:
     kind, _, scale = value.partition(":")
     if value == "float64":
         return Float64Numbers()
@@ -127,7 +127,7 @@ def simulate(
     control: tuple[str, int],
     clock: float | None,
     time_: tuple[str, int],
-    numbers: NumberFormat,
+    numbers: RegisterNumberFormat,
     end_with_stdin: bool,
 ) -> None:
     """Run the simulated machine on real links until it is told to end.
@@ -147,11 +147,11 @@ def simulate(
         serial=serial,
     )
     try:
-        machine = MachineOnWires(read_scenario(config), links)
+        machine = WiredMachine(read_scenario(config), links)
     except VolcalError as error:
         click.echo(f"error: {error}", err=True)
         raise SystemExit(error.exit_code) from None
-    ending = Ending()
+    ending = Shutdown()
     try:
         ending.listen(with_stdin=end_with_stdin)
         machine.start()
@@ -164,7 +164,7 @@ def simulate(
 
 
 @dataclass
-class Ending:
+class Shutdown:
     """Why and when the process ends: a signal, standard input closed, or a server that broke."""
 
     reason: str = ""

@@ -42,7 +42,7 @@ class SimulatedOperator:
                 (self._settings.host, self._settings.port), timeout=self._settings.answer_within_s
             )
         except OSError as error:
-            raise self._lost(f"nobody answers at {self._place}: {error}") from error
+            raise self._lost(f"nobody answers at {self._address}: {error}") from error
         self._request({"do": "status"})
 
     def close(self) -> None:
@@ -56,7 +56,7 @@ class SimulatedOperator:
 
     def diagnose(self) -> list[DiagnosticFinding]:
         answer = self._request({"do": "status"})
-        text = f"simulated machine at {self._place}, machine time {answer.get('machine_time_s')} s"
+        text = f"simulated machine at {self._address}, machine time {answer.get('machine_time_s')} s"
         return [DiagnosticFinding(self._name, ok=True, text=text)]
 
     def ask(self, request: OperatorRequest) -> bool:
@@ -86,7 +86,7 @@ class SimulatedOperator:
         except TimeoutError as error:
             self.close()
             raise LinkTimeout(
-                f"no answer within {self._settings.answer_within_s:g} s", device=self._name, link=self._place
+                f"no answer within {self._settings.answer_within_s:g} s", device=self._name, link=self._address
             ) from error
         except OSError as error:
             self.close()
@@ -106,18 +106,18 @@ class SimulatedOperator:
         try:
             answer = json.loads(reply)
         except ValueError as error:
-            raise ProtocolError("answer is not JSON", device=self._name, link=self._place) from error
+            raise ProtocolError("answer is not JSON", device=self._name, link=self._address) from error
         if not isinstance(answer, dict):
-            raise ProtocolError("answer is not a JSON object", device=self._name, link=self._place)
+            raise ProtocolError("answer is not a JSON object", device=self._name, link=self._address)
         return answer
 
     @property
-    def _place(self) -> str:
+    def _address(self) -> str:
         return f"{self._settings.host}:{self._settings.port}"
 
     def _lost(self, reason: str) -> LinkLost:
         return LinkLost(
-            reason, device=self._name, link=self._place, hint="is `volcal simulate` running with --control?"
+            reason, device=self._name, link=self._address, hint="is `volcal simulate` running with --control?"
         )
 
 

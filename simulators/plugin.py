@@ -41,7 +41,7 @@ class SimulatedSettings(BaseModel):
             return World(build_scenario(self._document, base))
         scenario = read_scenario(base / (self.scenario or Path()))
         if self.ideal and not scenario.settings.ideal:
-            scenario = scenario.made_ideal()
+            scenario = scenario.without_errors()
         return World(scenario)
 
 

@@ -173,7 +173,7 @@ class Scenario:
             )
 
     @property
-    def mounts(self) -> int:
+    def mount_count(self) -> int:
         """How many mounts there are."""
         return len(self.settings.stations_mm) if self.settings.own_mounts else 1
 
@@ -185,10 +185,12 @@ class Scenario:
             raise ConfigurationError(f"{len(self.artefacts)} artefacts for {stations} stations", key="artefacts")
         if len({artefact.ball_diameter_mm for artefact in (self.artefact, *self.artefacts)}) > 1:
             raise ConfigurationError("the balls of all artefacts must have one diameter", key="artefacts")
-        if settings.mounts_deg and len(settings.mounts_deg) != self.mounts:
-            raise ConfigurationError(f"{len(settings.mounts_deg)} angles for {self.mounts} mounts", key="mounts_deg")
+        if settings.mounts_deg and len(settings.mounts_deg) != self.mount_count:
+            raise ConfigurationError(
+                f"{len(settings.mounts_deg)} angles for {self.mount_count} mounts", key="mounts_deg"
+            )
 
-    def made_ideal(self) -> Scenario:
+    def without_errors(self) -> Scenario:
         """The same without any error: what a dry run runs on."""
         return dataclasses.replace(self, settings=ideal_document(self.settings))
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 from agent.execution.encoding import table_digest
 from drivers.roles import Permission, TableImage
 from simulators.scenario import Scenario
-from simulators.wire.wired_machine import Links, MachineOnWires
-from simulators.world.ageing import of_night
+from simulators.wire.wired_machine import Links, WiredMachine
+from simulators.world.ageing import scenario_of_night
 from simulators.world.world import World
 
 HERE = "127.0.0.1"
@@ -57,7 +57,7 @@ class Plant:
         self._machine.modbus.close()
 
     def permit(self, permission: Permission, given: bool) -> None:
-        self.world.controller.given[permission] = given
+        self.world.controller.granted[permission] = given
 
     def twin(self) -> Plant:
         """A machine that is the same in everything, on links of its own."""
@@ -102,10 +102,10 @@ class Plant:
         """Displayed, mm."""
         return [float(value) for value in self.world.controller.displayed_position()]
 
-    def _switched_on(self) -> MachineOnWires:
-        scenario = of_night(self._scenario, self._night)
+    def _switched_on(self) -> WiredMachine:
+        scenario = scenario_of_night(self._scenario, self._night)
         settings = scenario.settings.model_copy(update={"standing_at": self._station_of(self._night)})
-        machine = MachineOnWires(replace(scenario, settings=settings), self._links)
+        machine = WiredMachine(replace(scenario, settings=settings), self._links)
         controller = machine.world.controller
         for bank, image in self._banks.items():
             controller.write_bank(bank, image)

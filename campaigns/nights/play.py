@@ -43,7 +43,7 @@ from campaigns.nights.season import DRAWS, Season, case, reach_um, with_table
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
 from simulators.backend import SimulatedMachineDevice
-from simulators.world.ageing import of_night
+from simulators.world.ageing import scenario_of_night
 from simulators.world.world import World
 
 SLOT_MINUTES = 15.0
@@ -108,7 +108,7 @@ class Machine:
         )
 
     def _world(self, night: int) -> World:
-        scenario = of_night(self._scenario, night)
+        scenario = scenario_of_night(self._scenario, night)
         settings = scenario.settings.model_copy(update={"standing_at": self._season.station(night)})
         world = World(replace(scenario, settings=settings))
         for bank, image in self._banks.items():

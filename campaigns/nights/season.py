@@ -15,7 +15,7 @@ from agent.results.table_image import image_of
 from agent.settings.load import load_settings
 from drivers.roles import TableImage
 from simulators.scenario import AgeingSettings, Scenario, read_scenario
-from simulators.world.ageing import of_night
+from simulators.world.ageing import scenario_of_night
 from simulators.world.world import World
 from twin.arrays import Array
 from twin.artefact.observations import Observations
@@ -66,7 +66,7 @@ def case(state: Path) -> Job:
 def reach_um(season: Season, night: int) -> float:
     """True VCE, aligned, of full calibrations of that night's machine."""
     job = case(Path("unused"))
-    world = World(of_night(season.scenario, night))
+    world = World(scenario_of_night(season.scenario, night))
     reached = []
     for number in range(DRAWS):
         observations = found_exactly(world, job, np.random.default_rng([season.seed, night, number]))

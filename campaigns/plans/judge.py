@@ -103,19 +103,19 @@ class Judge:
         count = max(1, math.ceil(turned * workpiece.sweep_radius_mm / TURN_STEP_MM))
         for instant in np.linspace(before_s, after_s, count + 1)[1:]:
             azimuth, elevation = workpiece.mount.angles_deg(float(instant))
-            centre, rotation = pose(workpiece.place_mm, self._job.settings.mount.shaft_mm, azimuth, elevation)
+            centre, rotation = pose(workpiece.location_mm, self._job.settings.mount.shaft_mm, azimuth, elevation)
             tip = np.array([self._world.controller.displayed_at(float(instant))]) + self._tool
             look(self._seen, tip, self._cloud_at(centre, rotation), self.figures)
 
     def _use_standing(self, instant_s: float) -> None:
-        standing = self._world.workpiece.standing(instant_s)
+        standing = self._world.workpiece.snapshot(instant_s)
         if standing is not self._standing:
             self._flush()
             self._standing = standing
             self._cloud = self._cloud_at(np.asarray(standing.pose.centre), np.asarray(standing.pose.rotation))
 
     def _cloud_at(self, centre: Array, rotation: Array) -> Cloud:
-        return cloud_of(self._job, np.asarray(self._world.workpiece.place_mm), centre, rotation)
+        return cloud_of(self._job, np.asarray(self._world.workpiece.location_mm), centre, rotation)
 
     def _flush(self) -> None:
         if self._tips and self._cloud is not None:

@@ -58,9 +58,9 @@ def _moved(drawn: Drawn, number: int) -> Provoked:
     figures = Figures(drawn.job, 0.0)
     before, judged = Seen(), Seen()
     tool = np.array(world.controller.tool_offset)
-    stand = world.workpiece.standing(world.now).pose
+    stand = world.workpiece.snapshot(world.now).pose
     cloud = cloud_of(
-        drawn.job, np.asarray(world.workpiece.place_mm), np.asarray(stand.centre), np.asarray(stand.rotation)
+        drawn.job, np.asarray(world.workpiece.location_mm), np.asarray(stand.centre), np.asarray(stand.rotation)
     )
     look(before, start[None] + tool, cloud, figures)
     if before.collisions or before.smallest_mm < FREE_AT_START_MM or world.collisions:

@@ -17,8 +17,8 @@ import click
 
 from drivers.errors import VolcalError
 from simulators.linuxcnc.machine import LinuxCncMachine, build
-from simulators.linuxcnc.namespaces import first_child, unshared, why_not
-from simulators.linuxcnc.work import prepare
+from simulators.linuxcnc.namespaces import first_child, unavailable_reason, unshare_command
+from simulators.linuxcnc.work import prepare_work_directory
 from simulators.scenario import read_scenario
 
 PATH = click.Path(path_type=Path)
@@ -40,10 +40,10 @@ def run(
         if inside:
             _serve(scenario, work.resolve(), ini, speed)
             return
-        reason = why_not()
+        reason = unavailable_reason()
         if reason:
             raise click.ClickException(f"LinuxCNC cannot run here: {reason}")
-        prepare(configuration, components, work.resolve())
+        prepare_work_directory(configuration, components, work.resolve())
         build(components.resolve(), work.resolve() / "build")
     except VolcalError as error:
         raise click.ClickException(str(error)) from None
@@ -52,7 +52,7 @@ def run(
 
 def _in_namespaces(arguments: list[str]) -> int:
     """The same program again, in namespaces; its ready line gets the process id by which they are entered."""
-    command = unshared([sys.executable, "-m", "simulators.linuxcnc", *arguments, "--inside"])
+    command = unshare_command([sys.executable, "-m", "simulators.linuxcnc", *arguments, "--inside"])
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603  our own program
         assert process.stdout is not None  # noqa: S101  asked for above
         line = process.stdout.readline()

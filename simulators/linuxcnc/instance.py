@@ -14,8 +14,8 @@ from drivers.errors import ConfigurationError, LinkLost
 from simulators.linuxcnc.namespaces import HOME
 
 RSH_PORT = 5007
-UP_WITHIN_S = 30.0
-DONE_WITHIN_S = 20.0
+START_TIMEOUT_S = 30.0
+STOP_TIMEOUT_S = 20.0
 POLL_S = 0.05
 NOBODY = "65534"
 JOINTS = 3
@@ -51,9 +51,9 @@ class LinuxCncInstance:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            with self._said("shutdown"):
+            with self._send("shutdown"):
                 if self._process is not None:
-                    self._process.wait(DONE_WITHIN_S)
+                    self._process.wait(STOP_TIMEOUT_S)
         except (OSError, subprocess.TimeoutExpired):
             self._kill()
 
@@ -68,12 +68,12 @@ class LinuxCncInstance:
 
     def _make_ready(self) -> None:
         """Wait for the display's server, release the e-stop, switch on, home."""
-        deadline = Deadline.after(RealClock(), UP_WITHIN_S)
+        deadline = Deadline.after(RealClock(), START_TIMEOUT_S)
         while not self._homed():
             if self._process is not None and self._process.poll() is not None:
-                said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+                output = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
                 raise ConfigurationError(
-                    f"LinuxCNC did not start: {said[-1] if said else 'it said nothing'}", file=str(self.log)
+                    f"LinuxCNC did not start: {output[-1] if output else 'no output'}", file=str(self.log)
                 )
             deadline.require("LinuxCNC to be homed", hint=f"see {self.log}")
             deadline.clock.sleep(POLL_S)
@@ -81,17 +81,17 @@ class LinuxCncInstance:
     def _homed(self) -> bool:
         """Ask for what is missing, and whether nothing is."""
         try:
-            told = self._ask("get joint_homed", "get machine")
-            if told.count(" YES") < JOINTS:
+            reply = self._ask("get joint_homed", "get machine")
+            if reply.count(" YES") < JOINTS:
                 self._ask("set estop off", "set machine on", "set mode manual", "set home -1", "get machine")
                 return False
         except OSError:
             return False
-        return "MACHINE ON" in told
+        return "MACHINE ON" in reply
 
     def _ask(self, *lines: str) -> str:
         """Commands to linuxcncrsh, the last of them `get machine`, and everything that it answers until that."""
-        with self._said(*lines) as link:
+        with self._send(*lines) as link:
             answer = ""
             while "MACHINE O" not in answer or not answer.endswith("\n"):
                 chunk = link.recv(4096)
@@ -100,9 +100,9 @@ class LinuxCncInstance:
                 answer += chunk.decode(errors="replace").upper()
         return answer
 
-    def _said(self, *lines: str) -> socket.socket:
+    def _send(self, *lines: str) -> socket.socket:
         text = "".join(f"{line}\r\n" for line in ("hello EMC volcal 1.0", "set enable EMCTOO", *lines))
-        link = socket.create_connection(("127.0.0.1", RSH_PORT), timeout=DONE_WITHIN_S)
+        link = socket.create_connection(("127.0.0.1", RSH_PORT), timeout=STOP_TIMEOUT_S)
         link.sendall(text.encode())
         return link
 
@@ -111,7 +111,7 @@ class LinuxCncInstance:
             return
         self._process.terminate()
         try:
-            self._process.wait(DONE_WITHIN_S)
+            self._process.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired as late:
             self._process.kill()
             raise LinkLost("LinuxCNC does not end", file=str(self.log)) from late

@@ -13,7 +13,7 @@ from drivers.clock import RealClock, ScaledClock
 from drivers.errors import ConfigurationError
 from simulators.linuxcnc.instance import LinuxCncInstance
 from simulators.linuxcnc.namespaces import make_private
-from simulators.linuxcnc.plant import Plant
+from simulators.linuxcnc.plant import LinuxCncPlant
 from simulators.scenario import Scenario
 from simulators.wire.can.channel import CanChannel, open_channel
 from simulators.wire.can.drive import DriveConfig, drive_node
@@ -64,7 +64,7 @@ class LinuxCncMachine:
     def __enter__(self) -> Self:
         with ExitStack() as undo:
             make_private(self._work, sorted((self._work / "build").glob("*.so")))
-            self._plant = Plant(self._scenario, self._work / "plant.bin")
+            self._plant = LinuxCncPlant(self._scenario, self._work / "plant.bin")
             for server in self._servers():
                 undo.callback(server.close)
                 server.start()
@@ -81,7 +81,7 @@ class LinuxCncMachine:
 
     def _servers(self) -> list[ControlServer | CanServer | Ticker]:
         shared = SharedWorld(self._plant.world)
-        shared.subscribe(self._plant.moved_to)
+        shared.subscribe(self._plant.on_advance)
         self._control = ControlServer(shared, CONTROL)
         self._can = open_channel(CAN)
         nodes = [

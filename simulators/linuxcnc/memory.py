@@ -27,7 +27,7 @@ _SCENE = np.dtype(
         ("pretravel_mm", "<f8"),
         ("lobing_mm", "<f8"),
         ("touch_sigma_mm", "<f8"),
-        ("scatter_mm", "<f8"),
+        ("repeatability_mm", "<f8"),
         ("backlash_mm", "<f8", 3),
         ("tool_mm", "<f8", 3),
         ("drift_mm", "<f8", 3),
@@ -59,7 +59,7 @@ class DeviationGrid:
 
 
 @dataclass(frozen=True)
-class ProbeNature:
+class ProbeBehaviour:
     """How the probe and the axes behave; `reach_mm`: of the centres of tip and ball at contact."""
 
     seed: int
@@ -68,7 +68,7 @@ class ProbeNature:
     pretravel_mm: float
     lobing_mm: float
     touch_sigma_mm: float
-    scatter_mm: float
+    repeatability_mm: float
     backlash_mm: tuple[float, float, float]
     tool_mm: tuple[float, float, float]
 
@@ -76,7 +76,7 @@ class ProbeNature:
 class PlantMemory:
     """Written here, read by the servo thread; `close` leaves the file."""
 
-    def __init__(self, path: Path, grid: DeviationGrid, nature: ProbeNature) -> None:
+    def __init__(self, path: Path, grid: DeviationGrid, nature: ProbeBehaviour) -> None:
         size = _HEAD.itemsize + grid.deviation_mm.size * 8
         with path.open("wb+") as file:
             file.truncate(size)
@@ -104,7 +104,7 @@ class PlantMemory:
         self._scene["temperature_c"] = temperatures_c
         self._head["sequence"] += 1
 
-    def traced(self) -> Array:
+    def read_trace(self) -> Array:
         """(n, 3): where the tip has been since it was asked last, the last place before included."""
         written = int(self._head["traced"][0])
         first = max(self._read - 1, written - TRACE + 1, 0)

@@ -1,6 +1,6 @@
 """Linux namespaces around a LinuxCNC: it has one lock, fixed keys of shared memory and servers on all interfaces.
 
-A program started here has network, IPC, mounts and processes of its own; another enters the same by `entering`.
+A program started here has network, IPC, mounts and processes of its own; another enters the same by `nsenter_command`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ HOME = str(TMP)
 """LinuxCNC keeps its tool table in a file under HOME: whoever talks to it must have the same."""
 
 
-def unshared(command: list[str]) -> list[str]:
+def unshare_command(command: list[str]) -> list[str]:
     """`command` as the first process of namespaces of its own; it ends with the process that starts it."""
     return [
         "unshare",
@@ -34,13 +34,13 @@ def unshared(command: list[str]) -> list[str]:
     ]
 
 
-def entering(pid: int) -> list[str]:
+def nsenter_command(pid: int) -> list[str]:
     """What to put before a command that shall run in the namespaces of process `pid`, as seen from here."""
     user = ["--user", "--preserve-credentials"] if _user() else []
     return ["nsenter", "--target", str(pid), *user, "--net", "--ipc", "--mount", "--pid", "env", f"HOME={HOME}"]
 
 
-def why_not() -> str:
+def unavailable_reason() -> str:
     """Why no LinuxCNC can run here; empty where one can."""
     for program, package in (("linuxcnc", "linuxcnc-uspace"), ("halcompile", "linuxcnc-uspace-dev")):
         if shutil.which(program) is None:
@@ -49,7 +49,7 @@ def why_not() -> str:
         if shutil.which(program) is None:
             return f"{program} is not installed (package {package})"
     tried = subprocess.run(  # noqa: S603
-        unshared(["true"]), capture_output=True, text=True, timeout=10.0, check=False
+        unshare_command(["true"]), capture_output=True, text=True, timeout=10.0, check=False
     )
     return "" if tried.returncode == 0 else f"no namespaces can be had: {tried.stderr.strip()}"
 

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from simulators.linuxcnc.memory import DeviationGrid, PlantMemory, ProbeNature
+from simulators.linuxcnc.memory import DeviationGrid, PlantMemory, ProbeBehaviour
 from simulators.scenario import Scenario
 from simulators.world.noise import generator
 from simulators.world.thermal_effects import AMBIENT, ARTEFACT, MACHINE
-from simulators.world.workpiece import Standing
+from simulators.world.workpiece import WorkpieceSnapshot
 from simulators.world.world import Collision, World
 from twin.arrays import Array
 from twin.collision.bodies import TIP
@@ -28,8 +28,8 @@ NEAR_MM = 2.0
 """A stem may touch the ball that the tip is about to touch or leaves: it yields together with the tip."""
 
 
-class Plant:
-    """`moved_to` is called after each advance of the world's time."""
+class LinuxCncPlant:
+    """`on_advance` is called after each advance of the world's time."""
 
     def __init__(self, scenario: Scenario, file: Path) -> None:
         self.world = World(scenario)
@@ -37,56 +37,56 @@ class Plant:
         tool = point(scenario.machine.tool(settings.tool))
         self._reach_mm = self.world.table.ball_radius_mm + settings.probe.tip_radius_mm
         self._overtravel_mm = settings.trigger.overtravel_mm
-        nature = ProbeNature(
+        nature = ProbeBehaviour(
             seed=int(generator(settings.seed, "linuxcnc plant").integers(2**20)),
             reach_mm=self._reach_mm,
             overtravel_mm=self._overtravel_mm,
             pretravel_mm=1e-3 * settings.trigger.pretravel_um,
             lobing_mm=1e-3 * settings.trigger.lobing_um,
             touch_sigma_mm=1e-3 * settings.trigger.touch_sigma_um,
-            scatter_mm=1e-3 * settings.axes.repeatability_um,
+            repeatability_mm=1e-3 * settings.axes.repeatability_um,
             backlash_mm=_in_mm(settings.axes.backlash_of_axes_um),
             tool_mm=tool,
         )
         self.memory = PlantMemory(file, _sampled(self.world.truth.machine, scenario), nature)
-        self._shown: Standing | None = None
+        self._shown: WorkpieceSnapshot | None = None
         self._tip: Point | None = None
         self._colliding: set[tuple[str, str]] = set()
-        self.moved_to(0.0)
+        self.on_advance(0.0)
 
-    def moved_to(self, now_s: float) -> None:
+    def on_advance(self, now_s: float) -> None:
         """Show what stands there now, and look for collisions on the way gone since."""
-        standing = self.world.table.standing(now_s)
-        way = self.memory.traced()
-        if standing is not self._shown:
-            self._show(standing)
+        snapshot = self.world.table.snapshot(now_s)
+        way = self.memory.read_trace()
+        if snapshot is not self._shown:
+            self._show(snapshot)
             if self._tip is not None:
-                self._look(standing, self._tip, self._tip)
+                self._look(snapshot, self._tip, self._tip)
         for start, end in zip(way[:-1].tolist(), way[1:].tolist(), strict=True):
-            self._look(standing, point(start), point(end))
+            self._look(snapshot, point(start), point(end))
             self._tip = point(end)
 
-    def _show(self, standing: Standing) -> None:
+    def _show(self, snapshot: WorkpieceSnapshot) -> None:
         told = self.world.controller.temperatures()
         self.memory.show(
-            np.array(standing.balls).reshape(-1, 3),
+            np.array(snapshot.balls).reshape(-1, 3),
             drift_mm=(0.0, 0.0, 0.0),
             temperatures_c=[told[ARTEFACT], told[MACHINE], told[AMBIENT]],
         )
-        self._shown = standing
+        self._shown = snapshot
 
-    def _look(self, standing: Standing, start: Point, end: Point) -> None:
+    def _look(self, snapshot: WorkpieceSnapshot, start: Point, end: Point) -> None:
         """Record a collision when it begins; as long as it lasts it is one."""
         near = {
             (STEM, name)
-            for name, ball in zip(standing.ball_names, standing.balls, strict=True)
+            for name, ball in zip(snapshot.ball_names, snapshot.balls, strict=True)
             if min(math.dist(start, ball), math.dist(end, ball)) < self._reach_mm + NEAR_MM
         }
-        hit = standing.scene.first_hit(start, end, ignored=standing.meant | near)
+        hit = snapshot.scene.first_hit(start, end, ignored=snapshot.allowed_contacts | near)
         now = {(hit.moving, hit.obstacle)} if hit is not None else set()
         now |= {
             (TIP, name)
-            for name, ball in zip(standing.ball_names, standing.balls, strict=True)
+            for name, ball in zip(snapshot.ball_names, snapshot.balls, strict=True)
             if math.dist(end, ball) < self._reach_mm - self._overtravel_mm
         }
         for moving, obstacle in sorted(now - self._colliding):

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from drivers.errors import LinkLost
-from simulators.linuxcnc.namespaces import entering
+from simulators.linuxcnc.namespaces import nsenter_command
 
 END_WITHIN_S = 30.0
 ANSWER_WITHIN_S = 60.0
@@ -58,7 +58,7 @@ class LinuxCncProcess:
 
     def inside(self, *command: str) -> list[str]:
         """That command, to be run in the namespaces of this LinuxCNC."""
-        return [*entering(self.ready["pid"]), *command]
+        return [*nsenter_command(self.ready["pid"]), *command]
 
     @property
     def bridge_command(self) -> list[str]:

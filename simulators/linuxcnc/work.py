@@ -11,7 +11,7 @@ EMPTY = ("machine.var",)
 TABLES = "tables"
 
 
-def prepare(configuration: Path, components: Path, work: Path) -> None:
+def prepare_work_directory(configuration: Path, components: Path, work: Path) -> None:
     """Copy INI, HAL and tool files and the HAL files of the components (not the agent's settings); make the tables'
     directory."""
     if not configuration.is_dir():

@@ -15,14 +15,14 @@ import structlog
 
 from drivers.errors import InputError, VolcalError
 from drivers.roles import MotionState, Permission, TableImage, Vector
-from simulators.wire.shared_world import MovedByTime, SharedWorld
+from simulators.wire.shared_world import SharedWorld, TimeDriven
 from simulators.wire.tcp_server import TcpServer, serve_lines
 
 Answer = dict[str, Any]
 FailDrive = Callable[[int, str], None]
 """Node and fault; raises InputError for what there is not."""
 
-KEYS = {"place_artefact": ("station",), "drive": ("node", "fault")}
+REQUEST_KEYS = {"place_artefact": ("station",), "drive": ("node", "fault")}
 """What a request takes besides `do`."""
 
 log = structlog.get_logger()
@@ -34,7 +34,7 @@ class VolumetricTruth(Protocol):
         ...
 
 
-class Bump(Protocol):
+class CollisionRecord(Protocol):
     @property
     def time_s(self) -> float: ...
 
@@ -45,7 +45,7 @@ class Bump(Protocol):
     def body_b(self) -> str: ...
 
 
-class VisibleController(Protocol):
+class ControllerView(Protocol):
     @property
     def motion(self) -> MotionState: ...
 
@@ -66,17 +66,17 @@ class VisibleController(Protocol):
     def temperatures(self) -> Mapping[str, float]: ...
 
 
-class WorldInSight(MovedByTime, Protocol):
+class ControllableWorld(TimeDriven, Protocol):
     """What the control channel needs of the world."""
 
     @property
-    def controller(self) -> VisibleController: ...
+    def controller(self) -> ControllerView: ...
 
     @property
     def truth(self) -> VolumetricTruth: ...
 
     @property
-    def collisions(self) -> Sequence[Bump]: ...
+    def collisions(self) -> Sequence[CollisionRecord]: ...
 
     def place_artefact(self, station: int) -> None: ...
 
@@ -85,7 +85,7 @@ class ControlServer:
     """Serves any number of clients on `address`."""
 
     def __init__(
-        self, shared: SharedWorld[WorldInSight], address: tuple[str, int], fail_drive: FailDrive | None = None
+        self, shared: SharedWorld[ControllableWorld], address: tuple[str, int], fail_drive: FailDrive | None = None
     ) -> None:
         self._shared = shared
         self._fail_drive = fail_drive
@@ -118,7 +118,7 @@ class ControlServer:
         name = request.get("do")
         if not isinstance(name, str) or name not in self._actions:
             raise InputError(f"unknown request {name!r}", key="do", hint=f"one of {', '.join(self._actions)}")
-        unknown = sorted(set(request) - {"do", *KEYS.get(name, ())})
+        unknown = sorted(set(request) - {"do", *REQUEST_KEYS.get(name, ())})
         if unknown:
             raise InputError(f"unknown key {unknown[0]!r} in a request to {name}", key=unknown[0])
         return self._actions[name]

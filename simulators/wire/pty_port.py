@@ -52,7 +52,7 @@ class PseudoTerminal:
             ) from error
 
     @property
-    def place(self) -> str:
+    def device_path(self) -> str:
         """What the other side opens."""
         return self.port if self._link is None else str(self._link)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 
-class MovedByTime(Protocol):
+class TimeDriven(Protocol):
     """What is shared: anything with a machine time that somebody moves on."""
 
     @property
@@ -17,12 +17,12 @@ class MovedByTime(Protocol):
     def advance_to(self, instant_s: float) -> None: ...
 
 
-W_co = TypeVar("W_co", bound=MovedByTime, covariant=True)
+W_co = TypeVar("W_co", bound=TimeDriven, covariant=True)
 
 
 @dataclass(frozen=True)
 class _Companion:
-    moved_to: Callable[[float], None]
+    on_advance: Callable[[float], None]
     wakes_at: Callable[[], float | None] | None
 
 
@@ -49,11 +49,11 @@ class SharedWorld(Generic[W_co]):
         return self._world.now
 
     def subscribe(
-        self, moved_to: Callable[[float], None], *, wakes_at: Callable[[], float | None] | None = None
+        self, on_advance: Callable[[float], None], *, wakes_at: Callable[[], float | None] | None = None
     ) -> None:
-        """`moved_to(now_s)` is called after each advance; `wakes_at()` says when it must be, None for never."""
+        """`on_advance(now_s)` is called after each advance; `wakes_at()` says when it must be, None for never."""
         with self.lock:
-            self._companions.append(_Companion(moved_to, wakes_at))
+            self._companions.append(_Companion(on_advance, wakes_at))
 
     def advance_to(self, instant_s: float) -> None:
         """Move the world and its companions to `instant_s`; an instant that has passed changes nothing."""
@@ -73,4 +73,4 @@ class SharedWorld(Generic[W_co]):
     def _step_to(self, instant_s: float) -> None:
         self._world.advance_to(instant_s)
         for companion in self._companions:
-            companion.moved_to(instant_s)
+            companion.on_advance(instant_s)

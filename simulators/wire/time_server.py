@@ -11,7 +11,7 @@ import socket
 import threading
 
 from drivers.clock import Clock
-from simulators.wire.shared_world import MovedByTime, SharedWorld
+from simulators.wire.shared_world import SharedWorld, TimeDriven
 from simulators.wire.tcp_server import TcpServer, serve_lines
 
 TICK_S = 0.002
@@ -22,7 +22,7 @@ class TimeServer:
     """Lockstep over TCP. Each client's seconds count from the machine time at which it connected, because its
     clock starts at zero: a second agent after the first one's night does not stand still."""
 
-    def __init__(self, shared: SharedWorld[MovedByTime], address: tuple[str, int]) -> None:
+    def __init__(self, shared: SharedWorld[TimeDriven], address: tuple[str, int]) -> None:
         self._shared = shared
         self._server = TcpServer("time", address, self._serve)
         self.address = self._server.address
@@ -56,7 +56,7 @@ def _parse_advance(line: bytes) -> float | None:
 class Ticker:
     """Moves the world along with `clock` (real or scaled) in small steps, in a thread of its own."""
 
-    def __init__(self, shared: SharedWorld[MovedByTime], clock: Clock) -> None:
+    def __init__(self, shared: SharedWorld[TimeDriven], clock: Clock) -> None:
         self._shared = shared
         self._clock = clock
         self._stop = threading.Event()

@@ -9,11 +9,11 @@ from typing import Any
 from drivers.clock import RealClock, ScaledClock
 from drivers.errors import ConfigurationError, InputError
 from simulators.scenario import Scenario
-from simulators.wire.can.mounts import CanMounts, drives_of
+from simulators.wire.can.mounts import CanMounts, drive_configs
 from simulators.wire.control_channel import ControlServer
 from simulators.wire.grbl.port import GrblPort
 from simulators.wire.modbus.controller import ModbusController
-from simulators.wire.modbus.numbers import Float64Numbers, NumberFormat
+from simulators.wire.modbus.numbers import Float64Numbers, RegisterNumberFormat
 from simulators.wire.modbus.rtu import LineSettings, ModbusRtuController
 from simulators.wire.shared_world import SharedWorld
 from simulators.wire.time_server import Ticker, TimeServer
@@ -32,13 +32,13 @@ class Links:
     can: str | None = None
     time: Address = ("127.0.0.1", 0)
     speed: float | None = None
-    numbers: NumberFormat = field(default_factory=Float64Numbers)
+    numbers: RegisterNumberFormat = field(default_factory=Float64Numbers)
     modbus_rtu: LineSettings | None = None
     serial: str | None = None
     """GRBL on a pseudo-terminal besides: the path of a link to it, or ``any``."""
 
 
-class MachineOnWires:
+class WiredMachine:
     """Every link is open when this is built; `start` begins to serve, `close` ends everything.
 
     Raises ConfigurationError where a link cannot be had or the scenario does not fit the register map.
@@ -92,11 +92,11 @@ class MachineOnWires:
         """What the other side must know: addresses as they are, stations, and the drives on the bus: of the first mount
         and of all, by their number, which is that of the station where each has its own."""
         settings = self.world.scenario.settings
-        nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drives_of(len(self.world.mounts))]
+        nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drive_configs(len(self.world.mounts))]
         return {
             "modbus": self.modbus.agent_settings,
-            "control": _place(self.control.address),
-            "time": _place(self.time.address) if self.time is not None else None,
+            "control": _host_and_port(self.control.address),
+            "time": _host_and_port(self.time.address) if self.time is not None else None,
             "can": self._can.agent_settings if self._can is not None else None,
             "can_nodes": nodes[0] if self._can is not None else {},
             "can_mounts": {str(number): pair for number, pair in enumerate(nodes, 1)} if self._can is not None else {},
@@ -114,6 +114,6 @@ def _clock(speed: float | None) -> RealClock | ScaledClock:
     return ScaledClock(speed)
 
 
-def _place(address: Address) -> dict[str, str | int]:
+def _host_and_port(address: Address) -> dict[str, str | int]:
     host, port = address
     return {"host": host, "port": port}

@@ -23,7 +23,7 @@ _NIGHTS_APART = 1_000_003
 """Between the seeds of two nights: no noise of one comes again in another."""
 
 
-def aged(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
+def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
     """`machine` as it is at the night that `ageing` names. ConfigurationError for an error that it does not have."""
     model = machine.model
     if model is None:
@@ -34,7 +34,7 @@ def aged(machine: TrueMachine, description: MachineDescription, ageing: AgeingSe
     return replace(machine, parameters=machine.parameters + change)
 
 
-def of_night(scenario: Scenario, night: int) -> Scenario:
+def scenario_of_night(scenario: Scenario, night: int) -> Scenario:
     """The same machine and artefact at another night: other noise, another hand that has put down the mount."""
     settings = scenario.settings
     ageing = settings.ageing.model_copy(update={"night": night})

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simulators.world.field import TableField, TipShift
-from simulators.world.workpiece import Standing
+from simulators.world.workpiece import WorkpieceSnapshot
 from twin.collision.geometry import Point, added
 from twin.collision.motion_law import Path, entry
 
@@ -35,22 +35,22 @@ class ContactSolver:
         self._tool = tool_offset
         self._reach = reach
         self._shift = shift
-        self._near: tuple[Standing, TableField | None, Sequence[Point]] | None = None
+        self._near: tuple[WorkpieceSnapshot, TableField | None, Sequence[Point]] | None = None
         self._last: tuple[Point, TableField | None, Point] | None = None
 
-    def first(self, path: Path, standing: Standing, resting: int | None) -> Contact | None:
+    def first(self, path: Path, snapshot: WorkpieceSnapshot, resting: int | None) -> Contact | None:
         """First ball met along `path`; the one that the tip already rests on does not count."""
         first: Contact | None = None
         start = added(path.start, self._shift.rigid)
         (x, y, z), (dx, dy, dz), within = start, path.direction, path.length + self._reach + _ROUNDING_MM
-        for ball, apparent in enumerate(self._apparent(standing)):
+        for ball, apparent in enumerate(self._apparent(snapshot)):
             ahead = (apparent[0] - x) * dx + (apparent[1] - y) * dy + (apparent[2] - z) * dz
             if not 0.0 < ahead <= within or ball == resting:
                 continue
             distance = entry(start, path, apparent, self._reach)
             if distance is not None and (first is None or distance < first.distance):
                 first = Contact(distance, ball)
-        return self._refined(first, path, standing) if first and self._shift.has_field else first
+        return self._refined(first, path, snapshot) if first and self._shift.has_field else first
 
     def tip(self, axis_position: Point) -> Point:
         """Where the tip centre is in the workpiece frame; the last answer is kept, since an axis rests."""
@@ -60,10 +60,10 @@ class ContactSolver:
             self._last = last = (axis_position, self._shift.table, field)
         return added(added(axis_position, self._tool), added(self._shift.rigid, last[2]))
 
-    def resting_on(self, axis_position: Point, standing: Standing) -> int | None:
+    def resting_on(self, axis_position: Point, snapshot: WorkpieceSnapshot) -> int | None:
         """The ball that the tip is pressed against, if any."""
         tip = self.tip(axis_position)
-        for ball, centre in enumerate(standing.balls):
+        for ball, centre in enumerate(snapshot.balls):
             if math.dist(tip, centre) < self._reach:
                 return ball
         return None
@@ -84,21 +84,21 @@ class ContactSolver:
         distance = -closing + math.sqrt(max(closing * closing + inside, 0.0))
         return distance if distance <= path.length else math.inf
 
-    def _refined(self, contact: Contact, path: Path, standing: Standing) -> Contact | None:
+    def _refined(self, contact: Contact, path: Path, snapshot: WorkpieceSnapshot) -> Contact | None:
         field = self._shift.field_at(path.at(contact.distance))
         start = added(added(path.start, self._tool), added(self._shift.rigid, field))
-        distance = entry(start, path, standing.balls[contact.ball], self._reach)
+        distance = entry(start, path, snapshot.balls[contact.ball], self._reach)
         return None if distance is None else Contact(distance, contact.ball)
 
-    def _apparent(self, standing: Standing) -> Sequence[Point]:
+    def _apparent(self, snapshot: WorkpieceSnapshot) -> Sequence[Point]:
         """Displayed axis positions at which the tip would be in the middle of each ball, but for what is rigid;
         kept while neither the pose nor the table changes."""
         kept = self._near
-        if kept is None or kept[0] is not standing or kept[1] is not self._shift.table:
-            nominal = np.array(standing.balls) - self._tool
+        if kept is None or kept[0] is not snapshot or kept[1] is not self._shift.table:
+            nominal = np.array(snapshot.balls) - self._tool
             apparent = nominal - self._shift.field_at_many(nominal)
             points = [(x, y, z) for x, y, z in apparent.tolist()]
-            self._near = kept = (standing, self._shift.table, points)
+            self._near = kept = (snapshot, self._shift.table, points)
         return kept[2]
 
 

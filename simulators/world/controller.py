@@ -18,14 +18,14 @@ from drivers.roles import AxisLimits, MotionState, Permission, StoreLimits, Tabl
 from simulators.scenario import Scenario
 from simulators.world.contact import ContactSolver
 from simulators.world.field import FieldOfMany, TipShift
-from simulators.world.lost_motion import Play
-from simulators.world.motion_forecast import Command, Course, Kind, Outlook, course_of
+from simulators.world.lost_motion import PlayOperator
+from simulators.world.motion_forecast import MotionCommand, MotionForecast, MotionKind, PathEvents, forecast_motion
 from simulators.world.noise import BY_STEP
-from simulators.world.path_lookahead import Foresight
+from simulators.world.path_lookahead import PathLookahead
 from simulators.world.tables import TableBanks
-from simulators.world.thermal_effects import Thermal
+from simulators.world.thermal_effects import ThermalEffects
 from simulators.world.trigger import Trigger
-from simulators.world.workpiece import Standing
+from simulators.world.workpiece import WorkpieceSnapshot
 from simulators.world.worktable import Worktable
 from twin.arrays import Array
 from twin.collision.geometry import Point, point
@@ -45,10 +45,10 @@ class Latch:
 
 @dataclass(slots=True)
 class _Motion:
-    command: Command
+    command: MotionCommand
     law: MotionLaw
-    outlook: Outlook
-    course: Course
+    events: PathEvents
+    forecast: MotionForecast
     ends_in: MotionState = MotionState.IDLE
     reason: str = ""
 
@@ -62,7 +62,7 @@ class Controller:
         *,
         machine_field: FieldOfMany | None,
         table: Worktable,
-        thermal: Thermal,
+        thermal: ThermalEffects,
         on_motion: Callable[[], None],
         on_collision: Callable[[str, str], None],
     ) -> None:
@@ -72,16 +72,16 @@ class Controller:
         self._table = table
         self._thermal = thermal
         self._trigger = Trigger(settings.trigger, settings.seed)
-        self._play = Play(settings.axes, settings.seed)
+        self._play = PlayOperator(settings.axes, settings.seed)
         self._shift = TipShift(machine_field)
         reach = table.ball_radius_mm + settings.probe.tip_radius_mm
         self.contacts = ContactSolver(self._tool, reach, self._shift)
-        self._foresight = Foresight(self._tool, self.contacts, self._trigger)
+        self._lookahead = PathLookahead(self._tool, self.contacts, self._trigger)
         self._tables = TableBanks(settings.store)
         self._on_motion, self._on_collision = on_motion, on_collision
         self._position: Point = settings.start_mm or self._limits.lower_mm
         self._motion: _Motion | None = None
-        self._held: Command | None = None
+        self._held: MotionCommand | None = None
         self._state = MotionState.IDLE
         self._deflected = False
         self._touches = 0
@@ -93,7 +93,7 @@ class Controller:
         self.touch_missed = False
         self.probe_loaded = True
         self.probe_healthy = True
-        self.given = dict.fromkeys(Permission, True)
+        self.granted = dict.fromkeys(Permission, True)
 
     # ------------------------------------------------------------------ what it tells
 
@@ -111,33 +111,33 @@ class Controller:
     @property
     def motion_ends_s(self) -> float | None:
         """When the current motion ends if nothing intervenes."""
-        return None if self._motion is None else self._motion.course.end_s
+        return None if self._motion is None else self._motion.forecast.end_s
 
     @property
-    def comes_free_s(self) -> float | None:
+    def probe_free_s(self) -> float | None:
         """When the probe comes off what deflected it at the start of the current motion; None where it was free."""
-        return self._motion.course.free_s if self._motion is not None and self._deflected else None
+        return self._motion.forecast.free_s if self._motion is not None and self._deflected else None
 
     def displayed_at(self, instant_s: float) -> Point:
         """Axis positions at an instant not before now, if nothing intervenes."""
         if self._motion is None:
             return self._position
-        return self._motion.command.path.at(self._motion.course.law.distance_at(instant_s))
+        return self._motion.command.path.at(self._motion.forecast.law.distance_at(instant_s))
 
     def displayed_position(self) -> Array:
         return np.array(self.displayed_at(self.now_s))
 
     @property
     def permissions(self) -> dict[Permission, bool]:
-        return {**self.given, Permission.NO_FAULT: self._state is not MotionState.FAULT}
+        return {**self.granted, Permission.NO_FAULT: self._state is not MotionState.FAULT}
 
     @property
     def probe_deflected(self) -> bool:
         if self._motion is None:
-            return self._deflected and self._resting_in(self._table.standing(self.now_s)) is not None
-        course = self._motion.course
-        tripped = course.trip_s is not None and self.now_s >= course.trip_s
-        return tripped or (self._deflected and self.now_s < course.free_s)
+            return self._deflected and self._contacted_ball(self._table.snapshot(self.now_s)) is not None
+        forecast = self._motion.forecast
+        tripped = forecast.trip_s is not None and self.now_s >= forecast.trip_s
+        return tripped or (self._deflected and self.now_s < forecast.free_s)
 
     def temperatures(self) -> dict[str, float]:
         return self._thermal.temperatures_c(self.now_s)
@@ -150,11 +150,11 @@ class Controller:
 
     def begin_move(self, target: ArrayLike, feed_mm_per_s: float | None, guarded: bool) -> None:
         """Straight line; rapid without a feed. A guarded one that trips the probe ends in a fault."""
-        self._begin(Kind.GUARDED if guarded else Kind.POSITIONING, target, feed_mm_per_s)
+        self._begin(MotionKind.GUARDED if guarded else MotionKind.POSITIONING, target, feed_mm_per_s)
 
     def begin_touch(self, target: ArrayLike, feed_mm_per_s: float) -> None:
         """Straight line until the probe trips; `latch` has a new sequence number, or `touch_missed` is set."""
-        self._begin(Kind.TOUCH, target, feed_mm_per_s)
+        self._begin(MotionKind.TOUCH, target, feed_mm_per_s)
 
     def hold(self) -> None:
         """Brake on the path and keep the rest of the command for `resume`."""
@@ -218,30 +218,30 @@ class Controller:
         motion = self._motion
         if motion is None:
             return
-        course = motion.course
-        if course.trip_s is not None and instant_s >= course.trip_s:
-            self._tripped(motion, course.trip_s)
-        if instant_s >= course.end_s:
+        forecast = motion.forecast
+        if forecast.trip_s is not None and instant_s >= forecast.trip_s:
+            self._tripped(motion, forecast.trip_s)
+        if instant_s >= forecast.end_s:
             self._arrive(motion)
 
-    def _begin(self, kind: Kind, target: ArrayLike, feed_mm_per_s: float | None) -> None:
+    def _begin(self, kind: MotionKind, target: ArrayLike, feed_mm_per_s: float | None) -> None:
         command = self._command(kind, target, feed_mm_per_s)
-        standing = self._table.standing(self.now_s)
-        resting = self._resting_in(standing) if self._deflected else None
+        snapshot = self._table.snapshot(self.now_s)
+        resting = self._contacted_ball(snapshot) if self._deflected else None
         self._shift.drift = self._thermal.drift_mm(self.now_s)
-        self._shift.warm = self._thermal.field(self.now_s)
+        self._shift.thermal = self._thermal.field(self.now_s)
         step = BY_STEP + self._tag if self._by_step and self._tag else None
         self._shift.play = self._play.after(self._position, command.target, step)
-        outlook = self._foresight.outlook(command, standing, resting, self._touches if step is None else step)
+        events = self._lookahead.events_on(command, snapshot, resting, self._touches if step is None else step)
         law = trapezoid(self.now_s, command.path.length, command.speed, command.acceleration)
-        self._touches += kind is Kind.TOUCH
+        self._touches += kind is MotionKind.TOUCH
         self._deflected = resting is not None
         self.touch_missed = False
-        self._motion = _Motion(command, law, outlook, course_of(law, outlook, command.acceleration))
+        self._motion = _Motion(command, law, events, forecast_motion(law, events, command.acceleration))
         self._on_motion()
         self.advance_to(self.now_s)
 
-    def _command(self, kind: Kind, target: ArrayLike, feed_mm_per_s: float | None) -> Command:
+    def _command(self, kind: MotionKind, target: ArrayLike, feed_mm_per_s: float | None) -> MotionCommand:
         self._require_ready(kind)
         goal = point(np.asarray(target, dtype=np.float64).tolist())
         self._require_inside(goal)
@@ -249,15 +249,15 @@ class Controller:
             raise CommandRejected(f"feed must be positive, got {feed_mm_per_s} mm/s")
         path = straight(self._position, goal)
         speed = min(feed_mm_per_s or math.inf, path.largest(self._limits.rapid_mm_per_s))
-        return Command(kind, goal, path, speed, path.largest(self._limits.acceleration_mm_per_s2))
+        return MotionCommand(kind, goal, path, speed, path.largest(self._limits.acceleration_mm_per_s2))
 
-    def _require_ready(self, kind: Kind) -> None:
+    def _require_ready(self, kind: MotionKind) -> None:
         if self.motion is not MotionState.IDLE:
             raise CommandRejected(f"the machine is not ready for a {kind.value}: {self.motion.value} {self.fault}")
-        if not all(self.given.values()):
-            missing = [name.value for name, given in self.given.items() if not given]
+        if not all(self.granted.values()):
+            missing = [name.value for name, given in self.granted.items() if not given]
             raise CommandRejected(f"no {kind.value} is permitted; missing: {', '.join(missing)}")
-        if kind is not Kind.POSITIONING and not (self.probe_loaded and self.probe_healthy):
+        if kind is not MotionKind.POSITIONING and not (self.probe_loaded and self.probe_healthy):
             raise CommandRejected(f"no {kind.value} without a healthy probe in the spindle")
 
     def _require_inside(self, goal: Point) -> None:
@@ -271,35 +271,35 @@ class Controller:
         motion = self._motion
         assert motion is not None  # noqa: S101  callers have looked
         motion.ends_in, motion.reason = ends_in, motion.reason or reason
-        course = motion.course
-        if course.trip_s is not None and self.now_s >= course.trip_s:
+        forecast = motion.forecast
+        if forecast.trip_s is not None and self.now_s >= forecast.trip_s:
             return
         motion.law = motion.law.braked(self.now_s, motion.command.acceleration)
-        motion.course = course_of(motion.law, motion.outlook, motion.command.acceleration)
+        motion.forecast = forecast_motion(motion.law, motion.events, motion.command.acceleration)
         self._on_motion()
 
     def _tripped(self, motion: _Motion, instant_s: float) -> None:
-        if motion.command.kind is Kind.GUARDED:
+        if motion.command.kind is MotionKind.GUARDED:
             motion.ends_in, motion.reason = MotionState.FAULT, motion.reason or "probe tripped in a guarded move"
         elif self.latch is None or self.latch.sequence < self._touches:
-            assert motion.outlook.trip_mm is not None  # noqa: S101  or nothing had tripped
+            assert motion.events.trip_mm is not None  # noqa: S101  or nothing had tripped
             # Not by way of time: the same touch latches the same at whatever instant it is made.
-            position = motion.command.path.at(motion.outlook.trip_mm)
+            position = motion.command.path.at(motion.events.trip_mm)
             self.latch = Latch(self._touches, np.array(position))
 
     def _arrive(self, motion: _Motion) -> None:
-        course, command = motion.course, motion.command
-        interrupted = course.trip_s is not None or course.crash is not None
-        complete = not interrupted and course.law.end_distance >= command.path.length - 1e-9
-        self._position = command.target if complete else command.path.at(course.law.end_distance)
+        forecast, command = motion.forecast, motion.command
+        interrupted = forecast.trip_s is not None or forecast.crash is not None
+        complete = not interrupted and forecast.law.end_distance >= command.path.length - 1e-9
+        self._position = command.target if complete else command.path.at(forecast.law.end_distance)
         self._motion = None
-        self._deflected = course.trip_s is not None or (self._deflected and course.end_s < course.free_s)
-        self.touch_missed = command.kind is Kind.TOUCH and complete
+        self._deflected = forecast.trip_s is not None or (self._deflected and forecast.end_s < forecast.free_s)
+        self.touch_missed = command.kind is MotionKind.TOUCH and complete
         self._state = motion.ends_in
-        if course.crash is not None:
+        if forecast.crash is not None:
             self._deflected = True
-            self._on_collision(course.crash.moving, course.crash.obstacle)
-            self._enter_fault(f"collision: {course.crash.moving} with {course.crash.obstacle}")
+            self._on_collision(forecast.crash.moving, forecast.crash.obstacle)
+            self._enter_fault(f"collision: {forecast.crash.moving} with {forecast.crash.obstacle}")
         elif motion.ends_in is MotionState.FAULT:
             self._enter_fault(motion.reason)
         elif motion.ends_in is MotionState.HELD and (complete or interrupted):
@@ -309,10 +309,10 @@ class Controller:
         self._state, self._held = MotionState.FAULT, None
         self.fault = self.fault or reason
 
-    def _resting_in(self, standing: Standing) -> int | None:
+    def _contacted_ball(self, snapshot: WorkpieceSnapshot) -> int | None:
         """The ball that deflects the probe. Only a probe that was deflected is looked at: a bar that is turned
         or moved away sets it free, one that is turned into it is a collision."""
-        resting = self.contacts.resting_on(self._position, standing)
+        resting = self.contacts.resting_on(self._position, snapshot)
         self._deflected = resting is not None
         return resting
 

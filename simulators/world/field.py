@@ -47,20 +47,20 @@ class TipShift:
     """How far the tip centre is from (displayed axis position + tool offset).
 
     The drives go to the bare position X + table(X); the machine as it is adds its deviation there: that is the
-    `field`, to which warmth adds its own (`warm`). Thermal `drift` and the `play` that the last motion left (backlash,
+    `field`, plus the `thermal` field. Thermal `drift` and the `play` that the last motion left (backlash,
     scatter) shift all of it. mm.
     """
 
     def __init__(self, machine: FieldOfMany | None) -> None:
         self._machine = machine
         self.table: TableField | None = None
-        self.warm: FieldOfMany | None = None
+        self.thermal: FieldOfMany | None = None
         self.drift: Point = ZERO
         self.play: Point = ZERO
 
     @property
     def has_field(self) -> bool:
-        return not (self._machine is None and self.table is None and self.warm is None)
+        return not (self._machine is None and self.table is None and self.thermal is None)
 
     @property
     def rigid(self) -> Point:
@@ -76,7 +76,7 @@ class TipShift:
         if self.table is not None:
             shift += self.table.at_many(axis_positions)
         bare = axis_positions + shift
-        for field in (self._machine, self.warm):
+        for field in (self._machine, self.thermal):
             if field is not None:
                 shift += field(bare)
         return shift

@@ -11,7 +11,7 @@ STILL_MM = 1e-4
 """An axis whose target differs by less is not moved: no drive resolves it."""
 
 
-class Play:
+class PlayOperator:
     """The play operator, axis by axis: the slide lags by half the backlash once its drive has gone that far.
 
     A slide stays wherever it is while its drive goes through the play, so that a short way back leaves part of the

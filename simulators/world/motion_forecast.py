@@ -10,16 +10,16 @@ from twin.collision.geometry import Point
 from twin.collision.motion_law import MotionLaw, Path
 
 
-class Kind(Enum):
+class MotionKind(Enum):
     POSITIONING = "positioning move"
     GUARDED = "guarded move"
     TOUCH = "touch"
 
 
-class Command(NamedTuple):
+class MotionCommand(NamedTuple):
     """What was asked for. `speed` is along the path, mm/s, already within what the axes can do."""
 
-    kind: Kind
+    kind: MotionKind
     target: Point
     path: Path
     speed: float
@@ -34,7 +34,7 @@ class Crash(NamedTuple):
     obstacle: str
 
 
-class Outlook(NamedTuple):
+class PathEvents(NamedTuple):
     """Everything along the path of a command: where the probe would trip, where something would crash if it
     went on, and where a probe that was deflected at the start comes free."""
 
@@ -43,7 +43,7 @@ class Outlook(NamedTuple):
     free_mm: float = 0.0
 
 
-class Course(NamedTuple):
+class MotionForecast(NamedTuple):
     """The law as it will really go, and when what happens on it."""
 
     law: MotionLaw
@@ -53,17 +53,17 @@ class Course(NamedTuple):
     end_s: float
 
 
-def course_of(law: MotionLaw, outlook: Outlook, deceleration: float) -> Course:
+def forecast_motion(law: MotionLaw, events: PathEvents, deceleration: float) -> MotionForecast:
     """`law` as commanded -> stopped by a trip, cut by a crash."""
     trip_s = None
-    if outlook.trip_mm is not None and outlook.trip_mm <= law.end_distance:
-        trip_s = law.time_at(outlook.trip_mm)
+    if events.trip_mm is not None and events.trip_mm <= law.end_distance:
+        trip_s = law.time_at(events.trip_mm)
         law = law.braked(trip_s, deceleration)
-    crash = outlook.crash if outlook.crash and outlook.crash.distance <= law.end_distance else None
+    crash = events.crash if events.crash and events.crash.distance <= law.end_distance else None
     if crash is not None:
         law = law.cut(law.time_at(crash.distance))
-    free_s = law.time_at(outlook.free_mm) if outlook.free_mm > 0.0 else law.start_s
-    return Course(law, trip_s, crash, free_s, law.end_s)
+    free_s = law.time_at(events.free_mm) if events.free_mm > 0.0 else law.start_s
+    return MotionForecast(law, trip_s, crash, free_s, law.end_s)
 
 
 def earliest(*crashes: Crash | None) -> Crash | None:
@@ -71,5 +71,5 @@ def earliest(*crashes: Crash | None) -> Crash | None:
     return min(met, key=lambda crash: crash.distance, default=None)
 
 
-def tip_on(ball: str, distance: float) -> Crash:
+def tip_crash(ball: str, distance: float) -> Crash:
     return Crash(distance, TIP, ball)

@@ -26,27 +26,27 @@ class RotaryAxis:
         self._law: MotionLaw | None = None
         self._direction = 1.0
         self._end_deg = start_deg
-        self.rests_s = -math.inf
+        self.at_rest_s = -math.inf
         """From when on it stands, if nothing intervenes."""
 
     def position_deg(self, now_s: float) -> float:
-        if self._law is None or now_s >= self.rests_s:
+        if self._law is None or now_s >= self.at_rest_s:
             return self._end_deg
         return self._angle + self._direction * self._law.distance_at(now_s)
 
     def turn(self, angle_deg: float, speed_deg_per_s: float | None, now_s: float) -> None:
         self._angle = self.position_deg(now_s)
-        way = angle_deg - self._angle
+        travel_deg = angle_deg - self._angle
         speed = min(speed_deg_per_s or math.inf, self._behaviour.speed_deg_per_s)
-        self._direction = math.copysign(1.0, way)
-        self._follow(trapezoid(now_s, abs(way), speed, self._behaviour.acceleration_deg_per_s2))
+        self._direction = math.copysign(1.0, travel_deg)
+        self._follow(trapezoid(now_s, abs(travel_deg), speed, self._behaviour.acceleration_deg_per_s2))
 
     def halt(self, now_s: float) -> None:
-        if self._law is not None and now_s < self.rests_s:
+        if self._law is not None and now_s < self.at_rest_s:
             self._follow(self._law.braked(now_s, self._behaviour.acceleration_deg_per_s2))
 
     def _follow(self, law: MotionLaw) -> None:
-        self._law, self.rests_s = law, law.end_s
+        self._law, self.at_rest_s = law, law.end_s
         self._end_deg = self._angle + self._direction * law.end_distance
 
 
@@ -89,18 +89,18 @@ class MountPhysics:
         return self.turn_ends_s(axis) is not None
 
     def turn_ends_s(self, axis: str) -> float | None:
-        rests_s = self._axes[axis].rests_s
-        return rests_s if self.now_s < rests_s else None
+        at_rest_s = self._axes[axis].at_rest_s
+        return at_rest_s if self.now_s < at_rest_s else None
 
     @property
-    def fastest_deg_per_s(self) -> float:
+    def max_speed_deg_per_s(self) -> float:
         """No part of a turn is faster than this, with both axes at once."""
         return self._fastest
 
     @property
     def settled_s(self) -> float:
         """When both axes stand, if nothing intervenes; now where they do."""
-        return max(self.now_s, *(axis.rests_s for axis in self._axes.values()))
+        return max(self.now_s, *(axis.at_rest_s for axis in self._axes.values()))
 
     def halt(self, axis: str | None = None) -> None:
         """One axis brakes, or both."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from drivers.errors import CommandRejected
 from simulators.world.contact import ContactSolver
-from simulators.world.motion_forecast import Command, Crash, Kind, Outlook, earliest, tip_on
+from simulators.world.motion_forecast import Crash, MotionCommand, MotionKind, PathEvents, earliest, tip_crash
 from simulators.world.trigger import Trigger
-from simulators.world.workpiece import Standing
+from simulators.world.workpiece import WorkpieceSnapshot
 from twin.collision.geometry import Point, added
 
 
-class Foresight:
+class PathLookahead:
     """Bodies meet within 0.1 mm of the nominal tip, so collisions are swept there; contacts are exact."""
 
     def __init__(self, tool_offset: Point, contacts: ContactSolver, trigger: Trigger) -> None:
@@ -18,47 +18,53 @@ class Foresight:
         self._contacts = contacts
         self._trigger = trigger
 
-    def outlook(self, command: Command, standing: Standing, resting: int | None, touch: int) -> Outlook:
+    def events_on(
+        self, command: MotionCommand, snapshot: WorkpieceSnapshot, resting: int | None, touch: int
+    ) -> PathEvents:
         """`resting`: the ball that deflects the probe at the start. CommandRejected for a watched motion that
         would press on."""
-        free_mm, pressed = self._from_rest(command, standing, resting)
-        contact = self._contacts.first(command.path, standing, resting)
+        free_mm, pressed = self._from_rest(command, snapshot, resting)
+        contact = self._contacts.first(command.path, snapshot, resting)
         if contact is None:
-            return Outlook(None, earliest(pressed, self._swept(command, standing, None, resting)), free_mm)
-        if command.kind is Kind.POSITIONING:
-            met = tip_on(standing.ball_names[contact.ball], contact.distance)
-            swept = self._swept(command, standing, contact.distance, resting)
-            return Outlook(None, earliest(pressed, met, swept), free_mm)
+            return PathEvents(None, earliest(pressed, self._swept(command, snapshot, None, resting)), free_mm)
+        if command.kind is MotionKind.POSITIONING:
+            met = tip_crash(snapshot.ball_names[contact.ball], contact.distance)
+            swept = self._swept(command, snapshot, contact.distance, resting)
+            return PathEvents(None, earliest(pressed, met, swept), free_mm)
         trip_mm = contact.distance + self._trigger.travel_mm(command.path.direction, touch)
         stopped = trip_mm + 0.5 * command.speed**2 / command.acceleration
-        spent = tip_on(standing.ball_names[contact.ball], contact.distance + self._trigger.overtravel_mm)
-        swept = self._swept(command, standing, stopped, contact.ball)
-        return Outlook(max(trip_mm, 0.0), earliest(spent, swept), free_mm)
+        spent = tip_crash(snapshot.ball_names[contact.ball], contact.distance + self._trigger.overtravel_mm)
+        swept = self._swept(command, snapshot, stopped, contact.ball)
+        return PathEvents(max(trip_mm, 0.0), earliest(spent, swept), free_mm)
 
-    def _from_rest(self, command: Command, standing: Standing, resting: int | None) -> tuple[float, Crash | None]:
+    def _from_rest(
+        self, command: MotionCommand, snapshot: WorkpieceSnapshot, resting: int | None
+    ) -> tuple[float, Crash | None]:
         """Where a deflected probe comes free, and where it is pressed too far instead."""
         if resting is None:
             return 0.0, None
-        centre = standing.balls[resting]
-        if command.kind is Kind.TOUCH:
+        centre = snapshot.balls[resting]
+        if command.kind is MotionKind.TOUCH:
             raise CommandRejected("the probe is deflected before the touch", hint="back off first")
         if not self._contacts.pressing(command.path, centre):
             return self._contacts.leaving(command.path, centre), None
-        if command.kind is Kind.GUARDED:
+        if command.kind is MotionKind.GUARDED:
             raise CommandRejected("the probe is deflected and the move would press on", hint="move it free")
         deeper = self._contacts.deeper(command.path, centre, self._trigger.overtravel_mm)
-        pressed = None if deeper is None else tip_on(standing.ball_names[resting], deeper)
+        pressed = None if deeper is None else tip_crash(snapshot.ball_names[resting], deeper)
         return self._contacts.leaving(command.path, centre), pressed
 
-    def _swept(self, command: Command, standing: Standing, until_mm: float | None, touched: int | None) -> Crash | None:
+    def _swept(
+        self, command: MotionCommand, snapshot: WorkpieceSnapshot, until_mm: float | None, touched: int | None
+    ) -> Crash | None:
         """First collision of any body but the tip on a ball; the stem yields with the tip on the ball touched."""
         path = command.path
         length = path.length if until_mm is None else min(until_mm, path.length)
         if length == 0.0:
             return None
-        meant = standing.meant
+        allowed_contacts = snapshot.allowed_contacts
         if touched is not None:
-            meant = meant | {("stem", standing.ball_names[touched])}
+            allowed_contacts = allowed_contacts | {("stem", snapshot.ball_names[touched])}
         start, end = added(path.start, self._tool), added(path.at(length), self._tool)
-        hit = standing.scene.first_hit(start, end, ignored=meant)
+        hit = snapshot.scene.first_hit(start, end, ignored=allowed_contacts)
         return None if hit is None else Crash(hit.fraction * length, hit.moving, hit.obstacle)

@@ -10,7 +10,7 @@ import numpy as np
 from simulators.temperatures import TemperatureSettings
 from simulators.world.field import ZERO, FieldOfMany
 from simulators.world.noise import generator
-from simulators.world.thermal_state import Warming
+from simulators.world.thermal_state import ThermalState
 from twin.arrays import Array
 from twin.collision.geometry import Point
 from twin.machine.error_model import Ranges
@@ -18,7 +18,7 @@ from twin.machine.error_model import Ranges
 ARTEFACT, MACHINE, AMBIENT = "artefact", "machine", "ambient"
 
 
-class Thermal:
+class ThermalEffects:
     """`ranges_mm` of the axes and `tool_offset_mm` give the levers on which warmth acts; `seed` that of all noise."""
 
     def __init__(
@@ -32,7 +32,7 @@ class Thermal:
         self._ranges_mm = ranges_mm
         self._tool_offset_mm = tool_offset_mm
         self._seed = seed
-        self.warming = Warming(settings)
+        self.warming = ThermalState(settings)
 
     # ------------------------------------------------------------------ what it tells
 
@@ -58,27 +58,27 @@ class Thermal:
 
     def drift_mm(self, now_s: float) -> Point:
         """(3,) of the tip since the start."""
-        if self.warming.machine_stays:
+        if self.warming.machine_is_constant:
             return ZERO
-        warmed = self.warming.machine_warmed_k(now_s)
+        warmed = self.warming.machine_change_k(now_s)
         x, y, z = self._settings.growth_um_per_k
         return x * warmed * 1e-3, y * warmed * 1e-3, z * warmed * 1e-3
 
     def field(self, now_s: float) -> FieldOfMany | None:
         """By how much the machine's field has changed since the start; None where it has not."""
-        if self.warming.machine_stays:
+        if self.warming.machine_is_constant:
             return None
         s = self._settings
-        warmed = self.warming.machine_warmed_k(now_s)
+        warmed = self.warming.machine_change_k(now_s)
         stretch = 1e-6 * warmed * np.array(s.scale_um_per_m_k)
-        bend_mm = 1e-3 * s.bend_um_per_k * self.warming.column_warmed_k(now_s)
+        bend_mm = 1e-3 * s.bend_um_per_k * self.warming.column_change_k(now_s)
         if bend_mm == 0.0 and not stretch.any():
             return None
-        return WarmField(stretch, bend_mm, self._ranges_mm, self._tool_offset_mm)
+        return ThermalField(stretch, bend_mm, self._ranges_mm, self._tool_offset_mm)
 
 
 @dataclass(frozen=True, eq=False)
-class WarmField:
+class ThermalField:
     """`stretch` (3,) of the scales, about zero; the top of the column is `bend_mm` off along Y.
 
     The column is a beam held at its foot and heated from one side: off by w = bend ((z - z0)/Lz)², and its slope turns
@@ -101,11 +101,11 @@ class WarmField:
         return np.asarray(change)
 
 
-def bow_mm(settings: TemperatureSettings, warming: Warming, now_s: float) -> float:
+def bow_mm(settings: TemperatureSettings, warming: ThermalState, now_s: float) -> float:
     """By how much the artefact is bowed at its middle."""
     if settings.artefact_bow_um_per_k == 0.0:
         return 0.0
-    return 1e-3 * settings.artefact_bow_um_per_k * warming.artefact_behind_k(now_s)
+    return 1e-3 * settings.artefact_bow_um_per_k * warming.artefact_lag_k(now_s)
 
 
 def bowed(balls: Array, bow: float) -> Array:

@@ -11,41 +11,41 @@ _AT_ONCE_H = 1e-9
 _ALIKE = 1e-6  # of two time constants: nearer than this, the limit is exact to more digits than the quotient
 
 
-class Warming:
+class ThermalState:
     """True temperatures; what thermometers tell of them is another matter."""
 
     def __init__(self, settings: TemperatureSettings) -> None:
         self._settings = settings
-        self.artefact_stays = not self._ever_warms(settings.artefact_time_constant_h, settings.artefact_k_per_h)
-        self.machine_stays = not self._ever_warms(settings.machine_time_constant_h, settings.machine_k_per_h)
+        self.artefact_is_constant = not self._ever_warms(settings.artefact_time_constant_h, settings.artefact_k_per_h)
+        self.machine_is_constant = not self._ever_warms(settings.machine_time_constant_h, settings.machine_k_per_h)
         """Whether it is as warm as at the start for ever."""
 
     def ambient_c(self, now_s: float) -> float:
         s = self._settings
-        return s.ambient_c + s.ambient_rise_k * answered(now_s / S_PER_H, s.ambient_time_constant_h, 0.0)
+        return s.ambient_c + s.ambient_rise_k * first_order_response(now_s / S_PER_H, s.ambient_time_constant_h, 0.0)
 
     def artefact_c(self, now_s: float) -> float:
         s = self._settings
-        if self.artefact_stays:
+        if self.artefact_is_constant:
             return s.artefact_c
-        return s.artefact_c + self._warmed_k(now_s, s.artefact_time_constant_h, s.artefact_k_per_h)
+        return s.artefact_c + self._change_k(now_s, s.artefact_time_constant_h, s.artefact_k_per_h)
 
     def machine_c(self, now_s: float) -> float:
         s = self._settings
-        return s.machine_c + self.machine_warmed_k(now_s)
+        return s.machine_c + self.machine_change_k(now_s)
 
-    def machine_warmed_k(self, now_s: float) -> float:
+    def machine_change_k(self, now_s: float) -> float:
         """Since the start, where its thermometer is."""
         s = self._settings
-        return self._warmed_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
+        return self._change_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
 
-    def column_warmed_k(self, now_s: float) -> float:
+    def column_change_k(self, now_s: float) -> float:
         """One side of the column against the other, since the start: a lag of its own behind the ambient."""
         s = self._settings
         lag_h = None if s.machine_time_constant_h is None else s.machine_time_constant_h + s.bend_time_constant_h
-        return self._warmed_k(now_s, lag_h, s.machine_k_per_h)
+        return self._change_k(now_s, lag_h, s.machine_k_per_h)
 
-    def artefact_behind_k(self, now_s: float) -> float:
+    def artefact_lag_k(self, now_s: float) -> float:
         """By how much more than the artefact the ambient has warmed since the start; none where it does not follow."""
         s = self._settings
         if s.artefact_time_constant_h is None:
@@ -55,15 +55,15 @@ class Warming:
     def _ever_warms(self, lag_h: float | None, linear_k_per_h: float) -> bool:
         return linear_k_per_h != 0.0 or (lag_h is not None and self._settings.ambient_rise_k != 0.0)
 
-    def _warmed_k(self, now_s: float, lag_h: float | None, linear_k_per_h: float) -> float:
+    def _change_k(self, now_s: float, lag_h: float | None, linear_k_per_h: float) -> float:
         s, hours = self._settings, now_s / S_PER_H
         linear = linear_k_per_h * hours
         if lag_h is None or s.ambient_rise_k == 0.0:
             return linear
-        return linear + s.ambient_rise_k * answered(hours, s.ambient_time_constant_h, lag_h)
+        return linear + s.ambient_rise_k * first_order_response(hours, s.ambient_time_constant_h, lag_h)
 
 
-def answered(hours: float, source_h: float, follower_h: float) -> float:
+def first_order_response(hours: float, source_h: float, follower_h: float) -> float:
     """Share of a unit rise 1 - exp(-t/source) that a first-order follower (its time constant, 0: none) has taken up."""
     if hours <= 0.0:
         return 0.0

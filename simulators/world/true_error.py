@@ -14,7 +14,7 @@ from twin.machine.true_machine import TrueMachine
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 
-class Truth:
+class MachineTruth:
     """What only the simulator can say of its machine, as warm as it is when it is asked.
 
     `banks` are the controller's own, not a copy; `warm_field`: what warmth adds now. The growth of spindle and ram is

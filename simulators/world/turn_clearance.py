@@ -21,7 +21,7 @@ SLACK_MM = 1.0
 """For what a pose is off between two samples: wobble and index errors of the mount, which are far smaller."""
 
 
-def surely_passes(workpiece: Workpiece, tip: Point, start_s: float, end_s: float) -> bool:
+def is_turn_clear(workpiece: Workpiece, tip: Point, start_s: float, end_s: float) -> bool:
     """Whether nothing of the artefact comes to the probe, the tip centre resting at `tip`, in a span of time.
 
     What does not turn (pedestal, table) is looked at once.
@@ -29,13 +29,13 @@ def surely_passes(workpiece: Workpiece, tip: Point, start_s: float, end_s: float
     cover = workpiece.cover
     if cover is None:
         return False
-    if workpiece.standing(start_s).scene.clearance(tip, at_most=SLACK_MM) < SLACK_MM:
+    if workpiece.snapshot(start_s).scene.clearance(tip, at_most=SLACK_MM) < SLACK_MM:
         return False
     angles = np.array(
         [workpiece.true_angles_rad(instant) for instant in np.linspace(start_s, end_s, INSTANTS).tolist()]
     )
     centres, radii = _turned(cover, angles)
-    centres += workpiece.place_mm - np.array(tip)
+    centres += workpiece.location_mm - np.array(tip)
     return _least_gap(centres, radii, workpiece.probe_bodies) >= SLACK_MM
 
 

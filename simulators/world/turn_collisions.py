@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.roles import MotionState
 from simulators.world.controller import Controller
-from simulators.world.turn_clearance import surely_passes
+from simulators.world.turn_clearance import is_turn_clear
 from simulators.world.workpiece import Workpiece
 from twin.collision.bodies import TABLE
 from twin.collision.collision import Scene
@@ -32,15 +32,15 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
     """First collision of probe and ram with the turning artefact in a span of time, if nothing intervenes."""
     if _stays_outside(workpiece, controller, start_s):
         return None
-    speed = math.radians(workpiece.mount.fastest_deg_per_s) * workpiece.sweep_radius_mm
+    speed = math.radians(workpiece.mount.max_speed_deg_per_s) * workpiece.sweep_radius_mm
     if controller.motion is MotionState.MOVING:
         speed += math.hypot(*controller.limits().rapid_mm_per_s)
-    elif surely_passes(workpiece, _tip(controller, start_s), start_s, end_s):
+    elif is_turn_clear(workpiece, _tip(controller, start_s), start_s, end_s):
         return None
     instant = start_s
     while True:
         tip = _tip(controller, instant)
-        scene = workpiece.standing(instant).scene
+        scene = workpiece.snapshot(instant).scene
         gap_mm = scene.clearance(tip, at_most=_LOOKED_AT_MM)
         pair = _touching(scene, tip) if gap_mm < 0.0 else None
         if pair is not None:
@@ -50,18 +50,18 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
         instant = min(end_s, instant + max(gap_mm, STEP_MM) / speed)
 
 
-def first_meeting(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
+def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
     """First instant at which what turns meets what another mount carries, that turning too or not.
 
     From one look to the next passes only as much time as the fastest parts need for what lies between the bodies.
     """
-    apart = np.hypot(*(turning.place_mm - other.place_mm)[:2])
+    apart = np.hypot(*(turning.location_mm - other.location_mm)[:2])
     if apart > turning.sweep_radius_mm + other.sweep_radius_mm:
         return None
-    speed = sum(math.radians(piece.mount.fastest_deg_per_s) * piece.sweep_radius_mm for piece in (turning, other))
+    speed = sum(math.radians(piece.mount.max_speed_deg_per_s) * piece.sweep_radius_mm for piece in (turning, other))
     instant = start_s
     while True:
-        gap_mm, pair = _gap(Scene(turning.standing(instant).bodies, other.standing(instant).bodies))
+        gap_mm, pair = _gap(Scene(turning.snapshot(instant).bodies, other.snapshot(instant).bodies))
         if gap_mm <= 0.0:
             return TurnCrash(instant, *pair)
         if instant >= end_s:
@@ -86,12 +86,12 @@ def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:
 
 def _stays_outside(workpiece: Workpiece, controller: Controller, start_s: float) -> bool:
     """Whether no body of the probe enters the ball that holds the artefact at all its angles."""
-    reach = sphere(point(workpiece.place_mm), workpiece.sweep_radius_mm)
+    reach = sphere(point(workpiece.location_mm), workpiece.sweep_radius_mm)
     tip, end = _tip(controller, start_s), _tip(controller, math.inf)
-    way = (end[0] - tip[0], end[1] - tip[1], end[2] - tip[2])
+    displacement = (end[0] - tip[0], end[1] - tip[1], end[2] - tip[2])
     for body in workpiece.probe_bodies:
         here = body.shape.moved(tip)
-        if separation(here, reach)[0] <= 0.0 or swept_contact(here, reach, way) is not None:
+        if separation(here, reach)[0] <= 0.0 or swept_contact(here, reach, displacement) is not None:
             return False
     return True
 

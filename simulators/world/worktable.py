@@ -6,7 +6,7 @@ from drivers.errors import CommandRejected
 from simulators.scenario import Scenario
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
-from simulators.world.workpiece import Standing, Workpiece, true_artefact
+from simulators.world.workpiece import Workpiece, WorkpieceSnapshot, true_artefact
 from twin.artefact.artefact import Artefact
 from twin.collision.bodies import TABLE
 from twin.collision.collision import Scene
@@ -19,18 +19,18 @@ class Worktable:
         self._scenario = scenario
         self._stations = len(scenario.settings.stations_mm)
         self._placements = 0
-        self._cached: tuple[tuple[Standing, ...], Standing] | None = None
+        self._cached: tuple[tuple[WorkpieceSnapshot, ...], WorkpieceSnapshot] | None = None
         self._at = scenario.settings.standing_at
         if scenario.settings.own_mounts:
             self._pieces = [self._own(scenario, mount, number) for number, mount in enumerate(mounts, start=1)]
         else:
             artefact = true_artefact(scenario.artefact, scenario.settings.artefact_truth)
             self._pieces = [Workpiece(scenario, mounts[0], artefact, self._at)]
-            self._put(self._pieces[0], self._at)
+            self._place(self._pieces[0], self._at)
 
     def _own(self, scenario: Scenario, mount: MountPhysics, station: int) -> Workpiece:
         piece = Workpiece(scenario, mount, self._first_artefact(station), station, f" at station {station}")
-        piece.put(station, generator(scenario.settings.seed, f"place of mount {station}"))
+        piece.place(station, generator(scenario.settings.seed, f"place of mount {station}"))
         return piece
 
     def _first_artefact(self, station: int) -> Artefact | None:
@@ -68,21 +68,21 @@ class Worktable:
             piece.carry(None)
             piece = self.workpiece
             piece.carry(artefact)
-        self._put(piece, station)
+        self._place(piece, station)
 
-    def standing(self, now_s: float) -> Standing:
+    def snapshot(self, now_s: float) -> WorkpieceSnapshot:
         """All balls and bodies at an instant; kept as long as nothing turns, moves or warms."""
         if len(self._pieces) == 1:
-            return self._pieces[0].standing(now_s)
-        parts = tuple(piece.standing(now_s) for piece in self._pieces)
+            return self._pieces[0].snapshot(now_s)
+        parts = tuple(piece.snapshot(now_s) for piece in self._pieces)
         if self._cached is None or any(a is not b for a, b in zip(self._cached[0], parts, strict=True)):
             self._cached = (parts, self._together(parts))
         return self._cached[1]
 
-    def _together(self, parts: tuple[Standing, ...]) -> Standing:
+    def _together(self, parts: tuple[WorkpieceSnapshot, ...]) -> WorkpieceSnapshot:
         first, *others = parts
         bodies = (*first.bodies, *(body for part in others for body in part.bodies if body.name != TABLE))
-        return Standing(
+        return WorkpieceSnapshot(
             pose=parts[self._pieces.index(self.workpiece)].pose,
             balls=tuple(ball for part in parts for ball in part.balls),
             ball_names=tuple(name for part in parts for name in part.ball_names),
@@ -90,6 +90,6 @@ class Worktable:
             scene=Scene(self.workpiece.probe_bodies, bodies),
         )
 
-    def _put(self, piece: Workpiece, station: int) -> None:
-        piece.put(station, generator(self._scenario.settings.seed, f"placement {self._placements}"))
+    def _place(self, piece: Workpiece, station: int) -> None:
+        piece.place(station, generator(self._scenario.settings.seed, f"placement {self._placements}"))
         self._placements += 1

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from drivers.errors import CommandRejected
 from simulators.scenario import Scenario
-from simulators.world.ageing import aged
+from simulators.world.ageing import apply_ageing
 from simulators.world.controller import Controller
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
-from simulators.world.thermal_effects import Thermal
-from simulators.world.true_error import Truth
-from simulators.world.turn_collisions import TurnCrash, first_meeting, first_turn_crash
+from simulators.world.thermal_effects import ThermalEffects
+from simulators.world.true_error import MachineTruth
+from simulators.world.turn_collisions import TurnCrash, first_mount_collision, first_turn_crash
 from simulators.world.workpiece import Workpiece
 from simulators.world.worktable import Worktable
 from twin.collision.geometry import point
@@ -39,7 +39,7 @@ class World:
     def __init__(self, scenario: Scenario) -> None:
         settings = scenario.settings
         machine = true_machine(scenario)
-        thermal = Thermal(
+        thermal = ThermalEffects(
             settings.temperatures,
             scenario.machine.model.ranges_mm,
             point(scenario.machine.tool(settings.tool)),
@@ -58,7 +58,9 @@ class World:
             on_motion=self._expect_change,
             on_collision=self._record,
         )
-        self.truth = Truth(machine, scenario.machine.model, self.controller.banks, lambda: thermal.field(self.now))
+        self.truth = MachineTruth(
+            machine, scenario.machine.model, self.controller.banks, lambda: thermal.field(self.now)
+        )
         self._turn_crash: TurnCrash | None = None
         self._looked_ahead = True
 
@@ -86,7 +88,7 @@ class World:
 
     def mount_at(self, station: int) -> MountPhysics:
         """That which turns what stands at `station`; CommandRejected where there is no such station."""
-        if self.scenario.mounts == 1:
+        if self.scenario.mount_count == 1:
             return self.mounts[MOUNT]
         if mount_name(station) not in self.mounts:
             raise CommandRejected(f"there is no station {station}", hint=f"stations are 1 to {len(self.mounts)}")
@@ -99,8 +101,10 @@ class World:
 
     def _mounts(self, scenario: Scenario) -> dict[str, MountPhysics]:
         settings = scenario.settings
-        angles = settings.mounts_deg or [(0.0, 0.0)] * scenario.mounts
-        names = [mount_name(station) for station in range(1, scenario.mounts + 1)] if settings.own_mounts else [MOUNT]
+        angles = settings.mounts_deg or [(0.0, 0.0)] * scenario.mount_count
+        names = (
+            [mount_name(station) for station in range(1, scenario.mount_count + 1)] if settings.own_mounts else [MOUNT]
+        )
         return {
             name: MountPhysics(settings.mount_behaviour, settings.seed, self._expect_change, name=name, start_deg=start)
             for name, start in zip(names, angles, strict=True)
@@ -117,7 +121,7 @@ class World:
         self._looked_ahead = False
 
     def _look_ahead(self) -> TurnCrash | None:
-        """Turning mounts are watched against the probe and each other; standing ones are no concern of this."""
+        """Turning mounts are watched against the probe and each other; snapshot ones are no concern of this."""
         crashes: list[TurnCrash] = []
         pieces = self.table.pieces
         for piece in pieces:
@@ -126,7 +130,7 @@ class World:
                 continue
             others = [other for other in pieces if other is not piece]
             met = [first_turn_crash(piece, self.controller, self.now, ends_s)]
-            met += [first_meeting(piece, other, self.now, ends_s) for other in others]
+            met += [first_mount_collision(piece, other, self.now, ends_s) for other in others]
             crashes += [crash for crash in met if crash is not None]
         return min(crashes, key=lambda crash: crash.time_s, default=None)
 
@@ -156,4 +160,4 @@ def true_machine(scenario: Scenario) -> TrueMachine:
         with_deflection=truth.deflection,
         rng=rng,
     )
-    return aged(drawn, scenario.machine, settings.ageing)
+    return apply_ageing(drawn, scenario.machine, settings.ageing)

@@ -19,7 +19,7 @@ from drivers.roles import CompensationStore, Machine, Operator, Probe, RotaryMou
 from simulators.backend import SimulatedMachineDevice
 from simulators.scenario import read_scenario
 from simulators.wire.modbus.rtu import LineSettings
-from simulators.wire.wired_machine import Links, MachineOnWires
+from simulators.wire.wired_machine import Links, WiredMachine
 from simulators.world.world import World
 
 SCENARIO = Path(__file__).resolve().parents[2] / "config" / "simulators" / "case-study.toml"
@@ -52,7 +52,7 @@ class Played(ContractRig):
 
     def ball(self, number: int) -> np.ndarray:
         """(3,): axis positions at which the tip of this perfect machine would be in the middle of the ball."""
-        return np.array(self.world.workpiece.standing(self.world.now).balls[number]) - TOOL
+        return np.array(self.world.workpiece.snapshot(self.world.now).balls[number]) - TOOL
 
     def before(self, number: int, distance_mm: float = 25.0) -> np.ndarray:
         """Bring the tip in front of the ball, coming along +Y; returns the ball's axis position."""
@@ -73,7 +73,7 @@ def in_process() -> Iterator[Played]:
     clock = VirtualClock()
     interrupt = Interrupt(clock)
     watched = InterruptibleClock(clock, interrupt.check)
-    world = World(read_scenario(SCENARIO).made_ideal())
+    world = World(read_scenario(SCENARIO).without_errors())
     device = SimulatedMachineDevice(world, watched)
     device.open()
     yield Played(*[device] * 6, watched, interrupt, world)  # type: ignore[arg-type]
@@ -93,7 +93,7 @@ def over_serial() -> AbstractContextManager[Played]:
 @contextmanager
 def on_wires(cnc_link: str = "modbus", resolution_mm: float = 1e-5, **links: Any) -> Iterator[Played]:
     links = {"can": f"virtual:contract-{next(channels)}", **links}
-    machine = MachineOnWires(read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, **links))
+    machine = WiredMachine(read_scenario(SCENARIO).without_errors(), Links(ANY, ANY, **links))
     machine.start()
     assert machine.time is not None
     clock = LockstepClock(*machine.time.address)

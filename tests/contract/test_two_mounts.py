@@ -16,14 +16,14 @@ from drivers.errors import ConfigurationError, DeviceError
 from drivers.links.can_bus import PROCESS_NETWORKS
 from drivers.registry import DeviceContext, create_device
 from simulators.scenario import read_scenario
-from simulators.wire.wired_machine import Links, MachineOnWires
+from simulators.wire.wired_machine import Links, WiredMachine
 
 SCENARIO = Path(__file__).resolve().parents[2] / "config" / "simulators" / "two-mounts.toml"
 
 
 @dataclass
 class Both:
-    machine: MachineOnWires
+    machine: WiredMachine
     ready: dict[str, Any]
     clock: Clock
     mounts: tuple[CanopenMount, CanopenMount]
@@ -35,7 +35,7 @@ class Both:
 @pytest.fixture(params=["virtual", "slcan:any"])
 def both(request: pytest.FixtureRequest) -> Iterator[Both]:
     channel = f"virtual:contract-two-{next(channels)}" if request.param == "virtual" else request.param
-    machine = MachineOnWires(read_scenario(SCENARIO).made_ideal(), Links(ANY, ANY, can=channel))
+    machine = WiredMachine(read_scenario(SCENARIO).without_errors(), Links(ANY, ANY, can=channel))
     machine.start()
     assert machine.time is not None
     clock = LockstepClock(*machine.time.address)

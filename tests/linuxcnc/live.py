@@ -89,5 +89,5 @@ def running(work: Path) -> Iterator[Live]:
         work=work,
         speed=SPEED,
     ) as process:
-        standing = World(read_scenario(scenario)).table.standing(0.0)
+        standing = World(read_scenario(scenario)).table.snapshot(0.0)
         yield Live(process, np.array(standing.balls) - TOOL)

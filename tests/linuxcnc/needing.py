@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from aloud import NOT_HERE
 
-from simulators.linuxcnc.namespaces import why_not
+from simulators.linuxcnc.namespaces import unavailable_reason
 
 
 def needing(missing: str) -> pytest.MarkDecorator:
@@ -13,4 +13,4 @@ def needing(missing: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(missing != "", reason=f"{NOT_HERE}: LinuxCNC cannot run: {missing}")
 
 
-needs_linuxcnc = needing(why_not())
+needs_linuxcnc = needing(unavailable_reason())

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from needing import needs_linuxcnc
 
-from simulators.linuxcnc.memory import TRACE, DeviationGrid, PlantMemory, ProbeNature
-from simulators.linuxcnc.plant import Plant
+from simulators.linuxcnc.memory import TRACE, DeviationGrid, PlantMemory, ProbeBehaviour
+from simulators.linuxcnc.plant import LinuxCncPlant
 from simulators.scenario import read_scenario
 from twin.collision.bodies import TIP
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = ROOT / "config" / "simulators" / "case-study.toml"
 COMPONENTS = ROOT / "simulators" / "linuxcnc" / "components"
-NATURE = ProbeNature(7, 15.5, 6.0, 0.008, 0.0005, 0.0012, 0.0002, (0.1, 0.2, 0.3), (0.0, 250.0, 0.0))
+NATURE = ProbeBehaviour(7, 15.5, 6.0, 0.008, 0.0005, 0.0012, 0.0002, (0.1, 0.2, 0.3), (0.0, 250.0, 0.0))
 READER = r"""
 #include <fcntl.h>
 #include <stdio.h>
@@ -70,36 +70,36 @@ def test_servo_thread_reads_what_python_has_written(tmp_path: Path) -> None:
     assert [float(word) for word in told[1].split()] == [4.0, 5.0, 6.0]
     inside = np.clip(places, origin, origin + step * (np.array(nodes) - 1))
     assert np.loadtxt(told[2:]) == pytest.approx(inside @ linear.T, abs=1e-15)
-    assert memory.traced() == pytest.approx(places)
+    assert memory.read_trace() == pytest.approx(places)
 
 
 class TestCollisions:
     @pytest.fixture
-    def plant(self, tmp_path: Path) -> Plant:
-        return Plant(read_scenario(SCENARIO).made_ideal(), tmp_path / "plant.bin")
+    def plant(self, tmp_path: Path) -> LinuxCncPlant:
+        return LinuxCncPlant(read_scenario(SCENARIO).without_errors(), tmp_path / "plant.bin")
 
     @staticmethod
-    def go(plant: Plant, *places: np.ndarray) -> list[tuple[str, str]]:
+    def go(plant: LinuxCncPlant, *places: np.ndarray) -> list[tuple[str, str]]:
         """The tip goes there, as the servo thread would write it; what has collided since the beginning."""
         head = plant.memory._head
         for place in places:
             head["trace_mm"][0][int(head["traced"][0]) % TRACE] = place
             head["traced"] += 1
-        plant.moved_to(0.0)
+        plant.on_advance(0.0)
         return [(bump.body_a, bump.body_b) for bump in plant.world.collisions]
 
-    def test_touching_a_ball_is_none(self, plant: Plant) -> None:
-        ball = np.array(plant.world.table.standing(0.0).balls[5])
+    def test_touching_a_ball_is_none(self, plant: LinuxCncPlant) -> None:
+        ball = np.array(plant.world.table.snapshot(0.0).balls[5])
         assert self.go(plant, *(ball - [0.0, distance, 0.0] for distance in (200.0, 20.0, 15.0, 20.0, 200.0))) == []
 
-    def test_pressed_deeper_than_the_probe_yields_is_one_and_only_one(self, plant: Plant) -> None:
-        standing = plant.world.table.standing(0.0)
+    def test_pressed_deeper_than_the_probe_yields_is_one_and_only_one(self, plant: LinuxCncPlant) -> None:
+        standing = plant.world.table.snapshot(0.0)
         ball = np.array(standing.balls[5])
         way = [ball - [0.0, distance, 0.0] for distance in (20.0, 9.0, 8.5, 20.0)]
         assert self.go(plant, *way) == [(TIP, standing.ball_names[5])]
 
-    def test_ram_through_the_bar_is_one(self, plant: Plant) -> None:
-        ball = np.array(plant.world.table.standing(0.0).balls[5])
+    def test_ram_through_the_bar_is_one(self, plant: LinuxCncPlant) -> None:
+        ball = np.array(plant.world.table.snapshot(0.0).balls[5])
         bumps = self.go(plant, *(ball + np.array([0.0, 60.0, z]) for z in (-300.0, 300.0)))
         assert bumps != []
         assert all("ball" not in moving for moving, _ in bumps)

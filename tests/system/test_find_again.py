@@ -73,7 +73,7 @@ def test_three_millimetres_and_a_third_of_a_degree_are_found(
     nominal = job.layout.nominal(position)[found.ball_numbers]
     off = np.linalg.norm(found.centres_mm - nominal, axis=1)
     assert off.max() > 3.5
-    true = np.array(world.workpiece.standing(world.now).balls)[found.ball_numbers] - job.tool_offset_mm
+    true = np.array(world.workpiece.snapshot(world.now).balls)[found.ball_numbers] - job.tool_offset_mm
     assert found.centres_mm == pytest.approx(true, abs=0.05)
 
 

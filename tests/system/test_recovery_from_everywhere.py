@@ -129,7 +129,7 @@ def test_a_trip_on_the_way_is_left_the_way_the_tip_came(state: Path) -> None:
     assert isinstance(device, SimulatedMachineDevice)
     run = Engine(rig.actions()).run
     device.orient_to(0.0, 0.0)
-    ball = np.array(device.world.workpiece.standing(0.0).balls[5]) - np.array(job.tool_offset_mm)
+    ball = np.array(device.world.workpiece.snapshot(0.0).balls[5]) - np.array(job.tool_offset_mm)
     beside = ball + np.array([60.0, 0.0, 0.0])
 
     def into_the_ball() -> s.Plan[None]:

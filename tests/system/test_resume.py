@@ -223,7 +223,7 @@ def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken
 def test_a_door_that_is_open_keeps_the_compensation_as_it_is(proving: Broken) -> None:
     world = proving.night.world
     assert world is not None
-    world.controller.given[Permission.DOORS_CLOSED] = False
+    world.controller.granted[Permission.DOORS_CLOSED] = False
     result = reconcile(proving.rig, STATE)
     assert (result.done, proving.night.active) == (Done.LEFT, 2)
     assert "doors closed" in result.person

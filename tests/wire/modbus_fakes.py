@@ -38,7 +38,7 @@ class FakeController:
     probe_deflected: bool = False
     probe_loaded: bool = True
     probe_healthy: bool = True
-    given: dict[Permission, bool] = field(default_factory=lambda: dict.fromkeys(Permission, True))
+    granted: dict[Permission, bool] = field(default_factory=lambda: dict.fromkeys(Permission, True))
     banks: dict[int, TableImage] = field(default_factory=dict)
     active_bank: int = 0
     activation: Activation = Activation.IMMEDIATE
@@ -53,7 +53,7 @@ class FakeController:
 
     @property
     def permissions(self) -> dict[Permission, bool]:
-        return self.given | ({Permission.NO_FAULT: False} if self.motion is MotionState.FAULT else {})
+        return self.granted | ({Permission.NO_FAULT: False} if self.motion is MotionState.FAULT else {})
 
     @property
     def store_limits(self) -> StoreLimits:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from simulators.wire.can.sdo import Entry, SdoServer
+from simulators.wire.can.sdo import ObjectEntry, SdoServer
 
 written: list[int] = []
 
@@ -12,14 +12,14 @@ def server() -> SdoServer:
     written.clear()
     return SdoServer(
         {
-            (0x1000, 0): Entry("I", lambda: 0x00020192),
-            (0x1008, 0): Entry("", lambda: "simulated drive"),
-            (0x1017, 0): Entry("H", lambda: 500, written.append),
-            (0x1018, 0): Entry("B", lambda: 4),
-            (0x6061, 0): Entry("b", lambda: -1),
-            (0x6064, 0): Entry("i", lambda: -2),
-            (0x6060, 0): Entry("b", None, written.append),
-            (0x607A, 0): Entry("i", lambda: 0, written.append),
+            (0x1000, 0): ObjectEntry("I", lambda: 0x00020192),
+            (0x1008, 0): ObjectEntry("", lambda: "simulated drive"),
+            (0x1017, 0): ObjectEntry("H", lambda: 500, written.append),
+            (0x1018, 0): ObjectEntry("B", lambda: 4),
+            (0x6061, 0): ObjectEntry("b", lambda: -1),
+            (0x6064, 0): ObjectEntry("i", lambda: -2),
+            (0x6060, 0): ObjectEntry("b", None, written.append),
+            (0x607A, 0): ObjectEntry("i", lambda: 0, written.append),
         }
     )
 

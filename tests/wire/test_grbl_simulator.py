@@ -27,7 +27,7 @@ class Terminal:
     """Types bytes, sees lines, moves time."""
 
     def __init__(self, *, homed: bool = True, **settings: float) -> None:
-        self.world = World(read_scenario(SCENARIO).made_ideal())
+        self.world = World(read_scenario(SCENARIO).without_errors())
         self._shared = SharedWorld(self.world)
         self._said = b""
         told = GrblSettings(self.world.controller.limits())
@@ -35,7 +35,7 @@ class Terminal:
         self.grbl = GrblController(
             self.world.controller, lambda: self._shared.now, self._hear, settings=told, homed=homed
         )
-        self._shared.subscribe(self.grbl.moved_to, wakes_at=self.grbl.wakes_at)
+        self._shared.subscribe(self.grbl.on_advance, wakes_at=self.grbl.wakes_at)
 
     def _hear(self, data: bytes) -> None:
         self._said += data
@@ -223,14 +223,14 @@ def test_switched_on_it_is_locked_until_it_has_homed() -> None:
 def test_door_holds_and_waits_for_cycle_start(grbl: Terminal) -> None:
     grbl.type(b"G53G1X-3000F6000\n")
     grbl.wait(2.0)
-    grbl.world.controller.given[Permission.DOORS_CLOSED] = False
+    grbl.world.controller.granted[Permission.DOORS_CLOSED] = False
     assert grbl.wait(0.01) == ["[MSG:Check Door]"]
     assert grbl.type(b"?")[0].startswith("<Door:2|")
     grbl.wait(2.0)
     report = grbl.type(b"~?")[0]
     assert report.startswith("<Door:1|")
     assert "|Pn:D" in report
-    grbl.world.controller.given[Permission.DOORS_CLOSED] = True
+    grbl.world.controller.granted[Permission.DOORS_CLOSED] = True
     assert grbl.type(b"?")[0].startswith("<Door:0|")
     assert grbl.type(b"~?")[0].startswith("<Run|")
 

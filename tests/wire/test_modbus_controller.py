@@ -439,7 +439,7 @@ def test_motion_refused(rig: Rig, code: int, target: tuple[float, float, float],
 def test_every_permission_has_its_bit_and_is_needed(rig: Rig) -> None:
     order = ["AUTOMATIC", "DOORS_CLOSED", "SPINDLE_STOPPED", "PROGRAM_IDLE", "REFERENCED", "NO_FAULT", "CONSENT"]
     for bit, name in enumerate(order):
-        rig.controller.given = dict.fromkeys(Permission, True) | {Permission[name]: False}
+        rig.controller.granted = dict.fromkeys(Permission, True) | {Permission[name]: False}
         assert rig.peer.word(1006) == 0x7F & ~(1 << bit)
         assert rig.peer.command(11, (1.0, 1.0, 1.0)) == 4
 
@@ -469,7 +469,7 @@ def test_probe_lost_in_a_guarded_move(rig: Rig) -> None:
 
 def test_door_opened_while_moving(rig: Rig) -> None:
     assert rig.peer.command(11, (100.0, 0.0, 0.0)) == 1
-    rig.controller.given[Permission.DOORS_CLOSED] = False
+    rig.controller.granted[Permission.DOORS_CLOSED] = False
     rig.advance(0.125)
     assert rig.peer.motion() == (3, 7, 1, 8)
     assert rig.peer.word(1006) == 0x7F & ~0b100010

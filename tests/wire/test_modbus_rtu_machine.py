@@ -18,10 +18,10 @@ from drivers.errors import DeviceError
 from drivers.modbus_cnc.device import ModbusCnc
 from drivers.modbus_cnc.settings import ModbusCncSettings
 from drivers.roles import TableImage, Touch
-from simulators.wire.modbus.controller import registers_behind
+from simulators.wire.modbus.controller import attach_registers
 from simulators.wire.modbus.frames import answer_request
 from simulators.wire.modbus.rtu import LineSettings, ModbusRtuController
-from simulators.wire.modbus.rtu_frames import NoFrame, frame_crc, take_request
+from simulators.wire.modbus.rtu_frames import InvalidFrameError, frame_crc, take_request
 from simulators.wire.shared_world import SharedWorld
 
 READ_PROTOCOL = framed("01 03 03E8 0002")
@@ -85,7 +85,7 @@ def test_on_a_clock_of_its_own_the_line_is_truly_paced(controller: ModbusRtuCont
 def test_a_frame_that_is_longer_than_the_standard_allows_is_none() -> None:
     body = bytes.fromhex("01 10 07D0 007B F8") + bytes(248)
     buffer = bytearray(body + crc(body))
-    with pytest.raises(NoFrame):
+    with pytest.raises(InvalidFrameError):
         take_request(buffer)
     assert not buffer
 
@@ -118,7 +118,7 @@ def test_on_a_bad_line_what_comes_out_is_right_or_an_error(seed: int) -> None:
     Each motion is carried out once."""
     drawn = random.Random(seed)  # noqa: S311  not for secrets
     shared = SharedWorld(FakeWorld())
-    registers = registers_behind(shared)
+    registers = attach_registers(shared)
     shared.world.controller.wall_y = 200.0
 
     def answer(request: bytes) -> bytes | None:

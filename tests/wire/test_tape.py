@@ -44,8 +44,8 @@ def line() -> Iterator[Line]:
 
 def made(cnc: TapeCnc) -> Iterator[Line]:
     clock = VirtualClock()
-    clock.subscribe(cnc.moved_to)
-    settings = TapeSettings(port=cnc.line.place, operator_within_s=60.0, stopped_within_s=20.0)
+    clock.subscribe(cnc.on_advance)
+    settings = TapeSettings(port=cnc.line.device_path, operator_within_s=60.0, stopped_within_s=20.0)
     line = Line(cnc, clock, PunchRead(settings, clock, lambda text: press(line, text), device="cnc"))
     with line.punch_read:
         yield line
@@ -208,7 +208,7 @@ class TestRead:
 
     def test_xoff_that_is_never_lifted(self) -> None:
         for line in made(TapeCnc({}, baud=600)):
-            line.cnc.never_starts_again = True
+            line.cnc.stays_stopped = True
             with pytest.raises(LinkTimeout, match="stopped the transfer") as caught:
                 line.punch_read.read_by_controller(LONG)
             assert "of 102 blocks; read its backup back in" in caught.value.__notes__[0]
@@ -225,6 +225,6 @@ class TestRead:
             line.punch_read.read_by_controller(parse_tape(MANUAL))
 
     def test_value_that_the_controller_keeps_otherwise(self, line: Line) -> None:
-        line.cnc.wrong = {2: "P00000001"}
+        line.cnc.misstored = {2: "P00000001"}
         with pytest.raises(ReadBackMismatch, match="N2: wrote P00000000, reads P00000001"):
             line.punch_read.write(parse_tape(MANUAL))

@@ -72,7 +72,7 @@ static void follow(const double *motor) {
     for (int a = 0; a < 3; a++) {
         double step = begun ? motor[a] - before[a] : 0.0, half = 0.5 * scene.backlash_mm[a];
         lag[a] = fmin(fmax(lag[a] - step, -half), half);
-        if (step != 0.0 && !was_moving[a]) scatter[a] = scene.scatter_mm * plant_normal(scene.seed, 1 + a, motions++);
+        if (step != 0.0 && !was_moving[a]) scatter[a] = scene.repeatability_mm * plant_normal(scene.seed, 1 + a, motions++);
         was_moving[a] = step != 0.0;
         before[a] = motor[a];
     }

@@ -26,7 +26,7 @@ typedef struct {
     double reach_mm; /* of both centres at contact */
     double overtravel_mm;
     double pretravel_mm, lobing_mm, touch_sigma_mm;
-    double scatter_mm;
+    double repeatability_mm;
     double backlash_mm[3];
     double tool_mm[3];
     double drift_mm[3];

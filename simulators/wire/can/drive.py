@@ -15,7 +15,7 @@ from typing import Protocol
 from drivers.errors import DeviceError
 from simulators.wire.can.node import CanopenNode
 from simulators.wire.can.parameters import HOMING_METHOD, HOMING_SPEED, QUICK_STOP_OPTION, FactorGroup, Parameters
-from simulators.wire.can.sdo import ABORT_LOCAL_STATE, ABORT_VALUE, Dictionary, Entry, SdoAbortError
+from simulators.wire.can.sdo import ABORT_LOCAL_STATE, ABORT_VALUE, ObjectDictionary, ObjectEntry, SdoAbortError
 
 DEVICE_TYPE_SERVO = 0x0002_0192
 """Additional information 2 (servo drive), profile 402."""
@@ -62,7 +62,7 @@ class DriveConfig:
     factors: FactorGroup | None = None
 
 
-class State(IntEnum):
+class DriveState(IntEnum):
     """The states with their statusword bits 0-3, 5 and 6 (quick stop bit 5 is low active)."""
 
     NOT_READY = 0x00
@@ -75,7 +75,7 @@ class State(IntEnum):
     FAULT = 0x08
 
 
-POWERED = frozenset({State.SWITCHED_ON, State.ENABLED, State.QUICK_STOP})
+POWERED = frozenset({DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUICK_STOP})
 
 
 class ServoDrive:
@@ -94,7 +94,7 @@ class ServoDrive:
         self.reset()
 
     def reset(self) -> None:
-        self._state = State.SWITCH_ON_DISABLED
+        self._state = DriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._mode = 0
         self._error_code = 0
@@ -113,21 +113,21 @@ class ServoDrive:
         self._axes.halt(self._config.axis)
 
     @property
-    def state(self) -> State:
+    def state(self) -> DriveState:
         self._settle()
         return self._state
 
     @property
     def error_register(self) -> int:
         """0x1001: bit 0 generic, bit 5 device profile."""
-        return 0x21 if self._state in (State.FAULT, State.FAULT_REACTION) else 0x00
+        return 0x21 if self._state in (DriveState.FAULT, DriveState.FAULT_REACTION) else 0x00
 
     def trip(self, code: int, *, persistent: bool = False) -> None:
         """A fault from inside: motion stops, EMCY is sent. A persistent one cannot be reset."""
         self._error_code = code
         self._persistent = persistent
         self._emergencies.append(code)
-        self._state = State.FAULT_REACTION
+        self._state = DriveState.FAULT_REACTION
         self._stop_motion()
 
     def jam(self, *, jammed: bool = True) -> None:
@@ -140,9 +140,9 @@ class ServoDrive:
         """Statusword bit 13, following or homing error, in a drive that is set not to trip on it."""
         self._deviating = deviating
 
-    def press_limit_switch(self, way: int, *, pressed: bool = True) -> None:
-        """The switch at the end of the way in the direction `way` (1, -1) of counts; motion that way stops there."""
-        bit = POSITIVE_SWITCH if way > 0 else NEGATIVE_SWITCH
+    def press_limit_switch(self, direction: int, *, pressed: bool = True) -> None:
+        """Set the limit switch in the given `direction` of counts (1 or -1); motion in that direction stops."""
+        bit = POSITIVE_SWITCH if direction > 0 else NEGATIVE_SWITCH
         self._switches = self._switches | bit if pressed else self._switches & ~bit
         self._stop_at_switch()
 
@@ -162,20 +162,20 @@ class ServoDrive:
         del now_s
         self._settle()
 
-    def dictionary(self) -> Dictionary:
+    def dictionary(self) -> ObjectDictionary:
         entries = {
-            (0x603F, 0): Entry("H", lambda: self._error_code),
-            (0x6040, 0): Entry("H", lambda: self._controlword, self._control),
-            (0x6041, 0): Entry("H", self._statusword),
-            (0x6060, 0): Entry("b", lambda: self._mode, self._set_mode),
-            (0x6061, 0): Entry("b", lambda: self._mode),
-            (0x6064, 0): Entry("i", self._position),
-            (0x607A, 0): Entry("i", lambda: self._target, self._set_target),
-            (0x6081, 0): Entry("I", lambda: self._velocity, self._set_velocity),
-            (0x6079, 0): Entry("I", lambda: DC_LINK_MV),
-            (0x60F4, 0): Entry("i", self._following_distance),
-            (0x60FD, 0): Entry("I", lambda: self._switches | (HOME_SWITCH if self._at_home() else 0)),
-            (0x6502, 0): Entry("I", lambda: 1 << PROFILE_POSITION - 1 | 1 << HOMING - 1),
+            (0x603F, 0): ObjectEntry("H", lambda: self._error_code),
+            (0x6040, 0): ObjectEntry("H", lambda: self._controlword, self._control),
+            (0x6041, 0): ObjectEntry("H", self._statusword),
+            (0x6060, 0): ObjectEntry("b", lambda: self._mode, self._set_mode),
+            (0x6061, 0): ObjectEntry("b", lambda: self._mode),
+            (0x6064, 0): ObjectEntry("i", self._position),
+            (0x607A, 0): ObjectEntry("i", lambda: self._target, self._set_target),
+            (0x6081, 0): ObjectEntry("I", lambda: self._velocity, self._set_velocity),
+            (0x6079, 0): ObjectEntry("I", lambda: DC_LINK_MV),
+            (0x60F4, 0): ObjectEntry("i", self._following_distance),
+            (0x60FD, 0): ObjectEntry("I", lambda: self._switches | (HOME_SWITCH if self._at_home() else 0)),
+            (0x6502, 0): ObjectEntry("I", lambda: 1 << PROFILE_POSITION - 1 | 1 << HOMING - 1),
         }
         return {**entries, **self.parameters.dictionary()}
 
@@ -216,7 +216,7 @@ class ServoDrive:
             word |= 0x0400
         if self._homing_attained if self._mode == HOMING else self._acknowledged:
             word |= 0x1000
-        if self._state is State.ENABLED and (self._deviating or (self._homing_error and self._mode == HOMING)):
+        if self._state is DriveState.ENABLED and (self._deviating or (self._homing_error and self._mode == HOMING)):
             word |= 0x2000
         if self._switches or self._clipped:
             word |= 0x0800
@@ -226,42 +226,42 @@ class ServoDrive:
         self._settle()
         rising = word & ~self._controlword
         self._controlword = word
-        if self._state in (State.FAULT, State.FAULT_REACTION):
-            if rising & 0x80 and self._state is State.FAULT and not self._persistent:
+        if self._state in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            if rising & 0x80 and self._state is DriveState.FAULT and not self._persistent:
                 self._error_code = 0
                 self._emergencies.append(0)
-                self._state = State.SWITCH_ON_DISABLED
+                self._state = DriveState.SWITCH_ON_DISABLED
             return
         self._command(word)
-        if self._state is State.ENABLED:
+        if self._state is DriveState.ENABLED:
             self._operate(word, rising)
 
     def _command(self, word: int) -> None:
         """The device control commands of the profile, by controlword bits 0-3."""
         state = self._state
         if not word & 0x02:
-            self._power_off(State.SWITCH_ON_DISABLED)
+            self._power_off(DriveState.SWITCH_ON_DISABLED)
         elif not word & 0x04:
             self._quick_stop()
         elif not word & 0x01:
-            if state in (State.SWITCH_ON_DISABLED, State.SWITCHED_ON, State.ENABLED):
-                self._power_off(State.READY)
-        elif state is State.READY or (state is State.ENABLED and not word & 0x08):
-            self._power_off(State.SWITCHED_ON)
-        elif state is State.SWITCHED_ON and word & 0x08:
-            self._state = State.ENABLED
+            if state in (DriveState.SWITCH_ON_DISABLED, DriveState.SWITCHED_ON, DriveState.ENABLED):
+                self._power_off(DriveState.READY)
+        elif state is DriveState.READY or (state is DriveState.ENABLED and not word & 0x08):
+            self._power_off(DriveState.SWITCHED_ON)
+        elif state is DriveState.SWITCHED_ON and word & 0x08:
+            self._state = DriveState.ENABLED
 
-    def _power_off(self, state: State) -> None:
-        if self._state in (State.ENABLED, State.QUICK_STOP):
+    def _power_off(self, state: DriveState) -> None:
+        if self._state in (DriveState.ENABLED, DriveState.QUICK_STOP):
             self._stop_motion()
         self._state = state
 
     def _quick_stop(self) -> None:
-        if self._state is State.ENABLED:
-            self._state = State.QUICK_STOP
+        if self._state is DriveState.ENABLED:
+            self._state = DriveState.QUICK_STOP
             self._stop_motion()
-        elif self._state in (State.READY, State.SWITCHED_ON):
-            self._state = State.SWITCH_ON_DISABLED
+        elif self._state in (DriveState.READY, DriveState.SWITCHED_ON):
+            self._state = DriveState.SWITCH_ON_DISABLED
 
     def _operate(self, word: int, rising: int) -> None:
         """Operation mode specific bits 4, 5, 6 and halt (8)."""
@@ -340,10 +340,10 @@ class ServoDrive:
     def _settle(self) -> None:
         """Take the transitions that are due by themselves."""
         moving = self._axes.moving(self._config.axis)
-        if self._state is State.FAULT_REACTION and not moving:
-            self._state = State.FAULT
-        if self._state is State.QUICK_STOP and not moving and self.parameters[QUICK_STOP_OPTION] in range(5):
-            self._state = State.SWITCH_ON_DISABLED
+        if self._state is DriveState.FAULT_REACTION and not moving:
+            self._state = DriveState.FAULT
+        if self._state is DriveState.QUICK_STOP and not moving and self.parameters[QUICK_STOP_OPTION] in range(5):
+            self._state = DriveState.SWITCH_ON_DISABLED
         if self._underway and not moving and self._at_goal():
             self._underway = False
             if self._mode == HOMING:

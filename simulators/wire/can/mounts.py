@@ -39,7 +39,7 @@ class CanMounts:
 
     def __init__(self, spec: str, mounts: Sequence[MountAxes], lock: AbstractContextManager[bool]) -> None:
         self._channel: CanChannel = open_channel(spec)
-        pairs = zip(drives_of(len(mounts)), mounts, strict=True)
+        pairs = zip(drive_configs(len(mounts)), mounts, strict=True)
         self._drives = {config.node_id: drive_node(config, mount) for configs, mount in pairs for config in configs}
         self._server = CanServer(self._channel.bus, [node for node, _ in self._drives.values()], lock)
         self.start = self._server.start
@@ -73,7 +73,7 @@ class CanMounts:
             self._channel.bus.send(BUS_OFF)
 
 
-def drives_of(mounts: int) -> list[tuple[DriveConfig, ...]]:
+def drive_configs(mounts: int) -> list[tuple[DriveConfig, ...]]:
     """Nodes 1 and 2 for the first mount, 3 and 4 for the second, and so on."""
     return [
         tuple(_drive(2 * number + place, axis) for place, axis in enumerate(AXES, start=1)) for number in range(mounts)
@@ -94,8 +94,8 @@ def _faults(node: CanopenNode, drive: ServoDrive) -> dict[str, Callable[[], None
         node.silent = False
         drive.jam(jammed=False)
         drive.lose_home_switch(lost=False)
-        for way in (1, -1):
-            drive.press_limit_switch(way, pressed=False)
+        for direction in (1, -1):
+            drive.press_limit_switch(direction, pressed=False)
 
     return {
         "following_error": partial(drive.trip, FOLLOWING_ERROR),

@@ -10,7 +10,7 @@ from enum import IntEnum
 from functools import partial
 from typing import Protocol
 
-from simulators.wire.can.sdo import Dictionary, Entry, SdoServer
+from simulators.wire.can.sdo import ObjectDictionary, ObjectEntry, SdoServer
 
 Frame = tuple[int, bytes]
 
@@ -31,7 +31,7 @@ class Application(Protocol):
     @property
     def error_register(self) -> int: ...
 
-    def dictionary(self) -> Dictionary: ...
+    def dictionary(self) -> ObjectDictionary: ...
 
     def reset(self) -> None:
         """Power-on state."""
@@ -64,21 +64,21 @@ class CanopenNode:
         self._watched = 0
         self._now_s = 0.0
         self._errors: list[int] = []
-        own: dict[tuple[int, int], Entry] = {
-            (0x1000, 0): Entry("I", lambda: device_type),
-            (0x1001, 0): Entry("B", lambda: application.error_register),
-            (0x1003, 0): Entry("B", lambda: len(self._errors)),
-            (0x1003, 1): Entry("I", lambda: self._errors[0] if self._errors else 0),
-            (0x1008, 0): Entry("", lambda: device_name),
-            (0x1009, 0): Entry("", lambda: HARDWARE_VERSION),
-            (0x100A, 0): Entry("", lambda: SOFTWARE_VERSION),
-            (0x1016, 0): Entry("B", lambda: 1),
-            (0x1016, 1): Entry("I", lambda: self._watched, self._set_watched),
-            (0x1017, 0): Entry("H", lambda: self._heartbeat_ms, self._set_heartbeat),
-            (0x1018, 0): Entry("B", lambda: 4),
+        own: dict[tuple[int, int], ObjectEntry] = {
+            (0x1000, 0): ObjectEntry("I", lambda: device_type),
+            (0x1001, 0): ObjectEntry("B", lambda: application.error_register),
+            (0x1003, 0): ObjectEntry("B", lambda: len(self._errors)),
+            (0x1003, 1): ObjectEntry("I", lambda: self._errors[0] if self._errors else 0),
+            (0x1008, 0): ObjectEntry("", lambda: device_name),
+            (0x1009, 0): ObjectEntry("", lambda: HARDWARE_VERSION),
+            (0x100A, 0): ObjectEntry("", lambda: SOFTWARE_VERSION),
+            (0x1016, 0): ObjectEntry("B", lambda: 1),
+            (0x1016, 1): ObjectEntry("I", lambda: self._watched, self._set_watched),
+            (0x1017, 0): ObjectEntry("H", lambda: self._heartbeat_ms, self._set_heartbeat),
+            (0x1018, 0): ObjectEntry("B", lambda: 4),
         }
         for subindex, number in enumerate(identity, start=1):
-            own[0x1018, subindex] = Entry("I", partial(int, number))
+            own[0x1018, subindex] = ObjectEntry("I", partial(int, number))
         self._sdo = SdoServer({**own, **application.dictionary()})
 
     def boot(self) -> list[Frame]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from simulators.wire.can.sdo import ABORT_VALUE, Dictionary, Entry, SdoAbortError
+from simulators.wire.can.sdo import ABORT_VALUE, ObjectDictionary, ObjectEntry, SdoAbortError
 
 Key = tuple[int, int]
 
@@ -93,13 +93,13 @@ class Parameters:
         lower, upper = self[LOWER_LIMIT], self[UPPER_LIMIT]
         return min(max(position, lower), upper) if lower < upper else position
 
-    def dictionary(self) -> Dictionary:
+    def dictionary(self) -> ObjectDictionary:
         entries = {
-            key: Entry(code, partial(self._values_of, key), partial(self._write, key))
+            key: ObjectEntry(code, partial(self._values_of, key), partial(self._write, key))
             for key, (code, _) in self._kept.items()
         }
         for index in {index for index, subindex in self._kept if subindex}:
-            entries[index, 0] = Entry("B", lambda: 2)
+            entries[index, 0] = ObjectEntry("B", lambda: 2)
         return entries
 
     def _values_of(self, key: Key) -> int:

@@ -30,7 +30,7 @@ class SdoAbortError(Exception):
 
 
 @dataclass(frozen=True)
-class Entry:
+class ObjectEntry:
     """One object: `code` is the `struct` letter of its little-endian type, empty for a visible string."""
 
     code: str
@@ -51,13 +51,13 @@ class Entry:
         self.write(struct.unpack("<" + self.code, data)[0])
 
 
-Dictionary = Mapping[tuple[int, int], Entry]
+ObjectDictionary = Mapping[tuple[int, int], ObjectEntry]
 
 
 class SdoServer:
     """Answers the requests of one client on one channel."""
 
-    def __init__(self, dictionary: Dictionary) -> None:
+    def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
         self._indexes = {index for index, _ in dictionary}
         self._object = (0, 0)
@@ -87,7 +87,7 @@ class SdoServer:
             self._rest = b""
             return struct.pack("<BHBI", 0x80, *self._object, abort.code)
 
-    def _entry(self) -> Entry:
+    def _entry(self) -> ObjectEntry:
         entry = self._dictionary.get(self._object)
         if entry is None:
             raise SdoAbortError(ABORT_NO_SUBINDEX if self._object[0] in self._indexes else ABORT_NO_OBJECT)

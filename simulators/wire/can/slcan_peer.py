@@ -30,7 +30,7 @@ RECEIVE_QUEUE_FULL, ERROR_WARNING, ERROR_PASSIVE, BUS_ERROR = 0x01, 0x04, 0x20, 
 TRANSMIT = tuple("tTrR")
 BIT_RATES = LENGTHS = tuple("012345678")
 """S0 ... S8 are 10, 20, 50, 100, 125, 250, 500, 800 and 1000 kbit/s."""
-TOLD = {"V": b"V1013", "N": b"NVC01"}
+IDENTIFICATION = {"V": b"V1013", "N": b"NVC01"}
 """Version of hardware and software, serial number."""
 
 
@@ -40,13 +40,13 @@ class SlcanPeerBus(can.BusABC):
     def __init__(self, link: str = ANY) -> None:
         super().__init__(channel=link)
         self._lock = threading.RLock()
-        self._line = PseudoTerminal("slcan adapter", self._take, link)
-        self.port = self._line.place
+        self._line = PseudoTerminal("slcan adapter", self._receive, link)
+        self.port = self._line.device_path
         self.channel_info = f"slcan adapter at {self.port}"
         self._pending = b""
         self._outgoing: deque[bytes] = deque()
         self._received: queue.SimpleQueue[can.Message] = queue.SimpleQueue()
-        self._open = self._listening_only = self._bit_rate_set = self._stamped = False
+        self._open = self._listening_only = self._bit_rate_set = self._timestamped = False
         self._flags = 0
         self._off_bus = False
         self._line.start()
@@ -64,8 +64,8 @@ class SlcanPeerBus(can.BusABC):
             if len(self._outgoing) >= QUEUED_FRAMES:
                 self._flags |= RECEIVE_QUEUE_FULL
                 return
-            stamp = f"{int(1e3 * wall_seconds()) % 60_000:04X}".encode("ascii") if self._stamped else b""
-            self._say(format_frame(msg) + stamp + CR)
+            stamp = f"{int(1e3 * wall_seconds()) % 60_000:04X}".encode("ascii") if self._timestamped else b""
+            self._queue(format_frame(msg) + stamp + CR)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         ends_s = None if timeout is None else wall_seconds() + timeout
@@ -84,7 +84,7 @@ class SlcanPeerBus(can.BusABC):
             super().shutdown()
             self._line.close()
 
-    def _say(self, data: bytes) -> None:
+    def _queue(self, data: bytes) -> None:
         with self._lock:
             self._outgoing.append(data)
             self._flush()
@@ -100,15 +100,15 @@ class SlcanPeerBus(can.BusABC):
                 self._outgoing.popleft()
             return False
 
-    def _take(self, data: bytes) -> None:
+    def _receive(self, data: bytes) -> None:
         """Bytes from the host."""
         with self._lock:
             *commands, self._pending = (self._pending + data).split(CR)
             if len(self._pending) > LONGEST_COMMAND:
                 self._pending = b""
-                self._say(BELL)
+                self._queue(BELL)
             for command in commands:
-                self._say(self._answer(command.decode("ascii", errors="replace")))
+                self._queue(self._answer(command.decode("ascii", errors="replace")))
 
     def _answer(self, command: str) -> bytes:
         letter, rest = command[:1], command[1:]
@@ -116,8 +116,8 @@ class SlcanPeerBus(can.BusABC):
             return self._transmit(command)
         if letter == "F" and self._open:
             return f"F{self._status_flags():02X}".encode("ascii") + CR
-        if letter in TOLD:
-            return TOLD[letter] + CR
+        if letter in IDENTIFICATION:
+            return IDENTIFICATION[letter] + CR
         return CR if self._set_up(letter, rest) else BELL
 
     def _set_up(self, letter: str, rest: str) -> bool:
@@ -133,7 +133,7 @@ class SlcanPeerBus(can.BusABC):
             case "s" if not self._open and len(rest) == len("xxyy"):
                 self._bit_rate_set = True
             case "Z" if not self._open and rest in ("0", "1"):
-                self._stamped = rest == "1"
+                self._timestamped = rest == "1"
             case _:
                 return False
         return True

@@ -23,7 +23,7 @@ class PlannedMove:
 
 
 class GrblAxes:
-    """Carries out what the planner hands over. `under_way` stays until somebody asks whether it has ended."""
+    """Carries out what the planner hands over. `current_move` stays until somebody asks whether it has ended."""
 
     def __init__(self, physics: GrblPhysics, settings: GrblSettings, now: Callable[[], float]) -> None:
         self._physics = physics
@@ -31,8 +31,8 @@ class GrblAxes:
         self._now = now
         self._coordinates = MachineCoordinates(physics.limits(), settings)
         self._leaving = False
-        self.under_way: PlannedMove | None = None
-        self.left_at_mm: Triple | None = None
+        self.current_move: PlannedMove | None = None
+        self.released_at_mm: Triple | None = None
 
     @property
     def moving(self) -> bool:
@@ -62,18 +62,18 @@ class GrblAxes:
 
     @property
     def feed_mm_per_min(self) -> float:
-        if self.under_way is None or not self.moving:
+        if self.current_move is None or not self.moving:
             return 0.0
-        feed = self.under_way.feed_mm_per_min
+        feed = self.current_move.feed_mm_per_min
         return max(self._settings.axes(RATE)) if feed is None else feed
 
     def position(self) -> Triple:
-        return self._coordinates.of_axes(self._physics.displayed_position())
+        return self._coordinates.from_axes(self._physics.displayed_position())
 
     def latch_after(self, latches: int) -> Triple | None:
         """Where the probe has tripped since there were so many latches."""
         latch = self._physics.latch
-        return self._coordinates.of_axes(latch.position) if latch is not None and latch.sequence > latches else None
+        return self._coordinates.from_axes(latch.position) if latch is not None and latch.sequence > latches else None
 
     def beyond_travel(self, target_mm: Triple) -> bool:
         travel = self._settings.axes(TRAVEL)
@@ -81,7 +81,7 @@ class GrblAxes:
 
     def begin(self, move: PlannedMove, *, touching: bool = False, leaving: bool = False) -> bool:
         """False where the physics does not let it begin. `leaving`: it ends where the probe comes free."""
-        self.under_way, self._leaving, self.left_at_mm = move, leaving, None
+        self.current_move, self._leaving, self.released_at_mm = move, leaving, None
         target = np.array(self._coordinates.to_axes(move.target_mm))
         feed = None if move.feed_mm_per_min is None else move.feed_mm_per_min / 60.0
         try:
@@ -90,20 +90,20 @@ class GrblAxes:
             else:
                 self._physics.begin_move(target, feed, guarded=False)
         except CommandRejected:
-            self.under_way = None
+            self.current_move = None
             return False
         return True
 
     def watch_pin(self) -> None:
         """Brake where the probe has come free, if that is what the move is for."""
-        free_s = self._physics.comes_free_s if self._leaving else None
-        if free_s is not None and self._now() >= free_s and self.left_at_mm is None:
-            self.left_at_mm = self.position()
+        free_s = self._physics.probe_free_s if self._leaving else None
+        if free_s is not None and self._now() >= free_s and self.released_at_mm is None:
+            self.released_at_mm = self.position()
             self._physics.halt()
 
     def next_event_s(self) -> float | None:
         """When the motion ends, or earlier the probe comes free."""
-        free_s = self._physics.comes_free_s if self._leaving and self.left_at_mm is None else None
+        free_s = self._physics.probe_free_s if self._leaving and self.released_at_mm is None else None
         known = [instant for instant in (self._physics.motion_ends_s, free_s) if instant is not None]
         return min(known, default=None)
 
@@ -113,8 +113,8 @@ class GrblAxes:
     def resume(self) -> None:
         self._physics.resume()
 
-    def break_off(self) -> None:
-        self.under_way, self._leaving = None, False
+    def abort(self) -> None:
+        self.current_move, self._leaving = None, False
         self._physics.halt()
 
     def clear_fault(self) -> None:

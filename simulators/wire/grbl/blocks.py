@@ -50,7 +50,7 @@ class BlockError(Exception):
 
 
 @dataclass(frozen=True)
-class Modes:
+class ModalState:
     """The parser's state; lengths in mm. Offsets of G92 and G43.1 are lost by a reset, those of G54 to G59 are not."""
 
     motion: float = 0
@@ -68,7 +68,7 @@ class Modes:
 
 
 @dataclass(frozen=True)
-class Block:
+class GcodeBlock:
     """What a line wants. `target_mm`: machine coordinates, None where nothing moves."""
 
     motion: float | None = None
@@ -78,19 +78,19 @@ class Block:
 
 
 @dataclass
-class Offsets:
+class WorkOffsets:
     """Of G54 to G59: work coordinate 0 in machine coordinates, mm."""
 
     systems: dict[int, Triple] = field(default_factory=lambda: dict.fromkeys(range(54, 60), ORIGIN))
 
-    def work_offset(self, modes: Modes) -> Triple:
+    def work_offset(self, modes: ModalState) -> Triple:
         """`WCO`: machine = work + this."""
         x, y, z = self.systems[modes.coordinates]
         gx, gy, gz = modes.g92_mm
         return x + gx, y + gy, z + gz + modes.tool_length_mm
 
 
-def words_of(line: str) -> list[tuple[str, float]]:
+def parse_words(line: str) -> list[tuple[str, float]]:
     """Letters and values of a line without blanks and comments. Raises BlockError."""
     words: list[tuple[str, float]] = []
     at = 0
@@ -105,24 +105,24 @@ def words_of(line: str) -> list[tuple[str, float]]:
     return words
 
 
-class Parser:
+class BlockParser:
     """Takes lines one after the other; a line with an error changes nothing."""
 
-    def __init__(self, offsets: Offsets) -> None:
+    def __init__(self, offsets: WorkOffsets) -> None:
         self.offsets = offsets
-        self.modes = Modes()
+        self.modes = ModalState()
 
     @property
     def work_offset_mm(self) -> Triple:
         return self.offsets.work_offset(self.modes)
 
-    def read(self, line: str, machine_mm: Triple) -> Block:
+    def read(self, line: str, machine_mm: Triple) -> GcodeBlock:
         """`machine_mm`: where the last line ended, machine coordinates. Raises BlockError."""
-        codes, values = self._sorted(words_of(line))
+        codes, values = self._sorted(parse_words(line))
         modes = self._modes(codes, values)
         once = codes.get("once")
         unused = set(values) - {"N", "F", "S", "T"}
-        block = Block(program_end=codes.get("M-flow") in (2, 30))
+        block = GcodeBlock(program_end=codes.get("M-flow") in (2, 30))
         if once == 4:
             if "P" not in values:
                 raise BlockError(VALUE_MISSING)
@@ -159,7 +159,7 @@ class Parser:
             raise BlockError(LINE_NUMBER)
         return codes, values
 
-    def _modes(self, codes: dict[str, float], values: dict[str, float]) -> Modes:
+    def _modes(self, codes: dict[str, float], values: dict[str, float]) -> ModalState:
         modes = self.modes
         modes = replace(
             modes,
@@ -177,8 +177,13 @@ class Parser:
         return replace(modes, feed_mm_per_min=values["F"] * _scale(modes)) if "F" in values else modes
 
     def _motion(
-        self, codes: dict[str, float], values: dict[str, float], modes: Modes, machine_mm: Triple, block: Block
-    ) -> tuple[Block, set[str]]:
+        self,
+        codes: dict[str, float],
+        values: dict[str, float],
+        modes: ModalState,
+        machine_mm: Triple,
+        block: GcodeBlock,
+    ) -> tuple[GcodeBlock, set[str]]:
         axis_words = {letter for letter in values if letter in AXES}
         absolute = codes.get("once") == 53
         if absolute and modes.motion not in (0, 1):
@@ -194,7 +199,7 @@ class Parser:
             raise BlockError(INVALID_TARGET)
         return replace(block, motion=modes.motion, target_mm=target), axis_words
 
-    def _target(self, values: dict[str, float], modes: Modes, machine_mm: Triple, *, absolute: bool) -> Triple:
+    def _target(self, values: dict[str, float], modes: ModalState, machine_mm: Triple, *, absolute: bool) -> Triple:
         offset = self.offsets.work_offset(modes)
         scale = _scale(modes)
         target = list(machine_mm)
@@ -210,8 +215,8 @@ class Parser:
         return target[0], target[1], target[2]
 
     def _offset(
-        self, once: float | None, values: dict[str, float], modes: Modes, machine_mm: Triple
-    ) -> tuple[Modes, set[str]]:
+        self, once: float | None, values: dict[str, float], modes: ModalState, machine_mm: Triple
+    ) -> tuple[ModalState, set[str]]:
         scale = _scale(modes)
         given = {letter: values[letter] * scale for letter in AXES if letter in values}
         if once == 92.1:
@@ -230,8 +235,8 @@ class Parser:
         return replace(modes, tool_length_mm=given["Z"]), {"Z"}
 
     def _store_system(
-        self, values: dict[str, float], given: dict[str, float], modes: Modes, machine_mm: Triple
-    ) -> Modes:
+        self, values: dict[str, float], given: dict[str, float], modes: ModalState, machine_mm: Triple
+    ) -> ModalState:
         if not {"P", "L"} <= set(values):
             raise BlockError(VALUE_MISSING)
         system = int(values["P"]) + 53 if values["P"] else modes.coordinates
@@ -249,7 +254,7 @@ def _replaced(offset: Triple, given: dict[str, float], value: Callable[[int, flo
     return new[0], new[1], new[2]
 
 
-def _scale(modes: Modes) -> float:
+def _scale(modes: ModalState) -> float:
     return MM_PER_INCH if modes.units == 20 else 1.0
 
 

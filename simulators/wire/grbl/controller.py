@@ -20,7 +20,7 @@ from typing import Final
 
 from simulators.wire.grbl import reports
 from simulators.wire.grbl.axes import GrblAxes, PlannedMove
-from simulators.wire.grbl.blocks import PROBING, Block, BlockError, Offsets, Parser, Triple
+from simulators.wire.grbl.blocks import PROBING, BlockError, BlockParser, GcodeBlock, Triple, WorkOffsets
 from simulators.wire.grbl.physics import GrblPhysics
 from simulators.wire.grbl.settings import GrblSettings, SettingRefusedError
 
@@ -36,12 +36,12 @@ BAD_NUMBER, NOT_RECOGNISED, HOMING_DISABLED, NOT_IDLE, LOCKED, OVERFLOW, DOOR_OP
 RESET, DOOR, JOG_CANCEL = 0x18, 0x84, 0x85
 TOWARDS, NO_ALARM = frozenset({38.2, 38.3}), frozenset({38.3, 38.5})
 
-Awaited = Callable[[], bool]
-Program = Generator[Awaited, None, int | None]
+WaitCondition = Callable[[], bool]
+Program = Generator[WaitCondition, None, int | None]
 """Ends with the number after ``error:``, None for ``ok``."""
 
 
-class State(Enum):
+class GrblState(Enum):
     IDLE = "Idle"
     RUN = "Run"
     HOLD = "Hold"
@@ -51,7 +51,7 @@ class State(Enum):
 
 
 class GrblController:
-    """`received` takes bytes from the line, `send` puts bytes on it; `moved_to` and `wakes_at` tie it to time.
+    """`received` takes bytes from the line, `send` puts bytes on it; `on_advance` and `wakes_at` tie it to time.
 
     Homed when it starts, unless `homed` is False: then it is locked, as after switching on. Not simulated: check mode,
     sleep, jogging, startup lines, overrides.
@@ -71,13 +71,13 @@ class GrblController:
         self._send = send
         self._axes = GrblAxes(physics, self.settings, now)
         self._reporter = reports.StatusReporter(self.settings)
-        self._parser = Parser(Offsets())
+        self._parser = BlockParser(WorkOffsets())
         self._probed: tuple[Triple, bool] = ((0.0, 0.0, 0.0), False)
-        self.state = State.IDLE if homed or not self.settings.flag(22) else State.ALARM
+        self.state = GrblState.IDLE if homed or not self.settings.flag(22) else GrblState.ALARM
         self._restart()
 
     @property
-    def offsets(self) -> Offsets:
+    def offsets(self) -> WorkOffsets:
         return self._parser.offsets
 
     # ------------------------------------------------------------------ the line
@@ -89,71 +89,71 @@ class GrblController:
                 _REALTIME[byte](self)
             elif byte < 0x80 and len(self._waiting) < RECEIVE_BUFFER - 1:
                 self._waiting.append(byte)
-        self._go_on()
+        self._run()
 
-    def moved_to(self, _now_s: float) -> None:
+    def on_advance(self, _now_s: float) -> None:
         """The world has moved on."""
-        if self._axes.door_open and self.state is not State.DOOR:
+        if self._axes.door_open and self.state is not GrblState.DOOR:
             self.open_door()
-        self._go_on()
+        self._run()
 
     def wakes_at(self) -> float | None:
         """The next instant at which something here must react."""
         known = [instant for instant in (self._axes.next_event_s(), self._dwell_until_s) if instant is not None]
         return min(known, default=None)
 
-    def say(self, line: str) -> None:
+    def send_line(self, line: str) -> None:
         self._send(line.encode("ascii") + b"\r\n")
 
     # ------------------------------------------------------------------ real-time characters
 
     def query(self) -> None:
-        self._go_on()
-        if self.state is not State.HOME and not self._critical:
-            self.say(self._reporter.report(self._snapshot()))
+        self._run()
+        if self.state is not GrblState.HOME and not self._critical:
+            self.send_line(self._reporter.report(self._snapshot()))
 
     def feed_hold(self) -> None:
-        self._go_on()
-        if self.state in (State.IDLE, State.RUN):
-            self._suspend(State.HOLD)
+        self._run()
+        if self.state in (GrblState.IDLE, GrblState.RUN):
+            self._suspend(GrblState.HOLD)
 
     def open_door(self) -> None:
-        if self.state in (State.IDLE, State.RUN, State.HOLD):
-            self.say(reports.CHECK_DOOR)
-            self._suspend(State.DOOR)
+        if self.state in (GrblState.IDLE, GrblState.RUN, GrblState.HOLD):
+            self.send_line(reports.CHECK_DOOR)
+            self._suspend(GrblState.DOOR)
 
     def cycle_start(self) -> None:
-        held = self.state in (State.HOLD, State.DOOR)
+        held = self.state in (GrblState.HOLD, GrblState.DOOR)
         if not held or self._axes.moving or self._axes.door_open:
             return
-        self.state = State.RUN if self._axes.under_way is not None else State.IDLE
+        self.state = GrblState.RUN if self._axes.current_move is not None else GrblState.IDLE
         self._axes.resume()
 
     def soft_reset(self) -> None:
         """What moves is broken off, and then its position is not certain any more."""
-        if self._axes.moving and self.state is not State.ALARM:
-            self.say(f"ALARM:{HOMING_RESET if self.state is State.HOME else ABORTED}")
-            self.state = State.ALARM
-        self._axes.break_off()
+        if self._axes.moving and self.state is not GrblState.ALARM:
+            self.send_line(f"ALARM:{HOMING_RESET if self.state is GrblState.HOME else ABORTED}")
+            self.state = GrblState.ALARM
+        self._axes.abort()
         if self._in_line:
-            self.say("ok")  # the line that is broken off is answered before everything begins anew
-        self.state = State.ALARM if self.state is State.ALARM else State.IDLE
+            self.send_line("ok")  # the line that is broken off is answered before everything begins anew
+        self.state = GrblState.ALARM if self.state is GrblState.ALARM else GrblState.IDLE
         self._restart()
         self._welcome()
 
     def reboot(self) -> None:
         """Power comes back: position lost, locked until it is homed, if it can home."""
-        self._axes.break_off()
-        self.state = State.ALARM if self.settings.flag(22) else State.IDLE
+        self._axes.abort()
+        self.state = GrblState.ALARM if self.settings.flag(22) else GrblState.IDLE
         self._restart()
         self._welcome()
 
     def _welcome(self) -> None:
-        self._say_all(("", reports.WELCOME))
-        if self.state is State.ALARM:
-            self.say(reports.LOCKED)
+        self._send_lines(("", reports.WELCOME))
+        if self.state is GrblState.ALARM:
+            self.send_line(reports.LOCKED)
 
-    def nothing(self) -> None:
+    def cancel_jog(self) -> None:
         """Cancels a jog; nothing here jogs."""
 
     # ------------------------------------------------------------------ main program
@@ -167,36 +167,36 @@ class GrblController:
         self._critical = False
         self._in_line = False
         self._dwell_until_s: float | None = None
-        self._parser = Parser(self._parser.offsets)
+        self._parser = BlockParser(self._parser.offsets)
         self._planned_mm = self._axes.position()
-        self._reporter.begin_anew()
+        self._reporter.restart()
         self._program = self._main()
-        self._awaited: Awaited = next(self._program)
+        self._awaited: WaitCondition = next(self._program)
 
-    def _go_on(self) -> None:
+    def _run(self) -> None:
         """Run the main program until it must wait, and the planner until it has nothing to start."""
         self._end_motion()
-        while self._awaited_now() or self._can_start():
+        while self._can_continue() or self._can_start():
             if self._can_start():
                 self._begin(self._planner.popleft())
-            if self._awaited_now():
+            if self._can_continue():
                 self._awaited = next(self._program)
             self._end_motion()
 
-    def _awaited_now(self) -> bool:
-        return self.state not in (State.HOLD, State.DOOR) and not self._critical and self._awaited()
+    def _can_continue(self) -> bool:
+        return self.state not in (GrblState.HOLD, GrblState.DOOR) and not self._critical and self._awaited()
 
-    def _main(self) -> Generator[Awaited, None, None]:
+    def _main(self) -> Generator[WaitCondition, None, None]:
         while True:
-            yield self._line_has_come
+            yield self._line_received
             line = "".join(self._reading)
             self._reading, self._comment, self._line_complete = [], "", False
             self._in_line = True
             code = OVERFLOW if len(line) >= LINE_BUFFER else (yield from self._execute(line))
             self._in_line = False
-            self.say(f"error:{code}" if code else "ok")
+            self.send_line(f"error:{code}" if code else "ok")
 
-    def _line_has_come(self) -> bool:
+    def _line_received(self) -> bool:
         """Takes bytes out of the receive buffer up to the end of a line; blanks and comments fall away."""
         while self._waiting and not self._line_complete:
             character = chr(self._waiting.pop(0))
@@ -215,7 +215,7 @@ class GrblController:
             return None
         if line.startswith("$"):
             return (yield from self._system(line))
-        if self.state is State.ALARM:
+        if self.state is GrblState.ALARM:
             return LOCKED
         try:
             block = self._parser.read(line, self._planned_mm)
@@ -223,11 +223,11 @@ class GrblController:
             return error.code
         return (yield from self._perform(block))
 
-    def _perform(self, block: Block) -> Program:
+    def _perform(self, block: GcodeBlock) -> Program:
         if block.dwell_s is not None:
             yield self._synchronised
             self._dwell_until_s = self._now() + block.dwell_s
-            yield self._dwelt
+            yield self._dwell_over
             self._dwell_until_s = None
         if block.target_mm is not None and block.motion is not None:
             if self.settings.flag(20) and self._axes.beyond_travel(block.target_mm):
@@ -242,7 +242,7 @@ class GrblController:
             self._planned_mm = block.target_mm
         if block.program_end:
             yield self._synchronised
-            self.say(reports.PROGRAM_END)
+            self.send_line(reports.PROGRAM_END)
         return None
 
     def _probe(self, motion: float, target_mm: Triple) -> Program:
@@ -256,7 +256,7 @@ class GrblController:
         latches = axes.latches
         self._begin(PlannedMove(target_mm, self._parser.modes.feed_mm_per_min), touching=towards, leaving=not towards)
         yield self._at_rest
-        found = axes.latch_after(latches) if towards else axes.left_at_mm
+        found = axes.latch_after(latches) if towards else axes.released_at_mm
         if found is not None:
             self._probed = (found, True)
         elif motion in NO_ALARM:
@@ -264,7 +264,7 @@ class GrblController:
         else:
             self._alarm(NO_CONTACT)
         self._planned_mm = axes.position()
-        self.say(reports.probe_message(*self._probed, inches=self.settings.flag(13)))
+        self.send_line(reports.probe_message(*self._probed, inches=self.settings.flag(13)))
         return None
 
     # ------------------------------------------------------------------ `$` commands
@@ -272,41 +272,41 @@ class GrblController:
     def _system(self, line: str) -> Program:
         match line:
             case "$":
-                self.say(reports.HELP)
+                self.send_line(reports.HELP)
             case "$G":
-                self.say(reports.parser_state(self._parser.modes))
+                self.send_line(reports.parser_state(self._parser.modes))
             case "$X":
                 return self._unlock()
             case "$$":
-                if self.state in (State.RUN, State.HOLD):
+                if self.state in (GrblState.RUN, GrblState.HOLD):
                     return NOT_IDLE
-                self._say_all(self.settings.lines())
-            case _ if self.state not in (State.IDLE, State.ALARM):
+                self._send_lines(self.settings.lines())
+            case _ if self.state not in (GrblState.IDLE, GrblState.ALARM):
                 return NOT_IDLE
             case "$#":
                 inches = self.settings.flag(13)
-                self._say_all(reports.parameters(self.offsets, self._parser.modes, inches=inches))
-                self.say(reports.probe_message(*self._probed, inches=inches))
+                self._send_lines(reports.parameters(self.offsets, self._parser.modes, inches=inches))
+                self.send_line(reports.probe_message(*self._probed, inches=inches))
             case "$I":
-                self._say_all(("[VER:1.1h.20190830:volcal simulated machine]", "[OPT:VL,15,128]"))
+                self._send_lines(("[VER:1.1h.20190830:volcal simulated machine]", "[OPT:VL,15,128]"))
             case "$N":
-                self._say_all(("$N0=", "$N1="))
+                self._send_lines(("$N0=", "$N1="))
             case "$H":
                 return (yield from self._home())
             case _:
                 return self._store_setting(line)
         return None
 
-    def _say_all(self, lines: Iterable[str]) -> None:
+    def _send_lines(self, lines: Iterable[str]) -> None:
         for line in lines:
-            self.say(line)
+            self.send_line(line)
 
     def _unlock(self) -> int | None:
         if self._axes.door_open:
             return DOOR_OPEN
-        if self.state is State.ALARM:
-            self.say(reports.UNLOCKED)
-            self.state = State.IDLE
+        if self.state is GrblState.ALARM:
+            self.send_line(reports.UNLOCKED)
+            self.state = GrblState.IDLE
             self._axes.clear_fault()
         return None
 
@@ -329,29 +329,29 @@ class GrblController:
         yield lambda: self._axes.idle
         pull_off = -self.settings[27]
         self._axes.begin(PlannedMove((pull_off, pull_off, pull_off), self.settings[25]))
-        self.state = State.HOME
+        self.state = GrblState.HOME
         yield lambda: not self._axes.moving
-        self.state, self._axes.under_way = State.IDLE, None
+        self.state, self._axes.current_move = GrblState.IDLE, None
         self._planned_mm = self._axes.position()
         return None
 
     # ------------------------------------------------------------------ motion
 
     def _synchronised(self) -> bool:
-        return not self._planner and self._axes.under_way is None and not self._axes.moving
+        return not self._planner and self._axes.current_move is None and not self._axes.moving
 
     def _at_rest(self) -> bool:
-        return self._axes.under_way is None
+        return self._axes.current_move is None
 
-    def _dwelt(self) -> bool:
+    def _dwell_over(self) -> bool:
         return self._dwell_until_s is None or self._now() >= self._dwell_until_s
 
     def _can_start(self) -> bool:
-        free = self.state in (State.IDLE, State.RUN) and self._axes.under_way is None
+        free = self.state in (GrblState.IDLE, GrblState.RUN) and self._axes.current_move is None
         return free and bool(self._planner) and self._axes.idle
 
     def _begin(self, move: PlannedMove, *, touching: bool = False, leaving: bool = False) -> None:
-        self.state = State.RUN
+        self.state = GrblState.RUN
         if not self._axes.begin(move, touching=touching, leaving=leaving):
             self._alarm(HARD_LIMIT)
 
@@ -359,36 +359,36 @@ class GrblController:
         """What follows from the axes being where they are."""
         axes = self._axes
         axes.watch_pin()
-        if axes.failed and not self._critical and self.state is not State.ALARM:
+        if axes.failed and not self._critical and self.state is not GrblState.ALARM:
             self._alarm(HARD_LIMIT)
-        elif axes.under_way is not None and axes.idle and self.state is State.RUN:
-            axes.under_way = None
-            self.state = State.RUN if self._planner else State.IDLE
+        elif axes.current_move is not None and axes.idle and self.state is GrblState.RUN:
+            axes.current_move = None
+            self.state = GrblState.RUN if self._planner else GrblState.IDLE
 
-    def _suspend(self, state: State) -> None:
+    def _suspend(self, state: GrblState) -> None:
         self.state = state
         self._axes.hold()
 
     def _alarm(self, code: int) -> None:
-        self.state, self._axes.under_way = State.ALARM, None
+        self.state, self._axes.current_move = GrblState.ALARM, None
         self._planner.clear()
         self._planned_mm = self._axes.position()
-        self.say(f"ALARM:{code}")
+        self.send_line(f"ALARM:{code}")
         if code in CRITICAL:
             self._critical = True
-            self.say(reports.RESET_TO_CONTINUE)
+            self.send_line(reports.RESET_TO_CONTINUE)
 
     # ------------------------------------------------------------------ what it tells
 
-    def _snapshot(self) -> reports.Snapshot:
+    def _snapshot(self) -> reports.StatusSnapshot:
         modes, axes = self._parser.modes, self._axes
         spindle = {3: "S", 4: "C"}.get(int(modes.spindle), "")
-        return reports.Snapshot(
+        return reports.StatusSnapshot(
             state=self._state_shown(),
             moving=axes.moving,
             position_mm=axes.position(),
             work_offset_mm=self._parser.work_offset_mm,
-            free_blocks=PLANNER_BLOCKS - len(self._planner) - (axes.under_way is not None),
+            free_blocks=PLANNER_BLOCKS - len(self._planner) - (axes.current_move is not None),
             free_bytes=RECEIVE_BUFFER - len(self._waiting),
             feed_mm_per_min=axes.feed_mm_per_min,
             speed_rpm=modes.speed_rpm if spindle else 0.0,
@@ -397,9 +397,9 @@ class GrblController:
         )
 
     def _state_shown(self) -> str:
-        if self.state is State.HOLD:
+        if self.state is GrblState.HOLD:
             return f"Hold:{int(self._axes.moving)}"
-        if self.state is State.DOOR:
+        if self.state is GrblState.DOOR:
             return "Door:2" if self._axes.moving else f"Door:{int(self._axes.door_open)}"
         return str(self.state.value)
 
@@ -414,5 +414,5 @@ _REALTIME: Final[dict[int, Callable[[GrblController], None]]] = {
     ord("~"): GrblController.cycle_start,
     RESET: GrblController.soft_reset,
     DOOR: GrblController.open_door,
-    JOG_CANCEL: GrblController.nothing,
+    JOG_CANCEL: GrblController.cancel_jog,
 }

@@ -16,7 +16,7 @@ class GrblPhysics(MovingMachine, Protocol):
     def motion_ends_s(self) -> float | None: ...
 
     @property
-    def comes_free_s(self) -> float | None: ...
+    def probe_free_s(self) -> float | None: ...
 
 
 Triple = tuple[float, float, float]
@@ -32,7 +32,7 @@ class MachineCoordinates:
         self._zero = limits.upper_mm
         self._settings = settings
 
-    def of_axes(self, axis_mm: Vector) -> Triple:
+    def from_axes(self, axis_mm: Vector) -> Triple:
         x, y, z = (self._stepped(i, float(value) - self._zero[i]) for i, value in enumerate(axis_mm))
         return x, y, z
 

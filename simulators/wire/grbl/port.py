@@ -8,13 +8,13 @@ from simulators.wire.grbl.controller import GrblController
 from simulators.wire.grbl.physics import GrblPhysics
 from simulators.wire.grbl.settings import GrblSettings
 from simulators.wire.pty_port import ANY, PseudoTerminal
-from simulators.wire.shared_world import MovedByTime, SharedWorld
+from simulators.wire.shared_world import SharedWorld, TimeDriven
 
 BAUD: Final = 115200
 """What the documents ask for; a pseudo-terminal has none."""
 
 
-class WorldWithAxes(MovedByTime, Protocol):
+class WorldWithAxes(TimeDriven, Protocol):
     @property
     def controller(self) -> GrblPhysics: ...
 
@@ -35,7 +35,7 @@ class GrblPort:
         self.controller = GrblController(
             shared.world.controller, lambda: shared.now, self.line.send, settings=settings, homed=homed
         )
-        shared.subscribe(self.controller.moved_to, wakes_at=self.controller.wakes_at)
+        shared.subscribe(self.controller.on_advance, wakes_at=self.controller.wakes_at)
         self.start = self.line.start
         self.close = self.line.close
 
@@ -43,7 +43,7 @@ class GrblPort:
     def agent_settings(self) -> dict[str, object]:
         """The keys of a serial device's settings. Where the axes read 0 GRBL, homed at their upper ends, reads less."""
         upper = self._shared.world.controller.limits().upper_mm
-        return {"port": self.line.place, "baud": BAUD, "axis_zero_mm": [-value for value in upper]}
+        return {"port": self.line.device_path, "baud": BAUD, "axis_zero_mm": [-value for value in upper]}
 
     def _received(self, data: bytes) -> None:
         with self._shared.lock:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from simulators.wire.grbl.blocks import MM_PER_INCH, Modes, Offsets, Triple
+from simulators.wire.grbl.blocks import MM_PER_INCH, ModalState, Triple, WorkOffsets
 from simulators.wire.grbl.settings import GrblSettings
 
 WELCOME = "Grbl 1.1h ['$' for help]"
@@ -26,7 +26,7 @@ OVERRIDES_EVERY = {True: 20, False: 10}
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class StatusSnapshot:
     """One instant. `state` with its sub-state (``Hold:0``); lengths in mm, machine coordinates."""
 
     state: str
@@ -47,15 +47,15 @@ class StatusReporter:
 
     def __init__(self, settings: GrblSettings) -> None:
         self._settings = settings
-        self.begin_anew()
+        self.restart()
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """After a reset: the offset with the first report, the overrides with the second."""
         self._until_offset, self._until_overrides = 0, 1
         self._shown_offset: Triple | None = None
         self._shown_others: tuple[tuple[int, int, int], str] | None = None
 
-    def report(self, now: Snapshot) -> str:
+    def report(self, now: StatusSnapshot) -> str:
         machine = bool(int(self._settings[10]) & MACHINE_POSITION)
         shown = now.position_mm if machine else _less(now.position_mm, now.work_offset_mm)
         fields = [now.state, f"{'MPos' if machine else 'WPos'}:{self._coordinates(shown)}"]
@@ -68,7 +68,7 @@ class StatusReporter:
         fields += self._intermittent(now)
         return "<" + "|".join(fields) + ">"
 
-    def _intermittent(self, now: Snapshot) -> list[str]:
+    def _intermittent(self, now: StatusSnapshot) -> list[str]:
         others = (now.overrides, now.accessories)
         if self._until_offset <= 0 or now.work_offset_mm != self._shown_offset:
             self._until_offset, self._shown_offset = OFFSET_EVERY[now.moving] - 1, now.work_offset_mm
@@ -97,7 +97,7 @@ def probe_message(position_mm: Triple, tripped: bool, *, inches: bool) -> str:
     return f"[PRB:{coordinates(position_mm, inches=inches)}:{int(tripped)}]"
 
 
-def parameters(offsets: Offsets, modes: Modes, *, inches: bool) -> Iterator[str]:
+def parameters(offsets: WorkOffsets, modes: ModalState, *, inches: bool) -> Iterator[str]:
     """The answer to ``$#`` but for its last line, the probe's."""
     for system, offset in sorted(offsets.systems.items()):
         yield f"[G{system}:{coordinates(offset, inches=inches)}]"
@@ -108,7 +108,7 @@ def parameters(offsets: Offsets, modes: Modes, *, inches: bool) -> Iterator[str]
     yield f"[TLO:{length:.{4 if inches else 3}f}]"
 
 
-def parser_state(modes: Modes) -> str:
+def parser_state(modes: ModalState) -> str:
     """The answer to ``$G``."""
     feed = modes.feed_mm_per_min / (MM_PER_INCH if modes.units == 20 else 1.0)
     words = [f"G{modes.motion:g}", f"G{modes.coordinates}", f"G{modes.plane:g}", f"G{modes.units:g}"]

@@ -12,11 +12,11 @@ from typing import Any, Final, Protocol
 
 import structlog
 
-from simulators.wire.modbus.frames import FramingError, answer_request, cut_frames, frame
-from simulators.wire.modbus.numbers import Float64Numbers, NumberFormat
+from simulators.wire.modbus.frames import ModbusFramingError, answer_request, frame, split_frames
+from simulators.wire.modbus.numbers import Float64Numbers, RegisterNumberFormat
 from simulators.wire.modbus.physics import ControllerPhysics
 from simulators.wire.modbus.registers import ControllerRegisters
-from simulators.wire.shared_world import MovedByTime, SharedWorld
+from simulators.wire.shared_world import SharedWorld, TimeDriven
 from simulators.wire.tcp_server import TcpServer
 
 UNIT: Final = 1
@@ -24,13 +24,13 @@ RECEIVE_BYTES: Final = 4096
 log = structlog.get_logger()
 
 
-class WorldWithController(MovedByTime, Protocol):
+class WorldWithController(TimeDriven, Protocol):
     @property
     def controller(self) -> ControllerPhysics: ...
 
 
-def registers_behind(
-    shared: SharedWorld[WorldWithController], numbers: NumberFormat | None = None
+def attach_registers(
+    shared: SharedWorld[WorldWithController], numbers: RegisterNumberFormat | None = None
 ) -> ControllerRegisters:
     """The registers of the world's controller, moved along with its time."""
     registers = ControllerRegisters(shared.world.controller, numbers or Float64Numbers(), lambda: shared.now)
@@ -45,10 +45,10 @@ class ModbusController:
         self,
         shared: SharedWorld[WorldWithController],
         address: tuple[str, int],
-        numbers: NumberFormat | None = None,
+        numbers: RegisterNumberFormat | None = None,
     ) -> None:
         self._shared = shared
-        self.registers = registers_behind(shared, numbers)
+        self.registers = attach_registers(shared, numbers)
         self._server = TcpServer("modbus", address, self._serve, one_client=True)
         self.address = self._server.address
         self.start = self._server.start
@@ -66,9 +66,9 @@ class ModbusController:
         while chunk := connection.recv(RECEIVE_BYTES):
             buffer += chunk
             try:
-                for transaction, unit, request in cut_frames(buffer):
+                for transaction, unit, request in split_frames(buffer):
                     self._answer(connection, transaction, unit, request)
-            except FramingError as error:
+            except ModbusFramingError as error:
                 log.warning("modbus client hung up on", reason=str(error))
                 return
         log.info("modbus client has hung up")

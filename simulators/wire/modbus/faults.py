@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from simulators.wire.modbus.register_map import FaultCode, Outcome
+from simulators.wire.modbus.register_map import FaultCode, ModbusOutcome
 
 WATCHED_FAULTS: Final = {
     FaultCode.HEARTBEAT_LOST: "agent heartbeat lost",
@@ -35,8 +35,8 @@ def fault_code(fault: str) -> FaultCode:
     return FaultCode.OTHER
 
 
-def outcome_of(fault: FaultCode) -> Outcome:
+def outcome_of(fault: FaultCode) -> ModbusOutcome:
     """How a motion ended that ended in this fault (table 9.3)."""
     if fault is FaultCode.PROBE_TRIPPED:
-        return Outcome.GUARD_TRIPPED
-    return Outcome.HEARTBEAT_LOST if fault is FaultCode.HEARTBEAT_LOST else Outcome.FAULT
+        return ModbusOutcome.GUARD_TRIPPED
+    return ModbusOutcome.HEARTBEAT_LOST if fault is FaultCode.HEARTBEAT_LOST else ModbusOutcome.FAULT

@@ -10,23 +10,23 @@ import struct
 from collections.abc import Iterator
 from typing import Final, Protocol
 
-from simulators.wire.modbus.register_map import ExceptionCode
+from simulators.wire.modbus.register_map import ModbusExceptionCode
 
 READ: Final = 3
 WRITE: Final = 16
 WRITE_AND_READ: Final = 23
-MOST_READ: Final = 125
-MOST_WRITTEN: Final = 121
+MAX_READ: Final = 125
+MAX_WRITTEN: Final = 121
 LONGEST_PDU: Final = 253
 HEADER = struct.Struct(">HHHB")
 _TWO_WORDS = struct.Struct(">HH")
 _FOUR_WORDS = struct.Struct(">HHHH")
 
 
-class RegisterError(Exception):
+class RegisterAccessError(Exception):
     """The registers asked for cannot be had: becomes an exception answer."""
 
-    def __init__(self, code: ExceptionCode) -> None:
+    def __init__(self, code: ModbusExceptionCode) -> None:
         super().__init__(code.name)
         self.code = code
 
@@ -43,11 +43,11 @@ class Registers(Protocol):
     def write(self, address: int, data: bytes) -> None: ...
 
 
-class FramingError(Exception):
+class ModbusFramingError(Exception):
     """What came is no Modbus TCP; the connection cannot be followed any further."""
 
 
-def cut_frames(buffer: bytearray) -> Iterator[tuple[int, int, bytes]]:
+def split_frames(buffer: bytearray) -> Iterator[tuple[int, int, bytes]]:
     """Take every complete frame off the front of `buffer`: transaction, unit, request.
 
     Raises FramingError where the header is not one of Modbus TCP.
@@ -55,7 +55,7 @@ def cut_frames(buffer: bytearray) -> Iterator[tuple[int, int, bytes]]:
     while len(buffer) >= HEADER.size:
         transaction, protocol, length, unit = HEADER.unpack_from(buffer)
         if protocol != 0 or not 2 <= length <= LONGEST_PDU + 1:
-            raise FramingError(f"MBAP header {bytes(buffer[: HEADER.size]).hex(' ')}")
+            raise ModbusFramingError(f"MBAP header {bytes(buffer[: HEADER.size]).hex(' ')}")
         end = HEADER.size - 1 + length
         if len(buffer) < end:
             return
@@ -78,15 +78,15 @@ def answer_request(request: bytes, registers: Registers) -> bytes:
             return _write(request, registers)
         if function == WRITE_AND_READ:
             return _write_and_read(request, registers)
-        raise RegisterError(ExceptionCode.FUNCTION_NOT_OFFERED)
-    except RegisterError as refusal:
+        raise RegisterAccessError(ModbusExceptionCode.FUNCTION_NOT_OFFERED)
+    except RegisterAccessError as refusal:
         return bytes((function | 0x80, refusal.code))
 
 
 def _read(request: bytes, registers: Registers) -> bytes:
     _require(len(request) == 5)
     address, count = _TWO_WORDS.unpack_from(request, 1)
-    _require(1 <= count <= MOST_READ)
+    _require(1 <= count <= MAX_READ)
     registers.check_read(address, count)
     return bytes((READ, 2 * count)) + registers.read(address, count)
 
@@ -104,7 +104,7 @@ def _write_and_read(request: bytes, registers: Registers) -> bytes:
     """Writes first, then reads; nothing is written where either half cannot be done."""
     _require(len(request) >= 10)
     read_address, read_count, address, count = _FOUR_WORDS.unpack_from(request, 1)
-    _require(1 <= read_count <= MOST_READ)
+    _require(1 <= read_count <= MAX_READ)
     _require_data(request, 10, count)
     registers.check_read(read_address, read_count)
     registers.check_write(address, count)
@@ -114,9 +114,9 @@ def _write_and_read(request: bytes, registers: Registers) -> bytes:
 
 def _require_data(request: bytes, start: int, count: int) -> None:
     """Register count, byte count (the byte before `start`) and the bytes that came must agree."""
-    _require(1 <= count <= MOST_WRITTEN and request[start - 1] == 2 * count == len(request) - start)
+    _require(1 <= count <= MAX_WRITTEN and request[start - 1] == 2 * count == len(request) - start)
 
 
 def _require(holds: bool) -> None:
     if not holds:
-        raise RegisterError(ExceptionCode.WRONG_COUNT)
+        raise RegisterAccessError(ModbusExceptionCode.WRONG_COUNT)

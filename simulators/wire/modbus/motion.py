@@ -15,7 +15,14 @@ import numpy as np
 from drivers.roles import MotionState, Permission
 from simulators.wire.modbus.faults import WATCHED_FAULTS, fault_code, outcome_of
 from simulators.wire.modbus.physics import MovingMachine
-from simulators.wire.modbus.register_map import CommandCode, FaultCode, LatchResult, Outcome, ResultCode, State
+from simulators.wire.modbus.register_map import (
+    CommandCode,
+    FaultCode,
+    LatchResult,
+    ModbusOutcome,
+    ModbusState,
+    ResultCode,
+)
 
 HEARTBEAT_WITHIN_S: Final = 1.0
 TRAVEL_TOLERANCE_MM: Final = 1e-9
@@ -31,15 +38,15 @@ PERMISSION_BITS: Final = (
 )
 
 STATE_OF: Final = {
-    MotionState.IDLE: State.IDLE,
-    MotionState.MOVING: State.MOVING,
-    MotionState.HELD: State.HELD,
-    MotionState.FAULT: State.FAULT,
+    MotionState.IDLE: ModbusState.IDLE,
+    MotionState.MOVING: ModbusState.MOVING,
+    MotionState.HELD: ModbusState.HELD,
+    MotionState.FAULT: ModbusState.FAULT,
 }
 
 
 @dataclass(frozen=True)
-class MotionOrder:
+class MotionRequest:
     """A motion command with the fields that it uses."""
 
     code: CommandCode
@@ -70,18 +77,18 @@ class MotionRegisters:
         self._machine = machine
         self._now = now
         self._limits = machine.limits()
-        self._order: MotionOrder | None = None
+        self._request: MotionRequest | None = None
         self._latch_before = 0
         self._watched_since_s = 0.0
         self._ending = False
         self.sequence = 0
-        self.outcome = Outcome.NONE
+        self.outcome = ModbusOutcome.NONE
         self.latch_sequence = 0
         self.latch_result = LatchResult.NONE
         self.latched_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
-    def state(self) -> State:
+    def state(self) -> ModbusState:
         return STATE_OF[self._machine.motion]
 
     @property
@@ -116,7 +123,7 @@ class MotionRegisters:
 
     def observe(self) -> None:
         """Look at the machine at this instant: end what must end, and settle the outcome of what has ended."""
-        if self.outcome is not Outcome.UNDER_WAY:
+        if self.outcome is not ModbusOutcome.UNDER_WAY:
             return
         motion = self._machine.motion
         if motion is MotionState.MOVING and not self._ending:
@@ -136,7 +143,7 @@ class MotionRegisters:
             return FaultCode.DOOR_OPENED
         if not all(given.values()):
             return FaultCode.PERMISSION_LOST
-        if self._order is not None and self._order.probing and not self._probe_ready():
+        if self._request is not None and self._request.probing and not self._probe_ready():
             return FaultCode.PROBE_LOST
         expires_s = self._watched_since_s + HEARTBEAT_WITHIN_S
         return FaultCode.HEARTBEAT_LOST if self._now() >= expires_s else FaultCode.NONE
@@ -145,11 +152,11 @@ class MotionRegisters:
         if self._machine.motion is MotionState.FAULT:
             self.outcome = outcome_of(self.fault)
         elif self._ending:
-            self.outcome = Outcome.STOPPED
-        elif self._order is not None and self._order.touch:
+            self.outcome = ModbusOutcome.STOPPED
+        elif self._request is not None and self._request.touch:
             self._settle_touch()
         else:
-            self.outcome = Outcome.IN_POSITION
+            self.outcome = ModbusOutcome.IN_POSITION
 
     def _settle_touch(self) -> None:
         latch = self._machine.latch
@@ -158,73 +165,73 @@ class MotionRegisters:
         self.latch_sequence = self.sequence
         self.latch_result = LatchResult.TRIPPED if tripped else LatchResult.MISSED
         self.latched_mm = (float(x), float(y), float(z))
-        self.outcome = Outcome.TRIPPED if tripped else Outcome.MISSED
+        self.outcome = ModbusOutcome.TRIPPED if tripped else ModbusOutcome.MISSED
 
-    def start(self, order: MotionOrder, sequence: int) -> ResultCode:
-        refusal = self._refusal(order)
+    def start(self, request: MotionRequest, sequence: int) -> ResultCode:
+        refusal = self._refusal(request)
         if refusal is not None:
             return refusal
-        target = np.array(order.target_mm)
+        target = np.array(request.target_mm)
         latch = self._machine.latch
         self._latch_before = latch.sequence if latch is not None else 0
-        self._machine.trace(order.tag)
-        if order.touch:
-            self._machine.begin_touch(target, order.feed_mm_per_s)
+        self._machine.trace(request.tag)
+        if request.touch:
+            self._machine.begin_touch(target, request.feed_mm_per_s)
         else:
-            self._machine.begin_move(target, None if order.rapid else order.feed_mm_per_s, order.probing)
-        self._order, self._ending = order, False
-        self.sequence, self.outcome = sequence, Outcome.UNDER_WAY
+            self._machine.begin_move(target, None if request.rapid else request.feed_mm_per_s, request.probing)
+        self._request, self._ending = request, False
+        self.sequence, self.outcome = sequence, ModbusOutcome.UNDER_WAY
         self._watched_since_s = self._now()
         return ResultCode.ACCEPTED
 
-    def _refusal(self, order: MotionOrder) -> ResultCode | None:
-        if self.state is not State.IDLE:
+    def _refusal(self, request: MotionRequest) -> ResultCode | None:
+        if self.state is not ModbusState.IDLE:
             return ResultCode.NOT_IN_THIS_STATE
         if not all(self._machine.permissions.values()):
             return ResultCode.PERMISSION_MISSING
-        return self._illegal_number(order) or self._probe_not_ready(order)
+        return self._illegal_number(request) or self._probe_not_ready(request)
 
-    def _illegal_number(self, order: MotionOrder) -> ResultCode | None:
-        if not all(map(isfinite, (*order.target_mm, order.feed_mm_per_s))):
+    def _illegal_number(self, request: MotionRequest) -> ResultCode | None:
+        if not all(map(isfinite, (*request.target_mm, request.feed_mm_per_s))):
             return ResultCode.ILLEGAL_VALUE
-        travel = zip(self._limits.lower_mm, order.target_mm, self._limits.upper_mm, strict=True)
+        travel = zip(self._limits.lower_mm, request.target_mm, self._limits.upper_mm, strict=True)
         tolerance = TRAVEL_TOLERANCE_MM
         if not all(low - tolerance <= x <= high + tolerance for low, x, high in travel):
             return ResultCode.OUTSIDE_TRAVEL
-        if not order.rapid and not 0.0 < order.feed_mm_per_s <= max(self._limits.rapid_mm_per_s):
+        if not request.rapid and not 0.0 < request.feed_mm_per_s <= max(self._limits.rapid_mm_per_s):
             return ResultCode.ILLEGAL_FEED
         return None
 
-    def _probe_not_ready(self, order: MotionOrder) -> ResultCode | None:
-        if order.probing and not self._probe_ready():
+    def _probe_not_ready(self, request: MotionRequest) -> ResultCode | None:
+        if request.probing and not self._probe_ready():
             return ResultCode.NO_PROBE
-        return ResultCode.PROBE_DEFLECTED if order.touch and self._machine.probe_deflected else None
+        return ResultCode.PROBE_DEFLECTED if request.touch and self._machine.probe_deflected else None
 
     def hold(self) -> ResultCode:
-        if self.state is State.FAULT:
+        if self.state is ModbusState.FAULT:
             return ResultCode.NOT_IN_THIS_STATE
-        if self.state is State.MOVING:
+        if self.state is ModbusState.MOVING:
             self._machine.hold()
         return ResultCode.ACCEPTED
 
     def resume(self) -> ResultCode:
-        if self.state is State.FAULT:
+        if self.state is ModbusState.FAULT:
             return ResultCode.NOT_IN_THIS_STATE
-        if self.state is State.HELD:
+        if self.state is ModbusState.HELD:
             self._machine.resume()
             self._watched_since_s = self._now()
         return ResultCode.ACCEPTED
 
     def stop(self) -> ResultCode:
         """Always accepted."""
-        if self.state in (State.MOVING, State.HELD):
+        if self.state in (ModbusState.MOVING, ModbusState.HELD):
             self._ending = True
             self._machine.halt()
             self.observe()
         return ResultCode.ACCEPTED
 
     def reset(self) -> ResultCode:
-        if self.state in (State.MOVING, State.HELD):
+        if self.state in (ModbusState.MOVING, ModbusState.HELD):
             return ResultCode.NOT_IN_THIS_STATE
         if self._cause_present():
             return ResultCode.CAUSE_PRESENT

@@ -13,7 +13,7 @@ from typing import Protocol
 BYTES_PER_NUMBER = 8
 
 
-class NumberFormat(Protocol):
+class RegisterNumberFormat(Protocol):
     """Packs and unpacks the page's ``f64``: four registers, eight bytes, high word first."""
 
     def pack(self, *values: float) -> bytes: ...

@@ -8,7 +8,7 @@ from typing import Protocol
 from drivers.roles import AxisLimits, MotionState, Permission, StoreLimits, TableImage, Vector
 
 
-class Latch(Protocol):
+class ProbeLatch(Protocol):
     @property
     def sequence(self) -> int: ...
 
@@ -26,7 +26,7 @@ class MovingMachine(Protocol):
     def fault(self) -> str: ...
 
     @property
-    def latch(self) -> Latch | None: ...
+    def latch(self) -> ProbeLatch | None: ...
 
     @property
     def probe_deflected(self) -> bool: ...

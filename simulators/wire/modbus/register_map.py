@@ -16,11 +16,11 @@ VERSION: Final = 0x0100
 NO_BANK_PENDING: Final = 0xFFFF
 NO_SUCH_BLOCK: Final = 0xFFFF
 NO_TEMPERATURE: Final = -0x80000000
-TEMPERATURE_PLACES: Final = 8
+TEMPERATURE_SLOTS: Final = 8
 
 
 @dataclass(frozen=True)
-class Block:
+class RegisterBlock:
     """Consecutive holding registers; a request must stay inside one block."""
 
     address: int
@@ -36,19 +36,19 @@ class Block:
         return slice(start, start + 2 * count)
 
 
-STATUS = Block(1000, 70, writable=False)
-LIMITS = Block(1100, 63, writable=False)
-READ_WINDOW = Block(1200, 122, writable=False)
-COMMAND = Block(2000, 23, writable=True)
-DESCRIPTOR = Block(2100, 34, writable=True)
-DATA_WINDOW = Block(2200, 121, writable=True)
-READ_SELECTOR = Block(2400, 2, writable=True)
+STATUS = RegisterBlock(1000, 70, writable=False)
+LIMITS = RegisterBlock(1100, 63, writable=False)
+READ_WINDOW = RegisterBlock(1200, 122, writable=False)
+COMMAND = RegisterBlock(2000, 23, writable=True)
+DESCRIPTOR = RegisterBlock(2100, 34, writable=True)
+DATA_WINDOW = RegisterBlock(2200, 121, writable=True)
+READ_SELECTOR = RegisterBlock(2400, 2, writable=True)
 
 SEQUENCE_REGISTER: Final = 2022
 BLOCK_NUMBER_REGISTER: Final = 2320
 
 
-class ExceptionCode(IntEnum):
+class ModbusExceptionCode(IntEnum):
     """Exceptions the page allows (section 1)."""
 
     FUNCTION_NOT_OFFERED = 1
@@ -86,7 +86,7 @@ MOTION_COMMANDS: Final = frozenset(
 )
 
 
-class State(IntEnum):
+class ModbusState(IntEnum):
     """Register 1004."""
 
     IDLE = 0
@@ -136,7 +136,7 @@ class ResultCode(IntEnum):
     NO_TRANSFER = 27
 
 
-class Outcome(IntEnum):
+class ModbusOutcome(IntEnum):
     """Table 9.3."""
 
     NONE = 0
@@ -158,7 +158,7 @@ class LatchResult(IntEnum):
     MISSED = 2
 
 
-class BankState(IntEnum):
+class ModbusBankState(IntEnum):
     """Registers 1046 and 1047."""
 
     EMPTY = 0

@@ -12,9 +12,9 @@ import structlog
 
 from drivers.errors import ConfigurationError, DeviceError
 from drivers.roles import Activation, AxisLimits, StoreLimits
-from simulators.wire.modbus.frames import RegisterError
-from simulators.wire.modbus.motion import MotionOrder, MotionRegisters
-from simulators.wire.modbus.numbers import NumberFormat
+from simulators.wire.modbus.frames import RegisterAccessError
+from simulators.wire.modbus.motion import MotionRegisters, MotionRequest
+from simulators.wire.modbus.numbers import RegisterNumberFormat
 from simulators.wire.modbus.physics import ControllerPhysics
 from simulators.wire.modbus.register_map import (
     BLOCK_NUMBER_REGISTER,
@@ -33,14 +33,14 @@ from simulators.wire.modbus.register_map import (
     SEQUENCE_REGISTER,
     STATUS,
     STATUS_LAYOUT,
-    TEMPERATURE_PLACES,
+    TEMPERATURE_SLOTS,
     VERSION,
-    Block,
     CommandCode,
-    ExceptionCode,
+    ModbusExceptionCode,
+    RegisterBlock,
     ResultCode,
 )
-from simulators.wire.modbus.tables import BYTES_PER_BLOCK, TableBanks
+from simulators.wire.modbus.tables import BYTES_PER_BLOCK, BankRegisters
 
 log = structlog.get_logger()
 
@@ -57,12 +57,12 @@ ACTIVATION_CODE: Final = {
 class ControllerRegisters:
     """Reads and writes of bytes by register address. The caller holds the world's lock."""
 
-    def __init__(self, machine: ControllerPhysics, numbers: NumberFormat, now: Callable[[], float]) -> None:
+    def __init__(self, machine: ControllerPhysics, numbers: RegisterNumberFormat, now: Callable[[], float]) -> None:
         self._machine = machine
         self._numbers = numbers
         _require_representable(machine.store_limits)
         self.motion = MotionRegisters(machine, now)
-        self.tables = TableBanks(machine, machine.store_limits, numbers, now)
+        self.tables = BankRegisters(machine, machine.store_limits, numbers, now)
         self._limits = limits_image(machine.limits(), machine.store_limits, numbers)
         self._written = {block: bytearray(2 * block.registers) for block in BLOCKS if block.writable}
         self._heartbeat = 0
@@ -85,13 +85,13 @@ class ControllerRegisters:
 
     def check_write(self, address: int, count: int) -> None:
         if not _block_of(address, count).writable:
-            raise RegisterError(ExceptionCode.ILLEGAL_ADDRESS)
+            raise RegisterAccessError(ModbusExceptionCode.ILLEGAL_ADDRESS)
 
     def read(self, address: int, count: int) -> bytes:
         block = _block_of(address, count)
         return self._image(block)[block.slice_of(address, count)]
 
-    def _image(self, block: Block) -> bytes:
+    def _image(self, block: RegisterBlock) -> bytes:
         if block is STATUS:
             return self._status()
         if block is LIMITS:
@@ -132,7 +132,7 @@ class ControllerRegisters:
         try:
             if command in MOTION_COMMANDS:
                 *target, feed = self._numbers.unpack(motion)
-                return self.motion.start(MotionOrder(command, tuple(target), feed, tag=table[2]), sequence)
+                return self.motion.start(MotionRequest(command, tuple(target), feed, tag=table[2]), sequence)
             if command >= CommandCode.TABLE_BEGIN and self.motion.state:
                 return ResultCode.NOT_IN_THIS_STATE
             return self._commands[command](*table)
@@ -188,7 +188,7 @@ class ControllerRegisters:
             tables.state(2),
             tables.crc(1),
             tables.crc(2),
-            min(len(temperatures), TEMPERATURE_PLACES),
+            min(len(temperatures), TEMPERATURE_SLOTS),
             *temperature_counts(temperatures),
             self._heartbeat,
         )
@@ -222,7 +222,7 @@ def _require_representable(store: StoreLimits) -> None:
         )
 
 
-def limits_image(axes: AxisLimits, store: StoreLimits, numbers: NumberFormat) -> bytes:
+def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFormat) -> bytes:
     """Block 1100 … 1162."""
     travel = numbers.pack(*axes.lower_mm, *axes.upper_mm, *axes.rapid_mm_per_s, *axes.acceleration_mm_per_s2)
     return LIMITS_LAYOUT.pack(
@@ -239,12 +239,12 @@ def temperature_counts(temperatures: Mapping[str, float]) -> list[int]:
     """Eight places in thousandths of a degree: artefact, ambient, machine, then the others by name."""
     usual = [name for name in USUAL_TEMPERATURES if name in temperatures]
     others = sorted(set(temperatures) - set(USUAL_TEMPERATURES))
-    counts = [round(1000.0 * temperatures[name]) for name in (*usual, *others)][:TEMPERATURE_PLACES]
-    return counts + [NO_TEMPERATURE] * (TEMPERATURE_PLACES - len(counts))
+    counts = [round(1000.0 * temperatures[name]) for name in (*usual, *others)][:TEMPERATURE_SLOTS]
+    return counts + [NO_TEMPERATURE] * (TEMPERATURE_SLOTS - len(counts))
 
 
-def _block_of(address: int, count: int) -> Block:
+def _block_of(address: int, count: int) -> RegisterBlock:
     for block in BLOCKS:
         if block.holds(address, count):
             return block
-    raise RegisterError(ExceptionCode.ILLEGAL_ADDRESS)
+    raise RegisterAccessError(ModbusExceptionCode.ILLEGAL_ADDRESS)

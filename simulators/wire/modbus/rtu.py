@@ -16,19 +16,19 @@ from typing import Any, Final
 import structlog
 
 from drivers.clock import Clock, wall_seconds
-from simulators.wire.modbus.controller import UNIT, WorldWithController, registers_behind
+from simulators.wire.modbus.controller import UNIT, WorldWithController, attach_registers
 from simulators.wire.modbus.frames import answer_request
-from simulators.wire.modbus.numbers import NumberFormat
-from simulators.wire.modbus.rtu_frames import NoFrame, answer_frame, take_request
+from simulators.wire.modbus.numbers import RegisterNumberFormat
+from simulators.wire.modbus.rtu_frames import InvalidFrameError, answer_frame, take_request
 from simulators.wire.pty_port import ANY, PseudoTerminal
 from simulators.wire.shared_world import SharedWorld
 
 FAST_BAUD: Final = 19200
 FAST_GAP_S: Final = 0.00175
-PIECE: Final = 16
+CHUNK_CHARACTERS: Final = 16
 """Characters that are let go at once where the line is paced: the depth of a usual UART's buffer."""
 
-FORGOTTEN_AFTER_S: Final = 0.1
+STALE_AFTER_S: Final = 0.1
 """Wall time after which the beginning of a request is thrown away; the standard's 1.5 characters are less than what a
 scheduler may keep two halves of one write apart."""
 
@@ -37,9 +37,9 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True)
 class LineSettings:
-    """`place`: a path for a link to the pseudo-terminal, or `any`. Parity and stop bits only cost time here."""
+    """`link`: a path for a link to the pseudo-terminal, or `any`. Parity and stop bits only cost time here."""
 
-    place: str = ANY
+    link: str = ANY
     baud: int = 19200
     parity: str = "even"
     stop_bits: int = 1
@@ -60,14 +60,14 @@ class ModbusRtuController:
         self,
         shared: SharedWorld[WorldWithController],
         settings: LineSettings,
-        numbers: NumberFormat | None = None,
+        numbers: RegisterNumberFormat | None = None,
         clock: Clock | None = None,
     ) -> None:
         self._shared = shared
         self._settings = settings
         self._clock = clock
-        self.registers = registers_behind(shared, numbers)
-        self.terminal = PseudoTerminal("modbus rtu", self._received, settings.place)
+        self.registers = attach_registers(shared, numbers)
+        self.terminal = PseudoTerminal("modbus rtu", self._received, settings.link)
         self._speed = getattr(termios, f"B{settings.baud}", None)
         self._line = os.open(self.terminal.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self._buffer = bytearray()
@@ -85,7 +85,7 @@ class ModbusRtuController:
         """Options of the agent's driver."""
         settings = self._settings
         line = {"baud": settings.baud, "parity": settings.parity, "stop_bits": settings.stop_bits}
-        return {"serial": {"port": self.terminal.place, **line}}
+        return {"serial": {"port": self.terminal.device_path, **line}}
 
     def _received(self, data: bytes) -> None:
         if self._client_speed() != self._speed:
@@ -93,14 +93,14 @@ class ModbusRtuController:
             self._buffer.clear()
             return
         now_s = wall_seconds()
-        if now_s - self._heard_s > FORGOTTEN_AFTER_S:
+        if now_s - self._heard_s > STALE_AFTER_S:
             self._buffer.clear()
         self._heard_s = now_s
         self._buffer += data
         try:
             while (request := take_request(self._buffer)) is not None:
                 self._answer(*request)
-        except NoFrame as error:
+        except InvalidFrameError as error:
             log.warning("no sound request", received=str(error))
 
     def _answer(self, unit: int, request: bytes) -> None:
@@ -114,8 +114,8 @@ class ModbusRtuController:
         if self._clock is None:
             self.terminal.send(frame)
             return
-        for start in range(0, len(frame), PIECE):
-            piece = frame[start : start + PIECE]
+        for start in range(0, len(frame), CHUNK_CHARACTERS):
+            piece = frame[start : start + CHUNK_CHARACTERS]
             self._pass_characters(len(piece))
             self.terminal.send(piece)
 

@@ -15,7 +15,7 @@ LONGEST: Final = 256
 _BYTE_COUNT_AT: Final = {WRITE: 6, WRITE_AND_READ: 10}
 
 
-class NoFrame(Exception):
+class InvalidFrameError(Exception):
     """What came is no sound request; a controller says nothing to it."""
 
 
@@ -44,7 +44,7 @@ def take_request(buffer: bytearray) -> tuple[int, bytes] | None:
     if length > LONGEST or frame_crc(frame[:-CRC_BYTES]) != frame[-CRC_BYTES:]:
         garbage = bytes(buffer)
         buffer.clear()
-        raise NoFrame(garbage.hex(" "))
+        raise InvalidFrameError(garbage.hex(" "))
     del buffer[:length]
     return frame[0], frame[1:-CRC_BYTES]
 

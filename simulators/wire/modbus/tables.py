@@ -14,12 +14,12 @@ from typing import Final
 import numpy as np
 
 from drivers.roles import Activation, StoreLimits, TableImage
-from simulators.wire.modbus.numbers import NumberFormat
+from simulators.wire.modbus.numbers import RegisterNumberFormat
 from simulators.wire.modbus.physics import TableMemory
 from simulators.wire.modbus.register_map import (
     DESCRIPTOR_LAYOUT,
     NO_BANK_PENDING,
-    BankState,
+    ModbusBankState,
     ResultCode,
 )
 
@@ -29,7 +29,7 @@ ARMED_FOR_S: Final = 5.0
 
 
 @dataclass(frozen=True)
-class Descriptor:
+class TableDescriptor:
     """The grid of one table, as in registers 2100 … 2133."""
 
     bank: int
@@ -40,12 +40,12 @@ class Descriptor:
     crc: int
 
     @classmethod
-    def decode(cls, data: bytes, numbers: NumberFormat) -> Descriptor:
+    def decode(cls, data: bytes, numbers: RegisterNumberFormat) -> TableDescriptor:
         bank, nx, ny, nz, grid, crc = DESCRIPTOR_LAYOUT.unpack(data)
         x, y, z, dx, dy, dz, resolution = numbers.unpack(grid)
         return cls(bank, (nx, ny, nz), (x, y, z), (dx, dy, dz), resolution, crc)
 
-    def encode(self, numbers: NumberFormat) -> bytes:
+    def encode(self, numbers: RegisterNumberFormat) -> bytes:
         grid = numbers.pack(*self.origin_mm, *self.step_mm, self.resolution_mm)
         return DESCRIPTOR_LAYOUT.pack(self.bank, *self.shape, grid, self.crc)
 
@@ -72,7 +72,7 @@ class Descriptor:
 class _Transfer:
     """A bank between TABLE BEGIN and COMMIT."""
 
-    descriptor: Descriptor
+    descriptor: TableDescriptor
     stored: bytearray = field(default_factory=bytearray)
 
     def image(self, resolution_mm: float) -> TableImage:
@@ -86,19 +86,19 @@ class CompleteTable:
     """A bank as it is read back: its descriptor and its counts, big-endian, in the page's order."""
 
     image: TableImage
-    descriptor: Descriptor
+    descriptor: TableDescriptor
     counts: bytes
 
     @classmethod
     def of(cls, bank: int, image: TableImage) -> CompleteTable:
         counts = image.counts.astype(">i4").tobytes()
-        descriptor = Descriptor(
+        descriptor = TableDescriptor(
             bank, image.shape, image.origin_mm, image.step_mm, image.resolution_mm, zlib.crc32(counts)
         )
         return cls(image, descriptor, counts)
 
 
-class TableBanks:
+class BankRegisters:
     """The bank registers of STATUS and the commands that change them.
 
     `memory` holds what is complete; a bank that is open or damaged is so only here, and `memory` keeps acting
@@ -109,7 +109,7 @@ class TableBanks:
         self,
         memory: TableMemory,
         limits: StoreLimits,
-        numbers: NumberFormat,
+        numbers: RegisterNumberFormat,
         now: Callable[[], float],
     ) -> None:
         self._memory = memory
@@ -144,16 +144,16 @@ class TableBanks:
             self._nonce = 0
         return self._nonce
 
-    def state(self, bank: int) -> BankState:
+    def state(self, bank: int) -> ModbusBankState:
         if bank == self.open_bank:
-            return BankState.BEING_WRITTEN
+            return ModbusBankState.BEING_WRITTEN
         if bank in self._damaged:
-            return BankState.DAMAGED
-        return BankState.COMPLETE if bank in self._memory.banks else BankState.EMPTY
+            return ModbusBankState.DAMAGED
+        return ModbusBankState.COMPLETE if bank in self._memory.banks else ModbusBankState.EMPTY
 
     def complete(self, bank: int) -> CompleteTable | None:
         """The table of a complete bank; None for every other bank."""
-        if bank == 0 or self.state(bank) is not BankState.COMPLETE:
+        if bank == 0 or self.state(bank) is not ModbusBankState.COMPLETE:
             return None
         image = self._memory.banks[bank]
         known = self._complete.get(bank)
@@ -166,7 +166,7 @@ class TableBanks:
         return table.descriptor.crc if table is not None else 0
 
     def begin(self, bank: int, descriptor_block: bytes) -> ResultCode:
-        descriptor = Descriptor.decode(descriptor_block, self._numbers)
+        descriptor = TableDescriptor.decode(descriptor_block, self._numbers)
         refusal = self._refusal_to_begin(bank, descriptor)
         if refusal is not None:
             return refusal
@@ -179,7 +179,7 @@ class TableBanks:
         self._nonce = 0
         return ResultCode.ACCEPTED
 
-    def _refusal_to_begin(self, bank: int, descriptor: Descriptor) -> ResultCode | None:
+    def _refusal_to_begin(self, bank: int, descriptor: TableDescriptor) -> ResultCode | None:
         if bank not in self.limits.banks or bank == 0:
             return ResultCode.NO_SUCH_BANK
         if bank in (self.active_bank, self.pending_bank):
@@ -223,7 +223,7 @@ class TableBanks:
     def arm(self, bank: int, crc: int) -> ResultCode:
         if bank != 0 and bank not in self.limits.banks:
             return ResultCode.NO_SUCH_BANK
-        if bank != 0 and self.state(bank) is not BankState.COMPLETE:
+        if bank != 0 and self.state(bank) is not ModbusBankState.COMPLETE:
             return ResultCode.NOT_COMPLETE
         if crc != self.crc(bank):
             return ResultCode.CRC_DIFFERS

@@ -33,7 +33,7 @@ class Mode(Enum):
     ALARM = "alarm"
 
 
-def holes(character: str) -> int:
+def with_parity(character: str) -> int:
     code = ord(character)
     return code | 0x80 if bin(code).count("1") % 2 else code
 
@@ -49,24 +49,24 @@ class TapeCnc:
         self.mode = Mode.READY
         self.alarm = ""
         self.overrun = 0
-        self.never_starts_again = False
-        self.wrong: dict[int, str] = {}
+        self.stays_stopped = False
+        self.misstored: dict[int, str] = {}
         """Parameters that it stores as something else, as one that a ladder guards."""
         self._writable = writable
         self._per_s = baud / BITS
         self._memory = memory
         self._now_s = 0.0
         self._waiting: deque[int] = deque()
-        self._going_out: deque[int] = deque()
+        self._outgoing: deque[int] = deque()
         self._stopped_at: int | None = None
         self._punch_held = False
-        self._came = 0
+        self._received_count = 0
         self._block = ""
-        self._marks = 0
+        self._percent_count = 0
         self._share = 0.0
 
     def press_read(self) -> None:
-        self.mode, self._block, self._marks, self._came = Mode.READING, "", 0, 0
+        self.mode, self._block, self._percent_count, self._received_count = Mode.READING, "", 0, 0
         self._waiting.clear()
         self._stopped_at = None
         self._send(DC1)
@@ -76,14 +76,14 @@ class TapeCnc:
         self.mode = Mode.PUNCHING
         blocks = [f"N{number:05d}Q1{values}" for number, values in sorted(self.parameters.items())]
         text = leader + "%\n" + "\n".join(blocks) + "\n%\n"
-        self._going_out = deque([DC2, 0, 0, *(holes(character) for character in text), DC4])
+        self._outgoing = deque([DC2, 0, 0, *(with_parity(character) for character in text), DC4])
 
     def press_reset(self) -> None:
         """What was under way is broken off."""
         self.mode = Mode.READY
-        self._going_out.clear()
+        self._outgoing.clear()
 
-    def moved_to(self, now_s: float) -> None:
+    def on_advance(self, now_s: float) -> None:
         """The line goes on for as many characters as there is time for."""
         self.line.pump()
         self._share += (now_s - self._now_s) * self._per_s
@@ -103,12 +103,12 @@ class TapeCnc:
                 self._store(byte)
 
     def _store(self, byte: int) -> None:
-        self._came += 1
+        self._received_count += 1
         if self._stopped_at is not None:
-            self.overrun = max(self.overrun, self._came - self._stopped_at)
+            self.overrun = max(self.overrun, self._received_count - self._stopped_at)
         self._waiting.append(byte)
         if self._stopped_at is None and len(self._waiting) > self._memory // 2:
-            self._stopped_at = self._came
+            self._stopped_at = self._received_count
             self._send(DC3)
 
     def _take_one(self) -> None:
@@ -116,7 +116,7 @@ class TapeCnc:
             return
         self._character(self._waiting.popleft())
         empty = len(self._waiting) < self._memory // 8
-        if self._stopped_at is not None and empty and not self.never_starts_again and self.mode is Mode.READING:
+        if self._stopped_at is not None and empty and not self.stays_stopped and self.mode is Mode.READING:
             self._stopped_at = None
             self._send(DC1)
 
@@ -124,13 +124,13 @@ class TapeCnc:
         if bin(byte).count("1") % 2:
             self._fail("parity")
         elif byte == PERCENT:
-            self._marks += 1
-            if self._marks == 2:
+            self._percent_count += 1
+            if self._percent_count == 2:
                 self.mode = Mode.READY
                 self._send(DC3)
         elif byte == LINE_FEED:
             self._end_block()
-        elif self._marks == 1:
+        elif self._percent_count == 1:
             self._block += chr(byte & 0x7F)
 
     def _end_block(self) -> None:
@@ -144,7 +144,7 @@ class TapeCnc:
             self._fail("parameters are write-protected")
         else:
             number = int(match[1])
-            self.parameters[number] = self.wrong.get(number, match[2])
+            self.parameters[number] = self.misstored.get(number, match[2])
 
     def _fail(self, text: str) -> None:
         """It stops the reader and waits for a person."""
@@ -154,10 +154,10 @@ class TapeCnc:
     # ------------------------------------------------------------------ punching
 
     def _punch_one(self) -> None:
-        if self._punch_held or not self._going_out:
+        if self._punch_held or not self._outgoing:
             return
-        self._send(self._going_out.popleft())
-        if not self._going_out:
+        self._send(self._outgoing.popleft())
+        if not self._outgoing:
             self.mode = Mode.READY
 
     def _send(self, byte: int) -> None:

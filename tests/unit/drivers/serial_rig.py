@@ -79,7 +79,7 @@ class Rig:
             self.port.controller.received(data)
 
     def ball(self, number: int) -> np.ndarray:
-        return np.array(self.world.workpiece.standing(self.world.now).balls[number]) - TOOL
+        return np.array(self.world.workpiece.snapshot(self.world.now).balls[number]) - TOOL
 
     def before(self, number: int = 5, distance_mm: float = 25.0) -> np.ndarray:
         centre = self.ball(number)
@@ -90,7 +90,7 @@ class Rig:
 
 @cache
 def _scenario() -> Scenario:
-    return read_scenario(SCENARIO).made_ideal()
+    return read_scenario(SCENARIO).without_errors()
 
 
 @contextmanager

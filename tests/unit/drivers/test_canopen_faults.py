@@ -17,7 +17,7 @@ from drivers.errors import CommandRejected, DeadlineExpired, DeviceError, LinkLo
 from drivers.links.can_bus import CanNetworks
 from drivers.registry import DeviceContext, check_options
 from drivers.roles import Orientation
-from simulators.wire.can.drive import State
+from simulators.wire.can.drive import DriveState
 
 QUICK_STOPS = tuple((0x600 + node, bytes.fromhex("2B 40 60 00 02 00 00 00")) for node in (5, 6))
 HOMING = {"homing": {"method": 1, "search_speed_deg_per_s": 5.0}}
@@ -195,7 +195,7 @@ def test_drives_that_were_exchanged_are_told_by_their_serial_numbers() -> None:
         bench.mount.open()
     assert "exchanged" in caught.value.hint
     assert caught.value.where["axis"] == "elevation"
-    assert bench.azimuth.state is State.SWITCH_ON_DISABLED
+    assert bench.azimuth.state is DriveState.SWITCH_ON_DISABLED
 
 
 def test_claims_of_two_mounts_on_one_bus(tmp_path: Path) -> None:
@@ -225,5 +225,5 @@ def test_who_only_looks_does_not_take_the_power_off_what_another_process_turns()
         looking.open()
         assert all(finding.ok for finding in looking.diagnose())
         looking.close()
-        assert bench.azimuth.state is State.ENABLED
-        assert bench.elevation.state is State.ENABLED
+        assert bench.azimuth.state is DriveState.ENABLED
+        assert bench.elevation.state is DriveState.ENABLED

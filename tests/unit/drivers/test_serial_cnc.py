@@ -181,7 +181,7 @@ class TestFaultsOnTheLine:
 
     def test_never_more_under_way_than_the_controller_keeps(self, grbl: Rig) -> None:
         grbl.device.close()
-        settings = SerialCncSettings(port=grbl.port.line.place, answer_within_s=1.0)
+        settings = SerialCncSettings(port=grbl.port.line.device_path, answer_within_s=1.0)
         conversation = Conversation(SerialPort(SerialAddress(settings.port, settings.baud)), settings)
         conversation.open()
         conversation.synchronise()
@@ -238,14 +238,14 @@ class TestTheControllerIntervenes:
 
     def test_door_in_motion_is_a_missing_permission(self, grbl: Rig) -> None:
         def open_door() -> None:
-            grbl.world.controller.given[Permission.DOORS_CLOSED] = False
+            grbl.world.controller.granted[Permission.DOORS_CLOSED] = False
 
         grbl.at(3.0, open_door)
         with pytest.raises(PermissionMissing, match="door was opened"):
             go_far(grbl)
         assert stands_still(grbl)
         assert Permission.DOORS_CLOSED in grbl.device.status().missing
-        grbl.world.controller.given[Permission.DOORS_CLOSED] = True
+        grbl.world.controller.granted[Permission.DOORS_CLOSED] = True
         with pytest.raises(CommandRejected, match="Door:0"):
             go_far(grbl)
         grbl.device.reset()

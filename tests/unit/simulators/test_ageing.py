@@ -11,7 +11,7 @@ import pytest
 
 from drivers.errors import ConfigurationError
 from simulators.scenario import AgeingSettings, read_scenario
-from simulators.world.ageing import of_night
+from simulators.world.ageing import scenario_of_night
 from simulators.world.world import World, true_machine
 
 SCENARIO = read_scenario(Path(__file__).resolve().parents[3] / "config" / "simulators" / "case-study.toml")
@@ -60,10 +60,10 @@ def test_a_walk_has_the_rms_that_is_asked_for_and_goes_on() -> None:
 
 
 def test_another_night_is_the_same_machine_and_bar_with_other_noise() -> None:
-    one, other = World(of_night(SCENARIO, 0)), World(of_night(SCENARIO, 3))
+    one, other = World(scenario_of_night(SCENARIO, 0)), World(scenario_of_night(SCENARIO, 3))
     assert other.truth.machine.deviation(CORNERS) == pytest.approx(one.truth.machine.deviation(CORNERS), abs=0.0)
     assert other.workpiece.artefact.balls == pytest.approx(one.workpiece.artefact.balls, abs=0.0)
-    assert not np.allclose(one.workpiece.place_mm, other.workpiece.place_mm, atol=1e-4)
+    assert not np.allclose(one.workpiece.location_mm, other.workpiece.location_mm, atol=1e-4)
 
 
 def test_an_error_that_no_machine_has_is_refused_by_name() -> None:

@@ -212,10 +212,10 @@ def test_a_fault_from_outside_brakes_and_stays_until_reset() -> None:
 
 def test_without_a_permission_or_a_probe_nothing_starts() -> None:
     world = ideal_world()
-    world.controller.given[Permission.DOORS_CLOSED] = False
+    world.controller.granted[Permission.DOORS_CLOSED] = False
     with pytest.raises(CommandRejected, match="doors closed"):
         world.controller.begin_move(np.array([1.0, 0.0, 0.0]), None, guarded=False)
-    world.controller.given[Permission.DOORS_CLOSED] = True
+    world.controller.granted[Permission.DOORS_CLOSED] = True
     world.controller.probe_loaded = False
     with pytest.raises(CommandRejected, match="healthy probe"):
         world.controller.begin_touch(np.array([1.0, 0.0, 0.0]), 5.0)

@@ -8,13 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulators.scenario import AxisBehaviour
-from simulators.world.lost_motion import Play
+from simulators.world.lost_motion import PlayOperator
 
 NO_GROWTH = (0.0, 0.0, 0.0)
 
 
-def play(backlash: float | tuple[float, float, float], growth: tuple[float, float, float] = NO_GROWTH) -> Play:
-    return Play(AxisBehaviour(repeatability_um=0.0, backlash_um=backlash, backlash_growth_um_per_m=growth), seed=1)
+def play(backlash: float | tuple[float, float, float], growth: tuple[float, float, float] = NO_GROWTH) -> PlayOperator:
+    return PlayOperator(
+        AxisBehaviour(repeatability_um=0.0, backlash_um=backlash, backlash_growth_um_per_m=growth), seed=1
+    )
 
 
 def test_each_axis_keeps_the_sign_of_its_own_last_motion() -> None:

@@ -42,13 +42,13 @@ def four_at_867_mm(**changes: Any) -> World:
 
 def test_both_bars_stand_at_once_each_with_its_own_certificate_error() -> None:
     both = world(ideal=False)
-    standing = both.table.standing(0.0)
+    standing = both.table.snapshot(0.0)
     assert len(standing.balls) == 22
     assert standing.ball_names[11] == "ball 0 at station 2"
     first, second = (piece.artefact.balls for piece in both.table.pieces)
     certified = [artefact.balls for artefact in both.scenario.artefacts]
     assert not np.allclose(first - certified[0], second - certified[1], atol=1e-5)
-    places = [piece.place_mm for piece in both.table.pieces]
+    places = [piece.location_mm for piece in both.table.pieces]
     assert not np.allclose(places[1] - places[0], [2200.0, 0.0, 0.0], atol=1e-3)
 
 
@@ -95,19 +95,19 @@ def test_where_bars_meet_is_where_brute_force_sees_them_meet() -> None:
     for instant in np.arange(0.0, crash.time_s - 0.02, 0.005):
         gap = min(
             float(np.linalg.norm(np.array(a) - np.array(b)))
-            for a in two.standing(instant).balls
-            for b in three.standing(instant).balls
+            for a in two.snapshot(instant).balls
+            for b in three.snapshot(instant).balls
         )
         assert gap > 25.0
-    ends = [np.array(piece.standing(crash.time_s).balls) for piece in (two, three)]
+    ends = [np.array(piece.snapshot(crash.time_s).balls) for piece in (two, three)]
     assert np.linalg.norm(ends[0][:, None] - ends[1][None], axis=2).min() < 160.0  # a pitch and both radii
 
 
 def test_a_carried_artefact_leaves_its_mount_bare() -> None:
     carried = world(artefacts=[], standing_at=1)
-    assert len(carried.table.standing(0.0).balls) == 11
+    assert len(carried.table.snapshot(0.0).balls) == 11
     carried.place_artefact(2)
-    standing = carried.table.standing(0.0)
+    standing = carried.table.snapshot(0.0)
     assert standing.ball_names[0] == "ball 0 at station 2"
     names = {body.name for body in standing.bodies}
     assert "shaft at station 1" in names

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from worlds import ideal_world
 
-from simulators.world.turn_clearance import surely_passes
+from simulators.world.turn_clearance import is_turn_clear
 from simulators.world.turn_collisions import first_turn_crash
 from simulators.world.world import World
 from twin.collision.geometry import Point, added, point
@@ -27,7 +27,7 @@ def turning(start: tuple[float, float], end: tuple[float, float]) -> tuple[World
 
 def least_clearance(world: World, tip: Point, end_s: float) -> float:
     instants = np.linspace(world.now, end_s, 200).tolist()
-    return min(world.workpiece.standing(instant).scene.clearance(tip, at_most=200.0) for instant in instants)
+    return min(world.workpiece.snapshot(instant).scene.clearance(tip, at_most=200.0) for instant in instants)
 
 
 @pytest.mark.parametrize(("start", "end"), TURNS)
@@ -36,8 +36,8 @@ def test_what_is_proved_is_so_and_what_is_far_away_is_proved(start, end) -> None
     rng = np.random.default_rng(4)
     proved = 0
     for offset in rng.uniform((-900.0, -950.0, -500.0), (900.0, 300.0, 900.0), (30, 3)):
-        tip = added(point(world.workpiece.place_mm), point(offset))
-        if surely_passes(world.workpiece, tip, world.now, end_s):
+        tip = added(point(world.workpiece.location_mm), point(offset))
+        if is_turn_clear(world.workpiece, tip, world.now, end_s):
             proved += 1
             assert least_clearance(world, tip, end_s) > 0.0
         else:
@@ -48,9 +48,9 @@ def test_what_is_proved_is_so_and_what_is_far_away_is_proved(start, end) -> None
 def test_a_turn_that_is_not_proved_is_looked_at() -> None:
     """The tip just before the bar's end: nothing touches it at the start, and then the bar comes."""
     world, end_s = turning((0.0, 0.0), (-45.0, 0.0))
-    ball = world.workpiece.standing(world.now).balls[8]
+    ball = world.workpiece.snapshot(world.now).balls[8]
     tip = added(ball, (0.0, -100.0, 0.0))
-    assert not surely_passes(world.workpiece, tip, world.now, end_s)
+    assert not is_turn_clear(world.workpiece, tip, world.now, end_s)
     world.controller._position = added(tip, point([-x for x in world.controller.tool_offset]))
     crash = first_turn_crash(world.workpiece, world.controller, world.now, end_s)
     assert crash is not None
@@ -60,4 +60,4 @@ def test_a_turn_that_is_not_proved_is_looked_at() -> None:
 def test_without_an_artefact_nothing_is_proved() -> None:
     world, end_s = turning((0.0, 0.0), (90.0, 0.0))
     world.workpiece.carry(None)
-    assert not surely_passes(world.workpiece, (0.0, 0.0, 0.0), world.now, end_s)
+    assert not is_turn_clear(world.workpiece, (0.0, 0.0, 0.0), world.now, end_s)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from worlds import TOOL, World, case_study
 
 from simulators.temperatures import TemperatureSettings
-from simulators.world.thermal_effects import Thermal, bowed
-from simulators.world.thermal_state import Warming, answered
+from simulators.world.thermal_effects import ThermalEffects, bowed
+from simulators.world.thermal_state import ThermalState, first_order_response
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
 
@@ -20,16 +20,16 @@ def test_a_follower_answers_as_its_differential_equation_does(source: float, fol
         hours = (k + 0.5) * step
         target = 1.0 - np.exp(-hours / source) if source else 1.0
         level = target if follower == 0.0 else level + step * (target - level) / follower
-    assert answered(1.5, source, follower) == pytest.approx(level, abs=2e-4)
+    assert first_order_response(1.5, source, follower) == pytest.approx(level, abs=2e-4)
 
 
 @given(st.floats(0.0, 5.0), st.floats(0.0, 5.0), st.floats(0.0, 20.0))
 def test_an_answer_lies_between_nothing_and_all(source: float, follower: float, hours: float) -> None:
-    assert -1e-9 <= answered(hours, source, follower) <= 1.0 + 1e-9
+    assert -1e-9 <= first_order_response(hours, source, follower) <= 1.0 + 1e-9
 
 
 def test_nothing_warms_without_any_key() -> None:
-    thermal = Thermal(TemperatureSettings(artefact_c=20.5, machine_c=21.0, ambient_c=20.8), RANGES)
+    thermal = ThermalEffects(TemperatureSettings(artefact_c=20.5, machine_c=21.0, ambient_c=20.8), RANGES)
     assert thermal.temperatures_c(7200.0) == {"artefact": 20.5, "machine": 21.0, "ambient": 20.8}
     assert thermal.drift_mm(7200.0) == (0.0, 0.0, 0.0)
     assert thermal.field(7200.0) is None
@@ -39,7 +39,7 @@ def test_scales_stretch_about_zero_and_the_column_tilts_what_it_carries() -> Non
     settings = TemperatureSettings(
         machine_k_per_h=2.0, scale_um_per_m_k=(8.0, 9.0, 10.0), bend_um_per_k=5.0, growth_um_per_k=(1.0, 0.0, -2.0)
     )
-    thermal = Thermal(settings, RANGES, (0.0, 250.0, 0.0))
+    thermal = ThermalEffects(settings, RANGES, (0.0, 250.0, 0.0))
     field = thermal.field(5400.0)  # 3 K
     assert field is not None
     origin, far = field(np.array([[0.0, 0.0, 0.0], [4000.0, 1000.0, 1500.0]]))
@@ -53,10 +53,10 @@ def test_thermometers_err_lag_and_scatter_and_several_stand_on_the_bar() -> None
     settings = TemperatureSettings(
         artefact_k_per_h=6.0, artefact_sensors=2, sensor_offset_k={"artefact-2": 0.4}, sensor_lag_s=60.0
     )
-    told = Thermal(settings, RANGES).temperatures_c(3600.0)
+    told = ThermalEffects(settings, RANGES).temperatures_c(3600.0)
     assert told["artefact"] == pytest.approx(25.9)
     assert told["artefact-2"] == pytest.approx(26.3)
-    noisy = Thermal(settings.model_copy(update={"sensor_noise_k": 0.02}), RANGES, seed=3)
+    noisy = ThermalEffects(settings.model_copy(update={"sensor_noise_k": 0.02}), RANGES, seed=3)
     errors = np.array([noisy.temperatures_c(s)["ambient"] - 20.0 for s in range(1000)])
     assert errors.std() == pytest.approx(0.02, rel=0.1)
     assert abs(errors.mean()) < 0.003
@@ -65,9 +65,9 @@ def test_thermometers_err_lag_and_scatter_and_several_stand_on_the_bar() -> None
 
 def test_the_bar_follows_the_ambient_and_bows_while_it_is_behind() -> None:
     settings = TemperatureSettings(ambient_rise_k=3.0, artefact_time_constant_h=0.5)
-    warming = Warming(settings)
+    warming = ThermalState(settings)
     assert warming.artefact_c(1800.0) == pytest.approx(20.0 + 3.0 * (1.0 - np.exp(-1.0)))
-    assert warming.artefact_behind_k(0.001) == pytest.approx(3.0, abs=0.01)
+    assert warming.artefact_lag_k(0.001) == pytest.approx(3.0, abs=0.01)
     balls = np.array([[-750.0, 0.0, 0.0], [0.0, 0.0, 5.0], [750.0, 1.0, 0.0]])
     assert bowed(balls, 0.002) - balls == pytest.approx(np.array([[0, 0, 0], [0, 0, 0.002], [0, 0, 0]]))
 

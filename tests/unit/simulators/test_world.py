@@ -138,7 +138,7 @@ def test_a_bar_that_turns_into_the_probe_is_a_collision_and_stops_both() -> None
 
 def test_a_turn_far_from_the_probe_is_none() -> None:
     world = ideal_world()
-    moved(world, np.array([world.workpiece.place_mm[0] + 1000.0, 0.0, 750.0]))
+    moved(world, np.array([world.workpiece.location_mm[0] + 1000.0, 0.0, 750.0]))
     for azimuth, elevation in ((90.0, 45.0), (-45.0, -45.0), (180.0, 90.0)):
         world.mounts["mount"].begin_turn("azimuth", azimuth)
         world.mounts["mount"].begin_turn("elevation", elevation)
@@ -151,7 +151,7 @@ def test_the_hand_puts_the_artefact_near_the_station_and_never_twice_the_same() 
     seen = []
     for _ in range(2):
         world.place_artefact(3)
-        seen.append(world.workpiece.place_mm)
+        seen.append(world.workpiece.location_mm)
     nominal = np.array(case_study().settings.stations_mm[2])
     assert all(np.abs(place - nominal).max() <= 0.3 for place in seen)
     assert not np.array_equal(seen[0], seen[1])
@@ -160,7 +160,7 @@ def test_the_hand_puts_the_artefact_near_the_station_and_never_twice_the_same() 
 
 
 def test_a_warm_steel_bar_is_longer() -> None:
-    scenario = case_study().made_ideal()
+    scenario = case_study().without_errors()
     warm = scenario.settings.temperatures.model_copy(update={"artefact_c": 20.0, "artefact_k_per_h": 2.0})
     world = World(type(scenario)(scenario.settings.model_copy(update={"temperatures": warm}), scenario.machine,
                                  scenario.artefact))  # fmt: skip

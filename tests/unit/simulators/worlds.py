@@ -25,14 +25,14 @@ def case_study() -> Scenario:
 
 def ideal_world(station: int = 2) -> World:
     """No error at all; the bar at `station`, level along X; the machine in its corner."""
-    world = World(case_study().made_ideal())
+    world = World(case_study().without_errors())
     world.place_artefact(station)
     return world
 
 
 def ball_axis_position(world: World, ball: int) -> np.ndarray:
     """Axis positions at which the tip of a perfect machine would be in the middle of the true ball."""
-    return np.array(world.workpiece.standing(world.now).balls[ball]) - TOOL
+    return np.array(world.workpiece.snapshot(world.now).balls[ball]) - TOOL
 
 
 def run(world: World) -> None:
