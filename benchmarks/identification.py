@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
+from twin.artefact.position_set import MountGeometry, is_reachable, mount_pose, parse_position_set, station_locations
 from twin.identification import Estimate, Options, identify, identify_by_evidence
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis, exact_deviation
@@ -69,15 +69,15 @@ def case(seed: int = 1) -> Case:
     rng = np.random.default_rng(seed)
     parameters = family.draw(rng, 1)[0]
     bar = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=0.26, holder_length_mm=60.0, ball_diameter_mm=25.0)
-    positions = positions_of("S1+S2+S3", 4)
-    places = station_places(4, RANGES[0], 560.0, 900.0, 750.0)
+    positions = parse_position_set("S1+S2+S3", 4)
+    places = station_locations(4, RANGES[0], 560.0, 900.0, 750.0)
     lower, upper = np.array(RANGES).T
     rows, rotations, centres = [], [], []
     for number, position in enumerate(positions):
         azimuth, elevation = np.radians(position.azimuth_deg), np.radians(position.elevation_deg)
         pose = mount_pose(places[position.station - 1], MountGeometry(), azimuth, elevation)
-        points = pose.applied(bar.balls) - TOOL
-        for ball in np.flatnonzero(reachable(points, lower, upper, np.full(3, 10.0))):
+        points = pose.apply(bar.balls) - TOOL
+        for ball in np.flatnonzero(is_reachable(points, lower, upper, np.full(3, 10.0))):
             rows.append((number, ball, elevation, *points[ball]))
         rotations.append(pose.rotation)
         centres.append(pose.centre)

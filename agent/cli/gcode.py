@@ -15,7 +15,7 @@ import click
 from agent.cli.errors import reported
 from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
 from drivers.clock import wall_seconds
-from twin.compensation.gcode.correction_summary import Counts
+from twin.compensation.gcode.correction_summary import CorrectionSummary
 from twin.compensation.gcode.setup import SYSTEMS, CorrectionOptions, PartSetup, Triple
 from twin.compensation.table import CompensationTable
 
@@ -156,7 +156,7 @@ def _joined(table: CompensationTable) -> str:
 
 
 def _document(
-    counts: Counts, part: Path, out: Path | None, table: CompensationTable, crc: str, seconds: float
+    counts: CorrectionSummary, part: Path, out: Path | None, table: CompensationTable, crc: str, seconds: float
 ) -> dict[str, Any]:
     document: dict[str, Any] = {"part": str(part), "out": str(out)}
     for name, value in asdict(counts).items():
@@ -164,7 +164,7 @@ def _document(
     return {**document, "table_crc32": crc, "tool_offset_mm": table.tool_offset.tolist(), "wall_seconds": seconds}
 
 
-def _told(counts: Counts, part: Path, out: Path | None, table: CompensationTable) -> list[str]:
+def _told(counts: CorrectionSummary, part: Path, out: Path | None, table: CompensationTable) -> list[str]:
     told = [
         f"{part}: {counts.moves} moves corrected, by up to {1e3 * counts.largest_correction_mm:.1f} µm; "
         f"{counts.divided} divided, {counts.arcs} arcs; {counts.lines} lines became {counts.written_lines}",

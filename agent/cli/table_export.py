@@ -19,7 +19,7 @@ from agent.files import write_all_atomically
 from agent.results.controller_export import Material, Request, Result, export_table, table_in_files
 from agent.results.table_image import table_of
 from drivers.errors import InputError
-from twin.compensation.controllers.export_format import Choices
+from twin.compensation.controllers.export_format import ExportOptions
 from twin.compensation.controllers.registry import WRITERS
 from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import format_side_file, format_table
@@ -120,7 +120,7 @@ def export(
         _write_neutral(material.table, out)
         click.echo(f"{material.origin} → {out}")
         return
-    choices = Choices(opposite_sign=opposite_sign, **chosen)
+    choices = ExportOptions(opposite_sign=opposite_sign, **chosen)
     result = export_table(material, Request(format_name, out, points, largest_um, choices))
     if as_json:
         click.echo(json.dumps(result.as_json()))
@@ -129,7 +129,7 @@ def export(
 
 
 def _chosen(format_name: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Those options that were given, as `Choices` calls them."""
+    """Those options that were given, as `ExportOptions` calls them."""
     chosen = {name: value for name, value in given.items() if value is not None}
     for name in chosen:
         if format_name not in _KNOWN_BY[name]:
@@ -137,7 +137,7 @@ def _chosen(format_name: str | None, given: Mapping[str, Any]) -> dict[str, Any]
             raise click.UsageError(f"{option} is of the formats {', '.join(_KNOWN_BY[name])}")
     if "bank_letter" in chosen:
         chosen["bank"] = chosen.pop("bank_letter")
-    return {field.name: chosen[field.name] for field in fields(Choices) if field.name in chosen}
+    return {field.name: chosen[field.name] for field in fields(ExportOptions) if field.name in chosen}
 
 
 def _from_bank(config: Path, bank: int | None, estimate: Path | None) -> Material:
@@ -165,7 +165,7 @@ def _show(result: Result) -> None:
     console.print(table)
     machine = "as estimated" if found.estimated else "as the table describes it (no estimate)"
     console.print(
-        f"The machine is taken {machine}; {100.0 * found.kept_share:.0f} % of what the table removes is kept."
+        f"The machine is taken {machine}; {100.0 * found.retained_share:.0f} % of what the table removes is kept."
     )
     if found.unknown_mm is not None:
         console.print(f"What the estimate does not know adds {1e3 * found.unknown_mm:.2f} µm to each (as squares).")
@@ -176,7 +176,7 @@ def _show(result: Result) -> None:
         f"; {said['extrapolated_percent']:g} % of its nodes were not measured" if said["extrapolated_percent"] else ""
     )
     console.print(f"The table holds for the tool offset {tool} mm{outside}.")
-    for text in result.exported.lost:
+    for text in result.exported.losses:
         console.print(f"lost: {text}", markup=False)
     for name, fact in result.exported.facts.items():
         console.print(f"{name}: {fact}", markup=False)

@@ -92,7 +92,7 @@ def _line(panel: Axes, trend: Trend, drift: Drift, colours: Colours) -> None:
     for at, _, _ in drift.steps:
         panel.axvline(at, color=colours.quiet, linewidth=0.7, linestyle="-.")
     recent = nights[nights >= edges[-2]]
-    ahead = [drift.ahead(night - nights[-1]) for night in recent]
+    ahead = [drift.predict(night - nights[-1]) for night in recent]
     value, sigma = np.array(ahead).T
     half = drift.factor * sigma
     panel.fill_between(recent, value - half, value + half, color=colours.line, alpha=colours.band, linewidth=0)

@@ -12,8 +12,18 @@ import numpy as np
 
 from agent.history.series import Series
 from twin.errors import DataError
-from twin.monitoring import Crossing, Drift, Ewma, Individuals, crossing, ewma, find_steps, fit_drift, individuals
-from twin.monitoring.drift import FREEDOM_FOR_SCATTER
+from twin.monitoring import (
+    Drift,
+    EwmaChart,
+    IndividualsChart,
+    LimitCrossing,
+    ewma_chart,
+    find_steps,
+    fit_drift,
+    individuals_chart,
+    limit_crossing,
+)
+from twin.monitoring.drift import MIN_FREEDOM_FOR_SCALE
 
 HORIZON_NIGHTS = 3650.0
 FEWEST_CHARTED = 8
@@ -42,9 +52,9 @@ class Trend:
 
     series: Series
     drift: Drift | None
-    chart: Individuals | None
-    smoothed: Ewma | None
-    crossing: Crossing | None
+    chart: IndividualsChart | None
+    smoothed: EwmaChart | None
+    crossing: LimitCrossing | None
     alarms: tuple[TrendAlarm, ...]
 
     def as_json(self) -> dict[str, Any]:
@@ -75,11 +85,11 @@ def trend_of(series: Series, warn_nights: float) -> Trend:
     drift = _drift(series)
     last_step = max((at for at, _, _ in drift.steps), default=-math.inf) if drift is not None else -math.inf
     recent = series.values[series.nights >= last_step]
-    chart = individuals(recent) if len(recent) >= FEWEST_CHARTED else None
-    smoothed = None if chart is None else ewma(recent, chart.centre, chart.sigma)
+    chart = individuals_chart(recent) if len(recent) >= FEWEST_CHARTED else None
+    smoothed = None if chart is None else ewma_chart(recent, chart.centre, chart.sigma)
     reach = None
     if series.tolerance is not None and drift is not None:
-        reach = crossing(drift, series.tolerance, HORIZON_NIGHTS, two_sided=series.two_sided)
+        reach = limit_crossing(drift, series.tolerance, HORIZON_NIGHTS, two_sided=series.two_sided)
     alarms = (*_tolerance_alarm(series, drift, reach, warn_nights), *_control_alarm(series, chart, smoothed))
     return Trend(series, drift, chart, smoothed, reach, alarms)
 
@@ -92,11 +102,11 @@ def _drift(series: Series) -> Drift | None:
         drift = fit_drift(series.nights, series.values, relative, steps)
     except DataError:
         return None
-    return drift if series.stated or drift.freedom >= FREEDOM_FOR_SCATTER else None
+    return drift if series.stated or drift.freedom >= MIN_FREEDOM_FOR_SCALE else None
 
 
 def _tolerance_alarm(
-    series: Series, drift: Drift | None, reach: Crossing | None, warn_nights: float
+    series: Series, drift: Drift | None, reach: LimitCrossing | None, warn_nights: float
 ) -> Iterable[TrendAlarm]:
     tolerance = series.tolerance
     if tolerance is None:
@@ -115,7 +125,7 @@ def _tolerance_alarm(
         yield TrendAlarm(series.name, AlarmKind.TREND, text, reach.expected)
 
 
-def _control_alarm(series: Series, chart: Individuals | None, smoothed: Ewma | None) -> Iterable[TrendAlarm]:
+def _control_alarm(series: Series, chart: IndividualsChart | None, smoothed: EwmaChart | None) -> Iterable[TrendAlarm]:
     """Of the newest value alone: older ones have been told when they were new. A size that has become smaller than
     ever is a better machine and no alarm."""
     if chart is None or smoothed is None:

@@ -11,7 +11,7 @@ from agent.planning.job import Job, prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
-from twin.artefact.position_set import station_places
+from twin.artefact.position_set import station_locations
 from twin.errors import DataError
 
 # A directory on disk, not an archive member: settings name their machine and artefact files relative to themselves, and
@@ -56,7 +56,7 @@ def _with_stations(settings: Settings, count: int) -> Settings:
     _, y_mm, z_mm = settings.stations.places_mm[0]
     half_span_mm = artefact.half_length_mm + settings.mount.bar_overhang_mm
     try:
-        places = station_places(count, machine.limits[0], half_span_mm, y_mm, z_mm)
+        places = station_locations(count, machine.limits[0], half_span_mm, y_mm, z_mm)
     except DataError as error:
         raise ConfigurationError(error.message, hint=error.hint, key="stations") from error
     stations = settings.stations.model_copy(

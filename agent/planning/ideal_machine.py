@@ -14,8 +14,8 @@ from agent.planning.time_model import TimeModel
 from drivers.roles import Miss, Orientation, Touch
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point, point
-from twin.collision.measuring_layout import Layout
-from twin.collision.motion_law import Path, entry, straight
+from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.motion_law import StraightPath, entry_distance, straight_path
 
 
 class IdealMachine:
@@ -26,7 +26,7 @@ class IdealMachine:
     """
 
     def __init__(
-        self, layout: Layout, model: TimeModel, start_mm: Point, spent: Callable[[s.Step, float, float], None]
+        self, layout: MeasuringLayout, model: TimeModel, start_mm: Point, spent: Callable[[s.Step, float, float], None]
     ) -> None:
         self._layout = layout
         self._model = model
@@ -55,7 +55,7 @@ class IdealMachine:
         self._at_mm = step.target_mm
 
     def _touch(self, step: s.TouchTowards) -> Touch | Miss:
-        path = straight(self._at_mm, step.target_mm)
+        path = straight_path(self._at_mm, step.target_mm)
         trip_mm = self._contact(path)
         motion_s, self._at_mm = self._model.touch_s(path, step.feed_mm_per_s, trip_mm)
         self._took(step, motion_s)
@@ -63,7 +63,7 @@ class IdealMachine:
 
     def _orient(self, step: s.OrientTo) -> Orientation:
         target_deg = (step.azimuth_deg, step.elevation_deg)
-        own_mounts = bool(self._layout.around)
+        own_mounts = bool(self._layout.neighbours)
         mount = step.station if own_mounts else 0
         before_deg = self._turned_deg.get(mount, target_deg if own_mounts else (0.0, 0.0))
         self._took(step, self._model.turn_s(before_deg, target_deg))
@@ -72,11 +72,11 @@ class IdealMachine:
         self._balls = [point(ball) for ball in nominal]
         return Orientation(*target_deg)
 
-    def _contact(self, path: Path) -> float | None:
+    def _contact(self, path: StraightPath) -> float | None:
         """Distance along `path` at which the first ball is met."""
         reach, first = self._layout.contact_mm, math.inf
         for ball in self._balls:
-            distance = entry(path.start, path, ball, reach)
+            distance = entry_distance(path.start, path, ball, reach)
             if distance is not None and distance < first:
                 first = distance
         return first if first < math.inf else None

@@ -14,7 +14,7 @@ from agent.probing.run_plan import position_key
 from agent.settings.load import POSITION_FILES
 from drivers.errors import ConfigurationError, InputError
 from twin.arrays import Array
-from twin.artefact.position_set import Position, positions_of
+from twin.artefact.position_set import Position, parse_position_set
 from twin.design.identifiability import Visibility, visibility
 from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
 from twin.design.procedure import Planned, Procedure
@@ -22,7 +22,7 @@ from twin.design.setup_advice import UM_PER_MM, effect, proposal
 from twin.design.setup_trials import Gain, gains, viewpoints
 from twin.identification import predicted_vce
 from twin.identification.options import Formulation
-from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.machine.volumetric import VolumetricRms, evaluation_grid
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Ranking:
     set_up: SetUp
     planned: Planned
     seen: Visibility
-    vce: tuple[Volumetric, ...]
+    vce: tuple[VolumetricRms, ...]
     advice: tuple[Gain, ...]
 
     def as_json(self) -> dict[str, Any]:
@@ -134,8 +134,8 @@ def _positions(job: Job, question: Question, name: str) -> tuple[Position, ...]:
         return job.positions
     if name.endswith(POSITION_FILES):
         return load_positions(Path(name))
-    everywhere = positions_of(name, len(job.layout.places_mm))
-    stations = job.settings.procedure.stations or sorted(job.layout.places_mm)
+    everywhere = parse_position_set(name, len(job.layout.locations_mm))
+    stations = job.settings.procedure.stations or sorted(job.layout.locations_mm)
     return tuple(position for position in everywhere if position.station in stations)
 
 

@@ -25,9 +25,9 @@ from agent.settings.schema import GateSettings, Settings
 from drivers.errors import ConfigurationError
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import Position, positions_of
+from twin.artefact.position_set import Position, parse_position_set
 from twin.artefact.touch_pattern import centre_covariance
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import FEWEST_BALLS, Procedure
 from twin.machine.machine_description import MachineDescription
 
@@ -44,7 +44,7 @@ class Job:
     held_out: tuple[Position, ...]
     stations: tuple[int, ...]
     verified_stations: tuple[int, ...]
-    layout: Layout
+    layout: MeasuringLayout
     rules: PositionRules
     preparation: Preparation
     gate_limits: GateSettings
@@ -170,7 +170,7 @@ def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple
             )
         return tuple(_with_tool_of_run(p, number, settings) for number, p in enumerate(listed, start=1))
     with translated(ConfigurationError, key="procedure.position_set"):
-        everywhere = positions_of(name, len(settings.stations.places_mm))
+        everywhere = parse_position_set(name, len(settings.stations.places_mm))
     return tuple(p for p in everywhere if p.station in stations)
 
 

@@ -11,7 +11,7 @@ from agent.execution.journal_reading import JournaledStep
 from agent.execution.steps import Point
 from agent.planning.time_model import S_PER_MIN, TimeModel
 from drivers.roles import OperatorTask
-from twin.collision.motion_law import straight
+from twin.collision.motion_law import straight_path
 
 MOVE, TOUCH, TURN, CARRY = "MoveTo", "TouchTowards", "OrientTo", "AskOperator"
 KINDS = (MOVE, TOUCH, TURN, CARRY)
@@ -153,7 +153,7 @@ class _Replay:
             return None
         latched = step.result.get("touch")
         trip_mm = None if latched is None else math.dist(start_mm, latched)
-        path = straight(start_mm, _triple(step.detail["target_mm"]))
+        path = straight_path(start_mm, _triple(step.detail["target_mm"]))
         motion_s, self._at_mm = self._model.touch_s(path, step.detail["feed_mm_per_s"], trip_mm)
         return motion_s
 

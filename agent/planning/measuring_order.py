@@ -19,7 +19,7 @@ from agent.probing.paths.free_paths import Stand, Traffic
 from agent.probing.position import PositionRules
 from twin.artefact.position_set import Position
 from twin.collision.geometry import point
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.travelling_salesman import shortest_tour
 from twin.design.procedure import FEWEST_BALLS
 
@@ -39,7 +39,7 @@ class Ordering:
     """Orders the positions of one layout. Where all ways between positions go by the retreat plane, they cost about the
     same, and only the turns differ."""
 
-    layout: Layout
+    layout: MeasuringLayout
     rules: PositionRules
     times: TimeModel
 
@@ -67,7 +67,7 @@ class Ordering:
         elsewhere = bool(order) and standing_at in order and order[0] != standing_at
         carries = sum(1 for station in order[:1] if station != standing_at) + len(order) - 1
         carries += len(set(last_at)) - (1 if order and order[-1] in last_at else 0)
-        places = [float(self.layout.place(station)[0]) for station in order]
+        places = [float(self.layout.location(station)[0]) for station in order]
         return elsewhere, carries, sum(abs(b - a) for a, b in pairwise(places))
 
     def _at_station(self, positions: Sequence[Position], angles: Angles) -> list[Position]:

@@ -18,10 +18,10 @@ from agent.probing.reversal import ReversalCheck
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
-from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, directions_of
+from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, ring_directions
 from twin.collision.accessibility import STYLUS_AXIS
-from twin.collision.free_paths import Dynamics
-from twin.collision.measuring_layout import Layout
+from twin.collision.free_paths import AxisDynamics
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.machine.machine_description import MachineDescription
 
 MM_PER_UM = 1e-3
@@ -62,7 +62,7 @@ def preparation_of(
     """Raises ConfigurationError for a datum ball that the artefact does not have."""
     _refuse_unknown_datum(settings, artefacts.kind)
     check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
-    dense = replace(probing, directions=directions_of(QUALIFYING_RINGS, STYLUS_AXIS))
+    dense = replace(probing, directions=ring_directions(QUALIFYING_RINGS, STYLUS_AXIS))
     limit_mm = qualifying.limit_um * MM_PER_UM
     limits = BallLimits(probing.limits.radius_deviation_mm, limit_mm, limit_mm, limit_mm)
     spread_mm = qualifying.ball_radius_sigma_um * MM_PER_UM
@@ -87,15 +87,17 @@ def _refuse_unknown_datum(settings: Settings, artefact: Artefact) -> None:
         )
 
 
-def layout_of(settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing) -> Layout:
+def layout_of(
+    settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing
+) -> MeasuringLayout:
     """What the pattern of `probing` needs of the travel is taken off it."""
     travel = np.array(machine.limits)
     below, above = probing.room_mm
-    return Layout(
+    return MeasuringLayout(
         artefact=artefacts.all,
         mount=settings.mount,
         probe=settings.probe,
-        places_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
+        locations_mm={n: np.array(p) for n, p in enumerate(settings.stations.places_mm, start=1)},
         tool_offset_mm=np.asarray(machine.tools[settings.tool], dtype=np.float64),
         lower_mm=travel[:, 0] + below,
         upper_mm=travel[:, 1] - above,
@@ -104,7 +106,7 @@ def layout_of(settings: Settings, machine: MachineDescription, artefacts: Artefa
         directions=probing.directions,
         overtravel_mm=probing.fastest_mm_per_s**2 / (2.0 * min(machine.acceleration_mm_per_s2)),
         own_artefacts=artefacts.own,
-        around=bodies_around(settings, artefacts),
+        neighbours=bodies_around(settings, artefacts),
     )
 
 
@@ -133,7 +135,7 @@ def roads_of(settings: Settings, machine: MachineDescription) -> Roads:
         stylus_axis=STYLUS_AXIS,
         lower_mm=travel[:, 0],
         upper_mm=travel[:, 1],
-        dynamics=Dynamics(times.rapid_mm_per_s, times.acceleration_mm_per_s2, times.command_latency_s),
+        dynamics=AxisDynamics(times.rapid_mm_per_s, times.acceleration_mm_per_s2, times.command_latency_s),
         clearance_mm=chosen.clearance_mm,
         known_mm=chosen.recentre_mm,
         unknown_mm=chosen.wide_approach_mm,

@@ -13,9 +13,9 @@ from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from drivers.registry import has_several_mounts
 from twin.artefact.artefact import Artefact
-from twin.artefact.combined_artefact import joined
+from twin.artefact.combined_artefact import combine_artefacts
 from twin.collision.bodies import Body
-from twin.collision.neighbour_stations import neighbours
+from twin.collision.neighbour_stations import neighbour_bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ def load_artefacts(settings: Settings) -> Artefacts:
         return Artefacts(load_artefact(settings.artefact))
     own = {number: load_artefact(path) for number, path in enumerate(settings.stations.artefacts, start=1)}
     with translated(ConfigurationError, key="stations.artefacts"):
-        return Artefacts(joined(list(own.values())), own)
+        return Artefacts(combine_artefacts(list(own.values())), own)
 
 
 def station_change(settings: Settings) -> StationChange:
@@ -54,7 +54,7 @@ def bodies_around(settings: Settings, artefacts: Artefacts) -> Mapping[int, tupl
     if not change.own_mounts:
         return {}
     places = {number: np.array(place) for number, place in enumerate(settings.stations.places_mm, start=1)}
-    return neighbours(settings.mount, places, artefacts.own, change.parked_deg)
+    return neighbour_bodies(settings.mount, places, artefacts.own, change.parked_deg)
 
 
 def check_stations(settings: Settings) -> None:

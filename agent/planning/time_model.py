@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, Point, Step, TouchTowards
 from agent.settings.schema import TimingSettings
 from drivers.roles import OperatorTask
-from twin.collision.motion_law import Path, straight, trapezoid, travel_s
+from twin.collision.motion_law import StraightPath, straight_path, trapezoid, travel_time_s
 from twin.machine.machine_description import MachineDescription
 
 S_PER_MIN = 60.0
@@ -37,17 +37,17 @@ class TimeModel:
 
     def move_s(self, start_mm: Point, target_mm: Point, feed_mm_per_s: float | None) -> float:
         """Straight from rest to rest, latency not included; rapid without a feed."""
-        path = straight(start_mm, target_mm)
-        speed = min(feed_mm_per_s or math.inf, path.largest(self.rapid_mm_per_s))
-        return travel_s(path.length, speed, path.largest(self.acceleration_mm_per_s2))
+        path = straight_path(start_mm, target_mm)
+        speed = min(feed_mm_per_s or math.inf, path.limit_along(self.rapid_mm_per_s))
+        return travel_time_s(path.length, speed, path.limit_along(self.acceleration_mm_per_s2))
 
-    def touch_s(self, path: Path, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
+    def touch_s(self, path: StraightPath, feed_mm_per_s: float, trip_mm: float | None) -> tuple[float, Point]:
         """Seconds, latency not included, and where the axes stand afterwards.
 
         `trip_mm`: distance along `path` at which the probe trips and the axes brake; None for a miss.
         """
-        speed = min(feed_mm_per_s, path.largest(self.rapid_mm_per_s))
-        acceleration = path.largest(self.acceleration_mm_per_s2)
+        speed = min(feed_mm_per_s, path.limit_along(self.rapid_mm_per_s))
+        acceleration = path.limit_along(self.acceleration_mm_per_s2)
         law = trapezoid(0.0, path.length, speed, acceleration)
         if trip_mm is None:
             return law.end_s, path.at(path.length)
@@ -58,7 +58,7 @@ class TimeModel:
     def turn_s(self, start_deg: tuple[float, float], target_deg: tuple[float, float]) -> float:
         """Azimuth and elevation at once, latency not included."""
         way_deg = max(abs(target - start) for start, target in zip(start_deg, target_deg, strict=True))
-        return travel_s(way_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
+        return travel_time_s(way_deg, self.turn_deg_per_s, self.turn_deg_per_s2)
 
     def beyond_motion_s(self, step: Step) -> float:
         """What `step` takes besides motion: its latency, or the operator's time."""

@@ -18,7 +18,7 @@ from agent.probing.probing_parameters import Probing, Search
 from agent.probing.station_change import StationChange
 from agent.probing.temperature_readings import Conditions, read_conditions
 from agent.probing.thermal_settling import SettlingRules, settled
-from twin.artefact.end_ball_alignment import align_to_ends
+from twin.artefact.end_ball_alignment import align_to_end_balls
 
 Array = NDArray[np.float64]
 
@@ -132,7 +132,7 @@ def measure_position(
     yield from own.enter(task, first)
     found_first = yield from measuring.end_ball(first, rules.probing.wide if task.found else rules.probing.unknown)
     found_last = yield from measuring.end_ball(last, rules.probing.wide)
-    aligned = align_to_ends(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
+    aligned = align_to_end_balls(task.predicted_mm, first, last, found_first.centre_mm, found_last.centre_mm)
     own.align(aligned)
     for ball in between:
         yield from measuring.ball(ball, aligned[ball])

@@ -19,7 +19,7 @@ from agent.probing.reversal import AxisReversal, Reversal, ReversalCheck, measur
 from agent.probing.run_plan import MeasuringOrder, position_key
 from agent.probing.station_change import change_station, park_mounts
 from twin.artefact.position_set import Position
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class Preparation:
 
     check: ProbeCheck | None
     qualification: QualificationRules | None
-    layout: Layout
+    layout: MeasuringLayout
     reversal: ReversalCheck | None = None
 
     @property
@@ -58,7 +58,7 @@ PREFIX = "probe"
 
 
 def prepare_probe(
-    order: MeasuringOrder, layout: Layout, rules: PositionRules, preparation: Preparation
+    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, preparation: Preparation
 ) -> Plan[Prepared]:
     """Check and qualify on the datum ball of `order`; begins anywhere, ends at the retreat plane before that ball.
 
@@ -131,7 +131,9 @@ def _found(key: str, predicted: Array, rules: PositionRules) -> Plan[BallFound]:
     return result
 
 
-def _datum(order: MeasuringOrder, layout: Layout, preparation: Preparation) -> Plan[tuple[Position, int, Preparation]]:
+def _datum(
+    order: MeasuringOrder, layout: MeasuringLayout, preparation: Preparation
+) -> Plan[tuple[Position, int, Preparation]]:
     """Position and ball: the first that can be touched from everywhere the dense pattern asks for.
 
     Without one there is no qualification, which is an error; the reversal alone is given up, and the check is made on
@@ -154,7 +156,9 @@ def _datum(order: MeasuringOrder, layout: Layout, preparation: Preparation) -> P
     )
 
 
-def _first_free(order: MeasuringOrder, layouts: Sequence[Layout], wanted: int | None) -> tuple[Position, int] | None:
+def _first_free(
+    order: MeasuringOrder, layouts: Sequence[MeasuringLayout], wanted: int | None
+) -> tuple[Position, int] | None:
     """Within reach in all of `layouts`."""
     for position in order.positions:
         nominal = layouts[0].nominal(position)

@@ -12,7 +12,7 @@ from agent.execution.steps import Plan, Record
 from agent.probing.ball_gates import UM_PER_MM
 from agent.probing.probing_parameters import Probing
 from agent.probing.touch import touch_ball
-from twin.artefact.repeatability import Scatter, scatter_of
+from twin.artefact.repeatability import RepeatabilityEstimate, estimate_repeatability
 
 Vector = NDArray[np.float64]
 
@@ -55,14 +55,14 @@ def check_repeatability(key: str, centre: Vector, probing: Probing, check: Probe
     Raises MeasurementFault where a touch misses, and where all of them together are surely beyond the limit.
     """
     depths = yield from _depths(key, 0, centre, probing, check)
-    if 2.0 * scatter_of(depths).sigma > check.limit_mm:
-        reason = _judged(scatter_of(depths), check).text
+    if 2.0 * estimate_repeatability(depths).sigma > check.limit_mm:
+        reason = _judged(estimate_repeatability(depths), check).text
         yield Record(f"{key}/again", "event", {"reason": reason, "then": f"{check.touches} touches more"})
         depths += yield from _depths(key, check.touches, centre, probing, check)
-    scatter = scatter_of(depths)
+    scatter = estimate_repeatability(depths)
     result = _judged(scatter, check)
     yield Record(f"{key}/repeatability", "decision", {**vars(result), "depths_um": [d * UM_PER_MM for d in depths]})
-    if 2.0 * scatter.sigma > check.limit_mm and scatter.surely_above(0.5 * check.limit_mm, SURE_ENOUGH):
+    if 2.0 * scatter.sigma > check.limit_mm and scatter.exceeds(0.5 * check.limit_mm, SURE_ENOUGH):
         raise MeasurementFault(
             f"the probe does not repeat: {result.text}",
             hint="check that the stylus is tight and the ball clean, then the probe's battery, cable and seat",
@@ -87,11 +87,11 @@ def _depths(key: str, first: int, centre: Vector, probing: Probing, check: Probe
     return depths
 
 
-def _judged(scatter: Scatter, check: ProbeCheck) -> Repeatability:
+def _judged(scatter: RepeatabilityEstimate, check: ProbeCheck) -> Repeatability:
     limit = 0.5 * check.limit_mm
     if scatter.sigma <= limit:
         verdict = "within"
-    elif scatter.surely_above(limit, SURE_ENOUGH):
+    elif scatter.exceeds(limit, SURE_ENOUGH):
         verdict = "beyond"
     else:
         verdict = "above, but not surely beyond"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.artefact.pretravel import PretravelMap
-from twin.artefact.touch_pattern import LOCATING_RINGS, centre_per_radius, directions_of, redundancies
+from twin.artefact.touch_pattern import LOCATING_RINGS, centre_shift_per_radius, redundancies, ring_directions
 
 Vectors = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ class Probing:
     @cached_property
     def locating(self) -> Vectors:
         """(5, 3): the pole and a ring before the ball, where no holder is in the way of a tip that is some mm off."""
-        return directions_of(LOCATING_RINGS, self.stylus_axis)
+        return ring_directions(LOCATING_RINGS, self.stylus_axis)
 
     @property
     def contact_mm(self) -> float:
@@ -131,7 +131,7 @@ class Probing:
     @cached_property
     def centre_per_radius(self) -> Vectors:
         """(3,): motion of a fitted centre for each mm by which a fixed radius is too large."""
-        return centre_per_radius(self.directions)
+        return centre_shift_per_radius(self.directions)
 
     def qualified(self, stylus: Stylus) -> Probing:
         """The same with what is known of the stylus now."""

@@ -16,7 +16,7 @@ from agent.probing.position import MeasuredBall, MeasuredPosition, PositionRules
 from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
 from agent.probing.temperature_readings import Conditions
 from twin.artefact.position_set import Position
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 
 CLOSE = "close"
 
@@ -33,7 +33,7 @@ class ClosingRules:
 
 
 def measure_closed(
-    order: MeasuringOrder, layout: Layout, rules: PositionRules, closing: ClosingRules
+    order: MeasuringOrder, layout: MeasuringLayout, rules: PositionRules, closing: ClosingRules
 ) -> Plan[Measured]:
     """`measure_positions`, and the first ones of them again where the machine has changed in between."""
     measured = yield from measure_positions(order, layout, rules)

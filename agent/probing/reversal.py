@@ -18,7 +18,7 @@ from agent.probing.ball_gates import UM_PER_MM
 from agent.probing.probing_parameters import Probing
 from agent.probing.touch import point
 from drivers.roles import Touch
-from twin.artefact.reversal import SLOPE, ObliqueTouch, lost_motion, oblique_touches
+from twin.artefact.reversal import SLOPE, ObliqueTouch, fit_lost_motion, plan_oblique_touches
 
 Vector = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def measure_reversal(key: str, centre: Vector, probing: Probing, check: Reversal
 
 @dataclass
 class _Readings:
-    """Touches of one axis so far, as `lost_motion` takes them."""
+    """Touches of one axis so far, as `fit_lost_motion` takes them."""
 
     ratios: list[float] = field(default_factory=list)
     upwards: list[bool] = field(default_factory=list)
@@ -131,7 +131,7 @@ def _measured(
 ) -> Plan[AxisReversal]:
     """Up, down, down, up …, so that a steady drift drops out."""
     readings = _Readings()
-    for place, touch in enumerate(oblique_touches(axis, probing.stylus_axis)):
+    for place, touch in enumerate(plan_oblique_touches(axis, probing.stylus_axis)):
         for number in range(2 * check.touches):
             upwards = number % 4 in (0, 3)
             step = f"{key}/place-{place}/touch-{number}"
@@ -140,7 +140,7 @@ def _measured(
                 yield Record(f"{step}/missed", "event", {"reason": f"reversal of {name}: a touch met nothing"})
                 return AxisReversal(name, None, None, "cannot be told: a touch met nothing")
             readings.add(place, touch, upwards, latched)
-    lost = lost_motion(
+    lost = fit_lost_motion(
         readings.ratios, readings.upwards, readings.places, readings.latched_mm, probing.touch_sigma_mm / SLOPE
     )
     return _judged(name, lost.value_mm, lost.sigma_mm, check.limit_mm)

@@ -18,9 +18,9 @@ from agent.execution.steps import (
 from agent.probing.paths.shortest_path import pilot_of
 from agent.probing.position import MeasuredPosition, PositionRules, PositionTask, measure_position
 from agent.probing.station_change import change_station
-from twin.artefact.mount_pose_estimate import Standing
+from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import FEWEST_BALLS
 
 
@@ -45,7 +45,7 @@ class Measured:
     left_out: tuple[str, ...]
     unreachable_balls: int
     standing_at: int | None
-    standings: Mapping[int, Standing]
+    standings: Mapping[int, MountPoseEstimate]
 
     @property
     def touches(self) -> int:
@@ -58,16 +58,16 @@ class Measured:
 
 def measure_positions(
     order: MeasuringOrder,
-    layout: Layout,
+    layout: MeasuringLayout,
     rules: PositionRules,
-    known: Mapping[int, Standing] | None = None,
+    known: Mapping[int, MountPoseEstimate] | None = None,
 ) -> Plan[Measured]:
     """Measure every position of `order`. `known`: how the mount was found to stand earlier in this run."""
     yield CheckPermissions(f"{order.prefix}/permissions")
     yield CheckProbe(f"{order.prefix}/probe")
     yield ReadTemperatures(f"{order.prefix}/temperatures")
     here = np.array((yield ReadPosition(f"{order.prefix}/here")))
-    standings: dict[int, Standing] = dict(known or {})
+    standings: dict[int, MountPoseEstimate] = dict(known or {})
     stands_at = order.standing_at
     done: list[MeasuredPosition] = []
     left_out: list[str] = []
@@ -85,9 +85,9 @@ def measure_positions(
             stands_at = position.station
             if rules.change.moves_artefact:
                 standings.pop(position.station, None)
-        standing = standings.get(position.station, Standing.as_stated())
+        standing = standings.get(position.station, MountPoseEstimate.nominal())
         nominal = layout.nominal(position)
-        predicted = standing.carried(nominal)
+        predicted = standing.transform(nominal)
         mask = layout.reachable(position, predicted)
         unreachable += int(mask.size - mask.sum())
         key = f"{order.prefix}/{position_key(position)}"
@@ -107,7 +107,7 @@ def measure_positions(
         )
         before = [ball.conditions for ball in done[-1].balls] if done else []
         measured = yield from measure_position(task, here, rules, before, pilot)
-        standings[position.station] = standing.having_found(nominal[measured.ball_numbers], measured.centres_mm)
+        standings[position.station] = standing.with_found_balls(nominal[measured.ball_numbers], measured.centres_mm)
         here = np.array((yield ReadPosition(f"{key}/here")))
         done.append(measured)
         inside = key

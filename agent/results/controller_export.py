@@ -14,9 +14,14 @@ import numpy as np
 from agent.files import read_text, translated, write_all_atomically
 from drivers.errors import InputError
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import Choices, Exported, Identified, Source
-from twin.compensation.controllers.grids import Shape, require_small, resampled
-from twin.compensation.controllers.loss import Loss, loss, require_same_machine, telling_point
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, TableEstimate
+from twin.compensation.controllers.grids import Shape, require_small_corrections, resample_table
+from twin.compensation.controllers.loss import (
+    CompensationLoss,
+    compensation_loss,
+    largest_correction,
+    require_same_machine,
+)
 from twin.compensation.controllers.registry import WRITERS
 from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import checksum, format_table, parse_table
@@ -46,7 +51,7 @@ class Request:
     out: Path
     points: Shape | None
     largest_um: float
-    choices: Choices
+    choices: ExportOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +60,8 @@ class Result:
 
     request: Request
     material: Material
-    exported: Exported
-    loss: Loss
+    exported: ControllerExport
+    loss: CompensationLoss
     check: tuple[Array, Array]
     table_crc32: str
 
@@ -80,11 +85,11 @@ class Result:
             "ve_before_raw_um": round(found.before.raw_um, 3),
             "ve_full_raw_um": round(found.full.raw_um, 3),
             "ve_reduced_raw_um": round(found.reduced.raw_um, 3),
-            "kept_percent": round(100.0 * found.kept_share, 1),
+            "kept_percent": round(100.0 * found.retained_share, 1),
             "unknown_um": None if found.unknown_mm is None else round(1e3 * found.unknown_mm, 3),
             "check_at_mm": [round(value, 3) for value in self.check[0].tolist()],
             "check_moves_um": [round(1e3 * value, 1) + 0.0 for value in self.check[1].tolist()],
-            "lost": list(self.exported.lost),
+            "lost": list(self.exported.losses),
             "facts": dict(self.exported.facts),
             "files": [str(self.request.out / name) for name in self.exported.files],
         }
@@ -105,12 +110,12 @@ def table_in_files(path: Path, estimate: Path | None) -> Material:
 def export_table(material: Material, request: Request) -> Result:
     """Write the files of a format and `export.json` into `request.out`. Raises UserError; then nothing is written."""
     with translated(InputError, file=material.origin):
-        whole = Source(material.table, _identified(material.estimate_file))
-        require_small(whole.table, 1e-3 * request.largest_um)
+        whole = ExportSource(material.table, _identified(material.estimate_file))
+        require_small_corrections(whole.table, 1e-3 * request.largest_um)
         require_same_machine(whole, material.resolution_mm)
-        table = whole.table if request.points is None else resampled(whole.table, request.points)
-        exported = WRITERS[request.format](Source(table, whole.identified), request.choices)
-        found, check = loss(whole, exported.correction), telling_point(table, exported.correction)
+        table = whole.table if request.points is None else resample_table(whole.table, request.points)
+        exported = WRITERS[request.format](ExportSource(table, whole.estimate), request.choices)
+        found, check = compensation_loss(whole, exported.correction), largest_correction(table, exported.correction)
     result = Result(request, material, exported, found, check, checksum(format_table(material.table)))
     write_all_atomically(request.out, _contents(result))
     return result
@@ -121,8 +126,8 @@ def _contents(result: Result) -> Mapping[str, str]:
     return {**result.exported.files, RECORD: json.dumps(record, indent=2, ensure_ascii=False) + "\n"}
 
 
-def _identified(path: Path | None) -> Identified | None:
+def _identified(path: Path | None) -> TableEstimate | None:
     if path is None:
         return None
     stored = parse_estimate(read_text(path), str(path))
-    return Identified(stored.model, stored.parameters, stored.covariance)
+    return TableEstimate(stored.model, stored.parameters, stored.covariance)

@@ -21,7 +21,7 @@ from agent.settings.schema import Order, TableSettings
 from drivers.clock import utc_timestamp
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.held_out_check import HeldOut, held_out, held_out_test
+from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals, held_out_test
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, identify_by_evidence, left_covariance
@@ -75,9 +75,9 @@ def estimate_machine(
     if options.carried_over is not None:
         machine = machine.with_model(options.carried_over.unknowns.model)
     elif isinstance(order, int):
-        machine = machine.of_order(order)
+        machine = machine.with_order(order)
     elif order == "evidence" and options.use_prior:
-        return identify_by_evidence(lambda degree: machine.of_order(degree).family, observations, artefact, options)
+        return identify_by_evidence(lambda degree: machine.with_order(degree).family, observations, artefact, options)
     return identify(machine.model, observations, artefact, machine.family, options)
 
 
@@ -161,8 +161,8 @@ def _judgement(share: float, max_remaining_fraction: float, chi2: float, max_chi
     return ""
 
 
-def _left(job: Job, balls: Sequence[MeasuredBall]) -> HeldOut:
+def _left(job: Job, balls: Sequence[MeasuredBall]) -> HeldOutResiduals:
     """What the controller's own display makes of the artefact, as it was compensated while measuring."""
     displayed = observations_of(balls, job.tool_offset_mm, no_correction)
     points: Array = displayed.axis_positions + job.tool_offset_mm
-    return held_out(displayed, points, job.artefact)
+    return held_out_residuals(displayed, points, job.artefact)

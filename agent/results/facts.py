@@ -10,7 +10,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.compensation.table import CompensationTable
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class VolumetricSummary:
     after_aligned: Quantity
 
     @property
-    def before(self) -> Volumetric:
-        return Volumetric(1e-3 * self.before_raw.value_um, 1e-3 * self.before_aligned.value_um)
+    def before(self) -> VolumetricRms:
+        return VolumetricRms(1e-3 * self.before_raw.value_um, 1e-3 * self.before_aligned.value_um)
 
     @property
-    def after(self) -> Volumetric:
-        return Volumetric(1e-3 * self.after_raw.value_um, 1e-3 * self.after_aligned.value_um)
+    def after(self) -> VolumetricRms:
+        return VolumetricRms(1e-3 * self.after_raw.value_um, 1e-3 * self.after_aligned.value_um)
 
 
 @dataclass(frozen=True)

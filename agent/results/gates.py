@@ -12,7 +12,7 @@ from agent.settings.schema import GateSettings
 from drivers.roles import StoreLimits
 from twin.compensation.table import CompensationTable
 from twin.identification import Estimate
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 CHANGE = "change"
 """Gate that an operator may open: a machine that was repaired or had a collision has changed and must be calibrated."""
@@ -30,7 +30,7 @@ class Gate:
 
 
 def estimate_gates(
-    estimate: Estimate, expected: Volumetric, before: Volumetric, limits: GateSettings
+    estimate: Estimate, expected: VolumetricRms, before: VolumetricRms, limits: GateSettings
 ) -> tuple[Gate, ...]:
     """Return the gates on the estimate itself: fit, redundancy and gain.
 

@@ -25,7 +25,7 @@ from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
-from twin.artefact.held_out_check import held_out
+from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import checksum, format_table
 from twin.design.procedure import FEWEST_BALLS
@@ -99,7 +99,7 @@ def _left_um(job: Job, balls: Sequence[MeasuredBall]) -> float | None:
     if len(balls) < FEWEST_BALLS:
         return None
     displayed = observations_of(balls, job.tool_offset_mm, no_correction)
-    return 1e3 * held_out(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact).rms_mm
+    return 1e3 * held_out_residuals(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact).rms_mm
 
 
 def record_outcome(journal: RunJournal, outcome: Outcome) -> None:

@@ -33,7 +33,7 @@ def observations_of(
         temperature_c=np.array([ball.temperature_c for ball in balls]),
         elevation_rad=np.array([math.radians(ball.elevation_deg) for ball in balls]),
         tool_offsets=tool_offset_mm.reshape(1, 3),
-        course=np.zeros((len(balls), 0)) if course is None else course,
+        thermal_regressors=np.zeros((len(balls), 0)) if course is None else course,
     )
 
 

@@ -12,7 +12,7 @@ from typing import BinaryIO, TextIO
 from agent.files import read_text, streamed_atomically, translated
 from drivers.errors import InputError
 from twin.compensation.gcode.correction import correct_program
-from twin.compensation.gcode.correction_summary import Counts
+from twin.compensation.gcode.correction_summary import CorrectionSummary
 from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
 from twin.compensation.part_setup_file import parse_part_setup
 from twin.compensation.table import CompensationTable
@@ -35,7 +35,7 @@ def load_part_setup(path: Path) -> PartSetup:
 
 def correct_file(
     part: Path, out: Path | None, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
-) -> Counts:
+) -> CorrectionSummary:
     """Write the corrected program to `out`, or nothing to it where it is None; `name` marks it.
 
     Raises InputError with file and line for what cannot be corrected; what stood in `out` then stands there still.
@@ -52,7 +52,7 @@ def correct_file(
 
 def correct_to(
     stream: BinaryIO, part: Path, table: CompensationTable, name: str, setup: PartSetup, options: CorrectionOptions
-) -> Counts:
+) -> CorrectionSummary:
     """The same to a stream, which gets nothing before all is corrected."""
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "corrected"

@@ -10,14 +10,14 @@ from agent.probing.run_plan import Measured
 from agent.results.observations import no_correction, observations_of
 from drivers.errors import ConfigurationError
 from twin.identification import Estimate, Options, identify, predicted_vce
-from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.machine.volumetric import VolumetricRms, evaluation_grid
 
 
 @dataclass(frozen=True)
 class Expectation:
     rank: int
     parameters: int
-    vce: Volumetric
+    vce: VolumetricRms
 
 
 def expect(job: Job, measured: Measured) -> Expectation:

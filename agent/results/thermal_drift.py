@@ -15,7 +15,7 @@ from agent.probing.run_plan import Measured
 from agent.results.observations import Correction, observations_of
 from agent.settings.schema import Settings
 from twin.artefact.observations import Observations
-from twin.artefact.thermal_regressors import machine_course, smoothed
+from twin.artefact.thermal_regressors import smooth_readings, thermal_regressors
 from twin.identification import CarriedOver, Options
 
 
@@ -44,9 +44,9 @@ def observed(job: Job, balls: Sequence[MeasuredBall], correction: Correction) ->
     told = [ball.conditions.machine_c for ball in balls]
     known = [value for value in told if value is not None]
     machine_c = np.array(known) if len(known) == len(balls) else None
-    course = machine_course(instants_s, machine_c, change_k(job.settings, balls))
+    course = thermal_regressors(instants_s, machine_c, change_k(job.settings, balls))
     seen = observations_of(balls, job.tool_offset_mm, correction, course)
-    return replace(seen, temperature_c=smoothed(instants_s, seen.temperature_c))
+    return replace(seen, temperature_c=smooth_readings(instants_s, seen.temperature_c))
 
 
 def options_of(settings: Settings, seen: Observations) -> Options:
@@ -62,9 +62,9 @@ def going_on(settings: Settings, seen: Observations, known: CarriedOver) -> Opti
 
 
 def _warm(settings: Settings, seen: Observations) -> Options:
-    drifted = seen.course.shape[1] > 0
+    drifted = seen.thermal_regressors.shape[1] > 0
     return Options(
         temperature_standard_uncertainty_k=settings.temperature.standard_uncertainty_k,
         drift=drift_prior_of(settings) if drifted else None,
-        holds_at=seen.course[-1] if drifted else None,
+        holds_at=seen.thermal_regressors[-1] if drifted else None,
     )

@@ -16,7 +16,7 @@ from agent.studies.procedure_value import Trial, Verdict, Worth
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 NAME = "ball-count"
 COUNTS = tuple(range(3, 16))
@@ -61,7 +61,7 @@ def run(case: StudyCase) -> StudyResult:
     )
 
 
-def gain_shares(verdicts: Sequence[Verdict], before: Volumetric) -> tuple[float | None, ...]:
+def gain_shares(verdicts: Sequence[Verdict], before: VolumetricRms) -> tuple[float | None, ...]:
     """(VE - VCE) over that of the best count, rigidly aligned; None where not identified or nothing gains."""
     left = [aligned_um(verdict) for verdict in verdicts]
     best = min((value for value in left if value is not None), default=before.aligned_um)
@@ -79,7 +79,7 @@ def _rows(trials: Sequence[Trial], curves: Sequence[Curve]) -> list[tuple[Cell, 
     ]
 
 
-def _summary(curves: Sequence[Curve], rows: Sequence[Sequence[Verdict]], before: Volumetric) -> dict[str, object]:
+def _summary(curves: Sequence[Curve], rows: Sequence[Sequence[Verdict]], before: VolumetricRms) -> dict[str, object]:
     return {
         "ve_raw_um": before.raw_um,
         "ve_aligned_um": before.aligned_um,
@@ -96,7 +96,7 @@ def _summary(curves: Sequence[Curve], rows: Sequence[Sequence[Verdict]], before:
     }
 
 
-def _draw(figure: Figure, curves: Sequence[Curve], before: Volumetric) -> None:
+def _draw(figure: Figure, curves: Sequence[Curve], before: VolumetricRms) -> None:
     slots = figure.add_gridspec(1, 2)
     panel = BrokenAxes.add(figure, slots[0], [curve.verdicts for curve in curves], before)
     for series, curve in enumerate(curves):

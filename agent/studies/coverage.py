@@ -95,7 +95,7 @@ class Comparison:
         yield ORDER_OF_FILE, own, identify(own.model, seen, self.artefact, own.family, self.options)
         if form == AS_MODELLED or not self.options.use_prior:
             return
-        orders = {order: own.of_order(order) for order in _CANDIDATES}
+        orders = {order: own.with_order(order) for order in _CANDIDATES}
         best = identify_by_evidence(
             lambda order: orders[order].family, seen, self.artefact, self.options, candidates=_CANDIDATES
         )

@@ -13,7 +13,7 @@ from agent.studies.procedure_value import Trial, Verdict, Worth
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 NAME = "misalignment"
 TILTS_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
@@ -52,7 +52,7 @@ def saving(rows: Verdicts, way: int) -> float | None:
     return None if straight is None or tilted is None else 1.0 - tilted / straight
 
 
-def _summary(chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: Volumetric) -> dict[str, object]:
+def _summary(chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: VolumetricRms) -> dict[str, object]:
     return {
         "set": " and ".join(SETS),
         "ve_raw_um": before.raw_um,
@@ -81,7 +81,7 @@ def _summary(chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: Volu
     }
 
 
-def _draw(figure: Figure, chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: Volumetric) -> None:
+def _draw(figure: Figure, chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: VolumetricRms) -> None:
     slots, every = figure.add_gridspec(1, len(by_set)), [row for rows in by_set.values() for row in rows]
     for place, (name, rows) in enumerate(by_set.items()):
         panel = BrokenAxes.add(figure, slots[place], every, before)

@@ -23,7 +23,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification import Options, identify
 from twin.machine.machine_population import Family
-from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.uncertainty.error_budget import budget_of
 from twin.uncertainty.monte_carlo import draw_truth, errors_before, errors_left, simulated_observations
 from twin.uncertainty.residual_field_form import FieldForm
@@ -88,14 +88,14 @@ class Spread:
         return cls(*errors_left(form, _truths(machines), np.array([machine.estimate for machine in machines])))
 
     @property
-    def expected(self) -> Volumetric:
+    def expected(self) -> VolumetricRms:
         """Root of the mean square over the machines, what the closed form gives the expectation of."""
-        return Volumetric(*(float(np.sqrt(np.mean(values**2))) for values in (self.raw_mm, self.aligned_mm)))
+        return VolumetricRms(*(float(np.sqrt(np.mean(values**2))) for values in (self.raw_mm, self.aligned_mm)))
 
     @property
-    def standard_error(self) -> Volumetric:
+    def standard_error(self) -> VolumetricRms:
         """Of `expected`: that of the mean square, carried through the root."""
-        return Volumetric(*(_error_of_root(values) for values in (self.raw_mm, self.aligned_mm)))
+        return VolumetricRms(*(_error_of_root(values) for values in (self.raw_mm, self.aligned_mm)))
 
 
 def run(case: StudyCase) -> StudyResult:
@@ -129,7 +129,7 @@ def as_stated(options: Options) -> Options:
 class Comparison:
     """`closed`: expectation in closed form; the others by simulation, `plain` of what `closed` speaks of."""
 
-    closed: Volumetric
+    closed: VolumetricRms
     before: Spread
     plain: Spread
     usual: Spread

@@ -14,7 +14,7 @@ from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.errors import DataError, SingularSet
 from twin.identification import identify
-from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.uncertainty.error_budget import ErrorBudget, budget_of
 from twin.uncertainty.residual_field_form import FieldForm
 
@@ -43,9 +43,9 @@ class Verdict:
     """Of one trial identified in one way: root of the expected mean square VCE in closed form, and the same over
     simulated `machines` with its standard error. None: not identified, or not simulated."""
 
-    expected: Volumetric | None
-    simulated: Volumetric | None = None
-    standard_error: Volumetric | None = None
+    expected: VolumetricRms | None
+    simulated: VolumetricRms | None = None
+    standard_error: VolumetricRms | None = None
     machines: int = 0
 
     def checked(self, spread: Spread | None) -> Verdict:
@@ -69,7 +69,7 @@ class Worth:
         return FieldForm.build(case.machine.model, case.reality, grid, case.tool_offset)
 
     @property
-    def before(self) -> Volumetric:
+    def before(self) -> VolumetricRms:
         """Root of the expected mean square VE."""
         return self.field.before()
 

@@ -17,12 +17,14 @@ from agent.studies.procedure_value import Trial, Verdict, Worth
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend, draw_simulated
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
-from twin.artefact.position_set import SETS
-from twin.machine.volumetric import Volumetric
+from twin.artefact.position_set import POSITION_SETS
+from twin.machine.volumetric import VolumetricRms
 
 NAME = "strategy"
 PUBLISHED_CHOICE = "S3"
-EXPRESSIONS = tuple("+".join(sets) for size in range(1, len(SETS) + 1) for sets in combinations(SETS, size))
+EXPRESSIONS = tuple(
+    "+".join(sets) for size in range(1, len(POSITION_SETS) + 1) for sets in combinations(POSITION_SETS, size)
+)
 
 _NAME_OFFSET = (5, 5)
 
@@ -73,10 +75,10 @@ def front(found: Sequence[Strategy], way: int) -> tuple[str, ...]:
 
 
 def _summary(
-    found: Sequence[Strategy], chosen: Sequence[Way], fronts: Sequence[tuple[str, ...]], before: Volumetric
+    found: Sequence[Strategy], chosen: Sequence[Way], fronts: Sequence[tuple[str, ...]], before: VolumetricRms
 ) -> dict[str, object]:
     return {
-        "set": "all combinations of " + ", ".join(SETS),
+        "set": "all combinations of " + ", ".join(POSITION_SETS),
         "ve_raw_um": before.raw_um,
         "ve_aligned_um": before.aligned_um,
         "machine_minutes": {one.name: one.minutes for one in found},
@@ -99,7 +101,7 @@ def _draw(
     found: Sequence[Strategy],
     chosen: Sequence[Way],
     fronts: Sequence[tuple[str, ...]],
-    before: Volumetric,
+    before: VolumetricRms,
 ) -> None:
     panel = BrokenAxes.add(figure, figure.add_gridspec(1, 1)[0], [one.verdicts for one in found], before)
     for way, names in enumerate(fronts):

@@ -16,7 +16,7 @@ from agent.studies import STUDIES
 from agent.studies.workers import Workers
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import Position, positions_of
+from twin.artefact.position_set import Position, parse_position_set
 from twin.design.procedure import Procedure
 from twin.identification import Options
 from twin.machine.machine_description import MachineDescription
@@ -74,7 +74,9 @@ class StudyCase:
         if expression.endswith(POSITION_FILES):
             return load_positions(Path(expression))
         return tuple(
-            position for position in positions_of(expression, max(self.stations)) if position.station in self.stations
+            position
+            for position in parse_position_set(expression, max(self.stations))
+            if position.station in self.stations
         )
 
     @property

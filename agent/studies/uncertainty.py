@@ -22,7 +22,7 @@ from twin.identification import Options
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_description import MachineDescription
 from twin.machine.machine_population import Family, family_from_amplitudes
-from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.uncertainty.error_budget import (
     CERTIFICATE,
     CTE,
@@ -158,7 +158,7 @@ def _part(family: Family, kept: np.ndarray[Any, np.dtype[np.bool_]]) -> Family:
     return Family(family.model, family.half_widths * kept)
 
 
-def _row(one: Checked, expected: Volumetric) -> list[str | float | None]:
+def _row(one: Checked, expected: VolumetricRms) -> list[str | float | None]:
     share = 100.0 * (one.closed.aligned_mm / expected.aligned_mm) ** 2
     row: list[str | float | None] = [one.name, one.closed.raw_um, one.closed.aligned_um, share]
     if one.simulated is None:

@@ -13,7 +13,7 @@ from agent.figures.study_style import BLUE, GRID, INK, ORANGE, QUIET, SKY, from_
 from agent.studies.monte_carlo import Spread
 from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
 from twin.machine.motion_uncertainty import motion_uncertainty
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.error_budget import ErrorBudget
 
 MICRO = 1e6
@@ -27,7 +27,7 @@ class Checked:
     """One influence: its part in closed form, and what simulations with it alone leave. None: not simulated."""
 
     name: str
-    closed: Volumetric
+    closed: VolumetricRms
     simulated: Spread | None
 
 

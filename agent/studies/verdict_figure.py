@@ -18,7 +18,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from agent.figures.study_style import MARKERS, QUIET, SERIES
 from agent.studies.procedure_value import Verdict
 from agent.studies.verdict_table import aligned_um
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 FAR_BEYOND = 1.5
 """Times VE: what is larger stands in the upper part."""
@@ -37,7 +37,7 @@ class BrokenAxes:
 
     @classmethod
     def add(
-        cls, figure: Figure, slot: SubplotSpec, rows: Sequence[Sequence[Verdict]], before: Volumetric
+        cls, figure: Figure, slot: SubplotSpec, rows: Sequence[Sequence[Verdict]], before: VolumetricRms
     ) -> BrokenAxes:
         """In a slot of the figure, with room for the closed form of `rows` and for VE."""
         values = [value for row in rows for value in map(aligned_um, row) if value is not None]
@@ -73,7 +73,7 @@ class BrokenAxes:
             axes.plot(places, expected, color=SERIES[series], marker=MARKERS[series])
             draw_simulated(axes, places, verdicts, SERIES[series])
 
-    def draw_before(self, before: Volumetric) -> None:
+    def draw_before(self, before: VolumetricRms) -> None:
         self.lower.axhline(before.aligned_um, color=QUIET, linestyle="--")
 
     def label(self, title: str, across: str) -> None:
@@ -98,7 +98,7 @@ def draw_simulated(axes: Axes, places: Sequence[float], verdicts: Sequence[Verdi
             axes.errorbar([place], [value], [error], color=colour, fmt="s", ms=8, mfc="none", capsize=3, elinewidth=1.0)
 
 
-def draw_legend(figure: Figure, titles: Sequence[str], before: Volumetric) -> None:
+def draw_legend(figure: Figure, titles: Sequence[str], before: VolumetricRms) -> None:
     """Below the panels: the ways in the order of their series, VE, and what the open squares are."""
     entries = [
         Line2D([], [], color=SERIES[series], marker=MARKERS[series], label=title) for series, title in enumerate(titles)

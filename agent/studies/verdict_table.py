@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from agent.studies.procedure_value import Trial, Verdict
 from agent.studies.study import Cell
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 COLUMNS = (
     "identification",
@@ -49,5 +49,5 @@ def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
     return max(distances, default=None)
 
 
-def _both(value: Volumetric | None) -> tuple[float | None, float | None]:
+def _both(value: VolumetricRms | None) -> tuple[float | None, float | None]:
     return (None, None) if value is None else (value.raw_um, value.aligned_um)

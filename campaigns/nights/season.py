@@ -112,4 +112,4 @@ def _true_balls(world: World, job: Job, k: int, planned: Observations, rng: np.r
     elevation = math.radians(position.elevation_deg)
     pose = mount_pose(place, settings.mount, math.radians(position.azimuth_deg), elevation)
     balls = world.workpiece.artefact.at(settings.temperatures.artefact_c, elevation)
-    return np.asarray(pose.applied(balls)[planned.ball[planned.position == k]])
+    return np.asarray(pose.apply(balls)[planned.ball[planned.position == k]])

@@ -18,7 +18,7 @@ import numpy as np
 from agent.planning.job import Job, prepare_job
 from agent.settings.schema import Settings
 from simulators.scenario import Scenario, ScenarioDocument, build_scenario
-from twin.artefact.position_set import SETS, Position
+from twin.artefact.position_set import POSITION_SETS, Position
 
 Document = dict[str, Any]
 ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")
@@ -252,7 +252,7 @@ def _with_positions(dice: Dice, settings: Document, directory: Path) -> Job:
 def _orientation(dice: Dice) -> tuple[float, float]:
     match dice.whole(0, 3):
         case 0:
-            named: tuple[float, float] = dice.one_of(*SETS["S1"], *SETS["S2"], *SETS["S3"])
+            named: tuple[float, float] = dice.one_of(*POSITION_SETS["S1"], *POSITION_SETS["S2"], *POSITION_SETS["S3"])
             return named
         case 1:
             return 22.5 * dice.whole(-4, 4), 22.5 * dice.whole(-4, 4)

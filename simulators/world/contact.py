@@ -14,8 +14,8 @@ import numpy as np
 
 from simulators.world.field import TableField, TipShift
 from simulators.world.workpiece import WorkpieceSnapshot
-from twin.collision.geometry import Point, added
-from twin.collision.motion_law import Path, entry
+from twin.collision.geometry import Point, translate_point
+from twin.collision.motion_law import StraightPath, entry_distance
 
 _ROUNDING_MM = 1e-6
 """What lies just beyond the end of a path is looked at exactly, too."""
@@ -38,16 +38,16 @@ class ContactSolver:
         self._near: tuple[WorkpieceSnapshot, TableField | None, Sequence[Point]] | None = None
         self._last: tuple[Point, TableField | None, Point] | None = None
 
-    def first(self, path: Path, snapshot: WorkpieceSnapshot, resting: int | None) -> Contact | None:
+    def first(self, path: StraightPath, snapshot: WorkpieceSnapshot, resting: int | None) -> Contact | None:
         """First ball met along `path`; the one that the tip already rests on does not count."""
         first: Contact | None = None
-        start = added(path.start, self._shift.rigid)
+        start = translate_point(path.start, self._shift.rigid)
         (x, y, z), (dx, dy, dz), within = start, path.direction, path.length + self._reach + _ROUNDING_MM
         for ball, apparent in enumerate(self._apparent(snapshot)):
             ahead = (apparent[0] - x) * dx + (apparent[1] - y) * dy + (apparent[2] - z) * dz
             if not 0.0 < ahead <= within or ball == resting:
                 continue
-            distance = entry(start, path, apparent, self._reach)
+            distance = entry_distance(start, path, apparent, self._reach)
             if distance is not None and (first is None or distance < first.distance):
                 first = Contact(distance, ball)
         return self._refined(first, path, snapshot) if first and self._shift.has_field else first
@@ -58,7 +58,7 @@ class ContactSolver:
         if last is None or last[0] != axis_position or last[1] is not self._shift.table:
             field = self._shift.field_at(axis_position)
             self._last = last = (axis_position, self._shift.table, field)
-        return added(added(axis_position, self._tool), added(self._shift.rigid, last[2]))
+        return translate_point(translate_point(axis_position, self._tool), translate_point(self._shift.rigid, last[2]))
 
     def resting_on(self, axis_position: Point, snapshot: WorkpieceSnapshot) -> int | None:
         """The ball that the tip is pressed against, if any."""
@@ -68,15 +68,15 @@ class ContactSolver:
                 return ball
         return None
 
-    def pressing(self, path: Path, centre: Point) -> bool:
+    def pressing(self, path: StraightPath, centre: Point) -> bool:
         """Whether a motion that begins in contact goes deeper at first."""
         return _closing(self.tip(path.start), path.direction, centre) < 0.0
 
-    def deeper(self, path: Path, centre: Point, overtravel: float) -> float | None:
+    def deeper(self, path: StraightPath, centre: Point, overtravel: float) -> float | None:
         """Distance at which a tip that is pressed on is pressed deeper than the probe yields."""
-        return entry(self.tip(path.start), path, centre, self._reach - overtravel)
+        return entry_distance(self.tip(path.start), path, centre, self._reach - overtravel)
 
-    def leaving(self, path: Path, centre: Point) -> float:
+    def leaving(self, path: StraightPath, centre: Point) -> float:
         """Distance at which a tip that begins in contact comes free; infinite if the path ends before."""
         tip = self.tip(path.start)
         closing = _closing(tip, path.direction, centre)
@@ -84,10 +84,10 @@ class ContactSolver:
         distance = -closing + math.sqrt(max(closing * closing + inside, 0.0))
         return distance if distance <= path.length else math.inf
 
-    def _refined(self, contact: Contact, path: Path, snapshot: WorkpieceSnapshot) -> Contact | None:
+    def _refined(self, contact: Contact, path: StraightPath, snapshot: WorkpieceSnapshot) -> Contact | None:
         field = self._shift.field_at(path.at(contact.distance))
-        start = added(added(path.start, self._tool), added(self._shift.rigid, field))
-        distance = entry(start, path, snapshot.balls[contact.ball], self._reach)
+        start = translate_point(translate_point(path.start, self._tool), translate_point(self._shift.rigid, field))
+        distance = entry_distance(start, path, snapshot.balls[contact.ball], self._reach)
         return None if distance is None else Contact(distance, contact.ball)
 
     def _apparent(self, snapshot: WorkpieceSnapshot) -> Sequence[Point]:

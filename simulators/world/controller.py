@@ -29,7 +29,7 @@ from simulators.world.workpiece import WorkpieceSnapshot
 from simulators.world.worktable import Worktable
 from twin.arrays import Array
 from twin.collision.geometry import Point, point
-from twin.collision.motion_law import MotionLaw, straight, trapezoid
+from twin.collision.motion_law import MotionLaw, straight_path, trapezoid
 from twin.machine.machine_description import MachineDescription
 
 LIMIT_TOLERANCE_MM = 1e-6
@@ -247,9 +247,9 @@ class Controller:
         self._require_inside(goal)
         if feed_mm_per_s is not None and not 0.0 < feed_mm_per_s < math.inf:
             raise CommandRejected(f"feed must be positive, got {feed_mm_per_s} mm/s")
-        path = straight(self._position, goal)
-        speed = min(feed_mm_per_s or math.inf, path.largest(self._limits.rapid_mm_per_s))
-        return MotionCommand(kind, goal, path, speed, path.largest(self._limits.acceleration_mm_per_s2))
+        path = straight_path(self._position, goal)
+        speed = min(feed_mm_per_s or math.inf, path.limit_along(self._limits.rapid_mm_per_s))
+        return MotionCommand(kind, goal, path, speed, path.limit_along(self._limits.acceleration_mm_per_s2))
 
     def _require_ready(self, kind: MotionKind) -> None:
         if self.motion is not MotionState.IDLE:
@@ -274,7 +274,7 @@ class Controller:
         forecast = motion.forecast
         if forecast.trip_s is not None and self.now_s >= forecast.trip_s:
             return
-        motion.law = motion.law.braked(self.now_s, motion.command.acceleration)
+        motion.law = motion.law.braked_from(self.now_s, motion.command.acceleration)
         motion.forecast = forecast_motion(motion.law, motion.events, motion.command.acceleration)
         self._on_motion()
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.roles import TableImage
 from twin.arrays import Array
-from twin.collision.geometry import Point, added, point
+from twin.collision.geometry import Point, point, translate_point
 
 FieldOfMany = Callable[[Array], Array]
 """(n, 3) bare axis positions in mm -> (n, 3) mm."""
@@ -65,7 +65,7 @@ class TipShift:
     @property
     def rigid(self) -> Point:
         """What is the same everywhere: drift and play."""
-        return added(self.drift, self.play)
+        return translate_point(self.drift, self.play)
 
     def field_at(self, axis_position: Point) -> Point:
         return point(self.field_at_many(np.array([axis_position]))[0]) if self.has_field else ZERO

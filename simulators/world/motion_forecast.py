@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from twin.collision.bodies import TIP
 from twin.collision.geometry import Point
-from twin.collision.motion_law import MotionLaw, Path
+from twin.collision.motion_law import MotionLaw, StraightPath
 
 
 class MotionKind(Enum):
@@ -21,7 +21,7 @@ class MotionCommand(NamedTuple):
 
     kind: MotionKind
     target: Point
-    path: Path
+    path: StraightPath
     speed: float
     acceleration: float
 
@@ -58,10 +58,10 @@ def forecast_motion(law: MotionLaw, events: PathEvents, deceleration: float) -> 
     trip_s = None
     if events.trip_mm is not None and events.trip_mm <= law.end_distance:
         trip_s = law.time_at(events.trip_mm)
-        law = law.braked(trip_s, deceleration)
+        law = law.braked_from(trip_s, deceleration)
     crash = events.crash if events.crash and events.crash.distance <= law.end_distance else None
     if crash is not None:
-        law = law.cut(law.time_at(crash.distance))
+        law = law.truncated_at(law.time_at(crash.distance))
     free_s = law.time_at(events.free_mm) if events.free_mm > 0.0 else law.start_s
     return MotionForecast(law, trip_s, crash, free_s, law.end_s)
 

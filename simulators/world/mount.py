@@ -43,7 +43,7 @@ class RotaryAxis:
 
     def halt(self, now_s: float) -> None:
         if self._law is not None and now_s < self.at_rest_s:
-            self._follow(self._law.braked(now_s, self._behaviour.acceleration_deg_per_s2))
+            self._follow(self._law.braked_from(now_s, self._behaviour.acceleration_deg_per_s2))
 
     def _follow(self, law: MotionLaw) -> None:
         self._law, self.at_rest_s = law, law.end_s

@@ -7,7 +7,7 @@ from simulators.world.contact import ContactSolver
 from simulators.world.motion_forecast import Crash, MotionCommand, MotionKind, PathEvents, earliest, tip_crash
 from simulators.world.trigger import Trigger
 from simulators.world.workpiece import WorkpieceSnapshot
-from twin.collision.geometry import Point, added
+from twin.collision.geometry import Point, translate_point
 
 
 class PathLookahead:
@@ -65,6 +65,6 @@ class PathLookahead:
         allowed_contacts = snapshot.allowed_contacts
         if touched is not None:
             allowed_contacts = allowed_contacts | {("stem", snapshot.ball_names[touched])}
-        start, end = added(path.start, self._tool), added(path.at(length), self._tool)
+        start, end = translate_point(path.start, self._tool), translate_point(path.at(length), self._tool)
         hit = snapshot.scene.first_hit(start, end, ignored=allowed_contacts)
         return None if hit is None else Crash(hit.fraction * length, hit.moving, hit.obstacle)

@@ -13,7 +13,7 @@ from simulators.world.workpiece import Workpiece
 from twin.arrays import Array
 from twin.collision.bodies import Body
 from twin.collision.geometry import Capsule, Point, Shape
-from twin.collision.swept_volume import Cover
+from twin.collision.swept_volume import SphereCover
 
 INSTANTS = 64
 """Samples of a turn, evenly in time: with 180° about 3° at a time."""
@@ -39,7 +39,7 @@ def is_turn_clear(workpiece: Workpiece, tip: Point, start_s: float, end_s: float
     return _least_gap(centres, radii, workpiece.probe_bodies) >= SLACK_MM
 
 
-def _turned(cover: Cover, angles_rad: Array) -> tuple[Array, Array]:
+def _turned(cover: SphereCover, angles_rad: Array) -> tuple[Array, Array]:
     """Balls (n, m, 3) relative to the place at `angles_rad` (n, 2), and radii (n, m) that hold all until the next."""
     x, y, z = cover.centres.T
     azimuth, elevation = angles_rad.T[:, :, None]

@@ -13,7 +13,7 @@ from simulators.world.turn_clearance import is_turn_clear
 from simulators.world.workpiece import Workpiece
 from twin.collision.bodies import TABLE
 from twin.collision.collision import Scene
-from twin.collision.geometry import Point, added, point, separation, sphere, swept_contact
+from twin.collision.geometry import Point, point, separation, sphere, swept_contact, translate_point
 
 STEP_MM = 4.0
 """Nearer bodies are looked at again after so much motion: less than half the thinnest body that matters."""
@@ -75,7 +75,7 @@ def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:
     The table carries both.
     """
     smallest, pair = _LOOKED_AT_MM, ("", "")
-    for i, j in scene.near(_HERE, _HERE, _LOOKED_AT_MM):
+    for i, j in scene.near_pairs(_HERE, _HERE, _LOOKED_AT_MM):
         body, obstacle = scene.moving[i], scene.obstacles[j]
         if TABLE not in (body.name, obstacle.name):
             distance = separation(body.shape, obstacle.shape)[0]
@@ -98,12 +98,12 @@ def _stays_outside(workpiece: Workpiece, controller: Controller, start_s: float)
 
 def _tip(controller: Controller, instant_s: float) -> Point:
     """Tip centre by what is displayed."""
-    return added(controller.displayed_at(instant_s), controller.tool_offset)
+    return translate_point(controller.displayed_at(instant_s), controller.tool_offset)
 
 
 def _touching(scene: Scene, tip: Point) -> tuple[str, str] | None:
     """Names of the first two bodies that overlap with the tip centre at `tip`."""
-    for i, j in scene.near(tip, tip):
+    for i, j in scene.near_pairs(tip, tip):
         if separation(scene.moving[i].shape.moved(tip), scene.obstacles[j].shape)[0] < 0.0:
             return scene.moving[i].name, scene.obstacles[j].name
     return None

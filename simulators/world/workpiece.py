@@ -18,7 +18,7 @@ from twin.artefact.position_set import Pose, mount_pose
 from twin.collision.bodies import TABLE, TIP, Body, artefact_bodies, ball_name, mount_bodies
 from twin.collision.collision import Scene
 from twin.collision.geometry import Point, point
-from twin.collision.swept_volume import Cover, cover_of
+from twin.collision.swept_volume import SphereCover, cover_turning_bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Workpiece:
         self._temperatures = settings.temperatures
         self._warming = ThermalState(settings.temperatures)
         self._cached: tuple[object, WorkpieceSnapshot] | None = None
-        self._cover: Cover | None = None
+        self._cover: SphereCover | None = None
         self._location_mm: Array = self._places[station - 1]
         self._yaw_rad = 0.0
 
@@ -99,10 +99,10 @@ class Workpiece:
         return reach + max(geometry.bar_overhang_mm, self._artefact.ball_radius_mm) + geometry.bar_radius_mm
 
     @property
-    def cover(self) -> Cover | None:
+    def cover(self) -> SphereCover | None:
         """Balls around everything that turns; None where no artefact does."""
         if self._cover is None and self._artefact is not None:
-            self._cover = cover_of(self._artefact, self._geometry)
+            self._cover = cover_turning_bodies(self._artefact, self._geometry)
         return self._cover
 
     def true_angles_rad(self, instant_s: float) -> tuple[float, float]:
@@ -129,7 +129,7 @@ class Workpiece:
         if self._artefact is None:
             bodies = self._renamed(mount)
             return WorkpieceSnapshot(pose, (), (), bodies, Scene(self.probe_bodies, bodies))
-        centres = pose.applied(bowed(self._artefact.at(temperature_c, elevation), bow))
+        centres = pose.apply(bowed(self._artefact.at(temperature_c, elevation), bow))
         bodies = self._renamed((*artefact_bodies(self._artefact, self._geometry, pose), *mount))
         names = tuple(f"{ball_name(number)}{self._name_suffix}" for number in range(self._artefact.count))
         scene = Scene(self.probe_bodies, bodies)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.compensation.controllers.export_format import Choices, Identified, Source
+from twin.compensation.controllers.export_format import ExportOptions, ExportSource, TableEstimate
 from twin.compensation.controllers.registry import WRITERS
 from twin.compensation.table import Anchor, CompensationTable, build_table
 from twin.machine.error_model import ErrorModel
@@ -25,7 +25,7 @@ from twin.machine.kinematic_chain import parse_chain
 HERE = Path(__file__).parent / "controllers"
 
 
-def by_hand() -> Source:
+def by_hand() -> ExportSource:
     nodes = np.array([0.0, 100.0, 200.0])
     corrections = np.zeros((3, 3, 3, 3))
     for x in range(3):
@@ -34,10 +34,10 @@ def by_hand() -> Source:
             corrections[x, :, z, 1] = 4e-3 * z
     marks = np.zeros((3, 3, 3), dtype=bool)
     marks[2, 2, 2] = True
-    return Source(CompensationTable(nodes, nodes, nodes, corrections, np.zeros(3), Anchor(np.zeros(3)), marks))
+    return ExportSource(CompensationTable(nodes, nodes, nodes, corrections, np.zeros(3), Anchor(np.zeros(3)), marks))
 
 
-def of_error_motions() -> Source:
+def of_error_motions() -> ExportSource:
     ranges = ((0.0, 200.0), (0.0, 200.0), (0.0, 200.0))
     model = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), ranges, 1, ("b1",))
     parameters = np.zeros(model.size)
@@ -47,19 +47,19 @@ def of_error_motions() -> Source:
     nodes = (np.array([0.0, 100.0, 200.0]), ends, ends)
     corners = np.array(np.meshgrid(*nodes)).reshape(3, -1).T
     table = build_table(model, parameters, nodes, np.array([0.0, 250.0, 0.0]), Anchor(np.zeros(3)), corners)
-    return Source(table, Identified(model, parameters, np.zeros((model.size, model.size))))
+    return ExportSource(table, TableEstimate(model, parameters, np.zeros((model.size, model.size))))
 
 
 @pytest.mark.parametrize("name", sorted(WRITERS))
 def test_the_files_are_those_written_by_hand(name: str) -> None:
     source = of_error_motions() if name == "isg-volcomp" else by_hand()
-    found = dict(WRITERS[name](source, Choices()).files)
+    found = dict(WRITERS[name](source, ExportOptions()).files)
     found.pop("table.json", None)
     assert found == {path.name: path.read_text(encoding="utf-8") for path in (HERE / name).iterdir()}
 
 
 def test_the_side_file_of_a_table_for_part_programs() -> None:
-    files = WRITERS["gcode-csv"](by_hand(), Choices()).files
+    files = WRITERS["gcode-csv"](by_hand(), ExportOptions()).files
     side = json.loads(files["table.json"])
     assert side["grid"] == {key: [0.0, 100.0, 200.0] for key in ("x_mm", "y_mm", "z_mm")}
     assert side["crc32"] == f"{zlib.crc32(files['table.csv'].encode()):08x}"
@@ -77,7 +77,7 @@ def test_the_example_of_a_parameter_manual() -> None:
     corrections[..., 0] = 1e-3 * np.array(amounts)[:, None, None]
     marks = np.zeros((18, 2, 2), dtype=bool)
     table = CompensationTable(x, ends, ends, corrections, np.zeros(3), Anchor(np.zeros(3)), marks)
-    files = WRITERS["fanuc-pitch"](Source(table), Choices()).files
+    files = WRITERS["fanuc-pitch"](ExportSource(table), ExportOptions()).files
     reference, first = (int(files["parameters.txt"].splitlines()[row].split("A1P")[1].split("A")[0]) for row in (1, 2))
     assert reference - first == 40 - 33
     data = dict(line[1:].split("P") for line in files["pitch-error.txt"].splitlines()[1:-1])

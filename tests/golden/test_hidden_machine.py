@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
+from twin.artefact.position_set import MountGeometry, is_reachable, mount_pose, parse_position_set, station_locations
 from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.identification import Estimate, Options, field_uncertainty, identify, identify_by_evidence, predicted_vce
 from twin.machine.error_model import ErrorModel
@@ -118,14 +118,12 @@ def night(form: str, seed: int) -> Night:
     )
     slip = rng.normal(0.0, CERTIFICATE_MM, certified.balls.shape)
     real = dataclasses.replace(certified, balls=certified.balls + slip)
-    places = station_places(4, RANGES[0], 560.0, 900.0, 750.0)
+    places = station_locations(4, RANGES[0], 560.0, 900.0, 750.0)
     rows = []
-    for number, position in enumerate(positions_of("S3", 4)):
+    for number, position in enumerate(parse_position_set("S3", 4)):
         azimuth, elevation = math.radians(position.azimuth_deg), math.radians(position.elevation_deg)
-        points = (
-            mount_pose(places[position.station - 1], MountGeometry(), azimuth, elevation).applied(real.balls) - TOOL
-        )
-        for ball in np.flatnonzero(reachable(points, LOW, HIGH, np.full(3, 10.0))):
+        points = mount_pose(places[position.station - 1], MountGeometry(), azimuth, elevation).apply(real.balls) - TOOL
+        for ball in np.flatnonzero(is_reachable(points, LOW, HIGH, np.full(3, 10.0))):
             rows.append((number, ball, elevation, *points[ball]))
     table = np.array(rows)
     found = table[:, 3:]

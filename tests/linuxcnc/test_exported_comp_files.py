@@ -10,7 +10,7 @@ from compensation_rig import built, machine, running, why_not
 from needing import needing
 
 from twin.compensation.controllers import linuxcnc_comp
-from twin.compensation.controllers.export_format import Choices, Source
+from twin.compensation.controllers.export_format import ExportOptions, ExportSource
 from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
@@ -41,7 +41,7 @@ def test_a_running_linuxcnc_takes_the_machines_errors_out(tmp_path: Path) -> Non
     parameters = np.array([real[true.index(name)] for name in model.names])
     nodes = regular_nodes(RANGES, (40.0, 40.0, 40.0))
     table = build_table(model, parameters, nodes, TOOL, Anchor(np.zeros(3)), evaluation_grid(RANGES, (2, 2, 2)))
-    exported = linuxcnc_comp.export(Source(table), Choices())
+    exported = linuxcnc_comp.export(ExportSource(table), ExportOptions())
 
     def deviation(points: np.ndarray) -> np.ndarray:
         wave = 5e-4 * np.sin(points[:, [1, 2, 0]] / 45.0)

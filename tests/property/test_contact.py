@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from simulators.world.contact import ContactSolver
 from simulators.world.field import TipShift
-from twin.collision.motion_law import straight
+from twin.collision.motion_law import straight_path
 
 REACH = 15.5
 CENTRE = (1000.0, 800.0, 700.0)
@@ -40,7 +40,7 @@ def test_contact_is_where_bisection_finds_it(turn, rise, away, aside_x, aside_z)
     start = middle - direction * (REACH + 1.0 + away)
     aim = middle + np.array([aside_x, 0.0, aside_z])
     solver = ContactSolver(TOOL, REACH, TipShift(field))
-    path = straight(tuple(start.tolist()), tuple(aim.tolist()))
+    path = straight_path(tuple(start.tolist()), tuple(aim.tolist()))
     found = solver.first(path, SimpleNamespace(balls=(CENTRE,)), None)  # type: ignore[arg-type]
 
     low, high = 0.0, path.length

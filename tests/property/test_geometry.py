@@ -105,7 +105,7 @@ def test_near_are_those_whose_boxes_meet(scene: Scene, start, end, clearance_mm)
         for j, standing in enumerate(scene.obstacles):
             if np.all(low <= standing.shape.upper) and np.all(high >= standing.shape.lower):
                 meeting.append((i, j))
-    assert scene.near(start, end, clearance_mm) == meeting
+    assert scene.near_pairs(start, end, clearance_mm) == meeting
 
 
 def test_a_body_in_contact_may_leave_but_not_press_on() -> None:

@@ -16,7 +16,14 @@ import numpy as np
 
 from agent.files import load_artefact, load_machine
 from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import MountGeometry, Position, mount_pose, positions_of, reachable, station_places
+from twin.artefact.position_set import (
+    MountGeometry,
+    Position,
+    is_reachable,
+    mount_pose,
+    parse_position_set,
+    station_locations,
+)
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_description import MachineDescription
@@ -70,15 +77,15 @@ def measured_rows(machine: HiddenMachine, positions: tuple[Position, ...], rng: 
     stations = max(position.station for position in positions)
     ranges = machine.description.model.ranges_mm
     y, z = 0.5 * sum(ranges[1]) + machine.offset[1], 0.5 * sum(ranges[2])
-    places = station_places(stations, ranges[0], 560.0, y, z)
+    places = station_locations(stations, ranges[0], 560.0, y, z)
     lower, upper = np.array(machine.description.limits).T
     rows = []
     for number, position in enumerate(positions):
         temperature = 20.0 + 0.8 * math.sin(0.2 * number)
         elevation = math.radians(position.elevation_deg)
         pose = mount_pose(places[position.station - 1], MountGeometry(), math.radians(position.azimuth_deg), elevation)
-        points = pose.applied(machine.artefact.at(temperature, elevation))
-        inside = reachable(points - machine.offset, lower, upper, MARGIN_MM)
+        points = pose.apply(machine.artefact.at(temperature, elevation))
+        inside = is_reachable(points - machine.offset, lower, upper, MARGIN_MM)
         balls = np.flatnonzero(inside)
         found = machine.found_at(points[balls]) + rng.normal(0.0, TOUCH_SIGMA_MM, (len(balls), 3))
         for ball, place in zip(balls, found, strict=True):
@@ -100,5 +107,5 @@ def ball_file(path: Path, seed: int = 7, expression: str = "S3", stations: int =
     """Write a ball file and give the machine that it comes from."""
     rng = np.random.default_rng(seed)
     machine = hidden_machine(rng)
-    path.write_text(as_csv(measured_rows(machine, positions_of(expression, stations), rng)))
+    path.write_text(as_csv(measured_rows(machine, parse_position_set(expression, stations), rng)))
     return machine

@@ -26,7 +26,7 @@ from hidden_machine import (
 )
 from scipy.interpolate import RegularGridInterpolator
 
-from twin.artefact.position_set import positions_of
+from twin.artefact.position_set import parse_position_set
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 RUN = [sys.executable, "-c", "from agent.cli.identify import identify; identify(prog_name='volcal identify')"]
@@ -110,7 +110,7 @@ class TestGoodInput:
 
     def test_a_wrong_ball_is_found_and_named(self, tmp_path: Path) -> None:
         rng = np.random.default_rng(11)
-        rows = measured_rows(hidden_machine(rng), positions_of("S3", 4), rng)
+        rows = measured_rows(hidden_machine(rng), parse_position_set("S3", 4), rng)
         rows[100]["y_mm"] = f"{float(rows[100]['y_mm']) + 0.05:.6f}"
         (tmp_path / "balls.csv").write_text(as_csv(rows))
         done = run(*arguments(tmp_path / "balls.csv", tmp_path / "out"), "--json")
@@ -143,7 +143,7 @@ def edited(rows: list[dict], row: int, **cells: str) -> str:
 @pytest.fixture(scope="module")
 def rows() -> list[dict]:
     rng = np.random.default_rng(2)
-    return measured_rows(hidden_machine(rng), positions_of("S3", 2), rng)
+    return measured_rows(hidden_machine(rng), parse_position_set("S3", 2), rng)
 
 
 BAD_BALLS: dict[str, tuple[Callable[[list[dict]], str], list[str]]] = {

@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, as_csv, hidden_machine, measured_rows
 
 from agent.cli.identify import identify
-from twin.artefact.position_set import positions_of
+from twin.artefact.position_set import parse_position_set
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
 
@@ -25,7 +25,7 @@ def nights(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     files = []
     for expression in ("S3", "S2"):
         file = folder / f"{expression}.csv"
-        file.write_text(as_csv(measured_rows(machine, positions_of(expression, 2), rng)))
+        file.write_text(as_csv(measured_rows(machine, parse_position_set(expression, 2), rng)))
         files.append(file)
     return files[0], files[1]
 

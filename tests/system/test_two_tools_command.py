@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from hidden_machine import ARTEFACT_FILE, MACHINE_FILE, HiddenMachine, as_csv, hidden_machine, measured_rows
 
 from agent.cli.main import main
-from twin.artefact.position_set import positions_of
+from twin.artefact.position_set import parse_position_set
 from twin.compensation.table_file import parse_table
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
@@ -56,7 +56,7 @@ def night(tmp_path_factory: pytest.TempPathFactory) -> Measured:
     rng = np.random.default_rng(12)
     straight = hidden_machine(rng)
     machines = {name: replace(straight, offset=offset) for name, offset in OFFSETS.items()}
-    positions = positions_of("S3", 4)
+    positions = parse_position_set("S3", 4)
     rows = {name: measured_rows(machine, positions, rng) for name, machine in machines.items()}
     for row in rows["side"]:
         row |= {"tool": "side", "position": str(int(row["position"]) + len(positions))}

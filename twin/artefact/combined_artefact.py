@@ -16,7 +16,7 @@ import numpy as np
 from twin.artefact.artefact import Artefact
 from twin.errors import DataError
 
-KIND = (
+KIND_FIELDS = (
     "ball_diameter_mm",
     "reference_temperature_c",
     "cte_per_k",
@@ -26,7 +26,7 @@ KIND = (
 )
 
 
-def joined(artefacts: Sequence[Artefact]) -> Artefact:
+def combine_artefacts(artefacts: Sequence[Artefact]) -> Artefact:
     """Balls of all, those of the first first. DataError for none, and for artefacts of different kinds."""
     if not artefacts:
         raise DataError("no artefact at all")
@@ -55,7 +55,7 @@ def _require_one_kind(first: Artefact, other: Artefact) -> None:
             f"'{other.name}' has {other.count} balls, '{first.name}' has {first.count}",
             hint="artefacts of one run must be of one kind",
         )
-    for name in KIND:
+    for name in KIND_FIELDS:
         if getattr(other, name) != getattr(first, name):
             raise DataError(
                 f"'{other.name}' has {name} = {getattr(other, name):g}, '{first.name}' has {getattr(first, name):g}",

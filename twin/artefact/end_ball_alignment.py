@@ -10,7 +10,7 @@ from twin.errors import DataError
 Array = NDArray[np.float64]
 
 
-def align_to_ends(predicted: Array, first: int, last: int, found_first: Array, found_last: Array) -> Array:
+def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Array, found_last: Array) -> Array:
     """Move `predicted` (N, 3) rigidly so that balls `first` and `last` come to where they were found.
 
     The middle of the two is matched and the line through them turned by the smallest rotation that makes it

@@ -21,7 +21,7 @@ Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
+class HeldOutResiduals:
     """`placed_mm` (n, 3): the calibrated balls in their best place; `residuals_mm` (n, 3): what was found, less that.
 
     `rms_mm`: root of the mean squared residual of a ball, scaled to the freedom that the poses leave.
@@ -42,7 +42,7 @@ class HeldOutTest:
     freedom: int
 
 
-def held_out(observations: Observations, tool_points: Array, artefact: Artefact) -> HeldOut:
+def held_out_residuals(observations: Observations, tool_points: Array, artefact: Artefact) -> HeldOutResiduals:
     """Place the calibrated artefact through `tool_points` (n, 3), position by position, and see what is left.
 
     `tool_points` mm, workpiece frame: where the controller says that the stylus centre was, one for each row.
@@ -58,11 +58,11 @@ def held_out(observations: Observations, tool_points: Array, artefact: Artefact)
         placed[rows] = (balls - balls.mean(axis=0)) @ rotation.T + tool_points[rows].mean(axis=0)
         freedom += 3 * len(rows) - 6
     residuals = tool_points - placed
-    return HeldOut(placed, residuals, float(np.sqrt(3.0 / freedom * np.sum(residuals**2))), freedom)
+    return HeldOutResiduals(placed, residuals, float(np.sqrt(3.0 / freedom * np.sum(residuals**2))), freedom)
 
 
 def held_out_test(
-    observations: Observations, result: HeldOut, artefact: Artefact, field_covariance: Array
+    observations: Observations, result: HeldOutResiduals, artefact: Artefact, field_covariance: Array
 ) -> HeldOutTest:
     """Compare `result` with what its covariance leads one to expect.
 

@@ -15,7 +15,7 @@ _SEEN = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class MountPoseEstimate:
     """`expected` and `found` (n, 3) mm: where balls were thought to be from the nominal place, and where they were.
 
     Before anything was found the mount stands where it is said to stand.
@@ -25,14 +25,14 @@ class Standing:
     found: Array
 
     @classmethod
-    def as_stated(cls) -> Standing:
+    def nominal(cls) -> MountPoseEstimate:
         return cls(np.zeros((0, 3)), np.zeros((0, 3)))
 
-    def having_found(self, expected: Array, found: Array) -> Standing:
+    def with_found_balls(self, expected: Array, found: Array) -> MountPoseEstimate:
         """With further balls (n, 3); earlier ones keep their weight."""
-        return Standing(np.concatenate((self.expected, expected)), np.concatenate((self.found, found)))
+        return MountPoseEstimate(np.concatenate((self.expected, expected)), np.concatenate((self.found, found)))
 
-    def carried(self, points: Array) -> Array:
+    def transform(self, points: Array) -> Array:
         """Nominal points (m, 3) where they must be, as the mount stands: best small rigid motion, least squares,
         smallest motion where the balls leave one open."""
         if len(self.expected) == 0:

@@ -19,9 +19,10 @@ class Observations:
     `position` (n,) pose of the artefact, counted from 0; `ball` (n,) index into the artefact's list; `tool` (n,) index
     into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm machine coordinates, no tool offset added;
     `covariance` (n, 3, 3) mm² of one fitted centre; `temperature_c` (n,) of the artefact; `elevation_rad` (n,) of
-    the mount; `course` (n, w) K: how far the machine had drifted since the beginning, at the instant of each row, in
-    each of w ways (none: it did not change). Raises DataError naming the row (from 0) when a
-    value cannot be used.
+    the mount; `thermal_regressors` (n, w) K: thermal change of the machine since the start of the run at the instant
+    of each row, one column per regressor (w = 0: the machine did not change).
+
+    Raises DataError naming the row (from 0) if a value cannot be used.
     """
 
     position: np.ndarray[Any, np.dtype[np.int64]]
@@ -32,15 +33,15 @@ class Observations:
     temperature_c: Array
     elevation_rad: Array
     tool_offsets: Array
-    course: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    thermal_regressors: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         for name in ("position", "ball", "tool"):
             object.__setattr__(self, name, _whole_numbers(name, getattr(self, name)))
         for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad", "tool_offsets"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
-        course = np.array(self.course, dtype=np.float64)
-        object.__setattr__(self, "course", course if course.size else np.zeros((len(self.ball), 0)))
+        course = np.array(self.thermal_regressors, dtype=np.float64)
+        object.__setattr__(self, "thermal_regressors", course if course.size else np.zeros((len(self.ball), 0)))
         self._check_shapes()
         self._check_values()
         self._check_covariance()
@@ -76,15 +77,18 @@ class Observations:
             found = getattr(self, name).shape
             if found != shape:
                 raise DataError(f"{name} has the shape {found}, expected {shape}", column=name)
-        if self.course.ndim != 2 or len(self.course) != n:
-            raise DataError(f"course has the shape {self.course.shape}, expected ({n}, ways)", column="course")
+        if self.thermal_regressors.ndim != 2 or len(self.thermal_regressors) != n:
+            raise DataError(
+                f"thermal_regressors has the shape {self.thermal_regressors.shape}, expected ({n}, ways)",
+                column="thermal_regressors",
+            )
         if self.tool_offsets.ndim != 2 or self.tool_offsets.shape[1] != 3:
             raise DataError(f"tool_offsets has the shape {self.tool_offsets.shape}, expected (T, 3)")
         if n == 0:
             raise DataError("no ball centre at all", hint="measure at least two positions")
 
     def _check_values(self) -> None:
-        for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad", "course"):
+        for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad", "thermal_regressors"):
             finite = np.isfinite(getattr(self, name)).reshape(self.size, -1).all(axis=1)
             _refuse_rows(~finite, f"{name} is not a finite number", name)
         if not np.isfinite(self.tool_offsets).all():
@@ -102,7 +106,7 @@ class Observations:
 
     def _check_duplicates(self) -> None:
         seen: dict[tuple[object, ...], int] = {}
-        when = map(tuple, self.course.tolist())
+        when = map(tuple, self.thermal_regressors.tolist())
         keys = zip(self.position.tolist(), self.tool.tolist(), self.ball.tolist(), when, strict=True)
         for row, key in enumerate(keys):
             first = seen.setdefault(key, row)

@@ -18,7 +18,7 @@ from twin.errors import DataError, TwinError
 SPACE_DIAGONAL_DEG = 35.264
 """Elevation of a cube's diagonal, atan(1/√2)."""
 
-SETS: dict[str, tuple[tuple[float, float], ...]] = {
+POSITION_SETS: dict[str, tuple[tuple[float, float], ...]] = {
     "S1": ((0.0, 0.0), (90.0, 0.0), (0.0, 90.0)),
     "S2": tuple((az, el) for el in (SPACE_DIAGONAL_DEG, -SPACE_DIAGONAL_DEG) for az in (45.0, -45.0)),
     "S3": ((45.0, 0.0), (-45.0, 0.0), (0.0, 45.0), (0.0, -45.0), (90.0, 45.0), (90.0, -45.0)),
@@ -75,12 +75,12 @@ class Pose:
     centre: Array
     rotation: Array
 
-    def applied(self, points: Array) -> Array:
+    def apply(self, points: Array) -> Array:
         """(n, 3) in the artefact frame -> (n, 3) in the workpiece frame."""
         return self.centre + points @ self.rotation.T
 
 
-def positions_of(expression: str, stations: int) -> tuple[Position, ...]:
+def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
     """Positions of `S1`, `S1+S3`, … at stations 1…n: all of station 1 first. TwinError for unknown names."""
     if stations < 1:
         raise DataError(f"at least one station is needed, got {stations}")
@@ -89,19 +89,19 @@ def positions_of(expression: str, stations: int) -> tuple[Position, ...]:
     return tuple(Position(station, az, el) for station in range(1, stations + 1) for az, el in unique)
 
 
-def mount_pose(place_mm: Array, geometry: MountGeometry, azimuth_rad: float, elevation_rad: float) -> Pose:
+def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, elevation_rad: float) -> Pose:
     """Pose of the bar: axis along (cos az cos el, sin az cos el, sin el), holders along Rz(az)·(0, -1, 0).
 
-    `place_mm` (3,): the point of the azimuth axis at the height of the bar's middle.
+    `location_mm` (3,): the point of the azimuth axis at the height of the bar's middle.
     """
     ca, sa = math.cos(azimuth_rad), math.sin(azimuth_rad)
     ce, se = math.cos(elevation_rad), math.sin(elevation_rad)
     rotation = np.array([[ca * ce, -sa, -ca * se], [sa * ce, ca, -sa * se], [se, 0.0, ce]])
     outward = np.array([sa, -ca, 0.0])
-    return Pose(np.asarray(place_mm, dtype=np.float64) + geometry.shaft_mm * outward, rotation)
+    return Pose(np.asarray(location_mm, dtype=np.float64) + geometry.shaft_mm * outward, rotation)
 
 
-def station_places(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:
+def station_locations(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:
     """(count, 3) mm: places along X, evenly spaced, the outer ones `half_span_mm` inside the travel."""
     low, high = x_range[0] + half_span_mm, x_range[1] - half_span_mm
     if count < 1 or high < low:
@@ -112,17 +112,17 @@ def station_places(count: int, x_range: tuple[float, float], half_span_mm: float
     return np.column_stack([x, np.full(count, y_mm), np.full(count, z_mm)])
 
 
-def reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_mm: Array) -> NDArray[np.bool_]:
+def is_reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_mm: Array) -> NDArray[np.bool_]:
     """(n,) bool: which axis positions (n, 3) keep `margin_mm` (3,) (approach, retract) from the ends."""
     inside = (ball_axis_positions >= lower + margin_mm) & (ball_axis_positions <= upper - margin_mm)
     return np.asarray(inside.all(axis=1), dtype=np.bool_)
 
 
 def _named_set(name: str, expression: str) -> tuple[tuple[float, float], ...]:
-    found = SETS.get(name.strip().upper())
+    found = POSITION_SETS.get(name.strip().upper())
     if found is None:
         raise TwinError(
             f"unknown position set '{name.strip()}' in '{expression}'",
-            hint=f"Known sets: {', '.join(SETS)}; combine them as in S1+S3",
+            hint=f"Known sets: {', '.join(POSITION_SETS)}; combine them as in S1+S3",
         )
     return found

@@ -12,7 +12,7 @@ from twin.errors import DataError
 
 
 @dataclass(frozen=True)
-class Scatter:
+class RepeatabilityEstimate:
     """Sample standard deviation `sigma` of `count` readings, in the unit of the readings.
 
     The true one lies between `lower` and `upper` with `confidence`, if the readings are normal and independent.
@@ -24,12 +24,12 @@ class Scatter:
     lower: float
     upper: float
 
-    def surely_above(self, limit: float, confidence: float) -> bool:
+    def exceeds(self, limit: float, confidence: float) -> bool:
         """Whether the true standard deviation exceeds `limit` with one-sided `confidence`."""
         return self.sigma * _factor(confidence, self.count - 1) > limit
 
 
-def scatter_of(readings: Sequence[float], confidence: float = 0.95) -> Scatter:
+def estimate_repeatability(readings: Sequence[float], confidence: float = 0.95) -> RepeatabilityEstimate:
     """Scatter of two or more readings with its two-sided interval: s·√(ν / χ²). DataError for fewer."""
     count = len(readings)
     if count < 2:
@@ -38,7 +38,7 @@ def scatter_of(readings: Sequence[float], confidence: float = 0.95) -> Scatter:
     sigma = math.sqrt(math.fsum((value - mean) ** 2 for value in readings) / (count - 1))
     tail = 0.5 * (1.0 - confidence)
     lower, upper = (sigma * _factor(share, count - 1) for share in (1.0 - tail, tail))
-    return Scatter(sigma, count, confidence, lower, upper)
+    return RepeatabilityEstimate(sigma, count, confidence, lower, upper)
 
 
 def _factor(probability: float, freedom: int) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from twin.errors import DataError
 
 Vector = NDArray[np.float64]
-AXES = 3
+AXIS_COUNT = 3
 SLOPE = math.sqrt(0.5)
 """Places at 45°: the lost motion shows in full in the axis that moves."""
 
@@ -51,23 +51,23 @@ class LostMotion:
     touches: int
 
 
-def oblique_touches(axis: int, stylus_axis: Vector) -> tuple[ObliqueTouch, ObliqueTouch]:
+def plan_oblique_touches(axis: int, stylus_axis: Vector) -> tuple[ObliqueTouch, ObliqueTouch]:
     """Two mirrored places that tell of `axis`, both before the ball, where a straight stylus gets to.
 
     `stylus_axis` (3,): unit vector along a machine axis, from the ram towards the tip. DataError for a slanting one.
     """
     ahead = int(np.argmax(np.abs(stylus_axis)))
-    front = np.zeros(AXES)
+    front = np.zeros(AXIS_COUNT)
     front[ahead] = -np.sign(stylus_axis[ahead])
     if abs(abs(float(stylus_axis[ahead])) - 1.0) > 1e-9:
         raise DataError("the stylus does not point along a machine axis")
-    beside = axis if axis != ahead else next(other for other in range(AXES) if other != ahead)
+    beside = axis if axis != ahead else next(other for other in range(AXIS_COUNT) if other != ahead)
     along = ahead if axis != ahead else beside
     first, second = (_place(axis, along, front, beside, side) for side in (1.0, -1.0))
     return first, second
 
 
-def lost_motion(
+def fit_lost_motion(
     ratios: Sequence[float],
     upwards: Sequence[bool],
     places: Sequence[int],
@@ -100,6 +100,6 @@ def lost_motion(
 def _place(axis: int, along: int, front: Vector, beside: int, side: float) -> ObliqueTouch:
     normal = SLOPE * front
     normal[beside] = SLOPE * side
-    direction = np.zeros(AXES)
+    direction = np.zeros(AXIS_COUNT)
     direction[along] = -np.sign(normal[along])
     return ObliqueTouch(axis, along, normal, direction)

@@ -6,12 +6,12 @@ import numpy as np
 
 from twin.arrays import Array
 
-BESIDE = 0.4
+SECOND_REGRESSOR_SHARE = 0.4
 """Share of the whole change of temperature that what lags may have gone along the next power of the time."""
-SMOOTHED_OVER_S = 150.0
+SMOOTHING_HALF_WINDOW_S = 150.0
 
 
-def machine_course(instants_s: Array, machine_c: Array | None, change_k: float) -> Array:
+def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: float) -> Array:
     """(n, w) K: how far a machine had drifted at instants (n,) since the first of them.
 
     First along with its thermometer (n,), or where there is none as the time, by `change_k`; then along the next power
@@ -20,14 +20,14 @@ def machine_course(instants_s: Array, machine_c: Array | None, change_k: float) 
     first = int(np.argmin(instants_s))
     time = (instants_s - instants_s[first]) / max(float(np.ptp(instants_s)), 1.0)
     if machine_c is None:
-        columns = [change_k * time, BESIDE * change_k * time**2]
+        columns = [change_k * time, SECOND_REGRESSOR_SHARE * change_k * time**2]
     else:
-        columns = [smoothed(instants_s, machine_c), BESIDE * change_k * time]
+        columns = [smooth_readings(instants_s, machine_c), SECOND_REGRESSOR_SHARE * change_k * time]
     course = np.stack(columns, axis=1)
     return np.asarray(course - course[first])
 
 
-def smoothed(instants_s: Array, values: Array, half_window_s: float = SMOOTHED_OVER_S) -> Array:
+def smooth_readings(instants_s: Array, values: Array, half_window_s: float = SMOOTHING_HALF_WINDOW_S) -> Array:
     """(n,) readings without most of their noise: a straight line through those near in time, at each instant."""
     away = (instants_s[None, :] - instants_s[:, None]) / half_window_s
     weight = np.clip(1.0 - away**2, 0.0, None)

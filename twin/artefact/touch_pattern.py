@@ -43,10 +43,10 @@ def approach_directions(count: int, stylus_axis: Vectors) -> Vectors:
     """
     if count not in RINGS:
         raise DataError(f"no pattern of {count} touches", hint=f"there are {sorted(RINGS)}")
-    return directions_of(RINGS[count], stylus_axis)
+    return ring_directions(RINGS[count], stylus_axis)
 
 
-def directions_of(rings: Sequence[Ring], stylus_axis: Vectors) -> Vectors:
+def ring_directions(rings: Sequence[Ring], stylus_axis: Vectors) -> Vectors:
     """Approach vectors (1 + touches of all rings, 3): the pole, then ring by ring."""
     pole = stylus_axis / np.linalg.norm(stylus_axis)
     first, second = perpendiculars(pole)
@@ -68,11 +68,11 @@ def centre_covariance(directions: Vectors, touch_sigma_mm: float) -> Vectors:
 def known_radius_covariance(directions: Vectors, touch_sigma_mm: float, radius_sigma_mm: float) -> Vectors:
     """The same (3, 3) mm² with a radius known to `radius_sigma_mm`: part of its error goes into the centre."""
     given = fit_sphere(-directions, touch_sigma_mm, 1.0, near=np.zeros(3)).centre_covariance
-    moved = centre_per_radius(directions)
+    moved = centre_shift_per_radius(directions)
     return given + radius_sigma_mm**2 * np.outer(moved, moved)
 
 
-def centre_per_radius(directions: Vectors) -> Vectors:
+def centre_shift_per_radius(directions: Vectors) -> Vectors:
     """(3,): by how much the centre moves for each mm that a known radius is too large.
 
     The least squares of u·δc = -δr over the outward normals u = -direction.

@@ -13,7 +13,7 @@ from twin.artefact.position_set import MountGeometry, mount_pose
 from twin.artefact.touch_pattern import approach_directions
 from twin.collision.bodies import TIP, Body, ProbeGeometry, artefact_bodies, ball_name, mount_bodies
 from twin.collision.collision import Scene
-from twin.collision.geometry import Capsule, Point, added, point
+from twin.collision.geometry import Capsule, Point, point, translate_point
 
 STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
 """The probe geometry describes probes that point along +Y."""
@@ -26,12 +26,12 @@ FIVE_TOUCHES = approach_directions(5, STYLUS_AXIS)
 _Leg = tuple[Point, Point]
 
 
-def standing_scene(
+def measuring_scene(
     artefact: Artefact,
     probe: ProbeGeometry,
     geometry: MountGeometry,
     *,
-    place_mm: Array,
+    location_mm: Array,
     azimuth_rad: float,
     elevation_rad: float,
     further: Sequence[Body] = (),
@@ -40,12 +40,12 @@ def standing_scene(
 
     `further`: what else stands in the workspace.
     """
-    pose = mount_pose(place_mm, geometry, azimuth_rad, elevation_rad)
-    around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place_mm, pose), *further)
-    return pose.applied(artefact.balls), Scene(probe.bodies(), around)
+    pose = mount_pose(location_mm, geometry, azimuth_rad, elevation_rad)
+    around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, location_mm, pose), *further)
+    return pose.apply(artefact.balls), Scene(probe.bodies(), around)
 
 
-def accessible(
+def accessible_balls(
     centres: Array,
     scene: Scene,
     *,
@@ -76,14 +76,17 @@ def accessible(
 
     def free(index: int, centre: Point) -> bool:
         meant = {(TIP, ball_name(index)), ("stem", ball_name(index))}
-        lower, upper = added(centre, (-out, -out, -out)), added(centre, (out, 0.0, out))
+        lower, upper = translate_point(centre, (-out, -out, -out)), translate_point(centre, (out, 0.0, out))
         if not any(_unmeant(longest, lower, upper, clearance_mm, meant)):
             return True
         return all(
-            drawn_out[way].clearance(added(centre, begin), ignored=meant, at_most=clearance_mm) >= clearance_mm
+            drawn_out[way].clearance(translate_point(centre, begin), ignored=meant, at_most=clearance_mm)
+            >= clearance_mm
             for way, begin in begins
         ) and not any(
-            scene.first_hit(added(centre, a), added(centre, b), clearance_mm=apart_mm, ignored=meant)
+            scene.first_hit(
+                translate_point(centre, a), translate_point(centre, b), clearance_mm=apart_mm, ignored=meant
+            )
             for legs, apart_mm in ((touching, min(clearance_mm, AT_CONTACT_MM)), (between, clearance_mm))
             for a, b in legs
         )
@@ -108,5 +111,5 @@ def _with_long_tip(moving: tuple[Body, ...], length_mm: float) -> list[Body]:
 
 def _unmeant(scene: Scene, lower: Point, upper: Point, clearance_mm: float, meant: set[tuple[str, str]]) -> list[bool]:
     """One entry for each pair of bodies whose boxes meet somewhere between; no exact distance is asked for."""
-    pairs = scene.near(lower, upper, clearance_mm)
+    pairs = scene.near_pairs(lower, upper, clearance_mm)
     return [True for i, j in pairs if (scene.moving[i].name, scene.obstacles[j].name) not in meant]

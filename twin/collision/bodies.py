@@ -78,10 +78,10 @@ def post_name(index: int) -> str:
 def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> tuple[Body, ...]:
     """Balls, posts and bar as they stand with `pose`. The bar comes in pieces from post to post: the boxes
     around short pieces of a slanting bar keep a broad search sharp."""
-    centres = pose.applied(artefact.balls)
+    centres = pose.apply(artefact.balls)
     feet_frame = artefact.balls.copy()
     feet_frame[:, 1:] = 0.0
-    feet = [point(foot) for foot in pose.applied(feet_frame)]
+    feet = [point(foot) for foot in pose.apply(feet_frame)]
     balls = [Body(ball_name(i), sphere(point(c), artefact.ball_radius_mm)) for i, c in enumerate(centres)]
     posts = [
         Body(post_name(i), Capsule(foot, point(centre), geometry.post_radius_mm))
@@ -90,9 +90,9 @@ def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> 
     return (*balls, *posts, *_bar_pieces(artefact, geometry, pose))
 
 
-def mount_bodies(geometry: MountGeometry, place_mm: Array, pose: Pose) -> tuple[Body, ...]:
-    """Shaft, pedestal and table under the mount at `place_mm` (3,)."""
-    place = point(place_mm)
+def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tuple[Body, ...]:
+    """Shaft, pedestal and table under the mount at `location_mm` (3,)."""
+    place = point(location_mm)
     x, y, z = place
     return (
         Body("shaft", Capsule(place, point(pose.centre), geometry.shaft_radius_mm)),

@@ -51,7 +51,7 @@ class Scene:
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         first: Hit | None = None
-        for i, j in self.near(start, end, clearance_mm):
+        for i, j in self.near_pairs(start, end, clearance_mm):
             body, obstacle = self.moving[i], self.obstacles[j]
             if (body.name, obstacle.name) in ignored:
                 continue
@@ -60,18 +60,18 @@ class Scene:
                 first = Hit(fraction, body.name, obstacle.name)
         return first
 
-    def free(
-        self, start: Point, end: Point, clearance_mm: float, closer: Mapping[tuple[str, str], float] = _NOTHING
+    def is_free(
+        self, start: Point, end: Point, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float] = _NOTHING
     ) -> bool:
         """Whether every two bodies keep `clearance_mm` from each other while the tip goes from `start` to `end`.
 
-        `closer`: (moving, obstacle) names → what these two keep instead, where that is less. Bodies that are nearer
+        `reduced_mm`: (moving, obstacle) names → what these two keep instead, where that is less. Bodies that are nearer
         at the start may go away from each other, as in `first_hit`.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
-        for i, j in self.near(start, end, clearance_mm):
+        for i, j in self.near_pairs(start, end, clearance_mm):
             body, obstacle = self.moving[i], self.obstacles[j]
-            apart_mm = min(clearance_mm, closer.get((body.name, obstacle.name), clearance_mm))
+            apart_mm = min(clearance_mm, reduced_mm.get((body.name, obstacle.name), clearance_mm))
             if swept_contact(body.shape, obstacle.shape, displacement, apart_mm, start) is not None:
                 return False
         return True
@@ -86,13 +86,13 @@ class Scene:
         Distances beyond `at_most` are of no interest: then `at_most` is the answer, and found faster.
         """
         smallest = at_most
-        for i, j in self.near(tip, tip, at_most):
+        for i, j in self.near_pairs(tip, tip, at_most):
             body, obstacle = self.moving[i], self.obstacles[j]
             if (body.name, obstacle.name) not in ignored:
                 smallest = min(smallest, separation(body.shape.moved(tip), obstacle.shape)[0])
         return smallest
 
-    def near(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
+    def near_pairs(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
         """Indices (moving, obstacle) of the pairs whose surrounding boxes, swept along the move, meet."""
         (x0, y0, z0), (x1, y1, z1) = start, end
         x0, x1 = (x0 - clearance_mm, x1 + clearance_mm) if x0 < x1 else (x1 - clearance_mm, x0 + clearance_mm)

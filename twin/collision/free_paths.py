@@ -19,20 +19,20 @@ from twin.arrays import Array
 from twin.collision.collision import Scene
 from twin.collision.geometry import Point
 from twin.collision.motion_law import travel_times
-from twin.collision.sphere_prefilter import Spheres, SpheresApart
+from twin.collision.sphere_prefilter import SceneSpheres, SpherePrefilter
 
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
 """How far before the nearer end the candidates go back."""
-FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
+CORNER_FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
 """Where between both ends a way with one corner has it."""
-_SHARES = np.array(FRACTIONS)[:, None, None]
+_SHARES = np.array(CORNER_FRACTIONS)[:, None, None]
 
-SLANT = 0.2
+RETRACT_SLANT = 0.2
 """Sideways on the way back from a surface: the stylus comes free of it at once."""
 
 
 @dataclass(frozen=True)
-class Dynamics:
+class AxisDynamics:
     """Of the axes X, Y, Z; `command_s` comes on top of each move."""
 
     rapid_mm_per_s: Point
@@ -50,15 +50,15 @@ class Dynamics:
 
 
 @dataclass(frozen=True)
-class Apart:
-    """What a way keeps: `clearance_mm` between all bodies but the pairs (moving, obstacle) in `closer`."""
+class Clearances:
+    """What a way keeps: `clearance_mm` between all bodies but the pairs (moving, obstacle) in `reduced_mm`."""
 
     clearance_mm: float
-    closer: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    reduced_mm: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Way:
+class FreePath:
     """Corners between start and end, and the seconds of the whole."""
 
     corners: tuple[Point, ...]
@@ -66,7 +66,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class PathCandidates:
     """Ways to choose from: `corners` (n, k, 3), and how many of them each has, (n,), at least one; one that has fewer
     than k repeats its last one."""
 
@@ -74,7 +74,7 @@ class Candidates:
     counts: NDArray[np.int_]
 
     @classmethod
-    def of(cls, groups: Sequence[Array]) -> Candidates:
+    def of(cls, groups: Sequence[Array]) -> PathCandidates:
         """`groups`: arrays (n, k, 3) of n candidates with k corners each."""
         total, most = sum(map(len, groups)), max(group.shape[1] for group in groups)
         corners, counts, begin = np.empty((total, most, 3)), np.empty(total, dtype=np.int_), 0
@@ -84,55 +84,60 @@ class Candidates:
             counts[begin:end], begin = count, end
         return cls(corners, counts)
 
-    def kept(self, which: NDArray[np.bool_]) -> Candidates:
+    def select(self, mask: NDArray[np.bool_]) -> PathCandidates:
         """Those of which is so, (n,) bool."""
-        return Candidates(self.corners[which], self.counts[which])
+        return PathCandidates(self.corners[mask], self.counts[mask])
 
-    def inside(self, lower: Array, upper: Array) -> Candidates:
+    def inside(self, lower: Array, upper: Array) -> PathCandidates:
         """Those of which no corner is beyond a bound, (3,) each."""
         within = (self.corners >= lower) & (self.corners <= upper)
-        return self.kept(np.asarray(within.reshape(len(within), -1).all(axis=1)))
+        return self.select(np.asarray(within.reshape(len(within), -1).all(axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
+class PrefilteredScene:
     """A scene, with what is known of it at a glance."""
 
     scene: Scene
-    spheres: Spheres
+    spheres: SceneSpheres
 
     @classmethod
-    def of(cls, scene: Scene) -> Surroundings:
-        return cls(scene, Spheres.of(scene))
+    def of(cls, scene: Scene) -> PrefilteredScene:
+        return cls(scene, SceneSpheres.of(scene))
 
 
-def direct(scene: Scene, dynamics: Dynamics, start: Point, end: Point, apart: Apart) -> Way | None:
+def direct_path(scene: Scene, dynamics: AxisDynamics, start: Point, end: Point, apart: Clearances) -> FreePath | None:
     """The straight way, where it is free: none is faster."""
-    if not scene.free(start, end, apart.clearance_mm, apart.closer):
+    if not scene.is_free(start, end, apart.clearance_mm, apart.reduced_mm):
         return None
-    return Way((), float(dynamics.seconds(np.array([[start, end]]))[0]))
+    return FreePath((), float(dynamics.seconds(np.array([[start, end]]))[0]))
 
 
-def fastest(
-    among: Surroundings, dynamics: Dynamics, start: Point, end: Point, candidates: Candidates, apart: Apart
-) -> Way | None:
+def fastest_path(
+    among: PrefilteredScene,
+    dynamics: AxisDynamics,
+    start: Point,
+    end: Point,
+    candidates: PathCandidates,
+    apart: Clearances,
+) -> FreePath | None:
     """The fastest of the candidates that is free; None where none is. Of equals the earlier one."""
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
-    spheres = SpheresApart(among.spheres, apart.clearance_mm, apart.closer)
+    spheres = SpherePrefilter(among.spheres, apart.clearance_mm, apart.reduced_mm)
     proved: dict[tuple[Point, Point], bool] = {}
 
     def free(leg: tuple[Point, Point]) -> bool:
         if leg not in proved:
             hit = spheres.surely_hit(*leg)
-            proved[leg] = not hit and among.scene.free(*leg, apart.clearance_mm, apart.closer)
+            proved[leg] = not hit and among.scene.is_free(*leg, apart.clearance_mm, apart.reduced_mm)
         return proved[leg]
 
     for index in np.argsort(seconds, kind="stable").tolist():
         corners = candidates.corners[index, : candidates.counts[index]].tolist()
         between = tuple((x, y, z) for x, y, z in corners)
         if all(free(leg) for leg in _legs(start, between, end)):
-            return Way(between, float(seconds[index]))
+            return FreePath(between, float(seconds[index]))
     return None
 
 
@@ -149,11 +154,11 @@ def _stops(start: Point, corners: Array, end: Point) -> Array:
     return stops
 
 
-def retracted(start: Point, end: Point, back: Array, least: float, aside: Array | None = None) -> list[Array]:
-    """Candidates (n, k, 3) for `fastest`: with one corner, and out, across and in, for each of `RETRACTS_MM`.
+def retract_candidates(start: Point, end: Point, back: Array, least: float, aside: Array | None = None) -> list[Array]:
+    """Candidates (n, k, 3) for `fastest_path`: with one corner, and out, across and in, for each of `RETRACTS_MM`.
 
     `back` (3,): unit vector along a machine axis in which the probe draws back, to no less than `least` against it.
-    `aside` (3,): by so much it moves away from what it touches first, and by `SLANT` while it draws back.
+    `aside` (3,): by so much it moves away from what it touches first, and by `RETRACT_SLANT` while it draws back.
     """
     first, last = np.array(start), np.array(end)
     begins, ends = float(first @ -back), float(last @ -back)
@@ -161,7 +166,7 @@ def retracted(start: Point, end: Point, back: Array, least: float, aside: Array 
     out = first + (begins - planes)[:, None] * back
     if aside is not None:
         beside = math.hypot(*aside.tolist())
-        sideways = np.maximum(1.0, SLANT / beside * (begins - planes))
+        sideways = np.maximum(1.0, RETRACT_SLANT / beside * (begins - planes))
         out = out + sideways[:, None] * (aside - (aside @ back) * back)
     over = last + (ends - planes)[:, None] * back
     middles = out + _SHARES * (over - out)

@@ -53,7 +53,7 @@ class Capsule:
         return (ax if ax > bx else bx) + r, (ay if ay > by else by) + r, (az if az > bz else bz) + r
 
     def moved(self, by: Point) -> Capsule:
-        return Capsule(added(self.a, by), added(self.b, by), self.radius)
+        return Capsule(translate_point(self.a, by), translate_point(self.b, by), self.radius)
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Box:
             raise DataError(f"a box needs lower <= upper on every axis, got {self}")
 
     def moved(self, by: Point) -> Box:
-        return Box(added(self.lower, by), added(self.upper, by))
+        return Box(translate_point(self.lower, by), translate_point(self.upper, by))
 
 
 Shape = Capsule | Box
@@ -84,7 +84,7 @@ def point(values: Iterable[float]) -> Point:
     return float(x), float(y), float(z)
 
 
-def added(p: Point, q: Point) -> Point:
+def translate_point(p: Point, q: Point) -> Point:
     return p[0] + q[0], p[1] + q[1], p[2] + q[2]
 
 
@@ -169,13 +169,13 @@ def _swept_capsules(
 def _separation_at(first: Shape, by: Point, second: Shape) -> Separation:
     """`separation` with the first body moved by `by`; no body is made for it, since this is asked a million times."""
     if isinstance(first, Capsule):
-        a, b = added(first.a, by), added(first.b, by)
+        a, b = translate_point(first.a, by), translate_point(first.b, by)
         if isinstance(second, Capsule):
             (ax, ay, az), (cx, cy, cz) = a, second.a
             distance, normal = _direction(_NOWHERE, _gap_of_axes(_axes(first, second), ax - cx, ay - cy, az - cz))
             return distance - first.radius - second.radius, normal
         return _capsule_from_box(a, b, first.radius, second.lower, second.upper)
-    lower, upper = added(first.lower, by), added(first.upper, by)
+    lower, upper = translate_point(first.lower, by), translate_point(first.upper, by)
     if isinstance(second, Capsule):
         distance, (x, y, z) = _capsule_from_box(second.a, second.b, second.radius, lower, upper)
         return distance, (-x, -y, -z)

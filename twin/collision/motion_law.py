@@ -81,12 +81,12 @@ class MotionLaw:
                 return phase.time_at(distance)
         return self.end_s
 
-    def cut(self, instant_s: float) -> MotionLaw:
+    def truncated_at(self, instant_s: float) -> MotionLaw:
         """The same, stopped dead at `instant_s`, as by a crash."""
         kept = self._until(instant_s)
         return MotionLaw(kept or (Phase(instant_s, 0.0, self.distance_at(instant_s), 0.0, 0.0),))
 
-    def braked(self, instant_s: float, deceleration: float) -> MotionLaw:
+    def braked_from(self, instant_s: float, deceleration: float) -> MotionLaw:
         """The same until `instant_s`, then brought to rest."""
         speed = self.speed_at(instant_s)
         brake = Phase(instant_s, speed / deceleration, self.distance_at(instant_s), speed, -deceleration)
@@ -125,7 +125,7 @@ def trapezoid(start_s: float, length: float, speed: float, acceleration: float) 
     )
 
 
-def travel_s(length: float, speed: float, acceleration: float) -> float:
+def travel_time_s(length: float, speed: float, acceleration: float) -> float:
     """How long `trapezoid` takes."""
     _, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
     return ramp_s + cruise_s + ramp_s
@@ -135,7 +135,7 @@ def travel_times(
     starts: Array, ends: Array, speed_per_axis: Sequence[float], acceleration_per_axis: Sequence[float]
 ) -> Array:
     """(...) seconds of straight moves from rest to rest, (..., 3) mm each, every axis within its own speed and
-    acceleration: what `travel_s` says of `straight` paths, for many at once."""
+    acceleration: what `travel_time_s` says of `straight_path` paths, for many at once."""
     ways = np.abs(np.asarray(ends, dtype=np.float64) - starts)
     # Seconds that a way of this length takes at an axis' own acceleration alone, and at its speed alone.
     accelerating = _largest(ways / np.asarray(acceleration_per_axis))
@@ -159,7 +159,7 @@ def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[
 
 
 @dataclass(frozen=True)
-class Path:
+class StraightPath:
     """Straight line of axis positions: `direction` is a unit vector."""
 
     start: Point
@@ -174,7 +174,7 @@ class Path:
             start[2] + distance * direction[2],
         )
 
-    def largest(self, per_axis: Sequence[float]) -> float:
+    def limit_along(self, per_axis: Sequence[float]) -> float:
         """Largest speed (or acceleration) along the path that keeps every axis within its own."""
         largest = math.inf
         for limit, part in zip(per_axis, self.direction, strict=True):
@@ -183,16 +183,16 @@ class Path:
         return largest if largest < math.inf else min(per_axis)
 
 
-def straight(start: Point, target: Point) -> Path:
+def straight_path(start: Point, target: Point) -> StraightPath:
     """Path from `start` to `target`; of no length and no direction where they are the same."""
     x, y, z = target[0] - start[0], target[1] - start[1], target[2] - start[2]
     length = math.sqrt(x * x + y * y + z * z)
     if length == 0.0:
-        return Path(start, (0.0, 0.0, 0.0), 0.0)
-    return Path(start, (x / length, y / length, z / length), length)
+        return StraightPath(start, (0.0, 0.0, 0.0), 0.0)
+    return StraightPath(start, (x / length, y / length, z / length), length)
 
 
-def entry(tip: Point, path: Path, centre: Point, reach: float) -> float | None:
+def entry_distance(tip: Point, path: StraightPath, centre: Point, reach: float) -> float | None:
     """Distance along `path` at which a tip that starts at `tip` comes within `reach` of `centre` from outside."""
     mx, my, mz = tip[0] - centre[0], tip[1] - centre[1], tip[2] - centre[2]
     dx, dy, dz = path.direction

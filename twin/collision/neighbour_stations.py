@@ -12,9 +12,9 @@ from twin.artefact.position_set import MountGeometry, mount_pose
 from twin.collision.bodies import TABLE, Body, artefact_bodies, mount_bodies
 
 
-def neighbours(
+def neighbour_bodies(
     geometry: MountGeometry,
-    places_mm: Mapping[int, Array],
+    locations_mm: Mapping[int, Array],
     own_artefacts: Mapping[int, Artefact],
     parked_deg: tuple[float, float],
 ) -> dict[int, tuple[Body, ...]]:
@@ -24,20 +24,20 @@ def neighbours(
     """
     parked = {
         station: _named(station, _standing(geometry, place, own_artefacts.get(station), parked_deg))
-        for station, place in places_mm.items()
+        for station, place in locations_mm.items()
     }
     return {
         station: tuple(body for other, bodies in parked.items() if other != station for body in bodies)
-        for station in places_mm
+        for station in locations_mm
     }
 
 
 def _standing(
-    geometry: MountGeometry, place_mm: Array, artefact: Artefact | None, parked_deg: tuple[float, float]
+    geometry: MountGeometry, location_mm: Array, artefact: Artefact | None, parked_deg: tuple[float, float]
 ) -> tuple[Body, ...]:
     azimuth, elevation = (math.radians(angle) for angle in parked_deg)
-    pose = mount_pose(place_mm, geometry, azimuth, elevation)
-    mount = tuple(body for body in mount_bodies(geometry, place_mm, pose) if body.name != TABLE)
+    pose = mount_pose(location_mm, geometry, azimuth, elevation)
+    mount = tuple(body for body in mount_bodies(geometry, location_mm, pose) if body.name != TABLE)
     return mount if artefact is None else (*artefact_bodies(artefact, geometry, pose), *mount)
 
 

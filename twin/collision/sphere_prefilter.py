@@ -13,13 +13,13 @@ from twin.collision.bodies import Body
 from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, Point
 
-SURELY_MM = 1e-6
+CERTAINTY_MARGIN_MM = 1e-6
 """What comes too near by less is left to the exact search: its own tolerance."""
 _CLOSING_MM2 = 1e-6
 
 
 @dataclass(frozen=True)
-class Ball:
+class SphereBody:
     """A body that is a sphere."""
 
     name: str
@@ -28,30 +28,30 @@ class Ball:
 
 
 @dataclass(frozen=True)
-class Spheres:
+class SceneSpheres:
     """Of a scene."""
 
-    moving: tuple[Ball, ...]
-    standing: tuple[Ball, ...]
+    moving: tuple[SphereBody, ...]
+    standing: tuple[SphereBody, ...]
 
     @classmethod
-    def of(cls, scene: Scene) -> Spheres:
+    def of(cls, scene: Scene) -> SceneSpheres:
         return cls(_spheres(scene.moving), _spheres(scene.obstacles))
 
 
-class SpheresApart:
-    """That every two keep `clearance_mm`, those in `closer` what is said there: as `Scene.free` asks it of all bodies.
+class SpherePrefilter:
+    """Fast test for pairs of spheres that come closer than their clearance; a subset of `Scene.is_free`.
 
-    Looks first where it found something last.
+    Every pair keeps `clearance_mm`, or less if `reduced_mm` lists it. The pair that collided last is tested first.
     """
 
-    def __init__(self, spheres: Spheres, clearance_mm: float, closer: Mapping[tuple[str, str], float]) -> None:
+    def __init__(self, spheres: SceneSpheres, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float]) -> None:
         self._reaches = [
             (
                 *(there - here for here, there in zip(moving.centre, standing.centre, strict=True)),
                 (
-                    min(clearance_mm, closer.get((moving.name, standing.name), clearance_mm))
-                    + (moving.radius + standing.radius - SURELY_MM)
+                    min(clearance_mm, reduced_mm.get((moving.name, standing.name), clearance_mm))
+                    + (moving.radius + standing.radius - CERTAINTY_MARGIN_MM)
                 ),
             )
             for moving in spheres.moving
@@ -76,9 +76,9 @@ class SpheresApart:
         return False
 
 
-def _spheres(bodies: Sequence[Body]) -> tuple[Ball, ...]:
+def _spheres(bodies: Sequence[Body]) -> tuple[SphereBody, ...]:
     return tuple(
-        Ball(body.name, body.shape.a, body.shape.radius)
+        SphereBody(body.name, body.shape.a, body.shape.radius)
         for body in bodies
         if isinstance(body.shape, Capsule) and body.shape.a == body.shape.b
     )

@@ -23,11 +23,11 @@ from twin.collision.geometry import Shape
 CELL_MM = 20.0
 STEP_DEG = 2.5
 SLAB_MM = 40.0
-ORIENTATION = tuple[float, float]
+MountAngles = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Cover:
+class SphereCover:
     """Balls around everything that turns: `centres` (n, 3) in the artefact frame, `radii` (n,)."""
 
     centres: Array
@@ -39,7 +39,7 @@ class Cover:
         return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
 
 
-def cover_of(artefact: Artefact, mount: MountGeometry) -> Cover:
+def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCover:
     """Balls, posts and bar in slabs along the bar, and the shaft; centres relative to the place of the mount."""
     points, radii = _covered(artefact, mount)
     slab = np.floor(points[:, 0] / SLAB_MM).astype(int)
@@ -54,7 +54,7 @@ def cover_of(artefact: Artefact, mount: MountGeometry) -> Cover:
     shaft = np.column_stack([0.0 * along, -np.minimum(along, mount.shaft_mm), 0.0 * along])
     shaft_radii = np.full(len(shaft), math.hypot(mount.shaft_radius_mm, 0.5 * SLAB_MM))
     placed = np.array(centres) - (0.0, mount.shaft_mm, 0.0)
-    return Cover(np.concatenate([placed, shaft]), np.concatenate([sizes, shaft_radii]))
+    return SphereCover(np.concatenate([placed, shaft]), np.concatenate([sizes, shaft_radii]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +77,11 @@ class TurnSweep:
 
 
 def turn_sweep(
-    cover: Cover,
+    cover: SphereCover,
     probe: ProbeGeometry,
     standing: Sequence[Shape],
-    start_deg: ORIENTATION,
-    end_deg: ORIENTATION,
+    start_deg: MountAngles,
+    end_deg: MountAngles,
     *,
     clearance_mm: float,
 ) -> TurnSweep:
@@ -117,7 +117,9 @@ def _covered(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
     return points, np.concatenate(radii)
 
 
-def _turned(cover: Cover, start_deg: ORIENTATION, end_deg: ORIENTATION) -> tuple[tuple[Array, Array, Array], Array]:
+def _turned(
+    cover: SphereCover, start_deg: MountAngles, end_deg: MountAngles
+) -> tuple[tuple[Array, Array, Array], Array]:
     """x, y and z (azimuths, elevations, m) of the balls at every sample of the angles, and their radii (m,) with what
     may happen between two samples."""
     (azimuths, half_azimuth), (elevations, half_elevation) = (

@@ -10,37 +10,35 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import TypeVar
 
-Place = TypeVar("Place", bound=Hashable)
+Node = TypeVar("Node", bound=Hashable)
 
-MOST_EXACT = 8
+MAX_EXACT_NODES = 8
 _LEAST_GAIN = 1e-9
 
 
 def shortest_tour(
-    places: Sequence[Place],
-    start: Place,
-    end: Place | None,
-    cost: Callable[[Place, Place], float],
-    least: Callable[[Place, Place], float],
-) -> list[Place]:
+    places: Sequence[Node],
+    start: Node,
+    end: Node | None,
+    cost: Callable[[Node, Node], float],
+    least: Callable[[Node, Node], float],
+) -> list[Node]:
     """`places` in the order that costs least from `start` to `end` (None: wherever it ends).
 
-    `least(a, b)`: a lower bound of `cost(a, b)` that is cheap to know. Up to `MOST_EXACT` places the answer is the
+    `least(a, b)`: a lower bound of `cost(a, b)` that is cheap to know. Up to `MAX_EXACT_NODES` places the answer is the
     best there is (Held and Karp 1962); beyond, no exchange of two legs and no move of up to three places makes the
     answer better. Of equals the earlier in `places`.
     """
-    if len(places) <= MOST_EXACT:
+    if len(places) <= MAX_EXACT_NODES:
         return _exact(places, start, end, cost)
     return _improved(_nearest(places, start, least), start, end, cost, least)
 
 
-def _stops(order: Sequence[Place], start: Place, end: Place | None) -> list[Place]:
+def _stops(order: Sequence[Node], start: Node, end: Node | None) -> list[Node]:
     return [start, *order, *([] if end is None else [end])]
 
 
-def _exact(
-    places: Sequence[Place], start: Place, end: Place | None, cost: Callable[[Place, Place], float]
-) -> list[Place]:
+def _exact(places: Sequence[Node], start: Node, end: Node | None, cost: Callable[[Node, Node], float]) -> list[Node]:
     """Best ways through every subset, by its last place."""
     costs = [[0.0 if a is b else cost(a, b) for b in places] for a in places]
     best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {
@@ -65,9 +63,9 @@ def _exact(
     return [places[index] for index in min(ends, default=(0.0, ()))[1]]
 
 
-def _nearest(places: Sequence[Place], start: Place, least: Callable[[Place, Place], float]) -> list[Place]:
+def _nearest(places: Sequence[Node], start: Node, least: Callable[[Node, Node], float]) -> list[Node]:
     """Always on to the nearest that is left."""
-    left, order, here = list(places), list[Place](), start
+    left, order, here = list(places), list[Node](), start
     while left:
         here = min(left, key=lambda place: least(here, place))
         left.remove(here)
@@ -76,13 +74,13 @@ def _nearest(places: Sequence[Place], start: Place, least: Callable[[Place, Plac
 
 
 def _improved(
-    order: list[Place],
-    start: Place,
-    end: Place | None,
-    cost: Callable[[Place, Place], float],
-    least: Callable[[Place, Place], float],
-) -> list[Place]:
-    better: list[Place] | None = order
+    order: list[Node],
+    start: Node,
+    end: Node | None,
+    cost: Callable[[Node, Node], float],
+    least: Callable[[Node, Node], float],
+) -> list[Node]:
+    better: list[Node] | None = order
     while better is not None:
         order, old = better, {leg: cost(*leg) for leg in pairwise(_stops(better, start, end))}
         exchanged = (one for one in _exchanged(order) if _cheaper(_stops(one, start, end), old, cost, least))
@@ -91,10 +89,10 @@ def _improved(
 
 
 def _cheaper(
-    stops: list[Place],
-    old: Mapping[tuple[Place, Place], float],
-    cost: Callable[[Place, Place], float],
-    least: Callable[[Place, Place], float],
+    stops: list[Node],
+    old: Mapping[tuple[Node, Node], float],
+    cost: Callable[[Node, Node], float],
+    least: Callable[[Node, Node], float],
 ) -> bool:
     """Whether the way over `stops` costs less than one of legs that cost as `old` says; those that both have do not
     matter."""
@@ -105,7 +103,7 @@ def _cheaper(
     return sum([least(*leg) for leg in new]) < saved and sum([cost(*leg) for leg in new]) < saved
 
 
-def _exchanged(order: list[Place]) -> Iterator[list[Place]]:
+def _exchanged(order: list[Node]) -> Iterator[list[Node]]:
     """Every part turned round (2-opt), and every part of up to three places elsewhere (or-opt)."""
     count = len(order)
     for first in range(count):

@@ -19,7 +19,7 @@ from twin.identification.normal import Precision, Scales
 from twin.identification.options import Options
 from twin.identification.problem import Problem, build_problem
 from twin.machine.machine_population import Family
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 Indices = NDArray[np.intp]
 
@@ -51,7 +51,7 @@ class Candidates:
         inverse = np.linalg.inv(self.precision + rows.T @ rows)
         return np.asarray(0.5 * (inverse + inverse.T))
 
-    def vce(self, chosen: Sequence[int] | Indices) -> Volumetric:
+    def vce(self, chosen: Sequence[int] | Indices) -> VolumetricRms:
         """Expected volumetric compensated error once the `chosen` ones have been measured; of none: what there is."""
         return self.form.expected(self.covariance(chosen))
 

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from twin.arrays import Array, as_points, as_vector
 from twin.identification.unknowns import Indices, Unknowns
 from twin.machine.forward_model import deviation_basis
-from twin.machine.grid_quadrature import GridSums
+from twin.machine.grid_quadrature import GridQuadrature
 from twin.machine.rigid_motion import rigid_fields
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 _CHUNK = 2000  # grid points whose fields are held at a time
 _CROSS_DEGREE = 3
@@ -34,7 +34,7 @@ class Criterion:
         """Form over a grid of axis positions (n, 3) mm for the tool (3,) mm whose field counts."""
         grid, offset = as_points(axis_positions, "axis positions"), as_vector(tool_offset, 3, "tool offset")
         fields = _Fields(unknowns, offset)
-        sums = GridSums.over(grid, fields.degrees)
+        sums = GridQuadrature.for_points(grid, fields.degrees)
         roots = np.sqrt(sums.weights)[:, None, None]
         middle, size_mm = grid.mean(axis=0) + offset, max(float(np.ptp(grid, axis=0).max()), 1.0)
         gram, shared, motion = np.zeros((fields.size, fields.size)), np.zeros((6, fields.size)), np.zeros((6, 6))
@@ -53,10 +53,10 @@ class Criterion:
             beside=fields.beside,
         )
 
-    def expected(self, covariance: Array) -> Volumetric:
+    def expected(self, covariance: Array) -> VolumetricRms:
         """Root of the expected mean squares for a covariance (P, P)."""
         raw, aligned = (float(np.vdot(form, covariance)) + self.beside for form in (self.raw, self.aligned))
-        return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
+        return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.collision.bodies import ProbeGeometry
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import Planned, Procedure
 from twin.identification import Estimate, Options, identify
 from twin.machine.error_model import ErrorModel
@@ -69,7 +69,7 @@ class SetUp:
         return replace(self, procedure=procedure).adding(replace(p, tool=name) for p in self.first_positions())
 
 
-def layout_for(layout: Layout, tool_offset: Array, tool_axis: int) -> Layout:
+def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:
     """The layout of another tool offset (3,) mm, its probe longer or shorter by the difference along the tool axis.
 
     What is in the way is judged for a straight probe, and for no shorter one than stem and body of the layout's.

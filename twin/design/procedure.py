@@ -13,7 +13,7 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.errors import DataError
 
 Numbers = NDArray[np.intp]
@@ -39,7 +39,7 @@ class Procedure:
     """With what positions are measured. `layouts`: tool name → layout, the tool of a run first; `covariance_mm2` (3, 3)
     of one ball centre."""
 
-    layouts: Mapping[str, Layout]
+    layouts: Mapping[str, MeasuringLayout]
     covariance_mm2: Array
 
     @property
@@ -48,14 +48,14 @@ class Procedure:
 
     @property
     def stations(self) -> tuple[int, ...]:
-        return tuple(sorted(self.layout().places_mm))
+        return tuple(sorted(self.layout().locations_mm))
 
     @property
     def tool_offsets(self) -> Array:
         """(T, 3) mm, in the order of `layouts`."""
         return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
 
-    def layout(self, tool: str | None = None) -> Layout:
+    def layout(self, tool: str | None = None) -> MeasuringLayout:
         """Layout of a tool, by default of the first; DataError for one that is not there."""
         if tool is None:
             return next(iter(self.layouts.values()))

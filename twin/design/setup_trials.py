@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.artefact.position_set import SETS, Position
+from twin.artefact.position_set import POSITION_SETS, Position
 from twin.design.identifiability import Viewpoint, Visibility, visibility
 from twin.design.measurement_setup import SetUp, shortest_reach_mm
 from twin.machine.kinematic_chain import AXES
@@ -110,7 +110,7 @@ def trials(set_up: SetUp) -> Iterator[Trial]:
     """Everything that is worth a try."""
     for tool in other_tools(set_up):
         yield Trial(set_up.adding_tool(tool.name, tool.offset), tool=tool)
-    for name in SETS:
+    for name in POSITION_SETS:
         further = _further(set_up, name)
         if further:
             yield Trial(set_up.adding(further), added=name)
@@ -148,5 +148,5 @@ def _further(set_up: SetUp, name: str) -> tuple[Position, ...]:
     """Positions of a named set, at the stations of the set-up, that the first tool does not measure yet."""
     there = {(p.station, p.azimuth_deg, p.elevation_deg) for p in set_up.first_positions()}
     stations = sorted({station for station, _, _ in there})
-    wanted = [(station, *orientation) for station in stations for orientation in SETS[name]]
+    wanted = [(station, *orientation) for station in stations for orientation in POSITION_SETS[name]]
     return tuple(Position(*place) for place in wanted if place not in there)

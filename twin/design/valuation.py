@@ -16,7 +16,7 @@ from twin.identification.normal import Posterior, Precision, Scales
 from twin.identification.options import Options
 from twin.identification.problem import Problem, build_problem
 from twin.machine.machine_population import Family
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Valuation:
     """`before`: expected volumetric error of the family, what the model cannot represent included; `after`: expected
     volumetric compensated error."""
 
-    before: Volumetric
-    after: Volumetric
+    before: VolumetricRms
+    after: VolumetricRms
 
     @property
     def percent(self) -> float:

@@ -21,7 +21,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.errors import DataError
-from twin.machine.error_model import ErrorModel, Parameter, kind_of
+from twin.machine.error_model import ErrorModel, Parameter, error_motion_kind
 from twin.machine.kinematic_chain import AXES
 
 _STRAIGHTNESS_ORDER = 2  # the lowest there is: a bow
@@ -124,7 +124,7 @@ def _drifts(parameter: Parameter) -> bool:
 
 
 def _is_scale(name: str) -> bool:
-    return name.startswith("E") and kind_of(name[:3]) == "positioning"
+    return name.startswith("E") and error_motion_kind(name[:3]) == "positioning"
 
 
 def _per_k(prior: DriftPrior, parameter: Parameter) -> float:

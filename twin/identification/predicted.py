@@ -13,9 +13,9 @@ from twin.arrays import Array, as_points, as_vector
 from twin.identification.estimate import Misfit
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis
-from twin.machine.grid_quadrature import GridSums
+from twin.machine.grid_quadrature import GridQuadrature
 from twin.machine.rigid_motion import rigid_fields
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 _CHUNK = 500  # points whose basis is held at a time
 
@@ -31,7 +31,7 @@ class FieldKnowledge(Protocol):
     def misfit(self) -> Misfit | None: ...
 
 
-def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Volumetric:
+def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricRms:
     """Predicted volumetric compensated error at axis positions (n, 3): root of the expected mean square, over the
     posterior, of machine less model; raw and after the best rigid motion.
 
@@ -41,7 +41,7 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
     moments = _second_moments(estimate)
     beside = 3.0 * unresolved(estimate)
     raw, left = (float(np.vdot(form, moments)) + beside for form in field_forms(estimate, grid, offset))
-    return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(left, 0.0))))
+    return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(left, 0.0))))
 
 
 def field_uncertainty(
@@ -96,7 +96,7 @@ class _Sums:
 
 def _sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> _Sums:
     motions = _motions_about(grid, offset)
-    sums = GridSums.over(grid, _degrees(estimate))
+    sums = GridQuadrature.for_points(grid, _degrees(estimate))
     size = len(_second_moments(estimate))
     field_sum, shared, motion = np.zeros((size, size)), np.zeros((6, size)), np.zeros((6, 6))
     for start in range(0, len(sums.nodes), _CHUNK):

@@ -41,7 +41,7 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
 
 
 def _drift(family: Family, seen: Observations, options: Options, scale: Array) -> MachineDrift | None:
-    ways = seen.course.shape[1]
+    ways = seen.thermal_regressors.shape[1]
     if options.drift is None or ways == 0:
         return None
     return MachineDrift.of(family.model, options.drift, ways, scale > 0.0)

@@ -211,7 +211,7 @@ def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: 
         return deviation_basis(unknowns.model, at, seen.tool_offsets[tool[0]], unknowns.scale)
     design = np.empty((len(source), 3, blocks.size))
     for number, rows in _rows_by_tool(tool):
-        _fill_field(design, rows, unknowns, at[rows], seen.tool_offsets[number], seen.course[source][rows])
+        _fill_field(design, rows, unknowns, at[rows], seen.tool_offsets[number], seen.thermal_regressors[source][rows])
     rotation = np.repeat(poses.rotation, layout.width, axis=0)
     _fill_artefact(design, blocks, nuisance, source, seen.ball[source], rotation)
     return design

@@ -19,10 +19,10 @@ _UM = 1e-3
 _RAIL_PITCHES = (0.24, 1.2)  # shortest and longest, of half the axis
 _SMOOTH_WAVES = 60
 
-Draw = Callable[[Ranges, np.random.Generator], DeflectionGrid]
+DeflectionGenerator = Callable[[Ranges, np.random.Generator], DeflectionGrid]
 
 
-def portal(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
+def portal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     """A cross-beam along X that sags between its columns, twists under what hangs on it, and shortens as it bends."""
     (x, y, z), shape = _normalised()
     bow = np.cos(0.5 * np.pi * x)
@@ -34,7 +34,7 @@ def portal(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     return _grid(ranges_mm, field)
 
 
-def rails(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
+def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     """Rails that wave between their screws: each axis in each direction a sine of its own pitch, with a lever."""
     places, shape = _normalised()
     field = np.zeros((*shape, 3))
@@ -47,7 +47,7 @@ def rails(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     return _grid(ranges_mm, field)
 
 
-def thermal(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
+def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     """A bed that bows, a column warmer at its foot, and how the two carry what stands on them."""
     (x, y, z), shape = _normalised()
     bed, foot, nod, lean, sway, roll = rng.uniform(-3.0, 3.0, 6) * _UM
@@ -58,7 +58,7 @@ def thermal(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     return _grid(ranges_mm, field)
 
 
-def smooth(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
+def smooth_random_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     """A random field without any structure: many plane waves of one correlation length (0.2 to 0.8 of the axes)."""
     places, shape = _normalised()
     flat = np.stack(places, axis=-1).reshape(-1, 3)

@@ -44,7 +44,7 @@ SQUARENESS = ("A0Z", "B0Z", "C0Y")
 CROSS_TERMS = ("b0", "b1", "b2", "c0", "c1")
 DEFAULT_CROSS_EFFECT = ("b1", "b2", "c1")
 
-Kind = Literal["positioning", "straightness", "rotation", "squareness", "cross_displacement", "cross_rotation"]
+ParameterKind = Literal["positioning", "straightness", "rotation", "squareness", "cross_displacement", "cross_rotation"]
 Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 
@@ -56,7 +56,7 @@ class Parameter:
     error: str
     order: int
     unit: Literal["mm", "rad"]
-    kind: Kind
+    kind: ParameterKind
 
 
 @dataclass(frozen=True)
@@ -149,10 +149,10 @@ class ErrorModel:
 
 def series_orders(error: str, highest: int) -> range:
     """Legendre orders present: 1 ... N, for a straightness 2 ... N."""
-    return range(2 if kind_of(error) == "straightness" else 1, highest + 1)
+    return range(2 if error_motion_kind(error) == "straightness" else 1, highest + 1)
 
 
-def kind_of(error: str) -> Literal["positioning", "straightness", "rotation"]:
+def error_motion_kind(error: str) -> Literal["positioning", "straightness", "rotation"]:
     """Kind of one of the 18 error motions."""
     if error[1] in "ABC":
         return "rotation"
@@ -160,7 +160,7 @@ def kind_of(error: str) -> Literal["positioning", "straightness", "rotation"]:
 
 
 def _term(error: str, order: int) -> Parameter:
-    kind = kind_of(error)
+    kind = error_motion_kind(error)
     return Parameter(f"{error}[{order}]", error, order, "rad" if kind == "rotation" else "mm", kind)
 
 

@@ -16,20 +16,20 @@ from twin.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
-class GridSums:
+class GridQuadrature:
     """Over `count` points Σ a(X)ᵀ b(X) = Σ `weights` a(`nodes`)ᵀ b(`nodes`) for columns a, b of the degrees given.
 
-    `nodes` (m, 3) mm, `weights` (m,). `spread`: Lagrange polynomials of the nodes at the points, (points, nodes) for
+    `nodes` (m, 3) mm, `weights` (m,). `lagrange`: Lagrange polynomials of the nodes at the points, (points, nodes) for
     each axis; None where the nodes are the points.
     """
 
     count: int
     nodes: Array
     weights: Array
-    spread: tuple[Array, ...] | None
+    lagrange: tuple[Array, ...] | None
 
     @classmethod
-    def over(cls, points: Array, degrees: tuple[int, int, int]) -> GridSums:
+    def for_points(cls, points: Array, degrees: tuple[int, int, int]) -> GridQuadrature:
         """For points (n, 3), columns of these degrees in x, y, z. Points that are no grid are summed one by one."""
         lines = _lines(points)
         if lines is None:
@@ -41,11 +41,11 @@ class GridSums:
 
     def gather(self, field: Array) -> Array:
         """(m, 3): what a field (n, 3) at the points is on the nodes; Σ a(X)ᵀ f(X) = Σ a(nodes)ᵀ gathered."""
-        if self.spread is None:
+        if self.lagrange is None:
             return field
-        gathered = field.reshape(*(len(lagrange) for lagrange in self.spread), 3)
-        for lagrange in self.spread:  # each takes the leading axis and puts its nodes last
-            gathered = np.tensordot(gathered, lagrange, axes=(0, 0))
+        gathered = field.reshape(*(len(polynomials) for polynomials in self.lagrange), 3)
+        for polynomials in self.lagrange:  # each takes the leading axis and puts its nodes last
+            gathered = np.tensordot(gathered, polynomials, axes=(0, 0))
         return np.moveaxis(gathered, 0, -1).reshape(-1, 3)
 
 

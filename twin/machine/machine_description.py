@@ -51,7 +51,7 @@ class MachineDescription:
             message = f"the deflection grid ({spans} mm) does not cover the travel"
             raise ModelError(message, hint=hint, key="deflection.grid")
 
-    def of_order(self, order: int) -> MachineDescription:
+    def with_order(self, order: int) -> MachineDescription:
         """The same machine with the same Legendre order for all 18 error motions, its family from the amplitudes."""
         orders = dict.fromkeys(ERROR_MOTIONS, order)
         return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))

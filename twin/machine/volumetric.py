@@ -17,7 +17,7 @@ from twin.arrays import Array, as_points, as_vector
 from twin.errors import DataError, ModelError
 from twin.machine.error_model import ErrorModel, Ranges
 from twin.machine.forward_model import deviation_basis
-from twin.machine.grid_quadrature import GridSums
+from twin.machine.grid_quadrature import GridQuadrature
 from twin.machine.kinematic_chain import AXES
 from twin.machine.rigid_motion import rigid_fields
 
@@ -26,7 +26,7 @@ _END_TOLERANCE = 1e-9  # of the range
 
 
 @dataclass(frozen=True)
-class Volumetric:
+class VolumetricRms:
     """Rms deviation in mm: `raw_mm` as defined, `aligned_mm` after the best rigid motion of the workspace."""
 
     raw_mm: float
@@ -99,10 +99,10 @@ def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) ->
     return np.asarray(rigid_fields(other, middle, size_mm) @ motion)
 
 
-def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> Volumetric:
+def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> VolumetricRms:
     """Raw and aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
     field = as_points(deviation, "deviation")
-    return Volumetric(rms(field), rms(align_rigidly(points, field)))
+    return VolumetricRms(rms(field), rms(align_rigidly(points, field)))
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class QuadraticForm:
         """Form for grid positions (n, 3) and tool offset (3,)."""
         points = as_points(axis_positions, "axis positions")
         offset = as_vector(tool_offset, 3, "tool offset")
-        sums = GridSums.over(points, _degrees(model))
+        sums = GridQuadrature.for_points(points, _degrees(model))
         gram, shared = np.zeros((model.size, model.size)), np.zeros((6, model.size))
         roots = np.sqrt(sums.weights).repeat(3)[:, None]
         motions = _rigid_motions(sums.nodes + offset, sums.weights)
@@ -144,7 +144,7 @@ class QuadraticForm:
         fixed = as_points(field, "field")
         if fixed.shape != self.axis_positions.shape:
             raise DataError(f"the field has {len(fixed)} points, the grid {len(self.axis_positions)}")
-        sums = GridSums.over(self.axis_positions, _degrees(self.model))
+        sums = GridQuadrature.for_points(self.axis_positions, _degrees(self.model))
         roots = np.sqrt(sums.weights).repeat(3)
         motions = _rigid_motions(sums.nodes + self.tool_offset, sums.weights)
         gathered = sums.gather(fixed).reshape(-1)
@@ -171,17 +171,17 @@ class QuadraticForm:
         aligned = _mean_squares(vectors, self.aligned, self.aligned_linear, self.aligned_constant)
         return np.sqrt(raw), np.sqrt(aligned)
 
-    def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> Volumetric:
+    def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> VolumetricRms:
         """Volumetric error of one machine (p,). For many machines with one field use `with_field` once."""
         form = self if field is None else self.with_field(field)
         raw, aligned = form.values(as_vector(parameters, self.model.size, "parameters")[None, :])
-        return Volumetric(float(raw[0]), float(aligned[0]))
+        return VolumetricRms(float(raw[0]), float(aligned[0]))
 
-    def expected(self, covariance: Array) -> Volumetric:
+    def expected(self, covariance: Array) -> VolumetricRms:
         """sqrt(trace(Q P) + fixed field): root of the expected mean square for a covariance P (p, p)."""
         raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
         aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant
-        return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
+        return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 
 
 def _mean_squares(vectors: Array, form: Array, linear: Array, constant: float) -> Array:

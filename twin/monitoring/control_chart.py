@@ -17,14 +17,14 @@ from twin.errors import DataError
 
 D2 = 2.0 / math.sqrt(math.pi)
 """Expected range of two standard normal values, 1.128."""
-WIDTH = 3.0
+LIMIT_WIDTH = 3.0
 EWMA_WEIGHT = 0.2
-EWMA_WIDTH = 2.962
-FEWEST = 3
+EWMA_LIMIT_WIDTH = 2.962
+MIN_VALUES = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Individuals:
+class IndividualsChart:
     """Centre, standard deviation of one value and limits, in the values' unit; `outside`: places beyond a limit."""
 
     centre: float
@@ -35,7 +35,7 @@ class Individuals:
 
 
 @dataclass(frozen=True, eq=False)
-class Ewma:
+class EwmaChart:
     """`values`, `lower`, `upper` (n,); `outside`: places where the mean has left its limits."""
 
     values: Array
@@ -44,17 +44,17 @@ class Ewma:
     outside: tuple[int, ...]
 
 
-def individuals(values: ArrayLike) -> Individuals:
+def individuals_chart(values: ArrayLike) -> IndividualsChart:
     """The chart of values (n,) in order of time; n at least 3, else DataError."""
     found = _series(values)
     sigma = float(np.abs(np.diff(found)).mean()) / D2
     centre = float(found.mean())
-    lower, upper = centre - WIDTH * sigma, centre + WIDTH * sigma
+    lower, upper = centre - LIMIT_WIDTH * sigma, centre + LIMIT_WIDTH * sigma
     outside = np.flatnonzero((found < lower) | (found > upper))
-    return Individuals(centre, sigma, lower, upper, tuple(outside.tolist()))
+    return IndividualsChart(centre, sigma, lower, upper, tuple(outside.tolist()))
 
 
-def ewma(values: ArrayLike, centre: float, sigma: float) -> Ewma:
+def ewma_chart(values: ArrayLike, centre: float, sigma: float) -> EwmaChart:
     """z_i = w x_i + (1 - w) z_(i-1) from z_0 = `centre`; limits with the exact variance of z_i."""
     found = _series(values)
     smooth = np.empty_like(found)
@@ -63,13 +63,13 @@ def ewma(values: ArrayLike, centre: float, sigma: float) -> Ewma:
         last = EWMA_WEIGHT * float(value) + (1.0 - EWMA_WEIGHT) * last
         smooth[place] = last
     powers = (1.0 - EWMA_WEIGHT) ** (2.0 * np.arange(1, len(found) + 1))
-    half = EWMA_WIDTH * sigma * np.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT) * (1.0 - powers))
+    half = EWMA_LIMIT_WIDTH * sigma * np.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT) * (1.0 - powers))
     outside = np.flatnonzero(np.abs(smooth - centre) > half)
-    return Ewma(smooth, centre - half, centre + half, tuple(outside.tolist()))
+    return EwmaChart(smooth, centre - half, centre + half, tuple(outside.tolist()))
 
 
 def _series(values: ArrayLike) -> Array:
     found = np.asarray(values, dtype=np.float64)
-    if found.ndim != 1 or len(found) < FEWEST or not np.isfinite(found).all():
-        raise DataError(f"a control chart needs at least {FEWEST} finite values in a row")
+    if found.ndim != 1 or len(found) < MIN_VALUES or not np.isfinite(found).all():
+        raise DataError(f"a control chart needs at least {MIN_VALUES} finite values in a row")
     return found

@@ -11,7 +11,7 @@ _STEPS = 60  # halvings of the horizon
 
 
 @dataclass(frozen=True)
-class Crossing:
+class LimitCrossing:
     """Nights from the last one until the `limit`. `expected`: of the line itself; `earliest`: of the edge of its 95 %
     band; 0: reached already; infinite: never within the horizon. `reached`: the line itself is there."""
 
@@ -24,13 +24,13 @@ class Crossing:
         return self.expected <= 0.0
 
 
-def crossing(drift: Drift, limit: float, horizon: float, *, two_sided: bool) -> Crossing:
+def limit_crossing(drift: Drift, limit: float, horizon: float, *, two_sided: bool) -> LimitCrossing:
     """`two_sided`: the value may not leave [-limit, limit]; else it may not exceed `limit`. Looks `horizon` nights
     ahead."""
     sides = (1.0, -1.0) if two_sided else (1.0,)
     expected = min(_line(drift, limit, side, horizon) for side in sides)
     earliest = min(_band(drift, limit, side, horizon) for side in sides)
-    return Crossing(limit, expected, min(earliest, expected))
+    return LimitCrossing(limit, expected, min(earliest, expected))
 
 
 def _line(drift: Drift, limit: float, side: float, horizon: float) -> float:
@@ -46,7 +46,7 @@ def _band(drift: Drift, limit: float, side: float, horizon: float) -> float:
     where it begins below."""
 
     def beyond(nights: float) -> bool:
-        value, sigma = drift.ahead(nights)
+        value, sigma = drift.predict(nights)
         return side * value + drift.factor * sigma >= limit
 
     if beyond(0.0):

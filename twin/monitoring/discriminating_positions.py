@@ -21,41 +21,41 @@ from twin.monitoring.step_detection import ERRORS
 
 
 @dataclass(frozen=True, eq=False)
-class Questions:
-    """`moves` (m, P) of z; `asked` (q, m): which of them make up each question, their noncentralities added."""
+class JumpQuestions:
+    """`shifts` (m, P) of z; `weights` (q, m): which of them make up each question, their noncentralities added."""
 
-    moves: Array
-    asked: Array
+    shifts: Array
+    weights: Array
 
     @classmethod
-    def which(cls, jumps: Array) -> Questions:
+    def which_jump(cls, jumps: Array) -> JumpQuestions:
         """Which of the `jumps` (k, P) it is: one question for each pair."""
         pairs = np.array(list(combinations(range(len(jumps)), 2)), dtype=np.intp).reshape(-1, 2)
         return cls(jumps[pairs[:, 0]] - jumps[pairs[:, 1]], np.eye(len(pairs)))
 
     @classmethod
-    def whether(cls, unknowns: Unknowns) -> Questions:
+    def any_jump(cls, unknowns: Unknowns) -> JumpQuestions:
         """Whether any error has jumped, each of its coefficients by as much as the family spreads."""
         names = np.array([parameter.error for parameter in unknowns.model.parameters])
         moves = np.eye(len(names), unknowns.blocks.size)
         return cls(moves, np.array([names == error for error in ERRORS], dtype=np.float64))
 
-    def answers(self, factors: Array, covariance: Array) -> Array:
+    def noncentralities(self, factors: Array, covariance: Array) -> Array:
         """(N, q) noncentralities that N positions of `factors` (N, r, P) give, (P, P) what is known of z before."""
-        seen = factors @ self.moves.T
+        seen = factors @ self.shifts.T
         noise = np.eye(factors.shape[1]) + factors @ covariance @ factors.transpose(0, 2, 1)
-        return np.asarray(np.einsum("nrm,nrm->nm", seen, np.linalg.solve(noise, seen)) @ self.asked.T)
+        return np.asarray(np.einsum("nrm,nrm->nm", seen, np.linalg.solve(noise, seen)) @ self.weights.T)
 
 
-def most_telling(
-    candidates: Candidates, measured: list[int], questions: Questions, allowed: NDArray[np.bool_], minutes: Array
+def rank_discriminating_positions(
+    candidates: Candidates, measured: list[int], questions: JumpQuestions, allowed: NDArray[np.bool_], minutes: Array
 ) -> Iterator[int]:
     """Candidates by falling worth per minute, each given those before it and those `measured`; `allowed` (N,) may be
     chosen, each once. What is answered already counts little: the sum of ln(1 + noncentrality) grows most."""
     left, chosen = allowed.copy(), list(measured)
     told = _answered(candidates, measured, questions)
     while left.any():
-        each = questions.answers(candidates.factors, candidates.covariance(chosen))
+        each = questions.noncentralities(candidates.factors, candidates.covariance(chosen))
         worth = (np.log1p(told + each) - np.log1p(told)).sum(axis=1) / minutes
         best = int(np.argmax(np.where(left, worth, -np.inf)))
         yield best
@@ -64,10 +64,10 @@ def most_telling(
         told = told + each[best]
 
 
-def _answered(candidates: Candidates, measured: list[int], questions: Questions) -> Array:
+def _answered(candidates: Candidates, measured: list[int], questions: JumpQuestions) -> Array:
     """(q,) by the positions `measured`, one after the other."""
-    told = np.zeros(len(questions.asked))
+    told = np.zeros(len(questions.weights))
     for number, index in enumerate(measured):
         before = candidates.covariance(measured[:number])
-        told = told + questions.answers(candidates.factors[index : index + 1], before)[0]
+        told = told + questions.noncentralities(candidates.factors[index : index + 1], before)[0]
     return told

@@ -2,7 +2,7 @@
 
 y_i = level + slope (t_i - t_n) - the steps that come after t_i, variances proportional to the stated ones. The factor
 comes from the residuals (GUM Type A; Deming 1943), because what all nights have in common (certificate, prior) is part
-of a stated uncertainty but scatters no trend. With fewer than `FREEDOM_FOR_SCATTER` degrees of freedom the stated
+of a stated uncertainty but scatters no trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom the stated
 uncertainties are taken as they are. Neighbouring nights that share information scatter too little: with a lag-1
 correlation r > 0 of the residuals the variance is multiplied by (1 + r) / (1 - r) (Bartlett 1935).
 """
@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 from twin.arrays import Array
 from twin.errors import DataError
 
-FREEDOM_FOR_SCATTER = 4
+MIN_FREEDOM_FOR_SCALE = 4
 COVERAGE = 0.95
 _HIGHEST_CORRELATION = 0.9
 
@@ -47,7 +47,7 @@ class Drift:
         """Whether the slope stands out of its uncertainty (95 %)."""
         return abs(self.slope) > self.factor * self.slope_sigma
 
-    def ahead(self, nights: float) -> tuple[float, float]:
+    def predict(self, nights: float) -> tuple[float, float]:
         """Value and standard uncertainty of the line so many nights after the last one."""
         variance = self.level_sigma**2 + 2.0 * nights * self.covariance + (nights * self.slope_sigma) ** 2
         return self.level + self.slope * nights, float(np.sqrt(max(variance, 0.0)))
@@ -72,7 +72,7 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
     scatter, correlation = _scatter(residuals, freedom)
     covariance = covariance * scatter**2 * (1.0 + correlation) / (1.0 - correlation)
     sigma = np.sqrt(np.diagonal(covariance))
-    factor = float(stdtrit(freedom if freedom >= FREEDOM_FOR_SCATTER else 1e6, 0.5 + 0.5 * COVERAGE))
+    factor = float(stdtrit(freedom if freedom >= MIN_FREEDOM_FOR_SCALE else 1e6, 0.5 + 0.5 * COVERAGE))
     return Drift(
         level=float(found[0]),
         level_sigma=float(sigma[0]),
@@ -99,7 +99,7 @@ def regression_design(t: Array, steps: Sequence[float]) -> Array:
 def _scatter(residuals: Array, freedom: int) -> tuple[float, float]:
     """Factor on the stated uncertainties, and lag-1 correlation of the residuals, none below zero."""
     square = float(residuals @ residuals)
-    if freedom < FREEDOM_FOR_SCATTER or square == 0.0:
+    if freedom < MIN_FREEDOM_FOR_SCALE or square == 0.0:
         return 1.0, 0.0
     correlation = float(residuals[1:] @ residuals[:-1]) / square
     return float(np.sqrt(square / freedom)), float(np.clip(correlation, 0.0, _HIGHEST_CORRELATION))

@@ -15,58 +15,58 @@ from twin.design.criterion import Criterion
 from twin.identification.normal import Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.forward_model import deviation_basis
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 
 
 @dataclass(frozen=True, eq=False)
-class ActingError:
-    """Over a workspace and for one tool; `form` of all `unknowns` z (P,), `beside` mm² what the modes leave out."""
+class ResidualWithTable:
+    """Over a workspace and for one tool; `form` of all `unknowns` z (P,), `left_out_mm2` what the modes leave out."""
 
     unknowns: Unknowns
     form: Criterion
-    beside: float
+    left_out_mm2: float
 
     @classmethod
-    def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ActingError:
+    def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ResidualWithTable:
         """Over a `grid` of axis positions (n, 3) mm for a tool (3,) mm; `scales`: of the misfit that is known."""
         form = Criterion.build(unknowns, grid, tool_offset)
-        return cls(unknowns, form, 3.0 * beside_of(unknowns, scales))
+        return cls(unknowns, form, 3.0 * left_out_variance(unknowns, scales))
 
-    def of(self, mean: Array, covariance: Array, written: ArrayLike) -> Volumetric:
+    def of(self, mean: Array, covariance: Array, written: ArrayLike) -> VolumetricRms:
         """Root of the expected mean square of machine less table: z has `mean` (P,) and `covariance` (P, P), the table
         holds the parameters `written` (p,) mm or rad."""
-        return self._root(covariance, self.unwritten(mean, written), self.beside)
+        return self._root(covariance, self.uncompensated(mean, written), self.left_out_mm2)
 
-    def between(self, mean: Array, other: Array) -> Volumetric:
+    def between(self, mean: Array, other: Array) -> VolumetricRms:
         """Of the field of the parameters alone by which two z (P,) differ."""
         step = self._parameters_only(mean - other)
         return self._root(np.zeros_like(self.form.raw), step, 0.0)
 
-    def expected_between(self, covariance: Array) -> Volumetric:
+    def expected_between(self, covariance: Array) -> VolumetricRms:
         """The same for parameters that differ by chance with the covariance (P, P) of z."""
         own = self.unknowns.blocks.parameters
         kept = np.zeros_like(covariance)
         kept[own, own] = covariance[own, own]
         return self._root(kept, np.zeros(len(kept)), 0.0)
 
-    def unwritten(self, mean: Array, written: ArrayLike) -> Array:
+    def uncompensated(self, mean: Array, written: ArrayLike) -> Array:
         """z (P,) less that of the parameters `written` (p,)."""
-        return unwritten(self.unknowns, mean, written)
+        return uncompensated(self.unknowns, mean, written)
 
     def _parameters_only(self, step: Array) -> Array:
         own, kept = self.unknowns.blocks.parameters, np.zeros_like(step)
         kept[own] = step[own]
         return kept
 
-    def _root(self, covariance: Array, step: Array, beside: float) -> Volumetric:
+    def _root(self, covariance: Array, step: Array, left_out_mm2: float) -> VolumetricRms:
         raw, aligned = (
-            float(np.vdot(form, covariance)) + float(step @ form @ step) + beside
+            float(np.vdot(form, covariance)) + float(step @ form @ step) + left_out_mm2
             for form in (self.form.raw, self.form.aligned)
         )
-        return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
+        return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 
 
-def unwritten(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
+def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
     """z (P,) less that of the parameters `written` (p,) mm or rad."""
     parameters, scale = as_vector(written, unknowns.model.size, "written parameters"), unknowns.scale
     left = mean.copy()
@@ -74,18 +74,18 @@ def unwritten(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
     return left
 
 
-def beside_of(unknowns: Unknowns, scales: Scales) -> float:
+def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
     """Variance (mm²), per direction, of what is too short in space for the modes of the misfit."""
     modes = unknowns.modes
     return 0.0 if modes is None else unknowns.misfit_mm**2 * float(modes.left_out @ np.square(scales.kinds))
 
 
-def acting_covariance(
+def residual_covariance(
     unknowns: Unknowns, scales: Scales, mean: Array, covariance: Array, points: ArrayLike, tool_offset: ArrayLike
 ) -> Array:
     """Expected outer product (3n, 3n) mm² of machine less table at axis positions (n, 3), point by point x, y, z.
 
-    `mean` (P,): of z less what is written (`unwritten`), `covariance` (P, P).
+    `mean` (P,): of z less what is written (`uncompensated`), `covariance` (P, P).
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     blocks = unknowns.blocks
@@ -97,4 +97,4 @@ def acting_covariance(
         fields[:, :, blocks.misfit] = unknowns.misfit_mm * unknowns.modes.at(grid, at_hand)
     columns = fields.reshape(-1, blocks.size)
     moments = covariance + np.multiply.outer(mean, mean)
-    return np.asarray(columns @ moments @ columns.T) + beside_of(unknowns, scales) * np.eye(len(columns))
+    return np.asarray(columns @ moments @ columns.T) + left_out_variance(unknowns, scales) * np.eye(len(columns))

@@ -43,7 +43,7 @@ _ALONG = 101
 
 
 @dataclass(frozen=True)
-class Suspect:
+class SuspectedJump:
     """One `error` that may have jumped: `evidence` ln of the likelihood ratio against no jump, `chi2` of `freedom`.
 
     `change` in `unit`: of a squareness its value; of an error motion what it has changed by from the lowest to the
@@ -59,7 +59,7 @@ class Suspect:
     coefficients: Mapping[str, float]
 
     @property
-    def chance(self) -> float:
+    def p_value(self) -> float:
         """Of a χ² as large without any jump."""
         return float(chdtrc(self.freedom, self.chi2))
 
@@ -96,12 +96,12 @@ class Innovation:
         after = self.covariance - self.covariance @ self.information @ self.covariance
         return np.asarray(0.5 * (after + after.T))
 
-    def suspects(self, jump: float = 1.0) -> tuple[Suspect, ...]:
+    def suspects(self, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
         """Every error that the model has, the likeliest first; `jump`: how large in units of the family's spread."""
         found = [self._suspect(error, jump) for error in ERRORS if self._columns(error).size]
         return tuple(sorted(found, key=lambda one: -one.evidence))
 
-    def jumped(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[Suspect, ...]:
+    def jumped(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
         """The errors that must have jumped, one after the other, each tested with those before it set free; only those
         with at least so much `evidence`."""
         left, named = self, []
@@ -117,7 +117,7 @@ class Innovation:
         model, scale = self.unknowns.model, self.unknowns.scale
         return np.array([i for i, one in enumerate(model.parameters) if one.error == error and scale[i] > 0.0], int)
 
-    def _suspect(self, error: str, jump: float) -> Suspect:
+    def _suspect(self, error: str, jump: float) -> SuspectedJump:
         columns = self._columns(error)
         score, inner = self.score[columns], self.information[np.ix_(columns, columns)]
         size = len(columns)
@@ -129,7 +129,7 @@ class Innovation:
         names = [self.unknowns.model.names[i] for i in columns]
         values = (self.unknowns.scale[columns] * step).tolist()
         evidence = 0.5 * (float(score @ step) - determinant)
-        return Suspect(error, evidence, sharp, size, change, unit, dict(zip(names, values, strict=True)))
+        return SuspectedJump(error, evidence, sharp, size, change, unit, dict(zip(names, values, strict=True)))
 
     def _change(self, error: str, columns: Array, step: Array) -> tuple[float, Literal["µm", "µrad"]]:
         model = self.unknowns.model

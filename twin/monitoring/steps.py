@@ -18,9 +18,9 @@ from twin.arrays import Array
 from twin.monitoring.drift import regression_design
 
 PENALTY_PER_LOG = 6.0
-FEWEST = 8
-MOST = 5
-SMALLEST_SCATTER = 1e-3
+MIN_NIGHTS = 8
+MAX_STEPS = 5
+MIN_NOISE_SHARE = 1e-3
 """Of the stated uncertainty: below that a series is smooth, and what is left is rounding."""
 MEDIAN_RANGE = 0.9539
 """Median of the range of two standard normal values: sqrt(2) times the upper quartile 0.6745."""
@@ -29,19 +29,19 @@ MEDIAN_RANGE = 0.9539
 def find_steps(
     nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, known: Sequence[float] = ()
 ) -> tuple[float, ...]:
-    """Times (ascending, `known` ones included) from which on another level holds.
+    """Return the times at which the level changes, ascending, `known` times included.
 
-    `known` ones that cannot be told from the slope or from each other are left out. Fewer than `FEWEST` values: none is
-    looked for. A step needs two values on either side of it and must stand without any
-    single one, so that one wild night is none.
+    Known steps that cannot be distinguished from the slope or from each other are left out. With fewer than
+    `MIN_NIGHTS` values no step is searched for. A step needs two values on either side and must remain significant
+    without any single value, so that one outlier does not count as a step.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     steps = list(_usable(t, known))
-    if len(t) < FEWEST:
+    if len(t) < MIN_NIGHTS:
         return tuple(steps)
     relative = u / np.median(u)
-    scatter = max(_successive(y / relative), SMALLEST_SCATTER * float(np.median(u)))
-    while len(steps) < MOST + len(known):
+    scatter = max(_successive(y / relative), MIN_NOISE_SHARE * float(np.median(u)))
+    while len(steps) < MAX_STEPS + len(known):
         best = _best(t, y, scatter * relative, steps)
         if best is None:
             break

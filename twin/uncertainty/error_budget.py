@@ -25,7 +25,7 @@ from twin.identification.problem import Problem, build_problem
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.machine_population import Family
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.linear_estimator import LinearEstimator
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 from twin.uncertainty.residual_field_form import FieldForm, deflected
@@ -50,7 +50,7 @@ class ErrorBudget:
     bias: Array
 
     @cached_property
-    def contributions(self) -> Mapping[str, Volumetric]:
+    def contributions(self) -> Mapping[str, VolumetricRms]:
         """Influence → root of its part in the expected mean square."""
         squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
         fixed = self.field.fixed_square(self.bias)
@@ -58,13 +58,13 @@ class ErrorBudget:
         return {name: _root(raw, aligned) for name, (raw, aligned) in squares.items()}
 
     @cached_property
-    def expected(self) -> Volumetric:
+    def expected(self) -> VolumetricRms:
         """Root of the expected mean square VCE over machines."""
         parts = self.contributions.values()
         return _root(sum(part.raw_mm**2 for part in parts), sum(part.aligned_mm**2 for part in parts))
 
     @cached_property
-    def before(self) -> Volumetric:
+    def before(self) -> VolumetricRms:
         """Root of the expected mean square VE over machines."""
         return self.field.before()
 
@@ -213,5 +213,5 @@ def _embedded(field: FieldForm, covariance: Array) -> Array:
     return moments
 
 
-def _root(raw: float, aligned: float) -> Volumetric:
-    return Volumetric(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
+def _root(raw: float, aligned: float) -> VolumetricRms:
+    return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))

@@ -18,7 +18,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification.estimate import Estimate
 from twin.machine.true_machine import TrueMachine
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.residual_field_form import FieldForm
 from twin.uncertainty.truth_assumptions import Reality
 
@@ -64,10 +64,10 @@ def errors_left(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array
     return form.form.values(_spread(form, truths, form.true) - _spread(form, estimates, form.own))
 
 
-def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> Volumetric:
+def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> VolumetricRms:
     """Volumetric error that `truth` is left with under the compensation of `estimate`."""
     raw, aligned = errors_left(form, truth.parameters[None, :], estimate.parameters[None, :])
-    return Volumetric(float(raw[0]), float(aligned[0]))
+    return VolumetricRms(float(raw[0]), float(aligned[0]))
 
 
 def _spread(form: FieldForm, parameters: Array, places: Numbers) -> Array:

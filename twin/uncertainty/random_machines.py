@@ -31,10 +31,10 @@ _DRIFT_MM = 0.5e-3
 
 MakeDeflection = Callable[[Ranges, np.random.Generator], DeflectionGrid]
 _DRAWN: Mapping[str, MakeDeflection] = {
-    "rails": deflection_forms.rails,
-    "smooth": deflection_forms.smooth,
-    "portal": deflection_forms.portal,
-    "thermal": deflection_forms.thermal,
+    "rails": deflection_forms.rail_deflection,
+    "smooth": deflection_forms.smooth_random_deflection,
+    "portal": deflection_forms.portal_deflection,
+    "thermal": deflection_forms.thermal_deflection,
 }
 FORMS = ("none", "beams", *_DRAWN)
 """Of deflection; `beams` is that of the machine file, drawn in size."""
@@ -62,7 +62,7 @@ def make(description: MachineDescription, tool_offset: Array, form: str, rng: np
         reality = Reality.as_modelled(description)
         parameters = description.family.prior_standard_deviation * rng.standard_normal(description.model.size)
         return Made(form, TrueMachine(description.model, parameters, tool_offset, None), reality, 1.0)
-    richer = description.of_order(TRUE_ORDER)
+    richer = description.with_order(TRUE_ORDER)
     parameters = rng.uniform(*_AMPLITUDE) * richer.family.draw(rng, 1)[0]
     truth = TrueMachine(richer.model, parameters, tool_offset, _deflection(description, form, rng))
     reality = Reality(

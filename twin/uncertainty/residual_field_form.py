@@ -20,7 +20,7 @@ from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import CROSS_TERMS, ERROR_MOTIONS, ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.rigid_motion import rigid_fields
-from twin.machine.volumetric import QuadraticForm, Volumetric
+from twin.machine.volumetric import QuadraticForm, VolumetricRms
 from twin.uncertainty.truth_assumptions import Reality
 
 _CHUNK = 2000  # grid points whose basis is held at a time
@@ -113,7 +113,7 @@ class FieldForm:
         variances[self.true] = self.reality.family.prior_standard_deviation**2
         return np.diag(variances)
 
-    def before(self) -> Volumetric:
+    def before(self) -> VolumetricRms:
         """Root of the expected mean square of the true machines' deviation."""
         return self.form.expected(self.family_moments)
 

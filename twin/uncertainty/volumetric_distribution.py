@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from twin.arrays import Array, as_points, as_vector
 from twin.identification.estimate import Estimate
 from twin.identification.predicted import field_forms
-from twin.machine.volumetric import Volumetric
+from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 from twin.uncertainty.quadratic_mixture import QuadraticMixture
 from twin.uncertainty.scale_mixture import Supposition, suppositions
@@ -25,20 +25,20 @@ class VolumetricDistribution:
     aligned: QuadraticDistribution | QuadraticMixture
 
     @property
-    def expected(self) -> Volumetric:
+    def expected(self) -> VolumetricRms:
         """Root of the expected mean square."""
-        return Volumetric(math.sqrt(self.raw.mean), math.sqrt(self.aligned.mean))
+        return VolumetricRms(math.sqrt(self.raw.mean), math.sqrt(self.aligned.mean))
 
     @property
-    def median(self) -> Volumetric:
+    def median(self) -> VolumetricRms:
         return self.quantile(0.5)
 
-    def quantile(self, probability: float) -> Volumetric:
+    def quantile(self, probability: float) -> VolumetricRms:
         """What the volumetric error stays below with this probability."""
         raw, aligned = (math.sqrt(max(form.quantile(probability), 0.0)) for form in (self.raw, self.aligned))
-        return Volumetric(raw, aligned)
+        return VolumetricRms(raw, aligned)
 
-    def limits(self, coverage: float = 0.95) -> tuple[Volumetric, Volumetric]:
+    def limits(self, coverage: float = 0.95) -> tuple[VolumetricRms, VolumetricRms]:
         """What it lies between, with equal chances on both sides."""
         outside = 0.5 * (1.0 - coverage)
         return self.quantile(outside), self.quantile(1.0 - outside)

@@ -108,7 +108,7 @@ class Setting:
 
     def _offered(self) -> Iterator[Position]:
         job = self.job
-        stations = job.settings.procedure.stations or sorted(job.layout.places_mm)
+        stations = job.settings.procedure.stations or sorted(job.layout.locations_mm)
         held_out = set(job.held_out)
         for name in self.jobs:
             tool = None if name == job.settings.tool else name

@@ -19,10 +19,10 @@ from agent.probing.ball import point
 from agent.probing.run_plan import MeasuringOrder, measure_positions
 from twin.arrays import Array
 from twin.artefact.position_set import Position
-from twin.collision.accessibility import AT_CONTACT_MM, standing_scene
+from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
 from twin.collision.bodies import TIP, ball_name
 from twin.collision.collision import Scene
-from twin.collision.geometry import Point, added
+from twin.collision.geometry import Point, translate_point
 
 CLEARANCE_MM = 1.0
 """What every move keeps from everything: the mount never stands exactly where it is said to."""
@@ -57,7 +57,7 @@ class Vetting:
 
     def _key(self, position: Position) -> _Key:
         layout = self.job.layout
-        x, y, z = point(layout.place(position.station))
+        x, y, z = point(layout.location(position.station))
         park = self.job.rules.course.park_mm[position.station] - x
         reached = layout.reachable(position, layout.nominal(position))
         return position.azimuth_deg, position.elevation_deg, park, y, z, reached.tobytes()
@@ -79,7 +79,9 @@ class Vetting:
                 target, own = _at_rest(at, balls[number], resting_mm), ball_name(number)
             meant = {(TIP, own), ("stem", own)} if own else set()
             apart_mm = AT_CONTACT_MM if own else CLEARANCE_MM
-            hit = scene.first_hit(added(at, tool), added(target, tool), clearance_mm=apart_mm, ignored=meant)
+            hit = scene.first_hit(
+                translate_point(at, tool), translate_point(target, tool), clearance_mm=apart_mm, ignored=meant
+            )
             if hit is not None:
                 return f"{hit.moving} with {hit.obstacle}"
             at, touched = target, own if isinstance(step, TouchTowards) else ""
@@ -87,11 +89,11 @@ class Vetting:
 
     def _scene(self, position: Position) -> Scene:
         settings = self.job.settings
-        _, scene = standing_scene(
+        _, scene = measuring_scene(
             self.job.artefact,
             settings.probe,
             settings.mount,
-            place_mm=self.job.layout.place(position.station),
+            location_mm=self.job.layout.location(position.station),
             azimuth_rad=math.radians(position.azimuth_deg),
             elevation_rad=math.radians(position.elevation_deg),
         )

@@ -33,11 +33,11 @@ def placing_of(job: Job, position: Position, *, held_out: bool) -> Placing:
 
 def standing_bodies(job: Job, position: Position) -> tuple[Body, ...]:
     """Artefact, mount and table of `position`, where the mount is said to stand."""
-    place = job.layout.place(position.station)
+    place = job.layout.location(position.station)
     pose = _pose(job, position, place)
     geometry = job.layout.mount
     artefact = job.layout.artefact_at(position.station)
-    around = job.layout.around.get(position.station, ())
+    around = job.layout.neighbours.get(position.station, ())
     return (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, place, pose), *around)
 
 
@@ -66,7 +66,7 @@ def _closest_pair(job: Job, scene: Scene, number: int, axes_mm: Array) -> tuple[
     closest, named = math.inf, None
     for direction in job.rules.probing.directions:
         tip = point(axes_mm + job.tool_offset_mm - away * np.asarray(direction))
-        for i, j in scene.near(tip, tip, _LOOKED_AT_MM):
+        for i, j in scene.near_pairs(tip, tip, _LOOKED_AT_MM):
             pair = (scene.moving[i].name, scene.obstacles[j].name)
             distance = separation(scene.moving[i].shape.moved(tip), scene.obstacles[j].shape)[0]
             if pair not in meant and distance < closest:

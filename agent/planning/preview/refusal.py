@@ -13,13 +13,13 @@ from agent.planning.preview.scene import Refusal
 from agent.planning.preview.tip_path import Waypoint, lower_end
 from twin.collision.bodies import TIP, Body, ball_name
 from twin.collision.collision import Hit, Scene
-from twin.collision.geometry import Point, added, point
+from twin.collision.geometry import Point, point, translate_point
 
 
 def refusal_of(job: Job, refused: PlanRefused, waypoints: Sequence[Waypoint], visit: int) -> Refusal:
     """`waypoints`: as walked up to the refused step, which is the last one; `visit`: the one that it belongs to."""
     bodies: tuple[str, ...] = ()
-    tip = added(lower_end(job), point(job.tool_offset_mm))
+    tip = translate_point(lower_end(job), point(job.tool_offset_mm))
     if waypoints:
         last, tip = waypoints[-1], waypoints[-1].tip_mm
         around = standing_bodies(job, last.standing)
@@ -46,7 +46,7 @@ def _goal(job: Job, waypoint: Waypoint) -> Point:
     """Where the step was to lead the tip; a mount that turns leaves it where it is."""
     step = waypoint.step
     if isinstance(step, MoveTo | TouchTowards):
-        return added(step.target_mm, point(job.tool_offset_mm))
+        return translate_point(step.target_mm, point(job.tool_offset_mm))
     return waypoint.tip_mm
 
 

@@ -17,7 +17,7 @@ from agent.planning.preflight import whole_procedure
 from agent.planning.time_model import time_model
 from drivers.errors import VolcalError
 from twin.artefact.position_set import Position
-from twin.collision.geometry import Point, added, point
+from twin.collision.geometry import Point, point, translate_point
 
 _BALL = re.compile(r"/ball-(\d+)")
 
@@ -93,7 +93,7 @@ class _Walker:
         elif isinstance(step, AskOperator) and step.request.station is not None:
             was = self._standing
             self._standing = Position(step.request.station, was.azimuth_deg, was.elevation_deg)
-        tip = added(self.actions[ReadPosition](None), self._offset)
+        tip = translate_point(self.actions[ReadPosition](None), self._offset)
         self.waypoints.append(Waypoint(step, tip, self._elapsed_s, self._standing))
 
     def _spent(self, _: Step, motion_s: float, beyond_s: float) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.collision.free_paths import Candidates
+from twin.collision.free_paths import PathCandidates
 from twin.collision.geometry import Point, point
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ def squared_out(first: Point, last: Point, start: Spot) -> Array:
     return np.array([[beside, *out] if start.touching else out])
 
 
-def leaving(first: Point, candidates: Candidates, start: Spot) -> Candidates:
+def leaving(first: Point, candidates: PathCandidates, start: Spot) -> PathCandidates:
     """Those from `first` whose first move goes away from the surface that is touched; one that does not move at all
     leaves the next one to do so, which may press on."""
     if not start.touching:
@@ -72,7 +72,7 @@ def leaving(first: Point, candidates: Candidates, start: Spot) -> Candidates:
     ways = candidates.corners[:, 0] - np.array(first)
     lengths = np.linalg.norm(ways, axis=1)
     away = -ways @ np.array(start.direction) >= LEAVING * lengths
-    return candidates.kept(away & (lengths > LEAST_MOVE_MM))
+    return candidates.select(away & (lengths > LEAST_MOVE_MM))
 
 
 def leaves(first: Point, last: Point, start: Spot) -> bool:

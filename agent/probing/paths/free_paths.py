@@ -17,13 +17,22 @@ from numpy.typing import NDArray
 
 from agent.probing.paths.approach_points import LEAVES_BY_MM, Spot, leaves, leaving, round_the_ball, squared_out
 from twin.artefact.artefact import Artefact
-from twin.collision.accessibility import AT_CONTACT_MM, standing_scene
+from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
 from twin.collision.bodies import TIP, ProbeGeometry, ball_name, post_name
-from twin.collision.free_paths import Apart, Candidates, Dynamics, Surroundings, Way, direct, fastest, retracted
+from twin.collision.free_paths import (
+    AxisDynamics,
+    Clearances,
+    FreePath,
+    PathCandidates,
+    PrefilteredScene,
+    direct_path,
+    fastest_path,
+    retract_candidates,
+)
 from twin.collision.geometry import Point, Shape, point
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.motion_law import travel_times
-from twin.collision.swept_volume import CELL_MM, Cover, TurnSweep, cover_of, turn_sweep
+from twin.collision.swept_volume import CELL_MM, SphereCover, TurnSweep, cover_turning_bodies, turn_sweep
 
 Array = NDArray[np.float64]
 
@@ -68,7 +77,7 @@ class _Pose:
 
     centres: Array
     places: Sequence[Point]
-    among: Surroundings
+    among: PrefilteredScene
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +90,13 @@ class Roads:
     stylus_axis: Array
     lower_mm: Array
     upper_mm: Array
-    dynamics: Dynamics
+    dynamics: AxisDynamics
     clearance_mm: float
     known_mm: float
     unknown_mm: float
-    _traffic: dict[Layout, Traffic] = field(default_factory=dict, init=False, repr=False)
+    _traffic: dict[MeasuringLayout, Traffic] = field(default_factory=dict, init=False, repr=False)
 
-    def among(self, layout: Layout) -> Traffic:
+    def among(self, layout: MeasuringLayout) -> Traffic:
         """The ways among what stands as `layout` says; the same each time, with all that was found."""
         if layout not in self._traffic:
             self._traffic[layout] = Traffic(layout, self)
@@ -98,24 +107,24 @@ class Roads:
 class Traffic:
     """Every way that was asked for is kept: the same ones are asked for at every station, and again in every proof."""
 
-    layout: Layout
+    layout: MeasuringLayout
     roads: Roads
     estimates: dict[object, float] = field(default_factory=dict, init=False, repr=False)
     sequences: dict[object, list[int]] = field(default_factory=dict, init=False, repr=False)
-    _covers: dict[int, Cover] = field(default_factory=dict, init=False, repr=False)
+    _covers: dict[int, SphereCover] = field(default_factory=dict, init=False, repr=False)
     _poses: dict[Stand, _Pose] = field(default_factory=dict, init=False, repr=False)
     _sweeps: dict[object, TurnSweep] = field(default_factory=dict, init=False, repr=False)
-    _ways: dict[object, Way | None] = field(default_factory=dict, init=False, repr=False)
+    _ways: dict[object, FreePath | None] = field(default_factory=dict, init=False, repr=False)
     _turning: dict[object, TurningWay | None] = field(default_factory=dict, init=False, repr=False)
 
     def standing(self, station: int, azimuth_deg: float, elevation_deg: float) -> Stand:
-        _, depth, height = point(self.layout.place(station))
-        alone = not (self.layout.around or self.layout.own_artefacts)
+        _, depth, height = point(self.layout.location(station))
+        alone = not (self.layout.neighbours or self.layout.own_artefacts)
         return Stand(azimuth_deg, elevation_deg, depth, height, 0 if alone else station)
 
     def axes_at(self, station: int, corner: Point) -> Array:
         """(3,) axis positions of a tip centre relative to the place of the mount at `station`."""
-        return np.asarray(self.layout.place(station) - self.layout.tool_offset_mm + corner)
+        return np.asarray(self.layout.location(station) - self.layout.tool_offset_mm + corner)
 
     def nominal(self, stand: Stand, station: int) -> Array:
         """(N, 3) axis positions of all balls."""
@@ -126,7 +135,7 @@ class Traffic:
         (x, y, z), (along_x, along_y, along_z) = self._pose(stand).places[spot.ball], spot.direction
         return x - along_x * spot.out_mm, y - along_y * spot.out_mm, z - along_z * spot.out_mm
 
-    def between(self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, place_x_mm: float) -> Way | None:
+    def between(self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, place_x_mm: float) -> FreePath | None:
         """The fastest free way, relative to the place of the mount at `place_x_mm`; None where no way is proved to be
         free. `uncertain_mm`: by so much the artefact may stand off.
         """
@@ -139,7 +148,7 @@ class Traffic:
 
     def _known_way(
         self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, room: tuple[float, float]
-    ) -> Way | None:
+    ) -> FreePath | None:
         key = (stand, start, end, uncertain_mm, room)
         if key not in self._ways:
             self._ways[key] = self._sought(*key)
@@ -186,45 +195,45 @@ class Traffic:
 
     def _sought(
         self, stand: Stand, start: Spot, end: Spot, uncertain_mm: float, room: tuple[float, float]
-    ) -> Way | None:
+    ) -> FreePath | None:
         pose = self._pose(stand)
         first, last = self.at(stand, start), self.at(stand, end)
         groups = self._corners(stand, start, last, end.out_mm - start.out_mm)
         if start.ball == end.ball:
             groups.append(round_the_ball(pose.centres[start.ball], start, end, self.roads.stylus_axis))
-        candidates = leaving(first, Candidates.of(groups), start)
+        candidates = leaving(first, PathCandidates.of(groups), start)
         low, high = self._travel(stand)
         low[0], high[0] = room
         candidates = candidates.inside(low, high)
         for apart in self._aparts(start, end, uncertain_mm):
             way = self._straight_way(pose, first, last, start, apart)
-            way = way or fastest(pose.among, self.roads.dynamics, first, last, candidates, apart)
+            way = way or fastest_path(pose.among, self.roads.dynamics, first, last, candidates, apart)
             if way is not None:
                 return way
         return None
 
-    def _straight_way(self, pose: _Pose, first: Point, last: Point, start: Spot, apart: Apart) -> Way | None:
+    def _straight_way(self, pose: _Pose, first: Point, last: Point, start: Spot, apart: Clearances) -> FreePath | None:
         """None where it does not leave the surface at once, too."""
         if not leaves(first, last, start):
             return None
-        return direct(pose.among.scene, self.roads.dynamics, first, last, apart)
+        return direct_path(pose.among.scene, self.roads.dynamics, first, last, apart)
 
     def _corners(self, stand: Stand, start: Spot, last: Point, beside_mm: float) -> list[Array]:
         """Candidates (n, k, 3) from `start`, from a touch such as leave the surface by `beside_mm` first if need be."""
         aside = -beside_mm * np.array(start.direction) if start.touching else None
         least = float(self._travel(stand)[0] @ np.abs(self.roads.stylus_axis))
-        return retracted(self.at(stand, start), last, -self.roads.stylus_axis, least, aside)
+        return retract_candidates(self.at(stand, start), last, -self.roads.stylus_axis, least, aside)
 
-    def _aparts(self, start: Spot, end: Spot, uncertain_mm: float) -> Iterator[Apart]:
+    def _aparts(self, start: Spot, end: Spot, uncertain_mm: float) -> Iterator[Clearances]:
         """What is kept from everything; less from the balls at both ends, whose surface the touch is to find, and
         from their holders, which stand by their balls wherever these are."""
         apart_mm = self.roads.clearance_mm + uncertain_mm
         balls = {start.ball, end.ball}
         begins_mm = min(apart_mm, end.out_mm - self._contact_mm - 1e-3)
         near = {(body, ball_name(ball)): begins_mm for body in (TIP, "stem") for ball in balls}
-        yield Apart(apart_mm, near)
+        yield Clearances(apart_mm, near)
         holders = {(body, post_name(ball)): self.roads.clearance_mm for body in (TIP, "stem") for ball in balls}
-        yield Apart(apart_mm, near | holders)
+        yield Clearances(apart_mm, near | holders)
 
     # ------------------------------------------------------------------ turning
 
@@ -289,7 +298,7 @@ class Traffic:
         every = np.broadcast_to(steps, (len(first), len(steps)))
         return np.asarray(np.clip(np.column_stack([first, last, 0.5 * (first + last), every]), low, high))
 
-    def to_place(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
+    def to_place(self, stand: Stand, spot: Spot, waiting: Point) -> FreePath | None:
         """Out from `spot` to a place relative to that of the mount, before the artefact; None where no way is proved
         to be free. The way in is the same backwards."""
         key = (stand, spot, waiting)
@@ -297,18 +306,18 @@ class Traffic:
             self._ways[key] = self._sought_to_place(*key)
         return self._ways[key]
 
-    def _sought_to_place(self, stand: Stand, spot: Spot, waiting: Point) -> Way | None:
+    def _sought_to_place(self, stand: Stand, spot: Spot, waiting: Point) -> FreePath | None:
         apart_mm = self.roads.clearance_mm + self.roads.unknown_mm
         near_mm = min(apart_mm, max(spot.out_mm - self._contact_mm - 1e-3, AT_CONTACT_MM))
         names = ball_name(spot.ball), post_name(spot.ball)
-        apart = Apart(apart_mm, {(body, name): near_mm for body in (TIP, "stem") for name in names})
+        apart = Clearances(apart_mm, {(body, name): near_mm for body in (TIP, "stem") for name in names})
         pose, first = self._pose(stand), self.at(stand, spot)
         way = self._straight_way(pose, first, waiting, spot, apart)
         if way is not None:
             return way
         groups = [*self._corners(stand, spot, waiting, LEAVES_BY_MM), squared_out(first, waiting, spot)]
-        candidates = leaving(first, Candidates.of(groups), spot)
-        return fastest(pose.among, self.roads.dynamics, first, waiting, candidates, apart)
+        candidates = leaving(first, PathCandidates.of(groups), spot)
+        return fastest_path(pose.among, self.roads.dynamics, first, waiting, candidates, apart)
 
     def _sweep(self, before: Stand, after: Stand) -> TurnSweep:
         low, high = (
@@ -348,9 +357,9 @@ class Traffic:
 
     # ------------------------------------------------------------------ bodies
 
-    def _cover(self, stand: Stand) -> Cover:
+    def _cover(self, stand: Stand) -> SphereCover:
         if stand.among not in self._covers:
-            self._covers[stand.among] = cover_of(self._artefact(stand), self.layout.mount)
+            self._covers[stand.among] = cover_turning_bodies(self._artefact(stand), self.layout.mount)
         return self._covers[stand.among]
 
     def _artefact(self, stand: Stand) -> Artefact:
@@ -373,19 +382,19 @@ class Traffic:
 
     def _pose(self, stand: Stand) -> _Pose:
         if stand not in self._poses:
-            x = float(self.layout.place(stand.among)[0]) if stand.among else 0.0
-            centres, scene = standing_scene(
+            x = float(self.layout.location(stand.among)[0]) if stand.among else 0.0
+            centres, scene = measuring_scene(
                 self._artefact(stand),
                 self._probe,
                 self.layout.mount,
-                place_mm=np.array([x, stand.depth_mm, stand.height_mm]),
+                location_mm=np.array([x, stand.depth_mm, stand.height_mm]),
                 azimuth_rad=math.radians(stand.azimuth_deg),
                 elevation_rad=math.radians(stand.elevation_deg),
-                further=self.layout.around.get(stand.among, ()),
+                further=self.layout.neighbours.get(stand.among, ()),
             )
             back = (-x, -stand.depth_mm, -stand.height_mm)
             self._poses[stand] = _Pose(
-                centres + back, [point(centre) for centre in centres + back], Surroundings.of(scene.shifted(back))
+                centres + back, [point(centre) for centre in centres + back], PrefilteredScene.of(scene.shifted(back))
             )
         return self._poses[stand]
 

@@ -18,7 +18,7 @@ from agent.probing.probing_parameters import Probing
 from agent.probing.touch import Begin, TouchWay, before_ball, point
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point as Corner
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 
 Array = NDArray[np.float64]
 
@@ -218,7 +218,7 @@ class ShortestPilot:
             found, self._way_in = self._way_in or (), None
             return [self._traffic.axes_at(pose.station, corner) + off for corner in found]
         mistaken = max(pose.mistaken_mm(off, spot.ball), pose.mistaken_mm(there.off, there.spot.ball))
-        place_x = float(self._traffic.layout.place(pose.station)[0])
+        place_x = float(self._traffic.layout.location(pose.station)[0])
         way = self._traffic.between(pose.stand, there.spot, spot, pose.uncertain_mm + mistaken, place_x)
         if way is None or math.hypot(*off.tolist()) > self._traffic.roads.unknown_mm:
             return self._plain_corners(there, begin)
@@ -262,7 +262,7 @@ class ShortestPilot:
         if there is None or pose is None or pose.station != task.station or self._moved_far(there, task):
             return None
         pole = Spot(ball, point(self._probing.directions[0]), self._probing.contact_mm + self._probing.wide.approach_mm)
-        place_x = float(self._traffic.layout.place(task.station)[0])
+        place_x = float(self._traffic.layout.location(task.station)[0])
         return self._traffic.turning(pose.stand, there.spot, stand, pole, place_x, faster_than_s)
 
     def _moved_far(self, there: _There, task: Orientation) -> bool:
@@ -292,7 +292,7 @@ class _BallWay:
         yield from self.pilot.away(key, self.ball, begin, latched_mm)
 
 
-def pilot_of(course: Course, probing: Probing, layout: Layout) -> PlainPilot | ShortestPilot:
+def pilot_of(course: Course, probing: Probing, layout: MeasuringLayout) -> PlainPilot | ShortestPilot:
     """The plain one where no roads are known."""
     if course.roads is None:
         return PlainPilot(course, probing)

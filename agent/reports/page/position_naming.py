@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
-from twin.artefact.position_set import SETS, Position
+from twin.artefact.position_set import POSITION_SETS, Position
 
 SAME_ANGLE_DEG = 0.01
 
@@ -15,9 +15,9 @@ def name_of_positions(positions: Sequence[Position]) -> str:
     stations: dict[int, set[tuple[float, float]]] = {}
     for position in positions:
         stations.setdefault(position.station, set()).add((position.azimuth_deg, position.elevation_deg))
-    for count in range(1, len(SETS) + 1):
-        for names in combinations(SETS, count):
-            wanted = {pair for name in names for pair in SETS[name]}
+    for count in range(1, len(POSITION_SETS) + 1):
+        for names in combinations(POSITION_SETS, count):
+            wanted = {pair for name in names for pair in POSITION_SETS[name]}
             if all(_same(found, wanted) for found in stations.values()):
                 return f"{'+'.join(names)}, {len(stations)} station{'s' if len(stations) != 1 else ''}"
     return f"{len(positions)} positions of its own choice"

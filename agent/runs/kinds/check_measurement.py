@@ -16,7 +16,7 @@ from agent.results.observations import Correction
 from agent.runs.kinds.drift_check import Judge, Judgement
 from agent.runs.kinds.night_plan import NightPlan
 from agent.runs.reference_state import LastAccepted
-from twin.artefact.mount_pose_estimate import Standing
+from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position
 
 
@@ -36,7 +36,7 @@ def measure(
     positions: Sequence[Position],
     job: Job,
     rules: PositionRules,
-    standings: Mapping[int, Standing] | None = None,
+    standings: Mapping[int, MountPoseEstimate] | None = None,
 ) -> Measured:
     """Some of a night's positions, their keys beginning with `prefix`."""
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, standings))

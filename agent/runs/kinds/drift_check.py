@@ -17,12 +17,12 @@ from agent.results.run_outcome import Decision, NightReport, SuspectedError
 from agent.runs.change_since_reference import known_tonight
 from agent.runs.reference_state import LastAccepted
 from twin.arrays import Array
-from twin.artefact.held_out_check import held_out, held_out_test
+from twin.artefact.held_out_check import held_out_residuals, held_out_test
 from twin.identification import CarriedOver, Estimate
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import evaluation_grid
-from twin.monitoring.residual_with_active_table import ActingError, acting_covariance, unwritten
-from twin.monitoring.step_detection import Innovation, Suspect, innovation
+from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
+from twin.monitoring.step_detection import Innovation, SuspectedJump, innovation
 
 UM_PER_MM = 1e3
 _LIKELIEST = 5
@@ -58,10 +58,10 @@ class Judge:
         return self.job.machine.with_model(self.known.unknowns.model).family
 
     @cached_property
-    def acting(self) -> ActingError:
+    def acting(self) -> ResidualWithTable:
         known = self.known
         grid = evaluation_grid(known.unknowns.model.ranges_mm)
-        return ActingError.build(known.unknowns, known.scales, grid, self.job.tool_offset_mm)
+        return ResidualWithTable.build(known.unknowns, known.scales, grid, self.job.tool_offset_mm)
 
     @property
     def before_um(self) -> float:
@@ -110,15 +110,15 @@ class Judge:
         """rms of a held-out ball as the controller displays it, and what was to be expected, µm."""
         offset, artefact, known = self.job.tool_offset_mm, self.job.artefact, self.known
         displayed, bare = (observations_of(held, offset, shift) for shift in (no_correction, correction))
-        result = held_out(displayed, displayed.axis_positions + offset, artefact)
-        left = unwritten(known.unknowns, known.mean, self.last.accepted.written)
-        covariance = acting_covariance(
+        result = held_out_residuals(displayed, displayed.axis_positions + offset, artefact)
+        left = uncompensated(known.unknowns, known.mean, self.last.accepted.written)
+        covariance = residual_covariance(
             known.unknowns, known.scales, left, known.covariance, bare.axis_positions, offset
         )
         expected = held_out_test(bare, result, artefact, covariance)
         return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_mm
 
-    def _reason(self, found: Innovation, jumped: Sequence[Suspect], now_um: float) -> str:
+    def _reason(self, found: Innovation, jumped: Sequence[SuspectedJump], now_um: float) -> str:
         """Why the machine is out of limits; empty where it is not."""
         limits = self.job.settings.nightly
         reasons = []
@@ -133,5 +133,5 @@ class Judge:
         return "; ".join(reasons)
 
 
-def _named(suspect: Suspect) -> SuspectedError:
+def _named(suspect: SuspectedJump) -> SuspectedError:
     return SuspectedError(suspect.error, suspect.change, suspect.unit, suspect.evidence)

@@ -71,7 +71,7 @@ def station_of(job: Job, named: int | None) -> int:
             key="stations.standing_at",
             hint="set it, or give --standing-at",
         )
-    if station not in job.layout.places_mm:
+    if station not in job.layout.locations_mm:
         raise ConfigurationError(f"there is no station {station}", key="stations.places_mm")
     return station
 

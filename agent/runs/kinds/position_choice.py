@@ -20,8 +20,8 @@ from twin.design.procedure import FEWEST_BALLS
 from twin.design.search import Search, Selection
 from twin.identification import CarriedOver, Options
 from twin.machine.volumetric import evaluation_grid
-from twin.monitoring.discriminating_positions import Questions, most_telling
-from twin.monitoring.step_detection import Suspect
+from twin.monitoring.discriminating_positions import JumpQuestions, rank_discriminating_positions
+from twin.monitoring.step_detection import SuspectedJump
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +71,11 @@ class Chooser:
 
     def noticing(self, known: CarriedOver, count: int, measured: Sequence[Position]) -> tuple[Position, ...]:
         """The `count` that show most surely whether any error has jumped, beside those `measured` anyway."""
-        telling = self._telling(known, Questions.whether(known.unknowns), measured)
+        telling = self._telling(known, JumpQuestions.any_jump(known.unknowns), measured)
         return tuple(islice(telling, count))
 
     def telling_apart(
-        self, known: CarriedOver, suspects: Sequence[Suspect], *, minutes: float, measured: Sequence[Position]
+        self, known: CarriedOver, suspects: Sequence[SuspectedJump], *, minutes: float, measured: Sequence[Position]
     ) -> tuple[Position, ...]:
         """Those that show which of the `suspects` it is, as many as fit into the `minutes`; none that is `measured`."""
         names, scale = known.unknowns.model.names, known.unknowns.scale
@@ -84,18 +84,20 @@ class Chooser:
             for name, value in suspect.coefficients.items():
                 row[names.index(name)] = value / scale[names.index(name)]
         found: list[Position] = []
-        for position in self._telling(known, Questions.which(jumps), measured):
+        for position in self._telling(known, JumpQuestions.which_jump(jumps), measured):
             if self.minutes([*found, position]) > minutes:
                 break
             found.append(position)
         return tuple(found)
 
-    def _telling(self, known: CarriedOver, questions: Questions, measured: Sequence[Position]) -> Iterator[Position]:
+    def _telling(
+        self, known: CarriedOver, questions: JumpQuestions, measured: Sequence[Position]
+    ) -> Iterator[Position]:
         search, places = self._search(known, [*measured, *self._offered()])
         candidates, done = search.candidates, places[: len(measured)]
         allowed = np.ones(candidates.count, dtype=bool)
         allowed[done] = False
-        for index in most_telling(candidates, done, questions, allowed, search.prices.minutes):
+        for index in rank_discriminating_positions(candidates, done, questions, allowed, search.prices.minutes):
             if search.passes(index):
                 yield candidates.positions[index]
 

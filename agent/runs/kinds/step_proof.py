@@ -19,7 +19,7 @@ from agent.probing.position import MeasuredBall
 from agent.results.estimation import Finding
 from agent.results.observations import no_correction, observations_of
 from agent.results.run_outcome import Proof
-from twin.artefact.held_out_check import HeldOut, held_out, held_out_test
+from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals, held_out_test
 from twin.artefact.observations import Observations
 from twin.identification import left_covariance
 
@@ -57,7 +57,7 @@ def prove_step(job: Job, finding: Finding, before: Sequence[MeasuredBall], after
     )
 
 
-def _doubt(result: HeldOut, observed: Observations, scale: float) -> float:
+def _doubt(result: HeldOutResiduals, observed: Observations, scale: float) -> float:
     """Standard deviation (mm²) of the mean square of a ball, from touch noise σ alone: |s + n|² varies by
     4 |s|² σ² + 2 f σ⁴ about its mean for f independent components."""
     variance = scale**2 * float(np.einsum("nii->n", observed.covariance).mean()) / 3.0
@@ -67,6 +67,6 @@ def _doubt(result: HeldOut, observed: Observations, scale: float) -> float:
     return 3.0 / freedom * math.sqrt(4.0 * still * variance + 2.0 * freedom * variance**2)
 
 
-def _left(job: Job, balls: Sequence[MeasuredBall]) -> HeldOut:
+def _left(job: Job, balls: Sequence[MeasuredBall]) -> HeldOutResiduals:
     displayed = observations_of(balls, job.tool_offset_mm, no_correction)
-    return held_out(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact)
+    return held_out_residuals(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact)

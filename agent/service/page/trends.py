@@ -66,7 +66,7 @@ def _trend(trend: Trend) -> Document:
     half = (
         []
         if drift is None
-        else [drift.factor * drift.ahead(night - trend.series.nights[-1])[1] for night in trend.series.nights]
+        else [drift.factor * drift.predict(night - trend.series.nights[-1])[1] for night in trend.series.nights]
     )
     return {
         **trend.as_json(),

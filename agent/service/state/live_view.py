@@ -20,7 +20,7 @@ from agent.planning.preview.tip_path import Waypoint
 from agent.runs.kinds.kind import Ready
 from agent.settings.schema import Settings
 from twin.artefact.position_set import Position
-from twin.collision.geometry import added, point
+from twin.collision.geometry import point, translate_point
 
 Document = dict[str, Any]
 
@@ -84,12 +84,12 @@ def _of_run(ready: Ready) -> Document:
 
 def _waypoints(job: Job, steps: Sequence[TimedStep], timeline: Mapping[str, float]) -> Iterator[Waypoint]:
     offset = point(job.tool_offset_mm)
-    tip = added(point(low for low, _ in job.machine.limits), offset)
+    tip = translate_point(point(low for low, _ in job.machine.limits), offset)
     standing = Position(job.settings.stations.standing_at or 1, 0.0, 0.0)
     for timed in steps:
         match timed.step:
             case MoveTo(target_mm=target) | TouchTowards(target_mm=target):
-                tip = added(target, offset)
+                tip = translate_point(target, offset)
             case OrientTo() as turn:
                 standing = Position(turn.station, turn.azimuth_deg, turn.elevation_deg)
             case AskOperator(request=request) if request.station is not None:

@@ -19,7 +19,7 @@ from agent.planning.job import Job
 from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
-from twin.artefact.position_set import Position, positions_of
+from twin.artefact.position_set import Position, parse_position_set
 from twin.design.candidates import Candidates, candidates_of
 from twin.design.goals import Positions, Slot
 from twin.design.search import Search
@@ -44,7 +44,7 @@ def candidates(positions: tuple[Position, ...]) -> Candidates:
 
 @cache
 def of_s1_and_s3() -> Candidates:
-    return candidates(positions_of("S1+S3", 4))
+    return candidates(parse_position_set("S1+S3", 4))
 
 
 def searching(setting: Setting, offered: Candidates) -> Search:
@@ -78,7 +78,7 @@ def test_the_value_carried_along_through_a_search_is_that_of_the_identification(
 
 
 def test_the_search_finds_the_best_pair_of_real_positions():
-    offered = candidates(positions_of("S1+S3", 4)[:10])
+    offered = candidates(parse_position_set("S1+S3", 4)[:10])
     job = case()
     search = replace(searching(Setting({job.settings.tool: job}, 90.0), offered), worthwhile=0.0)
     best = min(combinations(range(offered.count), 2), key=lambda pair: offered.vce(pair).aligned_mm)
@@ -86,7 +86,7 @@ def test_the_search_finds_the_best_pair_of_real_positions():
 
 
 def test_the_order_of_the_candidates_does_not_matter():
-    listed = positions_of("S1+S3", 4)
+    listed = parse_position_set("S1+S3", 4)
     shuffled = tuple(np.random.default_rng(1).permutation(np.array(listed, dtype=object)))
     one, other = of_s1_and_s3(), candidates((*shuffled, *listed[:5]))
     assert one.positions == other.positions
@@ -101,7 +101,7 @@ def test_the_valuation_is_one_less_the_share_of_the_error_that_stays():
     _, aligned = predicted(offered.positions)
     assert worth.after.aligned_mm == pytest.approx(aligned, rel=1e-9)
     assert worth.percent == pytest.approx(100.0 * (1.0 - aligned / offered.vce([]).aligned_mm), rel=1e-9)
-    assert valuation_of(job, positions_of("S3", 4)).percent == pytest.approx(69.0, abs=2.0)
+    assert valuation_of(job, parse_position_set("S3", 4)).percent == pytest.approx(69.0, abs=2.0)
 
 
 REFUSED = [(-90.0, -30.0), (60.0, 15.0), (-60.0, -15.0), (90.0, -30.0)]
@@ -198,7 +198,7 @@ def test_more_touches_take_longer_and_tell_more(tmp_path):
     few, many = (way.jobs["probe"] for way in variants_of(case(), tmp_path, touches=[5, 13]))
     position = Position(1, 0.0, 0.0)
     assert Vetting(many).minutes(position) > 1.2 * Vetting(few).minutes(position)
-    s3 = positions_of("S3", 4)
+    s3 = parse_position_set("S3", 4)
     assert valuation_of(many, s3).percent > valuation_of(few, s3).percent
 
 

@@ -14,7 +14,7 @@ from agent.results.estimation import estimate_machine, order_text, scale_warning
 from agent.settings.schema import IdentificationSettings
 from twin.artefact.artefact import ball_bar
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, mount_pose, positions_of, station_places
+from twin.artefact.position_set import MountGeometry, mount_pose, parse_position_set, station_locations
 from twin.identification import Options
 from twin.machine.machine_description import MachineDescription
 
@@ -32,11 +32,11 @@ def machine() -> MachineDescription:
 def seen() -> Observations:
     """A perfect machine, touch noise alone."""
     rng, rows = np.random.default_rng(1), []
-    places = station_places(2, (0.0, 4000.0), 560.0, 900.0, 750.0)
-    for number, position in enumerate(positions_of("S3", 2)):
+    places = station_locations(2, (0.0, 4000.0), 560.0, 900.0, 750.0)
+    for number, position in enumerate(parse_position_set("S3", 2)):
         azimuth, elevation = np.radians(position.azimuth_deg), np.radians(position.elevation_deg)
         pose = mount_pose(places[position.station - 1], MountGeometry(), azimuth, elevation)
-        rows += [(number, ball, *point) for ball, point in enumerate(pose.applied(BAR.balls) - OFFSET)]
+        rows += [(number, ball, *point) for ball, point in enumerate(pose.apply(BAR.balls) - OFFSET)]
     table = np.array(rows)
     n = len(table)
     return Observations(

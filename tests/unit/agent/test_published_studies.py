@@ -26,11 +26,11 @@ from agent.studies.verdict_table import worst_deviation
 from agent.studies.workers import LocalWorkers, generator
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact, ball_bar
-from twin.artefact.position_set import positions_of
+from twin.artefact.position_set import parse_position_set
 from twin.errors import DataError
 from twin.identification import Options
 from twin.machine.forward_model import exact_deviation
-from twin.machine.volumetric import Volumetric, evaluation_grid
+from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.uncertainty.monte_carlo import draw_truth
 from twin.uncertainty.residual_field_form import FieldForm
 
@@ -79,7 +79,7 @@ def rms_um(field: Array) -> float:
 
 
 def verdict(aligned_um: float | None) -> Verdict:
-    return Verdict(None if aligned_um is None else Volumetric(2e-3 * aligned_um, 1e-3 * aligned_um))
+    return Verdict(None if aligned_um is None else VolumetricRms(2e-3 * aligned_um, 1e-3 * aligned_um))
 
 
 class TestVolumetricError:
@@ -211,12 +211,12 @@ class TestWorth:
 
 class TestBallCount:
     def test_the_share_of_the_gain_is_that_of_the_best_count(self) -> None:
-        shares = ball_count.gain_shares([verdict(v) for v in (8.0, None, 5.0, 4.0)], Volumetric(0.02, 0.01))
+        shares = ball_count.gain_shares([verdict(v) for v in (8.0, None, 5.0, 4.0)], VolumetricRms(0.02, 0.01))
         assert shares[1] is None
         assert [shares[n] for n in (0, 2, 3)] == pytest.approx([2.0 / 6.0, 5.0 / 6.0, 1.0])
 
     def test_no_gain_has_no_share(self) -> None:
-        assert ball_count.gain_shares([verdict(30.0), verdict(11.0)], Volumetric(0.02, 0.01)) == (None, None)
+        assert ball_count.gain_shares([verdict(30.0), verdict(11.0)], VolumetricRms(0.02, 0.01)) == (None, None)
 
     def test_seven_balls_are_enough_as_published(self) -> None:
         made = case(stations=None)
@@ -247,7 +247,9 @@ class TestMisalignment:
     def test_the_study_names_what_is_not_identified(self) -> None:
         beside = case(stations=None).job
         away_mm = np.array([9000.0, 0.0, 0.0])
-        far = replace(beside.layout, places_mm={n: place + away_mm for n, place in beside.layout.places_mm.items()})
+        far = replace(
+            beside.layout, locations_mm={n: place + away_mm for n, place in beside.layout.locations_mm.items()}
+        )
         result = misalignment.run(case(job=replace(beside, layout=far)))
         unknown = document(result)["not_identified"]
         assert len(unknown["centres, full weights, prior"]) == 2 * len(misalignment.TILTS_DEG)  # type: ignore[index]
@@ -282,7 +284,7 @@ class TestStrategy:
         made = case(stations=1)
         result = strategy.run(made)
         minutes = {row[0]: row[1] for row in result.rows}
-        assert minutes["S1+S3"] == pytest.approx(machine_minutes(made.job, positions_of("S1+S3", 1)).total)
+        assert minutes["S1+S3"] == pytest.approx(machine_minutes(made.job, parse_position_set("S1+S3", 1)).total)
         assert set(minutes) == {"S1", "S2", "S3", "S1+S2", "S1+S3", "S2+S3", "S1+S2+S3"}
 
     def test_sets_that_identify_nothing_leave_a_gap(self, tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from agent.results.gates import Gate
 from agent.results.volumetric_summary import volumetric_summary
 from twin.artefact.artefact import ball_bar
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, Position, mount_pose, positions_of
+from twin.artefact.position_set import MountGeometry, Position, mount_pose, parse_position_set
 from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, predicted_vce
 from twin.machine.error_model import ErrorModel
@@ -53,7 +53,7 @@ BAR = ball_bar(
     ball_diameter_mm=20.0,
     standard_uncertainty_mm=5e-4,
 )
-POSITIONS = positions_of("S1+S3", 2)
+POSITIONS = parse_position_set("S1+S3", 2)
 
 
 def observations(rng: np.random.Generator) -> Observations:
@@ -63,7 +63,7 @@ def observations(rng: np.random.Generator) -> Observations:
         place = np.array([150.0 + 500.0 * position.station - 300.0, 450.0, 250.0])
         angles = np.radians([position.azimuth_deg, position.elevation_deg])
         pose = mount_pose(place, MountGeometry(), *angles)
-        points.append(pose.applied(BAR.balls) - OFFSET)
+        points.append(pose.apply(BAR.balls) - OFFSET)
         rows += [(index, ball, angles[1]) for ball in range(5)]
     commanded = np.concatenate(points)
     found = commanded - exact_deviation(MODEL, commanded, OFFSET, truth)
@@ -360,6 +360,9 @@ class TestWords:
         assert fixed(-0.001, 2) == "0.00"
 
     def test_a_complete_set_is_named_and_a_choice_is_counted(self) -> None:
-        assert name_of_positions(positions_of("S2+S3", 3)) == "S2+S3, 3 stations"
-        assert name_of_positions(positions_of("S1", 1)) == "S1, 1 station"
-        assert name_of_positions((*positions_of("S1", 2), Position(2, 10.0, 20.0))) == "7 positions of its own choice"
+        assert name_of_positions(parse_position_set("S2+S3", 3)) == "S2+S3, 3 stations"
+        assert name_of_positions(parse_position_set("S1", 1)) == "S1, 1 station"
+        assert (
+            name_of_positions((*parse_position_set("S1", 2), Position(2, 10.0, 20.0)))
+            == "7 positions of its own choice"
+        )

@@ -20,7 +20,7 @@ from agent.studies.study import StudyCase, StudyResult, run_study
 from agent.studies.study_files import document, format_rows, write_result
 from agent.studies.workers import LocalWorkers
 from drivers.errors import InputError
-from twin.artefact.position_set import positions_of
+from twin.artefact.position_set import parse_position_set
 from twin.errors import TwinError
 from twin.identification import Options
 
@@ -123,8 +123,8 @@ class TestFiles:
 class TestCase:
     def test_positions_are_those_of_the_settings_unless_a_set_is_asked_for(self) -> None:
         assert case().positions() == load_case(CASE_STUDY, stations=2).positions
-        assert case(position_set="S1").positions() == positions_of("S1", 2)
-        assert case(position_set="S1").positions("S2") == positions_of("S2", 2)
+        assert case(position_set="S1").positions() == parse_position_set("S1", 2)
+        assert case(position_set="S1").positions("S2") == parse_position_set("S2", 2)
 
     def test_a_position_file_may_stand_for_a_set(self, tmp_path: Path) -> None:
         listed = tmp_path / "own.csv"

@@ -21,7 +21,7 @@ from agent.probing.run_plan import MeasuringOrder, measure_positions
 from agent.settings.load import load_settings, with_overrides
 from drivers.roles import OperatorRequest, OperatorTask
 from twin.artefact.position_set import Position
-from twin.collision.motion_law import straight
+from twin.collision.motion_law import straight_path
 
 MODEL = TimeModel(
     rapid_mm_per_s=(100.0, 50.0, 100.0),
@@ -53,7 +53,7 @@ def test_a_move_takes_what_the_slowest_axis_allows() -> None:
 
 
 def test_a_touch_ends_when_the_axes_have_braked_after_the_trip() -> None:
-    way = straight((0.0, 0.0, 0.0), (30.0, 0.0, 0.0))
+    way = straight_path((0.0, 0.0, 0.0), (30.0, 0.0, 0.0))
     # 10 mm/s with 50 mm/s²: 0.2 s and 1 mm up, 19 mm in 1.9 s, trip at 20 mm, 0.2 s and 1 mm to stand.
     seconds, at = MODEL.touch_s(way, 10.0, 20.0)
     assert seconds == pytest.approx(2.3)

@@ -23,7 +23,7 @@ from drivers.roles import (
     Touch,
 )
 from simulators.backend import SimulatedMachineDevice
-from twin.artefact.position_set import mount_pose, positions_of
+from twin.artefact.position_set import mount_pose, parse_position_set
 
 ROOT_HALF = math.sqrt(0.5)
 DIRECTIONS = np.array([[0.0, 1.0, 0.0]] + [[a * ROOT_HALF, 0.0, b * ROOT_HALF] for a in (-1, 1) for b in (-1, 1)])
@@ -125,7 +125,7 @@ def test_temperatures_have_their_names() -> None:
     assert {"artefact", "machine", "ambient"} <= set(played.temperatures_c())
 
 
-@pytest.mark.parametrize("position", positions_of("S3", 1), ids=str)
+@pytest.mark.parametrize("position", parse_position_set("S3", 1), ids=str)
 def test_every_ball_of_s3_is_found_exactly_without_a_collision(position) -> None:
     world = ideal_world()
     played, _ = device(world)
@@ -136,7 +136,7 @@ def test_every_ball_of_s3_is_found_exactly_without_a_collision(position) -> None
         np.array(settings.stations_mm[1]), settings.mount,
         math.radians(position.azimuth_deg), math.radians(position.elevation_deg),
     )  # fmt: skip
-    centres = pose.applied(artefact.balls) - TOOL
+    centres = pose.apply(artefact.balls) - TOOL
     played.move_to(centres[0] * [1.0, 0.0, 1.0], feed_mm_per_s=None, guarded=True)
     for centre in centres:
         touches = [_touched(played, centre, direction) for direction in DIRECTIONS]

@@ -9,7 +9,7 @@ from worlds import ideal_world
 from simulators.world.turn_clearance import is_turn_clear
 from simulators.world.turn_collisions import first_turn_crash
 from simulators.world.world import World
-from twin.collision.geometry import Point, added, point
+from twin.collision.geometry import Point, point, translate_point
 
 TURNS = [((0.0, 0.0), (90.0, 45.0)), ((-60.0, 30.0), (45.0, -45.0)), ((120.0, -80.0), (-150.0, 60.0))]
 
@@ -36,7 +36,7 @@ def test_what_is_proved_is_so_and_what_is_far_away_is_proved(start, end) -> None
     rng = np.random.default_rng(4)
     proved = 0
     for offset in rng.uniform((-900.0, -950.0, -500.0), (900.0, 300.0, 900.0), (30, 3)):
-        tip = added(point(world.workpiece.location_mm), point(offset))
+        tip = translate_point(point(world.workpiece.location_mm), point(offset))
         if is_turn_clear(world.workpiece, tip, world.now, end_s):
             proved += 1
             assert least_clearance(world, tip, end_s) > 0.0
@@ -49,9 +49,9 @@ def test_a_turn_that_is_not_proved_is_looked_at() -> None:
     """The tip just before the bar's end: nothing touches it at the start, and then the bar comes."""
     world, end_s = turning((0.0, 0.0), (-45.0, 0.0))
     ball = world.workpiece.snapshot(world.now).balls[8]
-    tip = added(ball, (0.0, -100.0, 0.0))
+    tip = translate_point(ball, (0.0, -100.0, 0.0))
     assert not is_turn_clear(world.workpiece, tip, world.now, end_s)
-    world.controller._position = added(tip, point([-x for x in world.controller.tool_offset]))
+    world.controller._position = translate_point(tip, point([-x for x in world.controller.tool_offset]))
     crash = first_turn_crash(world.workpiece, world.controller, world.now, end_s)
     assert crash is not None
     assert world.now < crash.time_s < end_s

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.observations import Observations
-from twin.artefact.position_set import MountGeometry, mount_pose, positions_of, reachable, station_places
+from twin.artefact.position_set import MountGeometry, is_reachable, mount_pose, parse_position_set, station_locations
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import Family, family_from_amplitudes
@@ -56,15 +56,15 @@ def measured(
     temperature_c: float = 20.0,
 ) -> Observations:
     """Every reachable ball of the set, once with every tool; `deviation(axis positions, tool)` is the truth in mm."""
-    places = station_places(stations, RANGES[0], 560.0, 900.0, 750.0)
+    places = station_locations(stations, RANGES[0], 560.0, 900.0, 750.0)
     lower, upper = np.array(RANGES).T
     rows, found = [], []
-    for number, position in enumerate(positions_of(expression, stations)):
+    for number, position in enumerate(parse_position_set(expression, stations)):
         azimuth, elevation = np.radians(position.azimuth_deg), np.radians(position.elevation_deg)
         pose = mount_pose(places[position.station - 1], MountGeometry(), azimuth, elevation)
-        points = pose.applied(artefact.at(temperature_c, elevation))
+        points = pose.apply(artefact.at(temperature_c, elevation))
         for number_of_tool, tool in enumerate(tools):
-            inside = reachable(points - tool, lower, upper, np.full(3, 10.0))
+            inside = is_reachable(points - tool, lower, upper, np.full(3, 10.0))
             nominal = points[inside] - tool
             at = nominal.copy()
             for _ in range(4):

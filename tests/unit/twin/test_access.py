@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from twin.artefact.artefact import ball_bar
-from twin.artefact.position_set import MountGeometry, positions_of
-from twin.artefact.touch_pattern import QUALIFYING_RINGS, RINGS, approach_directions, directions_of
-from twin.collision.accessibility import STYLUS_AXIS, accessible, standing_scene
+from twin.artefact.position_set import MountGeometry, parse_position_set
+from twin.artefact.touch_pattern import QUALIFYING_RINGS, RINGS, approach_directions, ring_directions
+from twin.collision.accessibility import STYLUS_AXIS, accessible_balls, measuring_scene
 from twin.collision.bodies import TIP, Body, ProbeGeometry, ball_name
 from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, point, sphere
@@ -19,19 +19,19 @@ PLACE = np.array([2000.0, 1000.0, 750.0])
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip
 CONTACT_MM, APPROACH_MM = 15.5, 8.0
-ORIENTATIONS = sorted({(p.azimuth_deg, p.elevation_deg) for name in ("S2", "S3") for p in positions_of(name, 1)})
+ORIENTATIONS = sorted({(p.azimuth_deg, p.elevation_deg) for name in ("S2", "S3") for p in parse_position_set(name, 1)})
 
 
 def scene_at(azimuth_deg: float, elevation_deg: float) -> tuple[np.ndarray, Scene]:
-    return standing_scene(
-        BAR, ProbeGeometry(), MountGeometry(), place_mm=PLACE,
+    return measuring_scene(
+        BAR, ProbeGeometry(), MountGeometry(), location_mm=PLACE,
         azimuth_rad=math.radians(azimuth_deg), elevation_rad=math.radians(elevation_deg),
     )  # fmt: skip
 
 
 def touched(azimuth_deg: float, elevation_deg: float, directions: np.ndarray) -> np.ndarray:
     centres, scene = scene_at(azimuth_deg, elevation_deg)
-    return accessible(centres, scene, contact_mm=CONTACT_MM, approach_mm=APPROACH_MM, directions=directions)
+    return accessible_balls(centres, scene, contact_mm=CONTACT_MM, approach_mm=APPROACH_MM, directions=directions)
 
 
 @pytest.mark.parametrize("count", RINGS)
@@ -42,7 +42,7 @@ def test_every_pattern_gets_at_every_ball_of_s2_and_s3_so_that_none_needs_to_be_
 
 
 def test_rings_of_eight_on_the_equator_run_into_holders_that_lean_with_the_stylus() -> None:
-    dense = directions_of(QUALIFYING_RINGS, STYLUS_AXIS)
+    dense = ring_directions(QUALIFYING_RINGS, STYLUS_AXIS)
     assert touched(45, 0, dense).all()
     assert not touched(90, 45, dense).any()
 
@@ -89,7 +89,7 @@ def test_the_tip_keeps_off_the_holder_until_it_rests(lean_deg: float, overtravel
     )
     scene = Scene([Body(TIP, sphere((0.0, 0.0, 0.0), 3.5))], [Body(ball_name(0), ball), Body("post 0", holder)])
     directions = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    (free,) = accessible(
+    (free,) = accessible_balls(
         np.zeros((1, 3)), scene, contact_mm=9.0, approach_mm=5.0, directions=directions, overtravel_mm=overtravel_mm
     )
     assert free == ((9.0 - overtravel_mm) * math.sin(lean) - 3.5 - 1.6 >= 0.5)

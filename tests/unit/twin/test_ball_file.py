@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from measured_set import TOOL, bar, measured
 
-from twin.artefact.position_set import Position, positions_of
+from twin.artefact.position_set import Position, parse_position_set
 from twin.errors import FormatError
 from twin.formats.ball_file import format_balls, parse_balls
 
@@ -46,7 +46,7 @@ def test_columns_may_stand_in_any_order_and_a_byte_order_mark_is_passed_over() -
 def test_written_and_read_again_nothing_is_lost() -> None:
     seen = measured("S3", 2, bar(), lambda X, t: np.zeros_like(X), np.random.default_rng(3), temperature_c=21.25)
     seen = dataclasses.replace(seen, covariance=seen.covariance * np.linspace(1, 4, seen.size)[:, None, None])
-    positions = positions_of("S3", 2)
+    positions = parse_position_set("S3", 2)
     again = parse_balls(format_balls(seen, positions, ["probe"]), "b", {"probe": TOOL})
     assert again.positions == positions
     assert again.observations.axis_positions == pytest.approx(seen.axis_positions, abs=1e-7)

@@ -5,7 +5,7 @@ import pytest
 
 from twin.artefact.artefact import ball_bar
 from twin.artefact.position_set import MountGeometry
-from twin.collision.accessibility import accessible, standing_scene
+from twin.collision.accessibility import accessible_balls, measuring_scene
 from twin.collision.bodies import Body, ProbeGeometry
 from twin.collision.collision import Scene
 from twin.collision.geometry import Box, sphere
@@ -17,8 +17,8 @@ BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), h
 
 
 def scene_at(azimuth_deg: float, elevation_deg: float) -> tuple[np.ndarray, Scene]:
-    return standing_scene(
-        BAR, ProbeGeometry(), MountGeometry(), place_mm=PLACE,
+    return measuring_scene(
+        BAR, ProbeGeometry(), MountGeometry(), location_mm=PLACE,
         azimuth_rad=math.radians(azimuth_deg), elevation_rad=math.radians(elevation_deg),
     )  # fmt: skip
 
@@ -57,12 +57,12 @@ def test_clearance_is_the_smallest_gap() -> None:
 )
 def test_a_straight_probe_gets_at_every_ball_of_s3_and_s2(angles: tuple[float, float]) -> None:
     centres, scene = scene_at(*angles)
-    assert accessible(centres, scene, contact_mm=15.5, approach_mm=8.0).all()
+    assert accessible_balls(centres, scene, contact_mm=15.5, approach_mm=8.0).all()
 
 
 def test_a_bar_along_the_stylus_hides_every_ball_but_the_first() -> None:
     centres, scene = scene_at(90, 0)
-    assert accessible(centres, scene, contact_mm=15.5, approach_mm=5.0).tolist() == [True] + [False] * 10
+    assert accessible_balls(centres, scene, contact_mm=15.5, approach_mm=5.0).tolist() == [True] + [False] * 10
 
 
 def test_a_probe_too_short_for_its_body_is_refused() -> None:

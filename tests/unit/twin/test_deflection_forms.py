@@ -15,7 +15,12 @@ from twin.machine.forward_model import deviation_basis
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import evaluation_grid, rms
 
-FORMS = [deflection_forms.portal, deflection_forms.rails, deflection_forms.thermal, deflection_forms.smooth]
+FORMS = [
+    deflection_forms.portal_deflection,
+    deflection_forms.rail_deflection,
+    deflection_forms.thermal_deflection,
+    deflection_forms.smooth_random_deflection,
+]
 POINTS = evaluation_grid(RANGES, (16, 9, 9))
 Form = Callable[..., DeflectionGrid]
 

@@ -9,7 +9,7 @@ import pytest
 from measured_set import RANGES, TOOL, bar, case_study, measured
 
 from twin.artefact.observations import Observations
-from twin.artefact.thermal_regressors import machine_course, smoothed
+from twin.artefact.thermal_regressors import smooth_readings, thermal_regressors
 from twin.errors import DataError
 from twin.identification import DriftPrior, Options, identify
 from twin.machine.forward_model import deviation_basis, exact_deviation
@@ -34,7 +34,9 @@ def warmed(parameters: np.ndarray, rng: np.random.Generator, kelvin: float = 3.0
     course = kelvin * (1.0 - np.exp(-2.0 * late)) / (1.0 - np.exp(-2.0))
     at = rows["axis_positions"] + rng.normal(0.0, 1e-3, rows["axis_positions"].shape)
     at = at - course[:, None] * (at * SCALES_PER_K + TIP_PER_K)
-    return Observations(**{**rows, "axis_positions": at}, tool_offsets=still.tool_offsets, course=course[:, None])
+    return Observations(
+        **{**rows, "axis_positions": at}, tool_offsets=still.tool_offsets, thermal_regressors=course[:, None]
+    )
 
 
 ROWS = ("position", "ball", "tool", "axis_positions", "covariance", "temperature_c", "elevation_rad")
@@ -54,14 +56,14 @@ def test_the_estimate_is_that_of_the_machine_as_it_stands_at_the_end() -> None:
     rng = np.random.default_rng(1)
     truth = FAMILY.draw(rng, 1)[0]
     seen = warmed(truth, rng)
-    blind = replace(seen.where(np.arange(seen.size)), course=np.zeros((seen.size, 0)))
-    options = replace(PLAIN, drift=DriftPrior(), holds_at=seen.course[-1])
+    blind = replace(seen.where(np.arange(seen.size)), thermal_regressors=np.zeros((seen.size, 0)))
+    options = replace(PLAIN, drift=DriftPrior(), holds_at=seen.thermal_regressors[-1])
     found = identify(MODEL, seen, BAR, FAMILY, options)
     unaware = identify(MODEL, blind, BAR, FAMILY, PLAIN)
     assert left_um(found.parameters, truth, 3.0) < 4.0
     assert left_um(unaware.parameters, truth, 3.0) > 12.0
     assert found.drift is not None
-    change = found.drift.change(seen.course[-1])
+    change = found.drift.change(seen.thermal_regressors[-1])
     for axis, (low, high) in enumerate(RANGES):
         value, doubt = change[f"E{'XYZ'[axis] * 2}[1]"]
         assert abs(value - 3.0 * SCALES_PER_K[axis] * (high - low) / 2.0) < 3.0 * doubt
@@ -71,7 +73,7 @@ def test_the_estimate_is_that_of_the_machine_as_it_stands_at_the_end() -> None:
 def test_what_is_kept_of_an_estimate_knows_nothing_of_the_drift() -> None:
     rng = np.random.default_rng(2)
     seen = warmed(FAMILY.draw(rng, 1)[0], rng)
-    found = identify(MODEL, seen, BAR, FAMILY, replace(PLAIN, drift=DriftPrior(), holds_at=seen.course[-1]))
+    found = identify(MODEL, seen, BAR, FAMILY, replace(PLAIN, drift=DriftPrior(), holds_at=seen.thermal_regressors[-1]))
     assert found.unknowns.drift is None
     assert found.z.shape == (found.unknowns.blocks.size,)
     assert found.parameters == pytest.approx(found.unknowns.parameters(found.z))
@@ -80,7 +82,7 @@ def test_what_is_kept_of_an_estimate_knows_nothing_of_the_drift() -> None:
     place = MODEL.index("EXX[1]")
     moved = found.parameters[place] - early.parameters[place]
     assert found.drift is not None
-    assert moved == pytest.approx(found.drift.change(seen.course[-1])["EXX[1]"][0])
+    assert moved == pytest.approx(found.drift.change(seen.thermal_regressors[-1])["EXX[1]"][0])
 
 
 def test_without_a_course_nothing_changes() -> None:
@@ -102,13 +104,13 @@ def test_stated_uncertainty_of_the_drifted_parameters_holds() -> None:
         still = measured("S3", 3, BAR, lambda at, tool, t=truth: exact_deviation(MODEL, at, tool, t), rng)
         course = np.linspace(0.0, 2.0, still.size)[:, None]
         options = replace(PLAIN, drift=prior, holds_at=course[-1])
-        found = identify(MODEL, replace(still, course=course), BAR, FAMILY, options)
+        found = identify(MODEL, replace(still, thermal_regressors=course), BAR, FAMILY, options)
         assert found.drift is not None
         drift = found.drift.drift
         drawn = rng.standard_normal(drift.size)
         basis = deviation_basis(MODEL, still.axis_positions, TOOL)
         shift = drift.columns(basis, course) @ drawn
-        moved = replace(still, axis_positions=still.axis_positions - shift, course=course)
+        moved = replace(still, axis_positions=still.axis_positions - shift, thermal_regressors=course)
         found = identify(MODEL, moved, BAR, FAMILY, options)
         late = truth.copy()
         late[list(drift.places)] += drift.change(drawn, course[-1])[: len(drift.places)]
@@ -136,17 +138,17 @@ def test_the_course_follows_the_thermometer_and_begins_at_zero() -> None:
     instants = np.arange(0.0, 3600.0, 12.0)
     exact = 20.0 + 3.0 * (1.0 - np.exp(-instants / 1200.0))
     told = exact + 0.02 * np.random.default_rng(5).standard_normal(len(instants))
-    course = machine_course(instants, told, 3.0)
+    course = thermal_regressors(instants, told, 3.0)
     assert (course[0] == 0.0).all()
     inside = slice(15, -15)
-    assert np.abs(smoothed(instants, told) - exact)[inside].max() < 0.02
+    assert np.abs(smooth_readings(instants, told) - exact)[inside].max() < 0.02
     assert np.std(course[inside, 0] - (exact[inside] - exact[0])) < 0.008
-    assert machine_course(instants, None, 3.0)[-1] == pytest.approx([3.0, 1.2])
+    assert thermal_regressors(instants, None, 3.0)[-1] == pytest.approx([3.0, 1.2])
 
 
 def test_smoothing_keeps_straight_lines_and_lone_readings() -> None:
     instants = np.array([0.0, 10.0, 50.0, 1000.0, 1400.0, 1450.0])
-    assert smoothed(instants, 20.0 + 0.01 * instants) == pytest.approx(20.0 + 0.01 * instants)
+    assert smooth_readings(instants, 20.0 + 0.01 * instants) == pytest.approx(20.0 + 0.01 * instants)
 
 
 @pytest.mark.parametrize("name", ["strain_per_k", "bending_per_k", "tip_mm_per_k"])

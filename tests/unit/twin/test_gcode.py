@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twin.compensation.gcode.correction import correct_program
-from twin.compensation.gcode.correction_summary import Counts
+from twin.compensation.gcode.correction_summary import CorrectionSummary
 from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
 from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError, FormatError
@@ -32,7 +32,7 @@ def table(**more: object) -> CompensationTable:
     return CompensationTable(x, y, z, corrections, np.zeros(3), Anchor([0.0, 0.0, 0.0]), extrapolated)
 
 
-def run(text: str, setup: PartSetup = SETUP, **options: object) -> tuple[list[str], Counts]:
+def run(text: str, setup: PartSetup = SETUP, **options: object) -> tuple[list[str], CorrectionSummary]:
     parts: list[str] = []
     chosen = CorrectionOptions(**{"max_chord_error_mm": 0.002, **options})
     counts = correct_program(text.splitlines(True), table(), setup, chosen, parts.append)

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from twin.machine.grid_quadrature import GridSums
+from twin.machine.grid_quadrature import GridQuadrature
 
 RNG = np.random.default_rng(2)
 LINES = (np.linspace(-200.0, 4000.0, 40), np.sort(RNG.uniform(0.0, 900.0, 15)), np.linspace(10.0, 20.0, 4))
@@ -22,7 +22,7 @@ def monomial(points: np.ndarray, powers: tuple[int, ...]) -> np.ndarray:
 
 @pytest.mark.parametrize("powers", [(0, 0, 0), (12, 8, 10), (13, 9, 11), (5, 3, 2), (1, 0, 7)])
 def test_products_of_two_columns_are_summed_exactly(powers: tuple[int, ...]) -> None:
-    sums = GridSums.over(POINTS, DEGREES)
+    sums = GridQuadrature.for_points(POINTS, DEGREES)
     assert len(sums.nodes) == 7 * 5 * 4  # on the last axis there are fewer points than nodes
     assert sums.count == len(POINTS)
     plain = monomial(POINTS, powers)
@@ -31,7 +31,7 @@ def test_products_of_two_columns_are_summed_exactly(powers: tuple[int, ...]) -> 
 
 @pytest.mark.parametrize("powers", [(0, 0, 0), (6, 4, 3), (2, 0, 1)])
 def test_any_field_is_summed_exactly_against_a_column(powers: tuple[int, ...]) -> None:
-    sums = GridSums.over(POINTS, DEGREES)
+    sums = GridQuadrature.for_points(POINTS, DEGREES)
     field = RNG.normal(size=POINTS.shape)
     found = monomial(sums.nodes, powers) @ sums.gather(field)
     assert found == pytest.approx(monomial(POINTS, powers) @ field, abs=1e-10)
@@ -43,7 +43,7 @@ def test_any_field_is_summed_exactly_against_a_column(powers: tuple[int, ...]) -
     ids=["shuffled", "one missing", "another order", "descending", "all the same", "one"],
 )
 def test_points_that_are_no_such_grid_are_summed_one_by_one(points: np.ndarray) -> None:
-    sums = GridSums.over(points, DEGREES)
+    sums = GridQuadrature.for_points(points, DEGREES)
     assert sums.weights.sum() == pytest.approx(len(points))
     np.testing.assert_allclose(
         sums.weights @ monomial(sums.nodes, (3, 2, 1)), monomial(points, (3, 2, 1)).sum(), atol=1e-9

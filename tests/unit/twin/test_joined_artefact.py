@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from twin.artefact.artefact import Artefact, ball_bar
-from twin.artefact.combined_artefact import joined
+from twin.artefact.combined_artefact import combine_artefacts
 from twin.artefact.position_set import MountGeometry, Position
 from twin.collision.bodies import ProbeGeometry
-from twin.collision.measuring_layout import Layout
-from twin.collision.neighbour_stations import neighbours
+from twin.collision.measuring_layout import MeasuringLayout
+from twin.collision.neighbour_stations import neighbour_bodies
 from twin.design.procedure import Procedure
 from twin.errors import DataError
 
@@ -30,7 +30,7 @@ def other(shift_mm: float = 0.1) -> Artefact:
 
 
 def test_balls_and_certificates_stand_one_after_the_other_and_know_nothing_of_each_other() -> None:
-    both = joined([BAR, other()])
+    both = combine_artefacts([BAR, other()])
     assert both.count == 10
     assert both.members == (0,) * 5 + (1,) * 5
     assert np.array_equal(both.balls[5:], other().balls)
@@ -41,7 +41,7 @@ def test_balls_and_certificates_stand_one_after_the_other_and_know_nothing_of_ea
 
 
 def test_balls_of_two_artefacts_may_have_one_place_and_those_of_one_may_not() -> None:
-    assert joined([BAR, replace(BAR)]).count == 10
+    assert combine_artefacts([BAR, replace(BAR)]).count == 10
     with pytest.raises(DataError, match="less than their diameter"):
         replace(BAR, balls=np.zeros_like(BAR.balls))
 
@@ -57,24 +57,24 @@ def test_balls_of_two_artefacts_may_have_one_place_and_those_of_one_may_not() ->
 )
 def test_artefacts_of_different_kinds_are_refused(change: dict[str, object], said: str) -> None:
     with pytest.raises(DataError, match=said):
-        joined([BAR, replace(BAR, **change)])  # type: ignore[arg-type]
+        combine_artefacts([BAR, replace(BAR, **change)])  # type: ignore[arg-type]
 
 
-def layout(own: dict[int, Artefact], around: bool = True) -> Layout:
+def layout(own: dict[int, Artefact], around: bool = True) -> MeasuringLayout:
     places = {1: np.array([900.0, 1000.0, 750.0]), 2: np.array([2000.0, 1000.0, 750.0])}
     mount = MountGeometry()
-    return Layout(
-        artefact=joined(list(own.values())) if own else BAR,
+    return MeasuringLayout(
+        artefact=combine_artefacts(list(own.values())) if own else BAR,
         mount=mount,
         probe=ProbeGeometry(),
-        places_mm=MappingProxyType(places),
+        locations_mm=MappingProxyType(places),
         tool_offset_mm=np.array([0.0, 250.0, 0.0]),
         lower_mm=np.zeros(3),
         upper_mm=np.array([4000.0, 1300.0, 1500.0]),
         contact_mm=15.5,
         approach_mm=8.0,
         own_artefacts=own,
-        around=neighbours(mount, places, own, (0.0, 90.0)) if around else {},
+        neighbours=neighbour_bodies(mount, places, own, (0.0, 90.0)) if around else {},
     )
 
 
@@ -91,7 +91,7 @@ def test_a_procedure_counts_the_balls_of_the_second_artefact_on() -> None:
 
 
 def test_every_station_sees_the_other_mount_parked_with_what_it_carries() -> None:
-    around = layout({1: BAR, 2: other()}).around
+    around = layout({1: BAR, 2: other()}).neighbours
     names = {body.name for body in around[1]}
     assert "ball 4 at station 2" in names
     assert "pedestal at station 2" in names
@@ -99,7 +99,7 @@ def test_every_station_sees_the_other_mount_parked_with_what_it_carries() -> Non
     upright = [body for body in around[1] if body.name == "bar at station 2"]
     assert max(body.shape.upper[2] for body in upright) == pytest.approx(750.0 + 300.0 + 15.0 + 15.0, abs=0.1)
     assert max(body.shape.upper[0] for body in upright) == pytest.approx(2000.0 + 15.0, abs=0.1)
-    bare = layout({}).around[1]
+    bare = layout({}).neighbours[1]
     assert {body.name for body in bare} == {"shaft at station 2", "pedestal at station 2"}
 
 
@@ -107,9 +107,9 @@ def test_a_ball_behind_a_neighbour_is_not_offered() -> None:
     """At 500 mm the bar of station 1 at azimuth 0 ends where the parked one of station 2 stands in the ram's way."""
     near = layout({1: BAR, 2: other()})
     places = {1: np.array([900.0, 1000.0, 750.0]), 2: np.array([1200.0, 850.0, 750.0])}
-    around = neighbours(near.mount, places, near.own_artefacts, (0.0, 90.0))
-    crowded = replace(near, places_mm=places, around=around)
-    alone = replace(near, places_mm=places, around={})
+    around = neighbour_bodies(near.mount, places, near.own_artefacts, (0.0, 90.0))
+    crowded = replace(near, locations_mm=places, neighbours=around)
+    alone = replace(near, locations_mm=places, neighbours={})
     position = Position(1, 0.0, 0.0)
     assert alone.accessible(position).all()
     assert crowded.accessible(position).tolist() == [True, True, True, True, False]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from twin.artefact.reversal import lost_motion, oblique_touches
+from twin.artefact.reversal import fit_lost_motion, plan_oblique_touches
 from twin.errors import DataError
 
 ALONG_Y = np.array([0.0, 1.0, 0.0])
@@ -15,7 +15,7 @@ ALONG_Y = np.array([0.0, 1.0, 0.0])
 
 @pytest.mark.parametrize(("axis", "along"), [(0, 1), (1, 0), (2, 1)])
 def test_places_are_oblique_before_the_ball_and_touched_by_another_axis_alone(axis: int, along: int) -> None:
-    first, second = oblique_touches(axis, ALONG_Y)
+    first, second = plan_oblique_touches(axis, ALONG_Y)
     for touch in (first, second):
         assert touch.along == along
         assert abs(touch.normal[axis]) == pytest.approx(math.sqrt(0.5))
@@ -30,7 +30,7 @@ def test_places_are_oblique_before_the_ball_and_touched_by_another_axis_alone(ax
 def test_the_sign_is_that_of_a_slide_that_lags(axis: int) -> None:
     """A sphere of 15 mm met by a tip whose pre-loaded axis lags by ±4 µm: the reading by Pythagoras."""
     latched, upwards, ratios, places = [], [], [], []
-    for place, touch in enumerate(oblique_touches(axis, ALONG_Y)):
+    for place, touch in enumerate(plan_oblique_touches(axis, ALONG_Y)):
         for up in (True, False):
             lag = -0.004 if up else 0.004
             off = 15.0 * touch.normal[axis] + lag
@@ -39,27 +39,27 @@ def test_the_sign_is_that_of_a_slide_that_lags(axis: int) -> None:
             upwards.append(up)
             ratios.append(touch.ratio)
             places.append(place)
-    assert lost_motion(ratios, upwards, places, latched, 1e-6).value_mm == pytest.approx(0.008, rel=1e-3)
+    assert fit_lost_motion(ratios, upwards, places, latched, 1e-6).value_mm == pytest.approx(0.008, rel=1e-3)
 
 
 def test_fit_is_the_difference_of_the_means_and_its_uncertainty_that_of_hand_arithmetic() -> None:
     """One place, ratio 1: levels 1 ± b/2 with residuals ±d: b = difference of the means, σ = s·√(2/2)."""
     latched = [1.000 + 0.003 + 0.001, 1.0 - 0.003 - 0.001, 1.0 - 0.003 + 0.001, 1.0 + 0.003 - 0.001]
-    found = lost_motion([1.0] * 4, [True, False, False, True], [0] * 4, latched, 0.0)
+    found = fit_lost_motion([1.0] * 4, [True, False, False, True], [0] * 4, latched, 0.0)
     assert found.value_mm == pytest.approx(0.006)
     assert found.sigma_mm == pytest.approx(math.sqrt(4 * 0.001**2 / 2))
-    floored = lost_motion([1.0] * 4, [True, False, False, True], [0] * 4, latched, 0.01)
+    floored = fit_lost_motion([1.0] * 4, [True, False, False, True], [0] * 4, latched, 0.01)
     assert floored.sigma_mm == pytest.approx(0.01)
 
 
 def test_a_steady_drift_drops_out_of_up_down_down_up() -> None:
     drift = [0.000, 0.002, 0.004, 0.006]
-    found = lost_motion([1.0] * 4, [True, False, False, True], [0] * 4, drift, 1e-6)
+    found = fit_lost_motion([1.0] * 4, [True, False, False, True], [0] * 4, drift, 1e-6)
     assert found.value_mm == pytest.approx(0.0, abs=1e-12)
 
 
 def test_touches_from_one_side_only_and_a_slanting_stylus_are_refused() -> None:
     with pytest.raises(DataError, match="one side only"):
-        lost_motion([1.0, 1.0], [True, True], [0, 0], [0.0, 0.1], 1e-3)
+        fit_lost_motion([1.0, 1.0], [True, True], [0, 0], [0.0, 0.1], 1e-3)
     with pytest.raises(DataError, match="machine axis"):
-        oblique_touches(0, np.array([0.6, 0.8, 0.0]))
+        plan_oblique_touches(0, np.array([0.6, 0.8, 0.0]))

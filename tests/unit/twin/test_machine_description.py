@@ -15,7 +15,7 @@ MACHINE = parse_machine(FILE.read_text(), FILE.name, lambda name: (FILE.parent /
 
 
 def test_another_order_goes_on_with_the_amplitudes_of_the_file() -> None:
-    seven = MACHINE.of_order(7)
+    seven = MACHINE.with_order(7)
     assert set(seven.model.orders.values()) == {7}
     assert seven.model.size == 126
     assert seven.model.cross_effect == MACHINE.model.cross_effect
@@ -27,7 +27,7 @@ def test_another_order_goes_on_with_the_amplitudes_of_the_file() -> None:
 
 
 def test_the_order_of_the_file_gives_the_family_of_the_file() -> None:
-    same = MACHINE.of_order(5)
+    same = MACHINE.with_order(5)
     assert same.model == MACHINE.model
     assert same.family.half_widths.tolist() == MACHINE.family.half_widths.tolist()
 

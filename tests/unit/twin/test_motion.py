@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.collision.motion_law import MotionLaw, Phase, straight, trapezoid, travel_s
+from twin.collision.motion_law import MotionLaw, Phase, straight_path, trapezoid, travel_time_s
 
 
 def test_a_long_move_ramps_cruises_and_ramps() -> None:
@@ -30,20 +30,20 @@ def test_no_way_takes_no_time() -> None:
 
 
 def test_braking_takes_v_squared_over_2a() -> None:
-    law = trapezoid(0.0, 1000.0, 100.0, 50.0).braked(6.0, 50.0)
+    law = trapezoid(0.0, 1000.0, 100.0, 50.0).braked_from(6.0, 50.0)
     assert law.end_s == pytest.approx(8.0)
     assert law.end_distance == pytest.approx(600.0)
 
 
 def test_a_crash_stops_dead() -> None:
-    law = trapezoid(0.0, 1000.0, 100.0, 50.0).cut(1.0)
+    law = trapezoid(0.0, 1000.0, 100.0, 50.0).truncated_at(1.0)
     assert (law.end_s, law.end_distance) == (1.0, 25.0)
 
 
 def test_the_slowest_axis_rules_the_path() -> None:
-    path = straight((0.0, 0.0, 0.0), (30.0, 40.0, 0.0))
+    path = straight_path((0.0, 0.0, 0.0), (30.0, 40.0, 0.0))
     assert path.length == 50.0
-    assert path.largest((60.0, 40.0, 10.0)) == pytest.approx(50.0)
+    assert path.limit_along((60.0, 40.0, 10.0)) == pytest.approx(50.0)
     assert path.at(25.0) == pytest.approx((15.0, 20.0, 0.0))
 
 
@@ -68,11 +68,11 @@ def test_a_slowing_phase_gives_the_first_passage() -> None:
 
 @given(st.floats(0.0, 4000.0), st.floats(1.0, 400.0), st.floats(50.0, 2000.0))
 def test_a_travel_takes_as_long_as_its_law(length: float, speed: float, acceleration: float) -> None:
-    assert travel_s(length, speed, acceleration) == pytest.approx(
+    assert travel_time_s(length, speed, acceleration) == pytest.approx(
         trapezoid(7.0, length, speed, acceleration).end_s - 7.0
     )
 
 
 def test_a_travel_along_one_axis_does_not_ask_the_others() -> None:
-    assert straight((0.0, 0.0, 0.0), (0.0, -3.0, 0.0)).largest((1.0, 60.0, 2.0)) == 60.0
-    assert straight((1.0, 2.0, 3.0), (1.0, 2.0, 3.0)).largest((4.0, 3.0, 5.0)) == 3.0
+    assert straight_path((0.0, 0.0, 0.0), (0.0, -3.0, 0.0)).limit_along((1.0, 60.0, 2.0)) == 60.0
+    assert straight_path((1.0, 2.0, 3.0), (1.0, 2.0, 3.0)).limit_along((4.0, 3.0, 5.0)) == 3.0

@@ -9,11 +9,11 @@ import pytest
 
 from twin.artefact.pretravel import PretravelMap, direction_at, fit_pretravel
 from twin.artefact.sphere_fit import fit_sphere
-from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, directions_of
+from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, ring_directions
 from twin.errors import DataError
 
 AXIS = np.array([0.0, 1.0, 0.0])
-DENSE = directions_of(QUALIFYING_RINGS, AXIS)
+DENSE = ring_directions(QUALIFYING_RINGS, AXIS)
 RADIUS = 15.5
 
 
@@ -70,7 +70,7 @@ def test_what_the_harmonics_leave_is_the_noise() -> None:
 
 
 def test_directions_at_a_latitude_are_those_of_a_ring() -> None:
-    ring = directions_of(((30.0, 4, 10.0),), AXIS)[1:]
+    ring = ring_directions(((30.0, 4, 10.0),), AXIS)[1:]
     for index, direction in enumerate(ring):
         angle = math.radians(10.0 + 90.0 * index)
         assert direction_at(AXIS, math.radians(30.0), angle) == pytest.approx(direction)

@@ -12,17 +12,17 @@ from twin.artefact.artefact import ball_bar
 from twin.artefact.position_set import MountGeometry, Position
 from twin.artefact.touch_pattern import approach_directions, centre_covariance
 from twin.collision.bodies import ProbeGeometry
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import Procedure
 from twin.errors import DataError
 from twin.formats.position_set_file import format_positions, parse_positions
 
 BAR = ball_bar("bar", balls=5, length_mm=1000.0, tilt_rad=0.0, holder_length_mm=60.0, ball_diameter_mm=25.0)
-LAYOUT = Layout(
+LAYOUT = MeasuringLayout(
     artefact=BAR,
     mount=MountGeometry(),
     probe=ProbeGeometry(),
-    places_mm={1: np.array([1000.0, 1000.0, 750.0])},
+    locations_mm={1: np.array([1000.0, 1000.0, 750.0])},
     tool_offset_mm=np.array([0.0, 250.0, 0.0]),
     lower_mm=np.zeros(3),
     upper_mm=np.array([4000.0, 1300.0, 1500.0]),
@@ -42,7 +42,7 @@ def test_balls_of_a_level_bar_stand_where_a_ruler_puts_them() -> None:
 
 
 def test_balls_beyond_the_travel_are_left_out_and_counted() -> None:
-    near_the_end = dataclasses.replace(LAYOUT, places_mm={1: np.array([260.0, 1000.0, 750.0])})
+    near_the_end = dataclasses.replace(LAYOUT, locations_mm={1: np.array([260.0, 1000.0, 750.0])})
     planned = Procedure({"probe": near_the_end}, np.eye(3)).planned([Position(1, 0.0, 0.0)])
     assert planned.observations.ball.tolist() == [1, 2, 3, 4]
     assert planned.unreachable_balls == 1

@@ -12,7 +12,7 @@ from plain_machine import deviations
 from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.position_set import MountGeometry, Position, mount_pose
 from twin.collision.bodies import ProbeGeometry
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.procedure import Planned, Procedure
 from twin.errors import ModelError
 from twin.identification import Options, identify
@@ -64,11 +64,11 @@ def bar(tilt_deg: float = 15.0, **changes: float) -> Artefact:
 
 
 def planned_for(artefact: Artefact, orientations: tuple[tuple[float, float], ...] = ORIENTATIONS) -> Planned:
-    layout = Layout(
+    layout = MeasuringLayout(
         artefact=artefact,
         mount=MOUNT,
         probe=ProbeGeometry(),
-        places_mm={1: np.array([1200.0, 1000.0, 750.0]), 2: np.array([2800.0, 1000.0, 750.0])},
+        locations_mm={1: np.array([1200.0, 1000.0, 750.0]), 2: np.array([2800.0, 1000.0, 750.0])},
         tool_offset_mm=TOOL,
         lower_mm=np.array([low for low, _ in RANGES]),
         upper_mm=np.array([high for _, high in RANGES]),

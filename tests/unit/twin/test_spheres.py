@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from twin.collision.bodies import Body
 from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, Point, sphere
-from twin.collision.sphere_prefilter import Spheres, SpheresApart
+from twin.collision.sphere_prefilter import SceneSpheres, SpherePrefilter
 
 TIP = Body("tip", sphere((0.0, 0.0, 0.0), 3.0))
 coordinate = st.floats(-60.0, 60.0)
@@ -23,18 +23,18 @@ def test_the_exact_search_says_the_same_but_for_its_tolerance(
 ) -> None:
     bodies = [Body(f"ball {number}", sphere(centre, radius)) for number, (centre, radius) in enumerate(around)]
     scene = Scene([TIP], bodies)
-    closer = {("tip", "ball 0"): closer_mm, ("stem", "ball 1"): 0.0}
-    apart = SpheresApart(Spheres.of(scene), clearance_mm, closer)
-    less = {pair: apart_mm - 1e-3 for pair, apart_mm in closer.items()}
+    reduced_mm = {("tip", "ball 0"): closer_mm, ("stem", "ball 1"): 0.0}
+    apart = SpherePrefilter(SceneSpheres.of(scene), clearance_mm, reduced_mm)
+    less = {pair: apart_mm - 1e-3 for pair, apart_mm in reduced_mm.items()}
     for start, end in moves:
         if apart.surely_hit(start, end):
-            assert not scene.free(start, end, clearance_mm, closer)
+            assert not scene.is_free(start, end, clearance_mm, reduced_mm)
         elif all(abs(np.subtract(start, centre) @ np.subtract(end, start)) > 1e-3 for centre, _ in around):
-            assert scene.free(start, end, clearance_mm - 1e-3, less)
+            assert scene.is_free(start, end, clearance_mm - 1e-3, less)
 
 
 def test_what_is_no_sphere_is_left_to_the_exact_search() -> None:
     bar = Body("bar", Capsule((10.0, 0.0, -50.0), (10.0, 0.0, 50.0), 5.0))
     for scene in (Scene([TIP], [bar]), Scene([Body("stem", bar.shape)], [TIP])):
-        apart = SpheresApart(Spheres.of(scene), 1.0, {})
+        apart = SpherePrefilter(SceneSpheres.of(scene), 1.0, {})
         assert not apart.surely_hit((0.0, 0.0, 0.0), (20.0, 0.0, 0.0))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from twin.artefact.mount_pose_estimate import Standing
+from twin.artefact.mount_pose_estimate import MountPoseEstimate
 
 LINE = np.column_stack([np.linspace(-700.0, 700.0, 5), np.zeros(5), np.zeros(5)])
 CROSS = np.column_stack([np.zeros(5), np.zeros(5), np.linspace(-700.0, 700.0, 5)])
@@ -25,25 +25,25 @@ def turned_about_y(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 
 def test_before_anything_was_found_nothing_is_moved() -> None:
-    assert Standing.as_stated().carried(LINE) is LINE
+    assert MountPoseEstimate.nominal().transform(LINE) is LINE
 
 
 def test_a_tilted_mount_is_met_in_an_orientation_not_yet_measured() -> None:
     middle = np.array([10.0, 20.0, 30.0])
-    standing = Standing.as_stated().having_found(LINE, turned_about_y(LINE, middle))
-    assert standing.carried(CROSS) == pytest.approx(turned_about_y(CROSS, middle), abs=1e-3)
+    standing = MountPoseEstimate.nominal().with_found_balls(LINE, turned_about_y(LINE, middle))
+    assert standing.transform(CROSS) == pytest.approx(turned_about_y(CROSS, middle), abs=1e-3)
 
 
 def test_a_turn_about_the_bars_own_axis_is_not_made_up() -> None:
     noise = np.random.default_rng(3).normal(0.0, 1e-3, LINE.shape)
-    carried = Standing.as_stated().having_found(LINE, LINE + SHIFT + noise).carried(CROSS)
+    carried = MountPoseEstimate.nominal().with_found_balls(LINE, LINE + SHIFT + noise).transform(CROSS)
     assert carried == pytest.approx(CROSS + SHIFT, abs=5e-3)
 
 
 def test_further_balls_show_what_the_first_left_open() -> None:
     about_x = CROSS.copy()
     about_x[:, 1] = -TILT * CROSS[:, 2]
-    standing = Standing.as_stated().having_found(LINE, LINE).having_found(CROSS, about_x)
+    standing = MountPoseEstimate.nominal().with_found_balls(LINE, LINE).with_found_balls(CROSS, about_x)
     beside = np.array([[0.0, 100.0, 500.0]])
     expected = np.array([[0.0, 100.0 - TILT * 500.0, 500.0 + TILT * 100.0]])
-    assert standing.carried(beside) == pytest.approx(expected, abs=1e-3)
+    assert standing.transform(beside) == pytest.approx(expected, abs=1e-3)

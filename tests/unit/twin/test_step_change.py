@@ -11,8 +11,8 @@ from twin.identification import Estimate, Options, identify, predicted_vce
 from twin.identification.problem import build_problem
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.volumetric import evaluation_grid, volumetric_error
-from twin.monitoring.discriminating_positions import Questions
-from twin.monitoring.residual_with_active_table import ActingError, acting_covariance, unwritten
+from twin.monitoring.discriminating_positions import JumpQuestions
+from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
 from twin.monitoring.step_detection import ERRORS, innovation
 
 MODEL, FAMILY = case_study(3)
@@ -100,7 +100,7 @@ def test_a_jump_is_named_with_its_size(first: Estimate, name: str, jump: float, 
     assert (named.error, named.unit) == (error, unit)
     assert named.coefficients[name] == pytest.approx(jump, rel=0.35)
     assert np.sign(named.change) == np.sign(jump) or error == "EYX"
-    assert named.chance < 1e-4
+    assert named.p_value < 1e-4
     assert error in named.text
     assert len(found.suspects()) == len(ERRORS)
 
@@ -123,7 +123,7 @@ def test_expected_error_with_a_table_is_the_mean_over_drawn_machines(first: Esti
     """A table written for another machine, by plain evaluation of many machines on the grid."""
     grid = evaluation_grid(MODEL.ranges_mm, (8, 6, 5))
     unknowns, known = first.unknowns, first.carried_over()
-    acting = ActingError.build(unknowns, known.scales, grid, TOOL)
+    acting = ResidualWithTable.build(unknowns, known.scales, grid, TOOL)
     written = first.parameters + 0.3 * SIGMA
     rng = np.random.default_rng(8)
     basis = deviation_basis(MODEL, grid, TOOL)
@@ -134,23 +134,23 @@ def test_expected_error_with_a_table_is_the_mean_over_drawn_machines(first: Esti
         squares.append(
             [volumetric_error(grid + TOOL, field).raw_mm ** 2, volumetric_error(grid + TOOL, field).aligned_mm ** 2]
         )
-    raw, aligned = np.sqrt(np.mean(squares, axis=0) + acting.beside)
+    raw, aligned = np.sqrt(np.mean(squares, axis=0) + acting.left_out_mm2)
     found = acting.of(first.z, first.z_covariance, written)
     assert found.raw_mm == pytest.approx(raw, rel=0.03)
     assert found.aligned_mm == pytest.approx(aligned, rel=0.03)
     own = acting.of(first.z, first.z_covariance, first.parameters)
     assert own.aligned_mm == pytest.approx(predicted_vce(first, grid, TOOL).aligned_mm, rel=0.01)
-    left = unwritten(unknowns, first.z, written)
-    covariance = acting_covariance(unknowns, known.scales, left, first.z_covariance, grid, TOOL)
+    left = uncompensated(unknowns, first.z, written)
+    covariance = residual_covariance(unknowns, known.scales, left, first.z_covariance, grid, TOOL)
     assert np.trace(covariance) / len(grid) == pytest.approx(found.raw_mm**2, rel=1e-9)
 
 
 def test_a_position_that_sees_a_jump_answers_whether_it_was() -> None:
     """Two unknowns, one position that sees the sum and one that sees the second only, by hand."""
-    questions = Questions(np.eye(2), np.eye(2))
+    questions = JumpQuestions(np.eye(2), np.eye(2))
     factors = np.array([[[3.0, 3.0]], [[0.0, 2.0]]])
     covariance = np.diag([0.5, 0.0])
-    found = questions.answers(factors, covariance)
+    found = questions.noncentralities(factors, covariance)
     assert found == pytest.approx(np.array([[9.0 / 5.5, 9.0 / 5.5], [0.0, 4.0]]))
-    pair = Questions.which(np.eye(2)).answers(factors, covariance)
+    pair = JumpQuestions.which_jump(np.eye(2)).noncentralities(factors, covariance)
     assert pair == pytest.approx(np.array([[0.0], [4.0]]))

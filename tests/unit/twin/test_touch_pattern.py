@@ -11,15 +11,15 @@ from twin.artefact.touch_pattern import (
     RINGS,
     approach_directions,
     centre_covariance,
-    centre_per_radius,
-    directions_of,
+    centre_shift_per_radius,
     known_radius_covariance,
     redundancies,
+    ring_directions,
 )
 from twin.errors import DataError
 
 AXIS = np.array([0.0, 1.0, 0.0])
-PATTERNS = [approach_directions(count, AXIS) for count in RINGS] + [directions_of(QUALIFYING_RINGS, AXIS)]
+PATTERNS = [approach_directions(count, AXIS) for count in RINGS] + [ring_directions(QUALIFYING_RINGS, AXIS)]
 names = [*(str(count) for count in RINGS), "qualifying"]
 
 
@@ -58,7 +58,7 @@ def test_redundancy_is_what_one_wrong_touch_leaves_of_itself_in_its_residual(dir
 def test_a_radius_known_too_large_moves_the_centre_as_stated(directions: np.ndarray) -> None:
     points = -15.5 * directions
     high, low = (fit_sphere(points, 1e-3, 15.5 + step, near=np.zeros(3)).centre for step in (1e-4, -1e-4))
-    assert centre_per_radius(directions) == pytest.approx((high - low) / 2e-4, abs=1e-4)
+    assert centre_shift_per_radius(directions) == pytest.approx((high - low) / 2e-4, abs=1e-4)
 
 
 def test_known_radius_covariance_of_five_touches_is_that_of_hand_arithmetic() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.collision.travelling_salesman import MOST_EXACT, shortest_tour
+from twin.collision.travelling_salesman import MAX_EXACT_NODES, shortest_tour
 
 
 def costs(count: int, seed: int) -> np.ndarray:
@@ -34,7 +34,7 @@ def test_few_places_are_visited_in_the_best_order_there_is(count: int, seed: int
     assert tour_cost(found, 0, end, cost) == pytest.approx(best)
 
 
-@given(st.integers(MOST_EXACT + 1, 14), st.integers(0, 10_000))
+@given(st.integers(MAX_EXACT_NODES + 1, 14), st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
 def test_no_exchange_makes_a_longer_order_better(count: int, seed: int) -> None:
     matrix, places = costs(count, seed), list(range(2, count + 2))

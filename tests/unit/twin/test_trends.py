@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from twin.errors import DataError
-from twin.monitoring import crossing, ewma, find_steps, fit_drift, individuals
-from twin.monitoring.control_chart import EWMA_WEIGHT, EWMA_WIDTH
+from twin.monitoring import ewma_chart, find_steps, fit_drift, individuals_chart, limit_crossing
+from twin.monitoring.control_chart import EWMA_LIMIT_WIDTH, EWMA_WEIGHT
 
 
 class TestControlCharts:
     def test_limits_by_hand(self) -> None:
         """Moving ranges 2, 1, 3, mean 2; sigma 2 / 1.128; centre 11.5 (Montgomery's constant d2)."""
-        chart = individuals([10.0, 12.0, 11.0, 14.0])
+        chart = individuals_chart([10.0, 12.0, 11.0, 14.0])
         assert chart.centre == pytest.approx(11.75)
         assert chart.sigma == pytest.approx(2.0 / 1.128, rel=1e-3)
         assert chart.upper == pytest.approx(11.75 + 2.66 * 2.0, rel=1e-3)
@@ -24,18 +24,18 @@ class TestControlCharts:
 
     def test_a_wild_value_is_outside(self) -> None:
         values = [0.0, 1.0] * 10 + [9.0]
-        assert individuals(values).outside == (20,)
+        assert individuals_chart(values).outside == (20,)
 
     def test_ewma_by_hand(self) -> None:
         """z1 = 0.2·2, z2 = 0.2·(-1) + 0.8·0.4; var z1 = w²σ², var z2 = w²(1 + (1 - w)²)σ²."""
-        found = ewma([2.0, -1.0, 0.0], 0.0, 1.0)
+        found = ewma_chart([2.0, -1.0, 0.0], 0.0, 1.0)
         assert found.values == pytest.approx([0.4, 0.12, 0.096])
-        assert found.upper[0] == pytest.approx(EWMA_WIDTH * EWMA_WEIGHT)
-        assert found.upper[1] == pytest.approx(EWMA_WIDTH * EWMA_WEIGHT * math.sqrt(1.0 + 0.8**2))
+        assert found.upper[0] == pytest.approx(EWMA_LIMIT_WIDTH * EWMA_WEIGHT)
+        assert found.upper[1] == pytest.approx(EWMA_LIMIT_WIDTH * EWMA_WEIGHT * math.sqrt(1.0 + 0.8**2))
 
     def test_one_false_alarm_in_five_hundred(self) -> None:
         """Average run length without a shift as a Markov chain (Brook & Evans, Biometrika 59, 1972), steady limits."""
-        cells, half = 401, EWMA_WIDTH * math.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT))
+        cells, half = 401, EWMA_LIMIT_WIDTH * math.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT))
         edges = np.linspace(-half, half, cells + 1)
         middle = 0.5 * (edges[1:] + edges[:-1])
         cumulative = np.vectorize(lambda x: 0.5 * math.erfc(-x / math.sqrt(2.0)))(
@@ -47,7 +47,7 @@ class TestControlCharts:
     @pytest.mark.parametrize("values", [[1.0, 2.0], [1.0, math.nan, 2.0]])
     def test_too_little_is_refused(self, values: list[float]) -> None:
         with pytest.raises(DataError):
-            individuals(values)
+            individuals_chart(values)
 
 
 class TestDrift:
@@ -130,23 +130,23 @@ class TestCrossing:
         """8.4 µm now, 0.4 a night, tolerance 12: nine nights; a line without scatter has no band."""
         nights = np.arange(10.0)
         drift = fit_drift(nights, 4.8 + 0.4 * nights, np.full(10, 1e-9))
-        found = crossing(drift, 12.0, 1000.0, two_sided=False)
+        found = limit_crossing(drift, 12.0, 1000.0, two_sided=False)
         assert found.expected == pytest.approx(9.0, abs=1e-6)
         assert found.earliest == pytest.approx(9.0, abs=1e-6)
 
     def test_the_band_is_earlier_and_solves_its_equation(self) -> None:
         drift = fit_drift([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 3.0], [0.1] * 4)
-        found = crossing(drift, 10.0, 1000.0, two_sided=False)
+        found = limit_crossing(drift, 10.0, 1000.0, two_sided=False)
         assert found.expected == pytest.approx(7.0)
-        value, sigma = drift.ahead(found.earliest)
+        value, sigma = drift.predict(found.earliest)
         assert value + drift.factor * sigma == pytest.approx(10.0)
         assert found.earliest < 7.0
 
     def test_either_side_counts_for_a_parameter(self) -> None:
         drift = fit_drift([0.0, 1.0, 2.0], [0.0, -1.0, -2.0], [1e-9] * 3)
-        assert crossing(drift, 5.0, 100.0, two_sided=True).expected == pytest.approx(3.0)
-        assert crossing(drift, 5.0, 100.0, two_sided=False).expected == math.inf
+        assert limit_crossing(drift, 5.0, 100.0, two_sided=True).expected == pytest.approx(3.0)
+        assert limit_crossing(drift, 5.0, 100.0, two_sided=False).expected == math.inf
 
     def test_reached_is_nought(self) -> None:
         drift = fit_drift([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], [0.1] * 3)
-        assert crossing(drift, 1.0, 100.0, two_sided=False).reached
+        assert limit_crossing(drift, 1.0, 100.0, two_sided=False).reached

@@ -7,10 +7,10 @@ import pytest
 
 from twin.artefact.artefact import ball_bar
 from twin.artefact.position_set import MountGeometry, mount_pose
-from twin.collision.accessibility import standing_scene
+from twin.collision.accessibility import measuring_scene
 from twin.collision.bodies import ProbeGeometry, mount_bodies
 from twin.collision.geometry import Shape, point
-from twin.collision.swept_volume import TurnSweep, _least_around, cover_of, turn_sweep
+from twin.collision.swept_volume import TurnSweep, _least_around, cover_turning_bodies, turn_sweep
 
 BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
                ball_diameter_mm=25.0)  # fmt: skip
@@ -32,7 +32,7 @@ def still() -> list[Shape]:
 
 
 def sweep_of(turn: tuple[tuple[float, float], tuple[float, float]]) -> TurnSweep:
-    return turn_sweep(cover_of(BAR, MOUNT), PROBE, still(), *turn, clearance_mm=CLEARANCE_MM)
+    return turn_sweep(cover_turning_bodies(BAR, MOUNT), PROBE, still(), *turn, clearance_mm=CLEARANCE_MM)
 
 
 @pytest.mark.parametrize("turn", TURNS)
@@ -43,8 +43,13 @@ def test_the_probe_keeps_its_clearance_whatever_angles_the_mount_goes_through(tu
     low, high = np.sort(np.array(turn), axis=0)
     for _ in range(50):
         azimuth, elevation = rng.uniform(low, high)
-        _, scene = standing_scene(
-            BAR, PROBE, MOUNT, place_mm=PLACE, azimuth_rad=math.radians(azimuth), elevation_rad=math.radians(elevation)
+        _, scene = measuring_scene(
+            BAR,
+            PROBE,
+            MOUNT,
+            location_mm=PLACE,
+            azimuth_rad=math.radians(azimuth),
+            elevation_rad=math.radians(elevation),
         )
         for place in np.column_stack([x, y, z]):
             assert scene.clearance(point(PLACE + place), at_most=CLEARANCE_MM + 1.0) >= CLEARANCE_MM
@@ -59,8 +64,8 @@ def test_it_is_not_much_larger_than_what_is_swept(turn) -> None:
     for x, z in [(0.0, 0.0), (150.0, 0.0), (-150.0, 0.0)]:
         nearest = math.inf
         for azimuth, elevation in angles:
-            _, scene = standing_scene(
-                BAR, PROBE, MOUNT, place_mm=PLACE, azimuth_rad=math.radians(azimuth),
+            _, scene = measuring_scene(
+                BAR, PROBE, MOUNT, location_mm=PLACE, azimuth_rad=math.radians(azimuth),
                 elevation_rad=math.radians(elevation),
             )  # fmt: skip
             far = np.array([x, -990.0, z])
@@ -75,7 +80,7 @@ def test_where_nothing_comes_by_the_probe_may_stand_as_deep_as_it_likes() -> Non
 
 
 def test_everything_that_turns_lies_in_its_cover() -> None:
-    cover = cover_of(BAR, MOUNT)
+    cover = cover_turning_bodies(BAR, MOUNT)
     balls = BAR.balls - (0.0, MOUNT.shaft_mm, 0.0)
     gaps = np.linalg.norm(balls[:, None] - cover.centres[None], axis=2) + BAR.ball_radius_mm - cover.radii
     assert gaps.min(axis=1).max() <= 1e-9

@@ -10,9 +10,9 @@ import plain_machine
 import pytest
 from measured_set import RANGES, TOOL, bar, case_study
 
-from twin.artefact.position_set import MountGeometry, Position, positions_of, station_places
+from twin.artefact.position_set import MountGeometry, Position, parse_position_set, station_locations
 from twin.collision.bodies import ProbeGeometry
-from twin.collision.measuring_layout import Layout
+from twin.collision.measuring_layout import MeasuringLayout
 from twin.design.identifiability import Viewpoint, Visibility, visibility
 from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
 from twin.design.procedure import Procedure
@@ -31,14 +31,14 @@ GRID = evaluation_grid(RANGES, (9, 6, 7))
 BAR = bar(balls=7, sigma_mm=0.8e-3)
 
 
-def layout(tool: np.ndarray = TOOL) -> Layout:
+def layout(tool: np.ndarray = TOOL) -> MeasuringLayout:
     lower, upper = np.array(RANGES).T
-    places = station_places(3, RANGES[0], 765.0, 1000.0, 750.0)
-    plain = Layout(
+    places = station_locations(3, RANGES[0], 765.0, 1000.0, 750.0)
+    plain = MeasuringLayout(
         artefact=BAR,
         mount=MountGeometry(),
         probe=ProbeGeometry(),
-        places_mm=dict(enumerate(places, start=1)),
+        locations_mm=dict(enumerate(places, start=1)),
         tool_offset_mm=TOOL,
         lower_mm=lower + 5.0,
         upper_mm=upper - 5.0,
@@ -51,7 +51,7 @@ def layout(tool: np.ndarray = TOOL) -> Layout:
 def set_up(expression: str = "S3", order: int = 4, sigma_mm: float = 1e-3, **options: object) -> SetUp:
     model, family = case_study(order)
     procedure = Procedure({"probe": layout()}, np.eye(3) * sigma_mm**2)
-    return SetUp(model, family, procedure, positions_of(expression, 3), dataclasses.replace(AS_STATED, **options))
+    return SetUp(model, family, procedure, parse_position_set(expression, 3), dataclasses.replace(AS_STATED, **options))
 
 
 def seen_by(one: SetUp, tools: tuple[np.ndarray, ...] = (TOOL, LONGER, LATERAL)) -> Visibility:

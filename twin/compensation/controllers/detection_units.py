@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import Choices
+from twin.compensation.controllers.export_format import ExportOptions
 from twin.errors import DataError
 
 LARGEST_MAGNIFICATION = 100
-Counts = np.ndarray[Any, np.dtype[np.int64]]
+CountArray = np.ndarray[Any, np.dtype[np.int64]]
 
 
 @dataclass(frozen=True)
-class Unit:
+class CountUnit:
     """What one count is worth: `detection_unit_um` times `magnification`."""
 
     detection_unit_um: float
@@ -26,10 +26,10 @@ class Unit:
     def mm(self) -> float:
         return 1e-3 * self.detection_unit_um * self.magnification
 
-    def counts(self, values_mm: Array) -> Counts:
+    def counts(self, values_mm: Array) -> CountArray:
         return np.round(values_mm / self.mm).astype(np.int64)
 
-    def values(self, counts: Counts) -> Array:
+    def values(self, counts: CountArray) -> Array:
         """mm of counts of any shape."""
         return np.asarray(self.mm * counts, dtype=np.float64)
 
@@ -44,7 +44,7 @@ class Unit:
         return round(units)
 
 
-def smallest_unit(values_mm: list[Array], choices: Choices, most: int, *, increments: bool) -> Unit:
+def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, increments: bool) -> CountUnit:
     """The magnification asked for, or the smallest with which every number written is at most `most`.
 
     `increments`: what is written are differences of the counts along (n,). DataError where none does.
@@ -53,7 +53,7 @@ def smallest_unit(values_mm: list[Array], choices: Choices, most: int, *, increm
     tried = range(1, LARGEST_MAGNIFICATION + 1) if asked is None else [asked]
     largest = 0
     for magnification in tried:
-        unit = Unit(choices.detection_unit_um, magnification)
+        unit = CountUnit(choices.detection_unit_um, magnification)
         numbers = [unit.counts(one) for one in values_mm]
         if increments:
             numbers = [np.diff(one) for one in numbers]
@@ -65,6 +65,6 @@ def smallest_unit(values_mm: list[Array], choices: Choices, most: int, *, increm
     raise DataError(message, hint=hint)
 
 
-def counted_from(reference: Array) -> str:
+def format_reference(reference: Array) -> str:
     """Machine position of the reference point, which stands in no parameter here: points are counted from it."""
     return ", ".join(f"{value:.10g}" for value in reference.tolist())

@@ -18,7 +18,7 @@ Facts = Mapping[str, str | int | float]
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
+class TableEstimate:
     """The estimate that a table was built from: `parameters` (p,) and their `covariance` (p, p)."""
 
     model: ErrorModel
@@ -27,15 +27,15 @@ class Identified:
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ExportSource:
     """A table, and its estimate where there is one."""
 
     table: CompensationTable
-    identified: Identified | None = None
+    estimate: TableEstimate | None = None
 
 
 @dataclass(frozen=True)
-class Choices:
+class ExportOptions:
     """What the controller on the spot wants; each format uses those that it knows.
 
     `reference_mm`: machine position of the reference point, the table's anchor where None. `axis_names`: as the
@@ -63,17 +63,17 @@ class Choices:
 
 
 @dataclass(frozen=True, eq=False)
-class Exported:
+class ControllerExport:
     """`files`: name to text. `correction`: what they make the controller add, rounded as they are, whichever sign the
-    controller wants. `lost`: what the format cannot say, in words. `facts`: figures that have to be set by hand."""
+    controller wants. `losses`: what the format cannot say, in words. `facts`: figures that have to be set by hand."""
 
     files: Mapping[str, str]
     correction: Correction
-    lost: tuple[str, ...]
+    losses: tuple[str, ...]
     facts: Facts = field(default_factory=dict)
 
 
-class Writer(Protocol):
-    def __call__(self, source: Source, choices: Choices) -> Exported:
+class FormatWriter(Protocol):
+    def __call__(self, source: ExportSource, choices: ExportOptions) -> ControllerExport:
         """Raises DataError for what the format cannot take, with the reason and what to do."""
         ...

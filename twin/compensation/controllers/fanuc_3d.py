@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.compensation.controllers.detection_units import Counts, Unit, counted_from, smallest_unit
-from twin.compensation.controllers.export_format import Choices, Exported, Facts, Source
+from twin.compensation.controllers.detection_units import CountArray, CountUnit, format_reference, smallest_unit
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, Facts
 from twin.compensation.controllers.grids import even_steps, reference_nodes, reference_point, require_points
 from twin.compensation.table import CompensationTable
 from twin.machine.kinematic_chain import AXES
@@ -24,7 +24,7 @@ _FIRST_PARAMETER = {"points": 10803, "reference": 10806, "magnification": 10809,
 LOST = ("what bends between points farther apart than the table's, and fractions of a detection unit",)
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """`points.csv` (number, position, counts) and `parameters.txt`."""
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")
@@ -39,11 +39,11 @@ def export(source: Source, choices: Choices) -> Exported:
         "points.csv": _points(table, choices.sign * counts),
         "parameters.txt": _parameters(table, places, steps, unit),
     }
-    facts: Facts = {"magnification": unit.magnification, "counted_from_mm": counted_from(reference)}
-    return Exported(files, written.at, LOST, facts)
+    facts: Facts = {"magnification": unit.magnification, "counted_from_mm": format_reference(reference)}
+    return ControllerExport(files, written.at, LOST, facts)
 
 
-def _points(table: CompensationTable, counts: Counts) -> str:
+def _points(table: CompensationTable, counts: CountArray) -> str:
     """Numbered from 1, X fastest, then Y, then Z."""
     lines = ["number,x_mm,y_mm,z_mm,x_counts,y_counts,z_counts"]
     shape = table.corrections.shape[:3]
@@ -55,7 +55,7 @@ def _points(table: CompensationTable, counts: Counts) -> str:
 
 
 def _parameters(
-    table: CompensationTable, places: tuple[int, int, int], steps: tuple[float, float, float], unit: Unit
+    table: CompensationTable, places: tuple[int, int, int], steps: tuple[float, float, float], unit: CountUnit
 ) -> str:
     rows = {
         "points": [len(nodes) for nodes in table.nodes],

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.detection_units import Counts, Unit, counted_from, smallest_unit
-from twin.compensation.controllers.export_format import Choices, Exported, Facts, Source
+from twin.compensation.controllers.detection_units import CountArray, CountUnit, format_reference, smallest_unit
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, Facts
 from twin.compensation.controllers.grids import even_steps, reference_nodes, reference_point, require_points
-from twin.compensation.controllers.reduction import own_axis, sum_of_own
+from twin.compensation.controllers.reduction import own_axis_profiles, sum_of_own_axis_profiles
 from twin.machine.kinematic_chain import AXES
 
 MOST_POINTS = 128
@@ -28,14 +28,14 @@ LOST = (
 )
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """`pitch-error.txt` (the data) and `parameters.txt`, as punched."""
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")
     steps = even_steps(table)
     reference = reference_point(table, choices.reference_mm)
     places = reference_nodes(table, reference)
-    profiles = list(own_axis(table, reference))
+    profiles = list(own_axis_profiles(table, reference))
     unit = smallest_unit([one.values for one in profiles], choices, LARGEST_INCREMENT, increments=True)
     counts = [unit.counts(one.values) for one in profiles]
     written = [replace(one, values=unit.values(count)) for one, count in zip(profiles, counts, strict=True)]
@@ -46,13 +46,13 @@ def export(source: Source, choices: Choices) -> Exported:
     }
 
     def correction(axis_positions: Array) -> Array:
-        return sum_of_own(written, axis_positions)
+        return sum_of_own_axis_profiles(written, axis_positions)
 
-    facts: Facts = {"magnification": unit.magnification, "counted_from_mm": counted_from(reference)}
-    return Exported(files, correction, LOST, facts)
+    facts: Facts = {"magnification": unit.magnification, "counted_from_mm": format_reference(reference)}
+    return ControllerExport(files, correction, LOST, facts)
 
 
-def _data(counts: list[Counts], firsts: list[int]) -> str:
+def _data(counts: list[CountArray], firsts: list[int]) -> str:
     lines = ["%"]
     for count, first in zip(counts, firsts, strict=True):
         increments = np.diff(count, prepend=count[:1])
@@ -61,7 +61,11 @@ def _data(counts: list[Counts], firsts: list[int]) -> str:
 
 
 def _parameters(
-    counts: list[Counts], firsts: list[int], places: tuple[int, int, int], steps: tuple[float, float, float], unit: Unit
+    counts: list[CountArray],
+    firsts: list[int],
+    places: tuple[int, int, int],
+    steps: tuple[float, float, float],
+    unit: CountUnit,
 ) -> str:
     """`N number A axis P value ...`: 3620 reference, 3621 farthest -, 3622 farthest +, 3623, 3624."""
     rows = {

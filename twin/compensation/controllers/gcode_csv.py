@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
 from twin.compensation.table_file import format_side_file, format_table
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """`table.csv` and `table.json`."""
     written = replace(source.table, corrections=choices.sign * source.table.corrections)
     files = {"table.csv": format_table(written), "table.json": format_side_file(written)}
-    return Exported(files, source.table.at, ("nothing: a controller without tables is corrected as the table says",))
+    return ControllerExport(
+        files, source.table.at, ("nothing: a controller without tables is corrected as the table says",)
+    )

@@ -11,7 +11,7 @@ from twin.compensation.table import CompensationTable
 from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES
 
-LARGEST_MM = 1.0
+LARGEST_CORRECTION_MM = 1.0
 """A correction beyond it is a mistake, no geometry; also the default of Siemens MD32720 $MA_CEC_MAX_SUM."""
 
 _EVEN = 1e-6  # of a step
@@ -21,7 +21,7 @@ _HEADER_LINES = 1
 Shape = tuple[int, int, int]
 
 
-def require_small(table: CompensationTable, largest_mm: float = LARGEST_MM) -> None:
+def require_small_corrections(table: CompensationTable, largest_mm: float = LARGEST_CORRECTION_MM) -> None:
     """DataError naming the line of the CSV file with the largest correction where it is beyond `largest_mm`."""
     sizes = np.abs(table.corrections).max(axis=-1)
     place = int(np.argmax(sizes))
@@ -63,7 +63,7 @@ def _thinned(count: int, most: int) -> int:
     return next(n for n in range(min(count, most), 1, -1) if (count - 1) % (n - 1) == 0)
 
 
-def resampled(table: CompensationTable, points: Shape) -> CompensationTable:
+def resample_table(table: CompensationTable, points: Shape) -> CompensationTable:
     """The table on an evenly spaced grid of `points` nodes over the same range, read as the controller would.
 
     A new node counts as extrapolated where an extrapolated one takes part in it.

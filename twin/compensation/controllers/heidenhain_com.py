@@ -10,9 +10,14 @@ from __future__ import annotations
 from typing import Literal
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import Choices, Exported, Names, Source
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, Names
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
-from twin.compensation.controllers.reduction import Profile, cross_axis, rounded, sum_of_profiles
+from twin.compensation.controllers.reduction import (
+    Profile,
+    cross_axis_profiles,
+    round_profile,
+    sum_of_cross_axis_profiles,
+)
 
 MOST_ROWS = 256
 USUAL_NAMES = ("X", "Y", "Z")
@@ -25,13 +30,13 @@ LOST = (
 )
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """Three `.COM` files of the bank asked for, and `CONFIG.CMA` with that bank active."""
     table, names = source.table, choices.names(USUAL_NAMES)
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a .COM table")
     even_steps(table)
-    wanted = cross_axis(table, reference_point(table, choices.reference_mm))
-    written = tuple(tuple(rounded(one, _DECIMALS) for one in row) for row in wanted)
+    wanted = cross_axis_profiles(table, reference_point(table, choices.reference_mm))
+    written = tuple(tuple(round_profile(one, _DECIMALS) for one in row) for row in wanted)
     files = {
         f"{_stem(choices.bank, name)}.COM": _com(_stem(choices.bank, name), row, names, choices.sign)
         for name, row in zip(names, written, strict=True)
@@ -39,9 +44,9 @@ def export(source: Source, choices: Choices) -> Exported:
     files["CONFIG.CMA"] = _cma(names, choices.bank)
 
     def correction(axis_positions: Array) -> Array:
-        return sum_of_profiles(written, axis_positions)
+        return sum_of_cross_axis_profiles(written, axis_positions)
 
-    return Exported(files, correction, LOST, {"bank": choices.bank})
+    return ControllerExport(files, correction, LOST, {"bank": choices.bank})
 
 
 def _stem(bank: Literal["A", "B"], name: str) -> str:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import Choices, Exported, Identified, Source
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, TableEstimate
 from twin.compensation.controllers.loss import rigid_difference
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
@@ -41,9 +41,9 @@ class Motions:
     crossed: Array
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """`volcomp.csv`, and `volcomp.lis` to be completed with the axis numbers."""
-    table, identified = source.table, source.identified
+    table, identified = source.table, source.estimate
     if identified is None:
         hint = "Name it with --estimate, or the folder of the run with --table"
         raise DataError("this format is written from error motions, so it needs the estimate", hint=hint)
@@ -56,10 +56,10 @@ def export(source: Source, choices: Choices) -> Exported:
         return -_deviation(motions, identified.model, table, axis_positions)
 
     files = {"volcomp.csv": _csv(motions, table, choices.sign), "volcomp.lis": _list_file(identified.model)}
-    return Exported(files, correction, LOST, {"max_records_at_least": records})
+    return ControllerExport(files, correction, LOST, {"max_records_at_least": records})
 
 
-def _motions(identified: Identified, table: CompensationTable) -> Motions:
+def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
     model, values = identified.model, identified.parameters
     series = []
     for axis, nodes in enumerate(table.nodes):
@@ -78,7 +78,7 @@ def _motions(identified: Identified, table: CompensationTable) -> Motions:
     return Motions((x, y, z), np.stack((straightness, roll)))
 
 
-def _without_rigid_motion(motions: Motions, source: Source) -> Motions:
+def _without_rigid_motion(motions: Motions, source: ExportSource) -> Motions:
     """Less the motion that the table leaves by its anchor: then the kernel adds what the table adds."""
     (shift_x, shift_y, shift_z, turn_x, turn_y, turn_z), _ = rigid_difference(source)
     table = source.table

@@ -8,9 +8,9 @@ a word at the first row that is not three numbers, so there is neither header no
 from __future__ import annotations
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
 from twin.compensation.controllers.grids import reference_point, require_points
-from twin.compensation.controllers.reduction import Profile, own_axis, rounded, sum_of_own
+from twin.compensation.controllers.reduction import Profile, own_axis_profiles, round_profile, sum_of_own_axis_profiles
 from twin.machine.kinematic_chain import AXES
 
 MOST_ROWS = 256
@@ -22,20 +22,24 @@ LOST = (
 )
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """`x.comp`, `y.comp`, `z.comp` and the lines for the INI file."""
     table = source.table
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a COMP_FILE")
-    profiles = [rounded(one, _DECIMALS) for one in own_axis(table, reference_point(table, choices.reference_mm))]
+    profiles = [
+        round_profile(one, _DECIMALS) for one in own_axis_profiles(table, reference_point(table, choices.reference_mm))
+    ]
     files = {f"{letter.lower()}.comp": _rows(one, choices.sign) for letter, one in zip(AXES, profiles, strict=True)}
     files["ini-lines.txt"] = "".join(
         f"[JOINT_{joint}]\nCOMP_FILE = {letter.lower()}.comp\nCOMP_FILE_TYPE = 0\n" for joint, letter in enumerate(AXES)
     )
 
     def correction(axis_positions: Array) -> Array:
-        return sum_of_own(profiles, axis_positions)
+        return sum_of_own_axis_profiles(profiles, axis_positions)
 
-    return Exported(files, correction, LOST, {"rows_x": len(table.x), "rows_y": len(table.y), "rows_z": len(table.z)})
+    return ControllerExport(
+        files, correction, LOST, {"rows_x": len(table.x), "rows_y": len(table.y), "rows_z": len(table.z)}
+    )
 
 
 def _rows(profile: Profile, sign: int) -> str:

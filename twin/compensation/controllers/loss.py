@@ -7,47 +7,47 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import Correction, Identified, Source
+from twin.compensation.controllers.export_format import Correction, ExportSource, TableEstimate
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
 from twin.machine.forward_model import exact_deviation
 from twin.machine.rigid_motion import rigid_fields
-from twin.machine.volumetric import QuadraticForm, Volumetric, evaluation_grid, rms, volumetric_error
+from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid, rms, volumetric_error
 
-FOREIGN_MM = 3e-4
+LARGEST_MISMATCH_MM = 3e-4
 """Rms that table and estimate may differ by, but for a rigid motion, beside the rounding of the table."""
 
 
 @dataclass(frozen=True)
-class Loss:
+class CompensationLoss:
     """VE over the workspace. `estimated`: of the machine as estimated; otherwise of the machine that the table says.
 
     `unknown_mm`: what the uncertainty of the parameters adds (rms, aligned) whatever the table; None without estimate.
     """
 
-    before: Volumetric
-    full: Volumetric
-    reduced: Volumetric
+    before: VolumetricRms
+    full: VolumetricRms
+    reduced: VolumetricRms
     estimated: bool
     unknown_mm: float | None
 
     @property
-    def kept_share(self) -> float:
+    def retained_share(self) -> float:
         """Of what the full table removes (aligned), how much the reduced one removes."""
         removed = self.before.aligned_mm - self.full.aligned_mm
         return (self.before.aligned_mm - self.reduced.aligned_mm) / removed if removed > 0.0 else 1.0
 
 
-def loss(source: Source, correction: Correction) -> Loss:
+def compensation_loss(source: ExportSource, correction: Correction) -> CompensationLoss:
     """VE without a table, with the whole one and with `correction`, on the grid of 60 x 20 x 20 points."""
-    table, identified = source.table, source.identified
+    table, identified = source.table, source.estimate
     grid = evaluation_grid(_ranges(table))
     tool_points = grid + table.tool_offset
 
-    def left(added: Array) -> Volumetric:
+    def left(added: Array) -> VolumetricRms:
         return volumetric_error(tool_points, added + _deviation(source, grid + added))
 
-    return Loss(
+    return CompensationLoss(
         before=left(np.zeros_like(grid)),
         full=left(table.at(grid)),
         reduced=left(correction(grid)),
@@ -56,7 +56,7 @@ def loss(source: Source, correction: Correction) -> Loss:
     )
 
 
-def telling_point(table: CompensationTable, correction: Correction) -> tuple[Array, Array]:
+def largest_correction(table: CompensationTable, correction: Correction) -> tuple[Array, Array]:
     """The node (3,) mm where most is added, and what is added there (3,) mm.
 
     Switching the compensation on must move the axes by that: it shows on the machine whether the sign is right.
@@ -67,12 +67,12 @@ def telling_point(table: CompensationTable, correction: Correction) -> tuple[Arr
     return nodes[place], added[place]
 
 
-def require_same_machine(source: Source, resolution_mm: float = 0.0) -> None:
+def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> None:
     """DataError where the table was not built from the estimate: another machine, tool, or night.
 
     `resolution_mm`: of the numbers that the table was kept in; rounding is half of it rms over three axes.
     """
-    identified, table = source.identified, source.table
+    identified, table = source.estimate, source.table
     if identified is None:
         return
     hint = "Give table and estimate of one run: --table RUN_FOLDER takes both"
@@ -81,17 +81,17 @@ def require_same_machine(source: Source, resolution_mm: float = 0.0) -> None:
             message = f"the table from {nodes[0]:g} to {nodes[-1]:g} mm leaves the range of the estimate's machine"
             raise DataError(message, hint=hint, axis=axis)
     apart = rms(rigid_difference(source)[1])
-    if apart > FOREIGN_MM + resolution_mm:
+    if apart > LARGEST_MISMATCH_MM + resolution_mm:
         message = (
             f"table and estimate differ by {1e3 * apart:.2f} µm rms: they are not of the same machine, tool or night"
         )
         raise DataError(message, hint=hint)
 
 
-def rigid_difference(source: Source) -> tuple[Array, Array]:
+def rigid_difference(source: ExportSource) -> tuple[Array, Array]:
     """The rigid motion (6,) of `rigid_fields` about the anchor that the estimated machine has left with the table, and
     what else is left (n, 3) mm at the nodes."""
-    identified, table = source.identified, source.table
+    identified, table = source.estimate, source.table
     if identified is None:
         raise DataError("a table alone does not say what the machine does", hint="Name the estimate with --estimate")
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -102,14 +102,14 @@ def rigid_difference(source: Source) -> tuple[Array, Array]:
     return np.asarray(motion, dtype=np.float64), left - fields @ motion
 
 
-def _deviation(source: Source, axis_positions: Array) -> Array:
-    identified, table = source.identified, source.table
+def _deviation(source: ExportSource, axis_positions: Array) -> Array:
+    identified, table = source.estimate, source.table
     if identified is None:
         return -table.at(axis_positions)
     return exact_deviation(identified.model, axis_positions, table.tool_offset, identified.parameters)
 
 
-def _unknown(identified: Identified, grid: Array, tool_offset: Array) -> float:
+def _unknown(identified: TableEstimate, grid: Array, tool_offset: Array) -> float:
     form = QuadraticForm.build(identified.model, grid, tool_offset)
     return form.expected(identified.covariance).aligned_mm
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um", "extrapolated")
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """`compensation.csv`."""
     table = source.table
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -24,4 +24,4 @@ def export(source: Source, choices: Choices) -> Exported:
         place = ",".join(f"{value:.10g}" for value in point)
         lines.append(f"{place}," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in values) + f",{int(mark)}")
     facts = {f"tool_offset_{letter}_mm": float(v) for letter, v in zip("xyz", table.tool_offset, strict=True)}
-    return Exported({"compensation.csv": "\n".join(lines) + "\n"}, table.at, ("nothing",), facts)
+    return ControllerExport({"compensation.csv": "\n".join(lines) + "\n"}, table.at, ("nothing",), facts)

@@ -52,20 +52,22 @@ class Term:
         return values if self.factor is None else values * self.factor.at(axis_positions)
 
 
-def own_axis(table: CompensationTable, reference: Array) -> tuple[Profile, Profile, Profile]:
+def own_axis_profiles(table: CompensationTable, reference: Array) -> tuple[Profile, Profile, Profile]:
     """For each axis what it needs along itself, averaged over the others; zero at the reference point (3,)."""
     x, y, z = (_zeroed(_main_effect(table, axis, axis), reference) for axis in range(3))
     return x, y, z
 
 
-def cross_axis(table: CompensationTable, reference: Array) -> tuple[tuple[Profile, ...], ...]:
+def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tuple[Profile, ...], ...]:
     """`[input][output]`: what every axis needs along every axis; all zero at the reference point (3,)."""
     return tuple(
         tuple(_zeroed(_main_effect(table, source, output), reference) for output in range(3)) for source in range(3)
     )
 
 
-def terms(table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True) -> tuple[Term, ...]:
+def select_terms(
+    table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True
+) -> tuple[Term, ...]:
     """Main effects and products of the interactions, those first that remove most for each table they take.
 
     What is worth less than `LEAST_RMS_MM` is left out, and what no longer fits into `most_tables`. Interactions are cut
@@ -84,7 +86,7 @@ def terms(table: CompensationTable, most_tables: int, reference: Array, *, produ
     return _zero_at(tuple(chosen), reference)
 
 
-def summed(kept: tuple[Term, ...], axis_positions: Array) -> Array:
+def sum_of_terms(kept: tuple[Term, ...], axis_positions: Array) -> Array:
     """(n, 3) mm of all terms at axis positions (n, 3)."""
     total = np.zeros_like(axis_positions)
     for term in kept:
@@ -92,16 +94,16 @@ def summed(kept: tuple[Term, ...], axis_positions: Array) -> Array:
     return total
 
 
-def sum_of_own(profiles: Sequence[Profile], axis_positions: Array) -> Array:
-    """(n, 3) mm of `own_axis` profiles at axis positions (n, 3)."""
+def sum_of_own_axis_profiles(profiles: Sequence[Profile], axis_positions: Array) -> Array:
+    """(n, 3) mm of `own_axis_profiles` profiles at axis positions (n, 3)."""
     total = np.zeros_like(axis_positions)
     for profile in profiles:
         total[:, profile.axis] += profile.at(axis_positions)
     return total
 
 
-def sum_of_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_positions: Array) -> Array:
-    """(n, 3) mm of `cross_axis` profiles at axis positions (n, 3)."""
+def sum_of_cross_axis_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_positions: Array) -> Array:
+    """(n, 3) mm of `cross_axis_profiles` profiles at axis positions (n, 3)."""
     total = np.zeros_like(axis_positions)
     for row in by_input:
         for output, profile in enumerate(row):
@@ -109,7 +111,7 @@ def sum_of_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_positions: A
     return total
 
 
-def describe(first: int, second: int | None, output: int) -> str:
+def describe_term(first: int, second: int | None, output: int) -> str:
     """`Y by Z` or `Y by Y·Z`: which axis is moved by the position of which."""
     inputs = AXES[first] if second is None else f"{AXES[first]}·{AXES[second]}"
     return f"{AXES[output]} by {inputs}"
@@ -117,7 +119,7 @@ def describe(first: int, second: int | None, output: int) -> str:
 
 def _zero_at(kept: tuple[Term, ...], reference: Array) -> tuple[Term, ...]:
     """The first main effect of every axis takes up what all its terms are at the reference point."""
-    there, done, result = summed(kept, reference[None, :])[0], set(), []
+    there, done, result = sum_of_terms(kept, reference[None, :])[0], set(), []
     for term in kept:
         if term.factor is None and term.output not in done:
             done.add(term.output)
@@ -157,6 +159,6 @@ def _zeroed(profile: Profile, reference: Array) -> Profile:
     return replace(profile, values=profile.values - profile.at(reference[None, :])[0])
 
 
-def rounded(profile: Profile, decimals: int) -> Profile:
+def round_profile(profile: Profile, decimals: int) -> Profile:
     """As it stands in the file; never -0."""
     return replace(profile, values=np.round(profile.values, decimals) + 0.0)

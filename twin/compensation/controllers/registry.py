@@ -15,9 +15,9 @@ from twin.compensation.controllers import (
     siemens_cec,
     siemens_lec,
 )
-from twin.compensation.controllers.export_format import Writer
+from twin.compensation.controllers.export_format import FormatWriter
 
-WRITERS: Mapping[str, Writer] = {
+WRITERS: Mapping[str, FormatWriter] = {
     "linuxcnc-comp": linuxcnc_comp.export,
     "siemens-lec": siemens_lec.export,
     "siemens-cec": siemens_cec.export,

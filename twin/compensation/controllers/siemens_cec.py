@@ -11,9 +11,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import Choices, Exported, Names, Source
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, Names
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
-from twin.compensation.controllers.reduction import Profile, Term, describe, rounded, summed, terms
+from twin.compensation.controllers.reduction import (
+    Profile,
+    Term,
+    describe_term,
+    round_profile,
+    select_terms,
+    sum_of_terms,
+)
 from twin.compensation.controllers.siemens_lec import DECIMALS, USUAL_NAMES, number
 from twin.errors import DataError
 
@@ -23,7 +30,7 @@ _FACTOR_DECIMALS = 9
 LOST = ("what depends on all three axes at once, and what is worth less than 0.02 µm or found no table",)
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """One INI file with all tables, and a part program that enables those that act by themselves."""
     table, names = source.table, choices.names(USUAL_NAMES)
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD18342")
@@ -31,33 +38,34 @@ def export(source: Source, choices: Choices) -> Exported:
         raise DataError("no table is allowed", hint="Say with --tables how many the controller has")
     steps = even_steps(table)
     reference = reference_point(table, choices.reference_mm)
-    chosen = terms(table, choices.most_tables, reference, products=choices.products)
+    chosen = select_terms(table, choices.most_tables, reference, products=choices.products)
     kept = tuple(_as_written(one) for one in chosen)
     if not kept:
         raise DataError("the table corrects less than this format would carry", hint="There is nothing to compensate")
 
     def correction(axis_positions: Array) -> Array:
-        return summed(kept, axis_positions)
+        return sum_of_terms(kept, axis_positions)
 
     used = sum(term.tables for term in kept)
     facts = {"tables": used, "MD18342_at_least": max(table.corrections.shape[:3]), "written": _written(kept)}
     files = {"NC_CEC.INI": _ini(kept, names, steps, choices), "CEC_ENABLE.SPF": _enabling(kept, choices.first_table)}
-    return Exported(files, correction, LOST, facts)
+    return ControllerExport(files, correction, LOST, facts)
 
 
 def _as_written(term: Term) -> Term:
-    factor = None if term.factor is None else rounded(term.factor, _FACTOR_DECIMALS)
-    return replace(term, profile=rounded(term.profile, DECIMALS), factor=factor)
+    factor = None if term.factor is None else round_profile(term.factor, _FACTOR_DECIMALS)
+    return replace(term, profile=round_profile(term.profile, DECIMALS), factor=factor)
 
 
 def _written(kept: tuple[Term, ...]) -> str:
     """The most valuable first."""
     return ", ".join(
-        describe(term.profile.axis, None if term.factor is None else term.factor.axis, term.output) for term in kept
+        describe_term(term.profile.axis, None if term.factor is None else term.factor.axis, term.output)
+        for term in kept
     )
 
 
-def _ini(kept: tuple[Term, ...], names: Names, steps: tuple[float, float, float], choices: Choices) -> str:
+def _ini(kept: tuple[Term, ...], names: Names, steps: tuple[float, float, float], choices: ExportOptions) -> str:
     lines = ["%_N_NC_CEC_INI", "CHANDATA(1)", "; load with MD32710 $MA_CEC_ENABLE=0 for every output axis"]
     index = choices.first_table
     for term in kept:

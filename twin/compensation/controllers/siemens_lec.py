@@ -8,9 +8,9 @@ MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS says how ma
 from __future__ import annotations
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import Choices, Exported, Source
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
-from twin.compensation.controllers.reduction import Profile, own_axis, rounded, sum_of_own
+from twin.compensation.controllers.reduction import Profile, own_axis_profiles, round_profile, sum_of_own_axis_profiles
 from twin.machine.kinematic_chain import AXES
 
 USUAL_NAMES = ("X1", "Y1", "Z1")
@@ -20,12 +20,14 @@ DECIMALS = 6
 LOST = ("straightness, squareness and rotation: an axis is corrected by its own position only",)
 
 
-def export(source: Source, choices: Choices) -> Exported:
+def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """An INI file for each axis."""
     table, names = source.table, choices.names(USUAL_NAMES)
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD38000")
     steps = even_steps(table)
-    profiles = [rounded(one, DECIMALS) for one in own_axis(table, reference_point(table, choices.reference_mm))]
+    profiles = [
+        round_profile(one, DECIMALS) for one in own_axis_profiles(table, reference_point(table, choices.reference_mm))
+    ]
     files = {
         f"{name}_EEC.INI": _ini(name, profile, step, choices)
         for name, profile, step in zip(names, profiles, steps, strict=True)
@@ -33,12 +35,12 @@ def export(source: Source, choices: Choices) -> Exported:
     facts = {f"MD38000_at_least_{name}": len(table.nodes[axis]) for axis, name in enumerate(names)}
 
     def correction(axis_positions: Array) -> Array:
-        return sum_of_own(profiles, axis_positions)
+        return sum_of_own_axis_profiles(profiles, axis_positions)
 
-    return Exported(files, correction, LOST, facts)
+    return ControllerExport(files, correction, LOST, facts)
 
 
-def _ini(name: str, profile: Profile, step: float, choices: Choices) -> str:
+def _ini(name: str, profile: Profile, step: float, choices: ExportOptions) -> str:
     encoder = choices.encoder
     lines = [
         f"%_N_{name}_EEC_INI",

@@ -27,7 +27,7 @@ _OTHERS = ((1, 2), (0, 2), (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
-class Bending:
+class TableCurvature:
     """`kinks` (3,) mm/mm; `mixed` (3,) 1/mm: yz, xz, xy; `gradient` mm/mm; `cells` (3,) mm: the smallest of each axis.
 
     `planes`: those of each axis at which the slope of the correction jumps.
@@ -40,7 +40,7 @@ class Bending:
     gradient: float
 
     @classmethod
-    def of(cls, table: CompensationTable, *, beyond: bool) -> Bending:
+    def of(cls, table: CompensationTable, *, beyond: bool) -> TableCurvature:
         """Of a table. `beyond`: paths may leave its volume, where it is held constant: the slope jumps to zero."""
         slopes = [_slopes(table.corrections, nodes, axis) for axis, nodes in enumerate(table.nodes)]
         acting = [_with_border(slope, axis) if beyond else slope for axis, slope in enumerate(slopes)]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from twin.compensation.gcode.correction_summary import Counts
+from twin.compensation.gcode.correction_summary import CorrectionSummary
 from twin.compensation.gcode.interpreter import MARK, Interpreter
-from twin.compensation.gcode.modal import UNKNOWN, Modal
+from twin.compensation.gcode.modal import UNKNOWN, ModalState
 from twin.compensation.gcode.setup import CorrectionOptions, PartSetup
-from twin.compensation.gcode.writer import Writer
+from twin.compensation.gcode.writer import ProgramWriter
 from twin.compensation.table import CompensationTable
 
 
@@ -20,21 +20,21 @@ def correct_program(
     emit: Callable[[str], object],
     *,
     name: str = "",
-) -> Counts:
+) -> CorrectionSummary:
     """Give the corrected program to `emit`, some thousand lines at a time; what was done.
 
     `lines` with their ends, of which the first decides how lines are ended. `name` of the table stands in the comment
     that marks the program as corrected; without a name there is no mark. Raises FormatError with the line for what
     cannot be corrected: what was given to `emit` until then is worth nothing.
     """
-    unit_mm = Modal(setup).unit_mm
-    writer = Writer(table, options, setup.start or UNKNOWN, unit_mm, emit)
+    unit_mm = ModalState(setup).unit_mm
+    writer = ProgramWriter(table, options, setup.start or UNKNOWN, unit_mm, emit)
     interpreter = Interpreter(setup, options, writer, f"({MARK}: {name})" if name else "")
     number = 0
     for number, line in enumerate(lines, start=1):
         if number == 1 and line.endswith("\r\n"):
             writer.newline = "\r\n"
         interpreter.feed(number, line.rstrip("\r\n"))
-    writer.settle()
+    writer.flush()
     writer.counts.lines = number
     return writer.counts

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(slots=True)
-class Counts:
+class CorrectionSummary:
     """`moves` were corrected, `divided` of them written as several lines, `arcs` as straight ones.
 
     `not_corrected`: rapid moves before all three axes had a known position. `outside`: points beyond the table's

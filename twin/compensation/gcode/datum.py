@@ -5,21 +5,21 @@ from __future__ import annotations
 import math
 
 from twin.compensation.gcode.codes import AXIS_LETTERS
-from twin.compensation.gcode.modal import Modal
+from twin.compensation.gcode.modal import ModalState
 from twin.compensation.gcode.setup import NO_OFFSET, Triple
 from twin.compensation.gcode.words import Block
-from twin.compensation.gcode.writer import Writer
+from twin.compensation.gcode.writer import ProgramWriter
 
 _NO_POSITION = "where it then stands is not known"
 _START = "Say where the axes stand at the beginning: --start X,Y,Z"
 
 
-def named_axes(block: Block) -> list[int]:
+def axes_in_block(block: Block) -> list[int]:
     """Places of the axes that the block names."""
     return [axis for axis, letter in enumerate(AXIS_LETTERS) if letter in block.values]
 
 
-def zero(block: Block, modal: Modal) -> Triple:
+def program_zero(block: Block, modal: ModalState) -> Triple:
     """Axis position of the program's zero. FormatError where the work offset is not known."""
     if modal.offset is None:
         name = modal.system
@@ -27,13 +27,13 @@ def zero(block: Block, modal: Modal) -> Triple:
     return modal.offset
 
 
-def targets(block: Block, modal: Modal, machine: bool) -> Triple:
+def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
     """Axis position that the block names; axes that it does not name stay where they are meant to be."""
     values, unit, position = block.values, modal.unit_mm, modal.position
     if machine:
         base: Triple | list[float] = NO_OFFSET
     else:
-        base = zero(block, modal) if modal.absolute else position
+        base = program_zero(block, modal) if modal.absolute else position
     x, y, z = values.get("X"), values.get("Y"), values.get("Z")
     return (
         position[0] if x is None else x * unit + base[0],
@@ -42,32 +42,32 @@ def targets(block: Block, modal: Modal, machine: bool) -> Triple:
     )
 
 
-def set_datum(block: Block, code: int, modal: Modal, writer: Writer) -> None:
+def set_datum(block: Block, code: int, modal: ModalState, writer: ProgramWriter) -> None:
     """G92 and its relatives.
 
     G92 says that the present position shall have a name. The controller stands at the corrected one, so it is told
     that name with the correction added: its offset is then the one that the program means.
     """
-    writer.settle()
+    writer.flush()
     if code == 920:
         _set_zero(block, modal, writer)
     elif code == 923:
         if modal.g92_saved is None:
             block.refuse("the G92 offset to come back to was not set in this program")
         modal.g92, modal.g92_written = modal.g92_saved
-        writer.keep(block.text)
+        writer.write_unchanged(block.text)
     else:
         modal.g92_saved = (modal.g92_saved or (modal.g92, modal.g92_written)) if code == 922 else None
         modal.g92 = modal.g92_written = NO_OFFSET
-        writer.keep(block.text)
-    modal.place()
+        writer.write_unchanged(block.text)
+    modal.update_frame()
 
 
-def _set_zero(block: Block, modal: Modal, writer: Writer) -> None:
-    axes = named_axes(block)
+def _set_zero(block: Block, modal: ModalState, writer: ProgramWriter) -> None:
+    axes = axes_in_block(block)
     if not axes:
         block.refuse("G92 needs an axis word")
-    origin = zero(block, modal)
+    origin = program_zero(block, modal)
     meant, written, texts = list(modal.g92), list(modal.g92_written), {}
     for axis in axes:
         if math.isnan(modal.position[axis]):
@@ -80,64 +80,66 @@ def _set_zero(block: Block, modal: Modal, writer: Writer) -> None:
         written[axis] = writer.position[axis] - float(texts[axis]) * modal.unit_mm - without
     modal.g92, modal.g92_written = _triple(meant), _triple(written)
     modal.g92_saved = (modal.g92, modal.g92_written)
-    writer.keep(with_words(block, texts))
+    writer.write_unchanged(replace_axis_words(block, texts))
 
 
-def go_to_reference(block: Block, name: str, modal: Modal, writer: Writer) -> None:
+def go_to_reference(block: Block, name: str, modal: ModalState, writer: ProgramWriter) -> None:
     """G28 or G30: through a corrected point in between, then to where the controller itself knows.
 
     There the axes are not corrected. Which axes move is said by the axis words; all, where there are none.
     """
-    writer.settle()
-    axes = named_axes(block)
-    through = targets(block, modal, machine=False) if axes else _triple(modal.position)
+    writer.flush()
+    axes = axes_in_block(block)
+    through = target_position(block, modal, machine=False) if axes else _triple(modal.position)
     if axes and not any(map(math.isnan, (*through, *modal.position))):
         point = writer.corrected_point(through, block)
-        writer.keep(with_words(block, _through_words(axes, point, modal, writer)))
+        writer.write_unchanged(replace_axis_words(block, _through_words(axes, point, modal, writer)))
     else:
-        writer.keep(block.text)
+        writer.write_unchanged(block.text)
     reference = modal.setup.reference_points.get(name)
     if block.values.get("P", 2.0) != 2.0:
         reference = None
     for axis in axes or range(3):
         modal.position[axis] = writer.position[axis] = math.nan if reference is None else reference[axis]
-    writer.stand(_triple(modal.position), writer.position, modal.unit_mm)
+    writer.resume_at(_triple(modal.position), writer.position, modal.unit_mm)
 
 
-def _through_words(axes: list[int], point: Triple, modal: Modal, writer: Writer) -> dict[int, str]:
+def _through_words(axes: list[int], point: Triple, modal: ModalState, writer: ProgramWriter) -> dict[int, str]:
     base = modal.frame[:3] if modal.absolute else writer.position
     return {axis: f"{(point[axis] - base[axis]) / modal.unit_mm + 0.0:.{writer.decimals}f}" for axis in axes}
 
 
-def set_tool_length(block: Block, modal: Modal) -> None:
+def set_tool_length(block: Block, modal: ModalState) -> None:
     """G43.1: the axis words are the tool's lengths."""
     lengths = list(modal.tool_offset)
-    for axis in named_axes(block):
+    for axis in axes_in_block(block):
         lengths[axis] = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
     modal.tool_offset = _triple(lengths)
 
 
-def move_from_nowhere(block: Block, end: Triple, machine: bool, modal: Modal, writer: Writer) -> None:
+def move_from_unknown_position(
+    block: Block, end: Triple, machine: bool, modal: ModalState, writer: ProgramWriter
+) -> None:
     """A rapid move after which not all axes have a known position: kept as it is, and what it tells is noted."""
-    writer.settle()
+    writer.flush()
     frame = (*NO_OFFSET, True) if machine else modal.frame
-    for axis in named_axes(block):
+    for axis in axes_in_block(block):
         way = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
         writer.position[axis] = way + (frame[axis] if frame[3] else writer.position[axis])
     modal.position = list(end)
-    writer.keep(block.text)
+    writer.write_unchanged(block.text)
     writer.counts.not_corrected += 1
-    writer.stand(_triple(modal.position), writer.position, modal.unit_mm)
+    writer.resume_at(_triple(modal.position), writer.position, modal.unit_mm)
 
 
-def lose_position(modal: Modal, writer: Writer) -> None:
+def forget_position(modal: ModalState, writer: ProgramWriter) -> None:
     """After a tool change nobody here knows where the axes are."""
-    writer.settle()
+    writer.flush()
     modal.position = [math.nan] * 3
-    writer.stand(_triple(modal.position), [math.nan] * 3, modal.unit_mm)
+    writer.resume_at(_triple(modal.position), [math.nan] * 3, modal.unit_mm)
 
 
-def with_words(block: Block, texts: dict[int, str]) -> str:
+def replace_axis_words(block: Block, texts: dict[int, str]) -> str:
     """The block with other numbers in its axis words."""
     words = []
     for letter, number, _ in block.tokens:

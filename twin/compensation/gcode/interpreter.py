@@ -21,11 +21,11 @@ from twin.compensation.gcode.codes import (
     check_codes,
     check_letters,
 )
-from twin.compensation.gcode.lines import Move
-from twin.compensation.gcode.modal import MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, Modal
+from twin.compensation.gcode.lines import MoveBlock
+from twin.compensation.gcode.modal import MACHINE_FRAME, MM_PER_INCH, SYSTEM_CODES, ModalState
 from twin.compensation.gcode.setup import NO_OFFSET, CorrectionOptions, PartSetup, Triple
 from twin.compensation.gcode.words import Block, code_number, is_program_number, read_block, read_plain
-from twin.compensation.gcode.writer import Writer
+from twin.compensation.gcode.writer import ProgramWriter
 
 MARK = "volcal gcode correct"
 """Stands in a comment of every corrected program, so that none is corrected twice."""
@@ -50,13 +50,13 @@ _UNSURE = "M{} acts before the motion on some controllers and after it on others
 class Interpreter:
     """Feeds what it reads to a writer. `heading`: the comment that is written before the first block."""
 
-    def __init__(self, setup: PartSetup, options: CorrectionOptions, writer: Writer, heading: str) -> None:
-        self.modal = Modal(setup)
+    def __init__(self, setup: PartSetup, options: CorrectionOptions, writer: ProgramWriter, heading: str) -> None:
+        self.modal = ModalState(setup)
         self._options = options
         self._writer = writer
         self._heading = heading
         self._begun = False
-        self._placed = self.modal.is_placed
+        self._position_known = self.modal.position_known
         self._coded = True
         self._flowing = False
 
@@ -67,27 +67,27 @@ class Interpreter:
         if text.lstrip().startswith("%"):
             self.modal.ended = self._begun
             self._flowing = False
-            self._writer.keep(text)
+            self._writer.write_unchanged(text)
             return
         block = read_block(text, line)
         if MARK in block.comments:
             block.refuse("this program was corrected before", "Correct the program as it was made")
         if not self._begun and is_program_number(block):
-            self._writer.keep(text)
+            self._writer.write_unchanged(text)
             return
         if self._heading and text.strip():
-            self._writer.keep(self._heading)
+            self._writer.write_unchanged(self._heading)
             self._heading = ""
         if block.tokens:
             self._block(block)
         else:
-            self._writer.keep(text)
+            self._writer.write_unchanged(text)
 
     @property
     def _may_flow(self) -> bool:
         """Whether a line of N, G0 or G1, X, Y, Z and F alone is nothing but a move to be corrected."""
         modal = self.modal
-        known = self._placed and modal.offset is not None and not modal.ended
+        known = self._position_known and modal.offset is not None and not modal.ended
         return known and modal.motion in _LINEAR and not modal.inverse_time and not self._heading
 
     def _plain_move(self, line: int, text: str) -> bool:
@@ -116,7 +116,7 @@ class Interpreter:
         head = f"N{number} " if number else ""
         tail = f" F{feed}" if feed else ""
         written = "G1" if modal.motion else "G0"
-        move = Move(line, text, written, coded, False, mask, head, tail, "", "", 0.0, "")
+        move = MoveBlock(line, text, written, coded, False, mask, head, tail, "", "", 0.0, "")
         self._writer.move(move, (end_x, end_y, end_z), modal.frame, None)
         modal.position = [end_x, end_y, end_z]
         self._coded = False
@@ -152,21 +152,21 @@ class Interpreter:
         for code in codes:
             _MODES.get(code, _nothing)(modal)
         if modal.unit_mm != self._writer.unit_mm:
-            self._writer.settle()
-            self._writer.stand(_triple(modal.position), self._writer.position, modal.unit_mm)
+            self._writer.flush()
+            self._writer.resume_at(_triple(modal.position), self._writer.position, modal.unit_mm)
         if 430 in codes:
             modal.tool_offset = self._tool_length(block)
         if _DYNAMIC_LENGTH in codes:
             datum.set_tool_length(block, modal)
-        modal.place()
+        modal.update_frame()
 
     def _change_tool(self, block: Block) -> None:
         self.modal.tool_held = self.modal.tool_called
         if self.modal.setup.tool_change_moves:
             if not _AXES.isdisjoint(block.values):
                 block.refuse("a tool change and a move in one block", "Write them as two")
-            datum.lose_position(self.modal, self._writer)
-            self._placed = False
+            datum.forget_position(self.modal, self._writer)
+            self._position_known = False
 
     def _tool_length(self, block: Block) -> Triple:
         number = block.values.get("H", self.modal.tool_held)
@@ -208,13 +208,13 @@ class Interpreter:
             datum.set_datum(block, code, self.modal, self._writer)
         elif code in _REFERENCES:
             datum.go_to_reference(block, _REFERENCES[code], self.modal, self._writer)
-            self._placed = self.modal.is_placed
+            self._position_known = self.modal.position_known
         else:
-            self._writer.keep(block.text)
+            self._writer.write_unchanged(block.text)
         self._coded = True
 
     def _keep(self, block: Block) -> None:
-        self._writer.keep(block.text)
+        self._writer.write_unchanged(block.text)
         self._coded = self._coded or any(code in MOTIONS or code == _CANCEL for code in block.g)
 
     def _move(self, block: Block, machine: bool) -> None:
@@ -225,8 +225,8 @@ class Interpreter:
             block.refuse("G53 is for G0 or G1 with G90")
         if motion not in _ARCS and not _ARC.isdisjoint(block.values):
             block.refuse(f"I, J, K and R belong to arcs, and G{motion // 10} is in effect")
-        end = datum.targets(block, modal, machine)
-        if not self._placed and not self._begin_from_nowhere(block, end, machine, motion):
+        end = datum.target_position(block, modal, machine)
+        if not self._position_known and not self._begin_from_nowhere(block, end, machine, motion):
             return
         arc = self._arc(block, end, motion) if motion in _ARCS else None
         self._writer.move(self._as_move(block, machine, motion), end, MACHINE_FRAME if machine else modal.frame, arc)
@@ -242,13 +242,13 @@ class Interpreter:
             message = "it is not known where the axes are before this block"
             block.refuse(message, "Begin with G0 moves that name X, Y and Z, or say it: --start X,Y,Z")
         self._coded = True
-        self._placed = not any(map(math.isnan, end))
-        if self._placed:
-            self._writer.settle()
-            self._writer.stand(end, self._writer.position, self.modal.unit_mm)
+        self._position_known = not any(map(math.isnan, end))
+        if self._position_known:
+            self._writer.flush()
+            self._writer.resume_at(end, self._writer.position, self.modal.unit_mm)
         else:
-            datum.move_from_nowhere(block, end, machine, self.modal, self._writer)
-        return self._placed
+            datum.move_from_unknown_position(block, end, machine, self.modal, self._writer)
+        return self._position_known
 
     def _arc(self, block: Block, end: Triple, motion: int) -> Arc:
         modal = self.modal
@@ -259,10 +259,10 @@ class Interpreter:
             clockwise=motion == 20,
             axes=PLANE_AXES[modal.plane],
             unit_mm=modal.unit_mm,
-            centre_origin=datum.zero(block, modal) if modal.absolute_centres else None,
+            centre_origin=datum.program_zero(block, modal) if modal.absolute_centres else None,
         )
 
-    def _as_move(self, block: Block, machine: bool, motion: int) -> Move:
+    def _as_move(self, block: Block, machine: bool, motion: int) -> MoveBlock:
         head, tail, stop = "", "", ""
         values, inverse, coded, whole = block.values, 0.0, self._coded, ""
         timed = self.modal.inverse_time and motion != 0
@@ -292,7 +292,7 @@ class Interpreter:
             block.refuse("with G93 every move needs its F", "Write the F word")
         comment = f" {block.comments}" if block.comments else ""
         mask = ("X" in values) + 2 * ("Y" in values) + 4 * ("Z" in values)
-        return Move(
+        return MoveBlock(
             block.line, block.text, _WRITTEN[motion], coded, machine, mask, head, tail, stop, comment, inverse, whole
         )
 
@@ -304,15 +304,15 @@ def _check_deletable(block: Block) -> None:
         block.refuse(message, "Remove the slash, or the block")
 
 
-def _nothing(_: Modal) -> None:
+def _nothing(_: ModalState) -> None:
     """Of a code that sets nothing that matters here."""
 
 
-def _setter(name: str, value: object) -> Callable[[Modal], None]:
+def _setter(name: str, value: object) -> Callable[[ModalState], None]:
     return lambda modal: setattr(modal, name, value)
 
 
-_MODES: dict[int, Callable[[Modal], None]] = {
+_MODES: dict[int, Callable[[ModalState], None]] = {
     **{code: _setter("plane", code) for code in PLANE_AXES},
     **{code: _setter("system", name) for code, name in SYSTEM_CODES.items()},
     200: _setter("unit_mm", MM_PER_INCH),

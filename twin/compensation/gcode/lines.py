@@ -8,7 +8,7 @@ from typing import NamedTuple
 ALL_AXES = 7
 
 
-class Move(NamedTuple):
+class MoveBlock(NamedTuple):
     """One block that moves: what is written before and after its axis words.
 
     `code`: G0 or G1 as it is written; `coded`: it stood there. `mask`: bits of the axes that were named. `stop`: words
@@ -30,7 +30,7 @@ class Move(NamedTuple):
     whole: str
 
 
-class Pen:
+class LineFormatter:
     """Writes moves one after the other; knows which motion code is in effect. `forget` when that is not known."""
 
     def __init__(self, decimals: int) -> None:
@@ -41,7 +41,7 @@ class Pen:
     def forget(self) -> None:
         self._code = ""
 
-    def line(self, move: Move, values: Sequence[float], axes: int) -> str:
+    def line(self, move: MoveBlock, values: Sequence[float], axes: int) -> str:
         """The one line of a move; `axes`: bits of the words to be written."""
         words = self._axis_words(values, axes)
         code = self._motion(move, forced=move.coded)
@@ -50,7 +50,7 @@ class Pen:
         feed = f" F{_number(move.inverse)}" if move.inverse else ""
         return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}{move.comment}"
 
-    def lines(self, move: Move, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
+    def lines(self, move: MoveBlock, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
         """The lines of a divided move, one for each piece that moves at the resolution of the words.
 
         With G93 a piece gets its share of the time of the whole (F is one over minutes).
@@ -72,7 +72,7 @@ class Pen:
             return self._forms[ALL_AXES] % (values[0], values[1], values[2])
         return self._forms[axes] % tuple(value for k, value in enumerate(values) if axes >> k & 1)
 
-    def _motion(self, move: Move, forced: bool) -> str:
+    def _motion(self, move: MoveBlock, forced: bool) -> str:
         if move.machine:
             self._code = move.code
             return f"G53 {move.code} "

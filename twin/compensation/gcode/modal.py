@@ -20,7 +20,7 @@ SYSTEM_CODES = {round(10.0 * float(name[1:])): name for name in SYSTEMS}
 
 
 @dataclass(slots=True)
-class Modal:
+class ModalState:
     """G codes as ten times their number. Lengths in mm, positions are axis positions; NaN where unknown.
 
     `position`: where the program means the axes to stand, without corrections. `g92` as the program means it,
@@ -56,9 +56,9 @@ class Modal:
         self.inverse_time = setup.feed == "G93"
         self.system = setup.system
         self.g92 = self.g92_written = setup.g92
-        self.place()
+        self.update_frame()
 
-    def place(self) -> None:
+    def update_frame(self) -> None:
         """Work out `offset` (None: the work offset is not known) and `frame` after a change."""
         work = self.setup.work_offsets.get(self.system)
         self.offset = None if work is None else _sum(work, self.g92, self.tool_offset)
@@ -66,7 +66,7 @@ class Modal:
         self.frame = (*written, self.absolute)
 
     @property
-    def is_placed(self) -> bool:
+    def position_known(self) -> bool:
         """Whether it is known where all three axes stand."""
         x, y, z = self.position
         return x == x and y == y and z == z  # noqa: PLR0124  NaN alone differs from itself; math.isnan is slower

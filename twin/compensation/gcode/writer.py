@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from twin.compensation.gcode.arcs import Arc
-from twin.compensation.gcode.chord_tolerance import Bending
+from twin.compensation.gcode.chord_tolerance import TableCurvature
 from twin.compensation.gcode.codes import AXIS_LETTERS
-from twin.compensation.gcode.correction_summary import Counts
-from twin.compensation.gcode.lines import Move, Pen
+from twin.compensation.gcode.correction_summary import CorrectionSummary
+from twin.compensation.gcode.lines import LineFormatter, MoveBlock
 from twin.compensation.gcode.modal import MM_PER_INCH, Frame
+from twin.compensation.gcode.move_batch import CorrectedPoints, Indices, MovePaths, correct_points, round_to_words
 from twin.compensation.gcode.setup import CorrectionOptions, Triple
-from twin.compensation.gcode.stretch import Corrected, Indices, Paths, as_words, corrected
 from twin.compensation.gcode.words import Block, refusal
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
@@ -30,7 +30,7 @@ _OUTSIDE_MM = 1e-6
 _AXIS_BITS = np.array([1, 2, 4])
 
 
-class Writer:
+class ProgramWriter:
     """Takes moves and lines to be kept in their order, and gives text to `emit`.
 
     `position`: where the controller stands after all that is settled, mm; NaN where unknown. `newline` ends each line.
@@ -46,33 +46,33 @@ class Writer:
     ) -> None:
         self.table = table
         self.options = options
-        self.counts = Counts()
+        self.counts = CorrectionSummary()
         self.newline = "\n"
         self._emit = emit
         self._held = options.outside == "refuse"
-        self._bending = Bending.of(table, beyond=not self._held)
+        self._bending = TableCurvature.of(table, beyond=not self._held)
         self._limit_mm = _without_rounding(options)
-        self._items: list[str | Move] = []
+        self._items: list[str | MoveBlock] = []
         self._ends: list[Triple] = []
         self._frames: list[Frame] = []
         self._arcs: dict[int, Arc] = {}
-        self.stand(start, list(start), unit_mm)
+        self.resume_at(start, list(start), unit_mm)
 
-    def stand(self, meant: Triple, position: list[float], unit_mm: float) -> None:
+    def resume_at(self, meant: Triple, position: list[float], unit_mm: float) -> None:
         """Go on from here: where the program means the axes to be, where they are, what unit words have."""
         self._meant = meant
         self.position = position
         self.unit_mm = unit_mm
         self.decimals = self.options.decimals + (unit_mm == MM_PER_INCH)
-        self._pen = Pen(self.decimals)
+        self._pen = LineFormatter(self.decimals)
 
-    def keep(self, text: str) -> None:
+    def write_unchanged(self, text: str) -> None:
         """Write a line as it is."""
         self._items.append(text)
         if len(self._items) >= _STRETCH_LINES:
-            self._flush()
+            self._write_batch()
 
-    def move(self, move: Move, end: Triple, frame: Frame, arc: Arc | None) -> None:
+    def move(self, move: MoveBlock, end: Triple, frame: Frame, arc: Arc | None) -> None:
         """Write a move to the axis position `end` (mm, not corrected), its words to count in `frame`."""
         if arc is not None:
             self._arcs[len(self._ends)] = arc
@@ -80,23 +80,23 @@ class Writer:
         self._ends.append(end)
         self._frames.append(frame)
         if len(self._items) >= _STRETCH_LINES:
-            self._flush()
+            self._write_batch()
 
-    def settle(self) -> None:
+    def flush(self) -> None:
         """Write all that was collected, so that `position` is up to date. The next move states its G code."""
-        self._flush()
+        self._write_batch()
         self._pen.forget()
 
     def corrected_point(self, point: Triple, block: Block) -> Triple:
         """One corrected axis position, not counted. Refuses `block` where it lies outside the table, unless it may."""
         points = np.array([point])
-        found = corrected(self.table, points, held=self._held)
+        found = correct_points(self.table, points, held=self._held)
         if self._held and found.beyond_mm[0] > _OUTSIDE_MM:
             block.refuse(self._where_outside(points[0]), _OUTSIDE_HINT)
         x, y, z = found.points[0].tolist()
         return x, y, z
 
-    def _flush(self) -> None:
+    def _write_batch(self) -> None:
         texts = self._moves()
         lines: list[str] = []
         for item in self._items:
@@ -125,7 +125,7 @@ class Writer:
             return
         moves = [item for item in self._items if not isinstance(item, str)]
         ends = np.array(self._ends)
-        paths = Paths(np.concatenate((np.array([self._meant]), ends[:-1])), ends, self._arcs)
+        paths = MovePaths(np.concatenate((np.array([self._meant]), ends[:-1])), ends, self._arcs)
         dividable = np.array([self.options.divide_rapids or move.code != "G0" for move in moves])
         pieces = paths.pieces(self._bending, dividable, self._limit_mm)
         self._check_pieces(moves, pieces)
@@ -135,12 +135,12 @@ class Writer:
             yield from self._part(moves, paths, first, pieces[first:after])
             first = after
 
-    def _part(self, moves: list[Move], paths: Paths, first: int, pieces: Indices) -> Iterator[list[str]]:
+    def _part(self, moves: list[MoveBlock], paths: MovePaths, first: int, pieces: Indices) -> Iterator[list[str]]:
         points, rows, last = paths.points(first, pieces)
-        found = corrected(self.table, points, held=self._held)
+        found = correct_points(self.table, points, held=self._held)
         self._check_volume(moves, rows, points, found)
         frames = self._frames[first : first + len(pieces)]
-        words = as_words(found.points, frames, rows - first, self.position, self.unit_mm, self.decimals)
+        words = round_to_words(found.points, frames, rows - first, self.position, self.unit_mm, self.decimals)
         self.position = words.position[-1].tolist()
         axes = words.changed @ _AXIS_BITS
         axes[last] |= np.array([move.mask for move in moves[first : first + len(pieces)]])
@@ -153,7 +153,7 @@ class Writer:
                 yield list(pen.lines(move, values[at : at + count], bits[at : at + count]))
             at += count
 
-    def _check_pieces(self, moves: list[Move], pieces: Indices) -> None:
+    def _check_pieces(self, moves: list[MoveBlock], pieces: Indices) -> None:
         """Refuse what must not, or cannot well be divided; count."""
         for row in np.flatnonzero(pieces > 1).tolist():
             move = moves[row]
@@ -167,7 +167,7 @@ class Writer:
         self.counts.divided += int((pieces > 1).sum())
         self.counts.arcs += len(self._arcs)
 
-    def _check_volume(self, moves: list[Move], rows: Indices, points: np.ndarray, found: Corrected) -> None:
+    def _check_volume(self, moves: list[MoveBlock], rows: Indices, points: np.ndarray, found: CorrectedPoints) -> None:
         """Refuse points outside the table unless they may be; count."""
         counts = self.counts
         outside = found.beyond_mm > _OUTSIDE_MM

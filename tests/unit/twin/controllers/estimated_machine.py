@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.files import load_machine
-from twin.compensation.controllers.export_format import Identified, Source
+from twin.compensation.controllers.export_format import ExportSource, TableEstimate
 from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis, exact_deviation
@@ -31,7 +31,7 @@ def truth(seed: int) -> TrueMachine:
 
 
 @cache
-def known(seed: int) -> Source:
+def known(seed: int) -> ExportSource:
     """The best fit of order 5, off by a little noise, and the table of it."""
     points = evaluation_grid(RANGES, (9, 7, 7))
     model = CASE_STUDY.model
@@ -48,16 +48,16 @@ def source_of(
     covariance: np.ndarray | None = None,
     step_mm: tuple[float, float, float] = (100.0, 100.0, 100.0),
     tool: np.ndarray = TOOL,
-) -> Source:
+) -> ExportSource:
     nodes = regular_nodes(model.ranges_mm, step_mm)
     anchor = Anchor(np.array([low for low, _ in model.ranges_mm]))
     everywhere = evaluation_grid(model.ranges_mm, (3, 3, 3))
     table = build_table(model, parameters, nodes, tool, anchor, everywhere)
     matrix = np.zeros((model.size, model.size)) if covariance is None else covariance
-    return Source(table, Identified(model, parameters, matrix))
+    return ExportSource(table, TableEstimate(model, parameters, matrix))
 
 
-def machine_with(**parameters: float) -> Source:
+def machine_with(**parameters: float) -> ExportSource:
     """Case study with these parameters alone, such as EXX_1=4e-3 for EXX[1] or CROSS_b1."""
     values = np.zeros(CASE_STUDY.model.size)
     for name, value in parameters.items():
@@ -66,7 +66,7 @@ def machine_with(**parameters: float) -> Source:
     return source_of(CASE_STUDY.model, values)
 
 
-def moving_table(seed: int) -> Source:
+def moving_table(seed: int) -> ExportSource:
     """A machine whose table carries the workpiece in X and Y."""
     model = ErrorModel.uniform(parse_chain("tool-Z-bed-Y-X-workpiece"), RANGES, 4)
     return source_of(
@@ -79,8 +79,8 @@ def left_um(machine: TrueMachine, added: np.ndarray) -> float:
     return volumetric_error(GRID + TOOL, added + machine.deviation(GRID + added)).aligned_um
 
 
-def left_of_estimate_um(source: Source, added: np.ndarray, grid: np.ndarray = GRID) -> float:
-    known_of = source.identified
+def left_of_estimate_um(source: ExportSource, added: np.ndarray, grid: np.ndarray = GRID) -> float:
+    known_of = source.estimate
     offset = source.table.tool_offset
     left = added + exact_deviation(known_of.model, grid + added, offset, known_of.parameters)
     return volumetric_error(grid + offset, left).aligned_um

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from estimated_machine import TOOL, known, machine_with, source_of
 
-from twin.compensation.controllers.export_format import Choices, Identified, Source
-from twin.compensation.controllers.grids import require_small, resampled
+from twin.compensation.controllers.export_format import ExportOptions, ExportSource, TableEstimate
+from twin.compensation.controllers.grids import require_small_corrections, resample_table
 from twin.compensation.controllers.loss import require_same_machine
 from twin.compensation.controllers.registry import WRITERS
 from twin.compensation.table import CompensationTable
@@ -18,19 +18,19 @@ from twin.errors import DataError
 EVEN = ("siemens-lec", "siemens-cec", "heidenhain-com", "fanuc-pitch", "fanuc-3d")
 
 
-def refused(name: str, source: Source, **choices: object) -> DataError:
+def refused(name: str, source: ExportSource, **choices: object) -> DataError:
     with pytest.raises(DataError) as caught:
-        WRITERS[name](source, Choices(**choices))
+        WRITERS[name](source, ExportOptions(**choices))
     assert caught.value.hint
     return caught.value
 
 
-def alone(table: CompensationTable) -> Source:
-    return Source(table)
+def alone(table: CompensationTable) -> ExportSource:
+    return ExportSource(table)
 
 
 def thin() -> CompensationTable:
-    return resampled(known(1).table, (21, 14, 16))
+    return resample_table(known(1).table, (21, 14, 16))
 
 
 @pytest.mark.parametrize(
@@ -43,11 +43,11 @@ def thin() -> CompensationTable:
     ],
 )
 def test_too_many_points_name_a_grid_that_fits(name: str, points: tuple[int, int, int], fitting: str) -> None:
-    error = refused(name, alone(resampled(known(1).table, points)))
+    error = refused(name, alone(resample_table(known(1).table, points)))
     assert f"--points {fitting}" in str(error)
     assert error.where["axis"] == "X"
     x, y, z = (int(n) for n in fitting.split("x"))
-    WRITERS[name](alone(resampled(known(1).table, (x, y, z))), Choices(detection_unit_um=0.5))
+    WRITERS[name](alone(resample_table(known(1).table, (x, y, z))), ExportOptions(detection_unit_um=0.5))
 
 
 @pytest.mark.parametrize("name", EVEN)
@@ -59,7 +59,7 @@ def test_an_uneven_grid_names_axis_and_line_and_an_even_one_can_be_asked_for(nam
     error = refused(name, alone(uneven))
     assert error.where == {"axis": "Y", "row": str(2 + 3 * 16)}
     assert "--points" in error.hint
-    WRITERS[name](alone(resampled(uneven, (21, 14, 16))), Choices())
+    WRITERS[name](alone(resample_table(uneven, (21, 14, 16))), ExportOptions())
 
 
 @pytest.mark.parametrize("name", ["linuxcnc-comp", "isg-volcomp", "gcode-csv", "neutral"])
@@ -69,7 +69,7 @@ def test_an_uneven_grid_is_no_harm_to_the_others(name: str) -> None:
     corrections = np.delete(source.table.corrections, [3, 4, 9], axis=0)
     marks = np.delete(source.table.extrapolated, [3, 4, 9], axis=0)
     WRITERS[name](
-        replace(source, table=replace(source.table, x=x, corrections=corrections, extrapolated=marks)), Choices()
+        replace(source, table=replace(source.table, x=x, corrections=corrections, extrapolated=marks)), ExportOptions()
     )
 
 
@@ -78,25 +78,27 @@ def test_a_correction_beyond_all_reason_names_its_line() -> None:
     corrections = table.corrections.copy()
     corrections[2, 3, 4, 1] = -1.5
     with pytest.raises(DataError, match=r"1500\.0 µm is larger than 1000 µm") as caught:
-        require_small(replace(table, corrections=corrections))
+        require_small_corrections(replace(table, corrections=corrections))
     assert caught.value.where["row"] == str(2 + (2 * 14 + 3) * 16 + 4)
-    require_small(replace(table, corrections=corrections), 2.0)
+    require_small_corrections(replace(table, corrections=corrections), 2.0)
 
 
 def test_another_machine_another_tool_and_another_night_are_told_from_the_right_one() -> None:
     source = known(1)
     require_same_machine(source)
-    require_same_machine(replace(source, table=resampled(source.table, (21, 14, 16))))
+    require_same_machine(replace(source, table=resample_table(source.table, (21, 14, 16))))
     with pytest.raises(DataError, match=r"differ by .* rms"):
-        require_same_machine(Source(source.table, known(2).identified))
+        require_same_machine(ExportSource(source.table, known(2).estimate))
     with pytest.raises(DataError, match=r"differ by .* rms"):
         require_same_machine(
-            Source(replace(source.table, tool_offset=TOOL + np.array([0.0, 0.0, 900.0])), source.identified)
+            ExportSource(replace(source.table, tool_offset=TOOL + np.array([0.0, 0.0, 900.0])), source.estimate)
         )
-    known_of = source.identified
+    known_of = source.estimate
     shorter = replace(known_of.model, ranges_mm=((0.0, 2000.0), *known_of.model.ranges_mm[1:]))
     with pytest.raises(DataError, match="leaves the range") as caught:
-        require_same_machine(Source(source.table, Identified(shorter, known_of.parameters, known_of.covariance)))
+        require_same_machine(
+            ExportSource(source.table, TableEstimate(shorter, known_of.parameters, known_of.covariance))
+        )
     assert caught.value.where["axis"] == "X"
 
 
@@ -120,17 +122,17 @@ def test_points_that_are_counted_from_the_reference_point_must_hit_it(name: str)
 
 @pytest.mark.parametrize("name", ["fanuc-pitch", "fanuc-3d"])
 def test_intervals_are_whole_detection_units(name: str) -> None:
-    error = refused(name, alone(resampled(known(1).table, (13, 14, 16))))
+    error = refused(name, alone(resample_table(known(1).table, (13, 14, 16))))
     assert "whole number of detection units" in error.message
 
 
 def test_the_smallest_magnification_that_fits_is_chosen_and_a_smaller_one_refused() -> None:
-    steep = source_of(machine_with().identified.model, 12.0 * known(1).identified.parameters)
-    found = WRITERS["fanuc-pitch"](alone(steep.table), Choices()).facts["magnification"]
+    steep = source_of(machine_with().estimate.model, 12.0 * known(1).estimate.parameters)
+    found = WRITERS["fanuc-pitch"](alone(steep.table), ExportOptions()).facts["magnification"]
     assert found > 1
     error = refused("fanuc-pitch", alone(steep.table), magnification=found - 1)
     assert "beyond ±7" in error.message
-    WRITERS["fanuc-pitch"](alone(steep.table), Choices(magnification=found + 1))
+    WRITERS["fanuc-pitch"](alone(steep.table), ExportOptions(magnification=found + 1))
 
 
 def test_no_magnification_fits() -> None:
@@ -147,14 +149,14 @@ def test_a_table_that_corrects_nothing_has_no_cross_tables() -> None:
 @pytest.mark.parametrize("points", [(1, 14, 16), (0, 2, 2), (5, -1, 3)])
 def test_a_grid_has_two_points_at_least(points: tuple[int, int, int]) -> None:
     with pytest.raises(DataError, match="no grid"):
-        resampled(known(1).table, points)
+        resample_table(known(1).table, points)
 
 
 def test_resampling_reads_the_table_as_a_controller_does_and_passes_on_what_is_extrapolated() -> None:
     table = known(1).table
     marks = np.zeros(table.extrapolated.shape, dtype=bool)
     marks[-1] = True
-    coarse = resampled(replace(table, extrapolated=marks), (9, 5, 5))
+    coarse = resample_table(replace(table, extrapolated=marks), (9, 5, 5))
     points = np.stack(np.meshgrid(*coarse.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     assert coarse.corrections.reshape(-1, 3) == pytest.approx(table.at(points), abs=1e-15)
     assert coarse.extrapolated[-1].all()
@@ -163,9 +165,9 @@ def test_resampling_reads_the_table_as_a_controller_does_and_passes_on_what_is_e
 
 def test_axes_are_called_as_the_controller_calls_them() -> None:
     source = alone(thin())
-    lec = WRITERS["siemens-lec"](source, Choices(axis_names=("AX1", "AX2", "AX4"), encoder=1))
+    lec = WRITERS["siemens-lec"](source, ExportOptions(axis_names=("AX1", "AX2", "AX4"), encoder=1))
     assert sorted(lec.files) == ["AX1_EEC.INI", "AX2_EEC.INI", "AX4_EEC.INI"]
     assert "$AA_ENC_COMP_MAX[1,AX4]=1500.0" in lec.files["AX4_EEC.INI"]
-    cec = WRITERS["siemens-cec"](source, Choices(axis_names=("AX1", "AX2", "AX4"))).files["NC_CEC.INI"]
+    cec = WRITERS["siemens-cec"](source, ExportOptions(axis_names=("AX1", "AX2", "AX4"))).files["NC_CEC.INI"]
     assert "=(AX4)" in cec
     assert "=(Z1)" not in cec

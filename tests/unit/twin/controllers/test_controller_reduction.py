@@ -10,9 +10,15 @@ from estimated_machine import RANGES, TOOL, known, left_of_estimate_um, machine_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.compensation.controllers.export_format import Choices, Source
-from twin.compensation.controllers.loss import loss
-from twin.compensation.controllers.reduction import cross_axis, own_axis, sum_of_profiles, summed, terms
+from twin.compensation.controllers.export_format import ExportOptions, ExportSource
+from twin.compensation.controllers.loss import compensation_loss
+from twin.compensation.controllers.reduction import (
+    cross_axis_profiles,
+    own_axis_profiles,
+    select_terms,
+    sum_of_cross_axis_profiles,
+    sum_of_terms,
+)
 from twin.compensation.controllers.registry import WRITERS
 from twin.compensation.table import Anchor, CompensationTable
 from twin.machine.volumetric import evaluation_grid, volumetric_error
@@ -34,8 +40,8 @@ def random_table(seed: int, shape: tuple[int, int, int] = (5, 4, 3)) -> Compensa
     return table_of(1e-3 * np.random.default_rng(seed).standard_normal((*shape, 3)))
 
 
-def kept(name: str, source: Source, **choices: object) -> float:
-    return loss(source, WRITERS[name](source, Choices(**choices)).correction).kept_share
+def kept(name: str, source: ExportSource, **choices: object) -> float:
+    return compensation_loss(source, WRITERS[name](source, ExportOptions(**choices)).correction).retained_share
 
 
 @settings(max_examples=20, deadline=None)
@@ -48,7 +54,7 @@ def test_functions_of_one_axis_are_the_least_squares_fit(seed: int) -> None:
     for output in range(3):
         wanted = table.corrections[..., output].reshape(-1)
         fitted = columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
-        found = sum_of_profiles(cross_axis(table, ORIGIN), points)[:, output]
+        found = sum_of_cross_axis_profiles(cross_axis_profiles(table, ORIGIN), points)[:, output]
         assert found - found.mean() == pytest.approx(fitted - fitted.mean(), abs=1e-12)
 
 
@@ -59,7 +65,7 @@ def test_all_terms_together_are_the_table_but_for_what_depends_on_three_axes(see
     xy, yz, xz = (rng.standard_normal(shape) for shape in ((5, 4, 1, 3), (1, 4, 3, 3), (5, 1, 3, 3)))
     table = table_of(1e-3 * (xy + yz + xz))
     reference = points_of(table)[0]
-    found = summed(terms(table, 1000, reference), points_of(table))
+    found = sum_of_terms(select_terms(table, 1000, reference), points_of(table))
     wanted = table.corrections.reshape(-1, 3)
     assert found == pytest.approx(wanted - wanted[0], abs=2e-4)
 
@@ -71,16 +77,16 @@ def test_no_more_tables_are_used_than_there_are_and_more_never_leave_more(seed: 
     points, wanted = points_of(table), table.corrections.reshape(-1, 3)
 
     def left(count: int) -> float:
-        one = terms(table, count, ORIGIN)
+        one = select_terms(table, count, ORIGIN)
         assert sum(term.tables for term in one) <= count
-        rest = wanted - summed(one, points)
+        rest = wanted - sum_of_terms(one, points)
         return float(np.var(rest, axis=0).sum())
 
     assert left(most + 4) <= left(most) + 1e-18
 
 
 def test_a_product_is_at_most_its_first_factor() -> None:
-    for term in terms(random_table(3), 1000, ORIGIN):
+    for term in select_terms(random_table(3), 1000, ORIGIN):
         if term.factor is not None:
             assert np.abs(term.factor.values).max() == pytest.approx(1.0)
 
@@ -89,7 +95,7 @@ def test_no_other_functions_of_one_axis_leave_less_after_a_rigid_alignment() -> 
     """Changed by little anywhere, the rest only grows: on the nodes themselves, as the fit weighs them."""
     table = known(1).table
     points, wanted = points_of(table), table.corrections.reshape(-1, 3)
-    profiles = own_axis(table, ORIGIN)
+    profiles = own_axis_profiles(table, ORIGIN)
 
     def left(bumped: int, place: int, by: float) -> float:
         added = np.zeros_like(points)
@@ -124,15 +130,15 @@ def test_the_cross_effect_is_carried_by_multiplied_tables_and_by_a_second_argume
     assert kept("siemens-cec", source, most_tables=4) > 0.97
     assert kept("heidenhain-com", source) < 0.8
     assert kept("isg-volcomp", source) > 0.999
-    rows = WRITERS["isg-volcomp"](source, Choices()).files["volcomp.csv"].split("\n#\n")[-1].splitlines()
+    rows = WRITERS["isg-volcomp"](source, ExportOptions()).files["volcomp.csv"].split("\n#\n")[-1].splitlines()
     assert rows[1] == "Y Z EYZ EAZ"
     assert len(rows) == 2 + 14 * 16
 
 
 def test_ve_is_that_of_the_estimated_machine_whatever_the_table_can_say() -> None:
     source = known(1)
-    one = WRITERS["heidenhain-com"](source, Choices())
-    found = loss(source, one.correction)
+    one = WRITERS["heidenhain-com"](source, ExportOptions())
+    found = compensation_loss(source, one.correction)
     grid = evaluation_grid(RANGES, (60, 20, 20))
     for value, added in (
         (found.before, np.zeros_like(grid)),
@@ -146,9 +152,9 @@ def test_ve_is_that_of_the_estimated_machine_whatever_the_table_can_say() -> Non
 
 def test_without_an_estimate_the_table_is_the_machine() -> None:
     whole = known(1)
-    alone = Source(whole.table)
-    correction = WRITERS["heidenhain-com"](alone, Choices()).correction
-    found, by_estimate = loss(alone, correction), loss(whole, correction)
+    alone = ExportSource(whole.table)
+    correction = WRITERS["heidenhain-com"](alone, ExportOptions()).correction
+    found, by_estimate = compensation_loss(alone, correction), compensation_loss(whole, correction)
     assert not found.estimated
     assert found.unknown_mm is None
     assert found.full.aligned_um == pytest.approx(0.0, abs=1e-3)
@@ -166,7 +172,7 @@ def test_fewer_tables_keep_less() -> None:
 def test_without_products_cross_tables_are_what_a_heidenhain_control_has() -> None:
     """But for its steps of 0.1 µm, and what is worth less than a table."""
     source = known(1)
-    one = WRITERS["siemens-cec"](source, Choices(products=False))
+    one = WRITERS["siemens-cec"](source, ExportOptions(products=False))
     assert "MULT_BY_TABLE[0]=0" in one.files["NC_CEC.INI"]
     assert one.facts["tables"] <= 9
     assert kept("siemens-cec", source, products=False) == pytest.approx(kept("heidenhain-com", source), abs=0.01)

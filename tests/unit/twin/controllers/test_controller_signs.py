@@ -11,9 +11,9 @@ import pytest
 from controller_rules import RULES
 from estimated_machine import GRID, known, left_of_estimate_um, left_um, moving_table, truth
 
-from twin.compensation.controllers.export_format import Choices, Exported, Source
-from twin.compensation.controllers.grids import resampled
-from twin.compensation.controllers.loss import telling_point
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
+from twin.compensation.controllers.grids import resample_table
+from twin.compensation.controllers.loss import largest_correction
 from twin.compensation.controllers.registry import WRITERS
 
 SEEDS = (1, 2, 3)
@@ -23,9 +23,9 @@ REMOVED = {**dict.fromkeys(OWN_AXIS_ONLY, 0.0), "heidenhain-com": 0.3}
 """Least share of the true VE that must go; of the others at least half."""
 
 
-def exported(name: str, source: Source, **choices: object) -> Exported:
-    table = resampled(source.table, THINNED[name]) if name in THINNED else source.table
-    return WRITERS[name](Source(table, source.identified), Choices(**choices))
+def exported(name: str, source: ExportSource, **choices: object) -> ControllerExport:
+    table = resample_table(source.table, THINNED[name]) if name in THINNED else source.table
+    return WRITERS[name](ExportSource(table, source.estimate), ExportOptions(**choices))
 
 
 def test_every_format_has_a_rule() -> None:
@@ -91,6 +91,6 @@ def test_the_second_bank_of_a_heidenhain_control_is_the_active_line() -> None:
 @pytest.mark.parametrize("name", RULES)
 def test_where_the_sign_is_to_be_checked_the_controller_moves_as_said_and_farthest(name: str) -> None:
     one = exported(name, known(3))
-    place, moves = telling_point(known(3).table, one.correction)
+    place, moves = largest_correction(known(3).table, one.correction)
     assert RULES[name](one.files)(place[None, :])[0] == pytest.approx(moves, abs=5e-6)
     assert np.linalg.norm(one.correction(GRID), axis=1).max() <= np.linalg.norm(moves) + 1e-4

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twin.arrays import Array
 from twin.compensation.gcode.arcs import Arc, arc_points
-from twin.compensation.gcode.chord_tolerance import Bending
+from twin.compensation.gcode.chord_tolerance import TableCurvature
 from twin.compensation.gcode.modal import Frame
 from twin.compensation.table import CompensationTable
 
@@ -19,14 +19,14 @@ Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Paths:
+class MovePaths:
     """`starts`, `ends` (m, 3) of consecutive moves, axis positions in mm; `arcs` of those that are no line."""
 
     starts: Array
     ends: Array
     arcs: Mapping[int, Arc]
 
-    def pieces(self, bending: Bending, dividable: Flags, limit_mm: float) -> Indices:
+    def pieces(self, bending: TableCurvature, dividable: Flags, limit_mm: float) -> Indices:
         """Into how many pieces (m,) each is to be cut."""
         count = bending.line_pieces(self.starts, self.ends, limit_mm)
         count[~dividable] = 1
@@ -60,7 +60,7 @@ class Paths:
         starts, ends = self.starts[curved], self.ends[curved]
         points[on_arc] = arc_points(arcs, which[on_arc], share[on_arc], starts, ends)
 
-    def _arc_pieces(self, rows: Indices, bending: Bending, limit_mm: float) -> Indices:
+    def _arc_pieces(self, rows: Indices, bending: TableCurvature, limit_mm: float) -> Indices:
         lower, upper = np.minimum(self.starts[rows], self.ends[rows]), np.maximum(self.starts[rows], self.ends[rows])
         sizes = []
         for place, row in enumerate(rows.tolist()):
@@ -77,7 +77,7 @@ class Paths:
 
 
 @dataclass(frozen=True, eq=False)
-class Words:
+class AxisWords:
     """`values` (n, 3): what X, Y, Z are to say; `changed` (n, 3): whether they say anything new; `position` (n, 3) mm:
     where the controller then stands."""
 
@@ -86,9 +86,9 @@ class Words:
     position: Array
 
 
-def as_words(
+def round_to_words(
     points: Array, frames: Sequence[Frame], rows: Indices, position: Sequence[float], unit_mm: float, decimals: int
-) -> Words:
+) -> AxisWords:
     """Round `points` (n, 3) mm to words with so many decimals, absolute or incremental as their frame (`rows`) says.
 
     Absolute words lie on a lattice from the frame's zero, incremental ones on a lattice from the last position that
@@ -106,11 +106,11 @@ def as_words(
         reached[~absolute] = base[~absolute] + np.rint((points[~absolute] - base[~absolute]) / step) * step
     change = np.diff(reached, axis=0, prepend=np.asarray(position)[None, :])
     counted[~absolute] = np.rint(change[~absolute] / step)
-    return Words(np.round(counted * 10.0**-decimals, decimals) + 0.0, np.abs(change) > 0.25 * step, reached)
+    return AxisWords(np.round(counted * 10.0**-decimals, decimals) + 0.0, np.abs(change) > 0.25 * step, reached)
 
 
 @dataclass(frozen=True, eq=False)
-class Corrected:
+class CorrectedPoints:
     """`points` (n, 3): axis positions to command, mm. The others (n,): how far each is, or is taken, beyond."""
 
     points: Array
@@ -120,7 +120,7 @@ class Corrected:
     extrapolated: int
 
 
-def corrected(table: CompensationTable, points: Array, *, held: bool) -> Corrected:
+def correct_points(table: CompensationTable, points: Array, *, held: bool) -> CorrectedPoints:
     """Points (n, 3) with the table's correction added. `held`: which takes no axis out of the table's volume.
 
     The volume is the travel as a rule, and a controller stops at a position a µm beyond it.
@@ -131,7 +131,7 @@ def corrected(table: CompensationTable, points: Array, *, held: bool) -> Correct
     wanted = points + correction
     allowed = np.clip(wanted, lower, upper) if held else wanted
     beyond = np.maximum(lower - points, points - upper).max(axis=1)
-    return Corrected(
+    return CorrectedPoints(
         points=allowed,
         largest_mm=float(np.sqrt((correction * correction).sum(axis=1)).max(initial=0.0)),
         beyond_mm=beyond,
