@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
-from agent.execution.journal_reading import JournaledRun, read_run
+from agent.execution.run_record import RunSteps, read_steps
 from agent.files import load_machine, translated
 from agent.planning.latency_fit import (
     KindOfStep,
@@ -38,7 +38,7 @@ def timing_command(run: Path, as_json: bool) -> None:
     RUN_DIR is the folder of a run below its state directory; the journal stands beside it.
     """
     run = run.resolve()
-    model, observed = _observed(read_run(run.parent, run.name))
+    model, observed = _observed(read_steps(run.parent, run.name))
     if not observed:
         raise InputError("the run has no step to learn from", run=run.name, hint="choose one that measured something")
     kinds, suggested = kinds_of_steps(model, observed), suggested_settings(refit(model, observed))
@@ -51,7 +51,7 @@ def timing_command(run: Path, as_json: bool) -> None:
         click.echo(f"{name} = {value}")
 
 
-def _observed(recorded: JournaledRun) -> tuple[TimeModel, list[ObservedStep]]:
+def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
     """The model that the run was predicted with, and its steps."""
     with translated(InputError):
         settings = validated(dict(recorded.settings), "settings of the run", Settings)

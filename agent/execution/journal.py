@@ -1,14 +1,13 @@
-"""The journal: one SQLite database under the state directory, the only truth about runs.
+"""Writer of the journal: one SQLite database under the state directory, the only truth about runs.
 
 WAL with ``synchronous=FULL``: a commit has reached the disk when it returns (with NORMAL a power cut loses
 commits while the integrity check still says ok). A step that moves or changes something is durable before it
-begins; its result is durable before the next step is asked for.
+begins; its result is durable before the next step is requested.
 """
 
 from __future__ import annotations
 
 import copy
-import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,21 +16,24 @@ from pathlib import Path
 from typing import Any, Self
 
 from agent.errors import Busy, JournalFailed
-from agent.execution.encoding import encode_result, encode_step, table_digest, table_from, to_json
-from agent.execution.journal_schema import prepare
-from agent.execution.record_text import in_words
-from agent.execution.replay_log import Recorded, comparable, read_recorded
+from agent.execution.encoding import encode_result, encode_step, table_digest, to_json
+from agent.execution.journal_reader import JournalReader
+from agent.execution.journal_schema import FILE_NAME, prepare
+from agent.execution.replay_log import ReplayLog, comparable, read_replay_log
 from agent.execution.states import RunState
 from agent.execution.steps import ReadTemperatures, Record, Step
 from drivers.clock import Clock, utc_timestamp
 from drivers.errors import ConfigurationError
 from drivers.roles import TableImage
 
-FILE_NAME = "journal.sqlite"
+_DISK_HINT = "check the disk under `state_directory`"
 
 
 class Journal:
-    """Opens or creates the database; one writer at a time, readers (page, reports) unhindered by WAL."""
+    """Opens or creates the database; one writer at a time. WAL lets readers (page, reports) read meanwhile.
+
+    Raises ConfigurationError if the database can be neither opened nor created.
+    """
 
     def __init__(self, directory: Path) -> None:
         self.path = directory / FILE_NAME
@@ -50,7 +52,7 @@ class Journal:
         self._connection.close()
 
     def start_run(self, run_id: str, kind: str, settings: Mapping[str, Any], software: str, clock: Clock) -> RunJournal:
-        """A new run in state idle. Raises Busy when the identity is taken."""
+        """Create a run in state idle. Raise Busy if the identity is taken."""
         try:
             cursor = self._connection.execute(
                 "INSERT INTO runs (run_id, kind, started, state, software, settings) VALUES (?,?,?,?,?,?)",
@@ -61,71 +63,61 @@ class Journal:
         assert cursor.lastrowid is not None  # noqa: S101  an INSERT has one
         return RunJournal(self._connection, cursor.lastrowid, run_id, clock)
 
-    def continue_run(self, run: int, run_id: str, clock: Clock) -> tuple[RunJournal, Recorded]:
-        """Go on writing a run that broke off, with what it has written: entries that a replay comes to again are
-        taken from there and not written twice."""
-        recorded = read_recorded(self._connection, run)
+    def continue_run(self, run: int, run_id: str, clock: Clock) -> tuple[RunJournal, ReplayLog]:
+        """Continue to write an interrupted run. Entries that a replay meets again are taken from the log and are not
+        written twice."""
+        recorded = read_replay_log(JournalReader(self._connection), run)
         return RunJournal(self._connection, run, run_id, clock, recorded), recorded
 
     def close_dead(self, before_run: int, reason: str) -> None:
-        """Runs whose process died, and that nobody will go on with any more, get an end."""
+        """Close the runs before `before_run` whose process died and which can no longer be resumed."""
         self._connection.execute(
             "UPDATE runs SET state = ?, reason = coalesce(reason || '; ', '') || ?, ended = ? "
             "WHERE ended IS NULL AND run < ?",
             (RunState.FAULTED.value, reason, utc_timestamp(), before_run),
         )
 
-    def read_balls(self, run_id: str) -> list[dict[str, Any]]:
-        """The ball records of a run in the order measured, whether or not the run came to an end."""
-        rows = self._connection.execute(
-            "SELECT balls.record FROM balls JOIN runs USING (run) WHERE run_id = ? ORDER BY ordinal",
-            (run_id,),
-        )
-        return [json.loads(record) for (record,) in rows]
-
-    def run_summary(self, run_id: str) -> RunSummary | None:
-        row = self._connection.execute(
-            "SELECT run_id, kind, started, ended, state, reason FROM runs WHERE run_id = ?", (run_id,)
-        ).fetchone()
-        return None if row is None else RunSummary(*row)
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    run_id: str
-    kind: str
-    started: str
-    ended: str | None
-    state: str
-    reason: str | None
+    def acknowledge(self, run_id: str) -> None:
+        """Record that the end of a run has been acknowledged; durable when it returns. The event is aside from the
+        procedure, so that the run can still be resumed. Raise JournalFailed if it cannot be written."""
+        try:
+            self._connection.execute(
+                "INSERT INTO events (run, at, kind, record, aside) "
+                "SELECT run, ?, 'acknowledged', '{}', 1 FROM runs WHERE run_id = ?",
+                (utc_timestamp(), run_id),
+            )
+        except sqlite3.Error as error:
+            raise JournalFailed(
+                f"the reset cannot be recorded: {error}", hint=_DISK_HINT, file=str(self.path)
+            ) from error
 
 
 @dataclass
 class _Count:
-    """The last ordinal given; shared by all who write one run."""
+    """Last ordinal assigned; shared by all writers of one run."""
 
     ordinal: int
 
 
 class RunJournal:
-    """What one run writes. Implements the engine's `StepJournal`."""
+    """Writer of one run. Implements the engine's `StepJournal`."""
 
     def __init__(
-        self, connection: sqlite3.Connection, run: int, run_id: str, clock: Clock, recorded: Recorded | None = None
+        self, connection: sqlite3.Connection, run: int, run_id: str, clock: Clock, recorded: ReplayLog | None = None
     ) -> None:
         self.run = run
         self.run_id = run_id
         self._connection = connection
         self._run = run
         self._clock = clock
-        self._recorded = recorded or Recorded()
+        self._recorded = recorded or ReplayLog()
         self._count = _Count(self._recorded.ordinal)
         self._aside = 0
 
     def aside(self) -> Self:
-        """For what does not belong to the procedure: ways out and ways back. A replay never meets it."""
+        """Return a writer for withdrawals and returns: not part of the procedure, so that a replay skips their rows."""
         other = copy.copy(self)
-        other._recorded, other._aside = Recorded(), 1
+        other._recorded, other._aside = ReplayLog(), 1
         return other
 
     @property
@@ -133,11 +125,11 @@ class RunJournal:
         return self._count.ordinal
 
     def origin(self, record: Mapping[str, Any]) -> None:
-        """All that the run needs to be built again."""
+        """Store everything needed to build the run again."""
         self._execute("INSERT INTO origins (run, record) VALUES (?,?)", (self._run, to_json(record)))
 
     def begun(self) -> None:
-        """The preflight is over: from now on the run can be gone on with."""
+        """Record the end of the preflight: from now on the run can be resumed."""
         self._execute(
             "UPDATE origins SET begun_s = ?, begun_at = ? WHERE run = ?",
             (self._clock.now(), utc_timestamp(), self._run),
@@ -195,7 +187,7 @@ class RunJournal:
             self._execute("INSERT INTO estimates VALUES (?,?,?)", (self._run, utc_timestamp(), record))
 
     def table(self, role: str, bank: int, image: TableImage | None) -> None:
-        """Keep a whole table: ``backup`` before anything is written, ``staged``, ``restored``."""
+        """Store a whole table: ``backup`` before anything is written, ``staged``, ``restored``."""
         if self._recorded.takes("tables", role, str(bank), "" if image is None else str(table_digest(image))):
             return
         values: tuple[object, ...] = (None,) * 6
@@ -214,13 +206,11 @@ class RunJournal:
         )
 
     def stored_table(self, crc32: int) -> TableImage | None:
-        """A whole table that this run has kept, by its digest."""
-        row = self._execute(
-            "SELECT origin_mm, step_mm, resolution_mm, shape, counts FROM tables "
-            "WHERE run = ? AND crc32 = ? AND counts IS NOT NULL LIMIT 1",
-            (self._run, crc32),
-        ).fetchone()
-        return None if row is None else table_from(*row)
+        """Return a whole table stored by this run, by its digest."""
+        try:
+            return JournalReader(self._connection).image_with_digest(self._run, crc32)
+        except sqlite3.Error as error:
+            raise JournalFailed(f"the journal cannot be read: {error}", hint=_DISK_HINT) from error
 
     def state(self, state: RunState, reason: str = "", *, final: bool = False) -> None:
         with self._transaction():
@@ -229,20 +219,6 @@ class RunJournal:
                 (state.value, reason or None, utc_timestamp() if final else None, self._run),
             )
             self._insert_event("state", {"state": state.value, "reason": reason})
-
-    def temperature_history(self) -> list[tuple[float, dict[str, float]]]:
-        """(machine minutes since the first step, names to °C), in order."""
-        rows = self._execute(
-            "SELECT (finished - (SELECT min(begun) FROM steps WHERE run = ?)) / 60.0, record "
-            "FROM temperatures JOIN steps USING (run, ordinal) WHERE run = ? ORDER BY ordinal",
-            (self._run, self._run),
-        )
-        return [(minutes, json.loads(record)) for minutes, record in rows]
-
-    def event_lines(self) -> list[tuple[str, str, str]]:
-        """(timestamp, kind, text) of what happened, for people."""
-        rows = self._execute("SELECT at, kind, record FROM events WHERE run = ? ORDER BY rowid", (self._run,))
-        return [(at, kind, in_words(json.loads(record))) for at, kind, record in rows]
 
     def _write_record(self, step: Record) -> None:
         if step.kind == "ball":
@@ -285,13 +261,11 @@ class RunJournal:
         self._execute("INSERT INTO events VALUES (?,?,?,?,?)", values)
 
     def _execute(self, statement: str, values: Sequence[object] = ()) -> sqlite3.Cursor:
-        """Raises JournalFailed where the database cannot take it: then nothing may move any more."""
+        """Raise JournalFailed if the database does not accept it: then nothing may move any more."""
         try:
             return self._connection.execute(statement, values)
         except sqlite3.Error as error:
-            raise JournalFailed(
-                f"the journal cannot be written: {error}", hint="check the disk under `state_directory`"
-            ) from error
+            raise JournalFailed(f"the journal cannot be written: {error}", hint=_DISK_HINT) from error
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -299,7 +273,7 @@ class RunJournal:
         try:
             yield
         except BaseException:
-            if self._connection.in_transaction:  # a full disk has rolled back by itself
+            if self._connection.in_transaction:  # SQLite rolls back on its own if the disk is full
                 self._execute("ROLLBACK")
             raise
         self._execute("COMMIT")

@@ -1,12 +1,15 @@
-"""The tables of the journal, made where they are missing; a journal of an older version is brought up to this one."""
+"""Tables of the journal: created if missing; a journal of an older version is migrated."""
 
 from __future__ import annotations
 
 import sqlite3
 from importlib.resources import files
 
+FILE_NAME = "journal.sqlite"
+
 VERSION = 2
-"""2: `aside` tells what belongs to a way out or a way back from the procedure; `origins` how a run began."""
+"""2: `aside` marks rows of withdrawals and returns, which are not part of the procedure; `origins` stores how a run
+started."""
 
 _ASIDE = "ALTER TABLE {} ADD COLUMN aside INTEGER NOT NULL DEFAULT 0"
 _TOUCHES = """CREATE VIEW touches AS
@@ -15,7 +18,7 @@ _TOUCHES = """CREATE VIEW touches AS
 
 
 def prepare(connection: sqlite3.Connection) -> None:
-    """Idempotent; one transaction, so that a power cut leaves the old tables or the new ones."""
+    """Create or migrate the tables; idempotent. One transaction: a power cut leaves the old tables or the new ones."""
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
     (found,) = connection.execute("PRAGMA user_version").fetchone()

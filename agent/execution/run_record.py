@@ -1,33 +1,24 @@
-"""A whole run as the journal has it, for history and reports. Nothing is created and nothing is changed."""
+"""A whole run from the journal, for history and reports. Nothing is created and nothing is changed."""
 
 from __future__ import annotations
 
 import json
-import sqlite3
-from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agent.execution.journal import FILE_NAME
+from agent.execution.journal_reader import JournalReader, has_journal, open_journal
+from agent.execution.journal_rows import DecisionRow, EventRow, RunRow, StepRow, TableRow
+from agent.execution.journal_schema import FILE_NAME
 from drivers.errors import InputError
 
 S_PER_MIN = 60.0
 
 
 @dataclass(frozen=True)
-class Note:
-    """One event or decision, `at` UTC."""
-
-    at: str
-    kind: str
-    record: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Question:
-    """What a person was asked, minutes of machine time after the first step; `answered`: the answer was yes."""
+class OperatorQuestion:
+    """A question to the operator, `minute` of machine time after the first step; `answered`: the answer was yes."""
 
     minute: float
     text: str
@@ -36,18 +27,9 @@ class Question:
 
 
 @dataclass(frozen=True)
-class KeptTable:
-    """`role`: backup, staged, restored; `crc32` None where the bank held nothing."""
-
-    role: str
-    bank: int
-    crc32: int | None
-
-
-@dataclass(frozen=True)
 class RunRecord:
-    """`settings_text`: as it stands in the journal. `estimate`: the last one's text. `temperatures`: minutes after the
-    first step, names to °C. `balls`, `touches`: how many there are. `ordinal`: counts the runs of this journal."""
+    """`settings_text`: as it stands in the journal. `estimate`: text of the last one. `temperatures`: minutes after the
+    first step, names to °C. `balls`, `touches`: their numbers. `ordinal`: counts the runs of this journal."""
 
     ordinal: int
     run_id: str
@@ -58,10 +40,10 @@ class RunRecord:
     reason: str
     software: str
     settings_text: str
-    decisions: tuple[Note, ...]
-    events: tuple[Note, ...]
-    questions: tuple[Question, ...]
-    tables: tuple[KeptTable, ...]
+    decisions: tuple[DecisionRow, ...]
+    events: tuple[EventRow, ...]
+    questions: tuple[OperatorQuestion, ...]
+    tables: tuple[TableRow, ...]
     temperatures: tuple[tuple[float, Mapping[str, float]], ...]
     estimate: str | None
     balls: int
@@ -74,106 +56,88 @@ class RunRecord:
         return document
 
     def decision(self, kind: str) -> Mapping[str, Any] | None:
-        """The last decision of that kind."""
-        found = [note.record for note in self.decisions if note.kind == kind]
-        return found[-1] if found else None
+        """Return the last decision of that kind."""
+        return next((row.record for row in reversed(self.decisions) if row.kind == kind), None)
 
     def event(self, kind: str) -> Mapping[str, Any] | None:
-        found = [note.record for note in self.events if note.kind == kind]
-        return found[-1] if found else None
+        """Return the last event of that kind."""
+        return next((row.record for row in reversed(self.events) if row.kind == kind), None)
 
-    def table(self, role: str) -> KeptTable | None:
-        found = [table for table in self.tables if table.role == role]
-        return found[-1] if found else None
+    def table(self, role: str) -> TableRow | None:
+        """Return the last table stored with that role."""
+        return next((row for row in reversed(self.tables) if row.role == role), None)
+
+
+@dataclass(frozen=True)
+class RunSteps:
+    """`settings`: the document that the run was started with."""
+
+    settings: Mapping[str, Any]
+    steps: tuple[StepRow, ...]
 
 
 def run_ids(directory: Path) -> tuple[str, ...]:
-    """Of all runs of the journal in the state directory, in the order in which they began. InputError as `read_run`."""
-    with _opened(directory) as connection:
-        return tuple(run_id for (run_id,) in connection.execute("SELECT run_id FROM runs ORDER BY run"))
+    """Return all runs of the journal in the state directory in the order started. InputError as `read_record`."""
+    _require_journal(directory, "check `state_directory`: no run has begun there")
+    with open_journal(directory) as reader:
+        return reader.run_ids()
 
 
 def read_record(directory: Path, run_id: str) -> RunRecord:
-    """InputError where there is no such journal or run, or where the journal cannot be read."""
-    with _opened(directory) as connection:
-        row = connection.execute(
-            "SELECT run, run_id, kind, started, ended, state, coalesce(reason, ''), software, settings "
-            "FROM runs WHERE run_id = ?",
-            (run_id,),
-        ).fetchone()
-        if row is None:
-            raise _unknown(connection, directory, run_id)
-        return _record(connection, row)
+    """Return the record of a run. Raise InputError if there is no such journal or run, or it cannot be read."""
+    _require_journal(directory, "check `state_directory`: no run has begun there")
+    with open_journal(directory) as reader:
+        return _record(reader, _run(reader, directory, run_id))
 
 
-def _unknown(connection: sqlite3.Connection, directory: Path, run_id: str) -> InputError:
-    known = [name for (name,) in connection.execute("SELECT run_id FROM runs ORDER BY run DESC LIMIT 3")]
-    hint = f"the last ones are: {', '.join(known)}" if known else "it has no run yet"
-    return InputError(f"the journal has no run {run_id}", file=str(directory / FILE_NAME), hint=hint)
+def read_steps(directory: Path, run_id: str) -> RunSteps:
+    """Return settings and steps of a run. InputError as `read_record`."""
+    _require_journal(directory, "name the folder of a run in a state directory")
+    with open_journal(directory) as reader:
+        run = _run(reader, directory, run_id).run
+        return RunSteps(json.loads(reader.settings_text(run)), reader.steps(run))
 
 
-def _record(connection: sqlite3.Connection, row: tuple[Any, ...]) -> RunRecord:
-    """`row`: the first nine fields of the record, as the query above has them."""
-    run, run_id, kind, started, ended, state, reason, software, settings = row
+def _require_journal(directory: Path, hint: str) -> None:
+    if not has_journal(directory):
+        raise InputError("there is no journal", file=str(directory / FILE_NAME), hint=hint)
 
-    def all_of(query: str) -> list[Any]:
-        return connection.execute(query, {"run": run}).fetchall()
 
-    first, last = all_of("SELECT min(begun), max(coalesce(finished, begun)) FROM steps WHERE run = :run")[0]
-    estimates = all_of("SELECT record FROM estimates WHERE run = :run ORDER BY rowid DESC LIMIT 1")
+def _run(reader: JournalReader, directory: Path, run_id: str) -> RunRow:
+    run = reader.run(run_id)
+    if run is None:
+        last = reader.run_ids()[:-4:-1]
+        hint = f"the last ones are: {', '.join(last)}" if last else "it has no run yet"
+        raise InputError(f"the journal has no run {run_id}", file=str(directory / FILE_NAME), hint=hint)
+    return run
+
+
+def _record(reader: JournalReader, row: RunRow) -> RunRecord:
+    run = row.run
+    span_s = reader.time_span_s(run)
+    first_s, last_s = (0.0, 0.0) if span_s is None else span_s
     return RunRecord(
         ordinal=run,
-        run_id=run_id,
-        kind=kind,
-        started=started,
-        ended=ended,
-        state=state,
-        reason=reason,
-        software=software,
-        settings_text=settings,
-        decisions=_notes(all_of("SELECT at, kind, record FROM decisions WHERE run = :run ORDER BY rowid")),
-        events=_notes(all_of("SELECT at, kind, record FROM events WHERE run = :run ORDER BY rowid")),
-        questions=tuple(
-            _question(first, *step)
-            for step in all_of(
-                "SELECT begun, detail, finished, error FROM steps WHERE run = :run AND kind = 'AskOperator' "
-                "ORDER BY ordinal"
-            )
-        ),
-        tables=tuple(
-            KeptTable(*values)
-            for values in all_of("SELECT role, bank, crc32 FROM tables WHERE run = :run ORDER BY rowid")
-        ),
-        temperatures=tuple(
-            ((finished - first) / S_PER_MIN, json.loads(record))
-            for finished, record in all_of(
-                "SELECT finished, record FROM temperatures JOIN steps USING (run, ordinal) WHERE run = :run "
-                "ORDER BY ordinal"
-            )
-        ),
-        estimate=estimates[0][0] if estimates else None,
-        balls=all_of("SELECT count(*) FROM balls WHERE run = :run")[0][0],
-        touches=all_of("SELECT count(*) FROM touches WHERE run = :run")[0][0],
-        minutes=0.0 if first is None else (last - first) / S_PER_MIN,
+        run_id=row.run_id,
+        kind=row.kind,
+        started=row.started,
+        ended=row.ended,
+        state=row.state,
+        reason=row.reason or "",
+        software=row.software,
+        settings_text=reader.settings_text(run),
+        decisions=reader.decisions(run),
+        events=reader.events(run),
+        questions=tuple(_question(first_s, step) for step in reader.steps(run, "AskOperator")),
+        tables=reader.tables(run),
+        temperatures=tuple((one.minutes, one.record) for one in reader.temperatures(run)),
+        estimate=reader.last_estimate(run),
+        balls=reader.count_balls(run),
+        touches=reader.count_touches(run),
+        minutes=(last_s - first_s) / S_PER_MIN,
     )
 
 
-def _notes(rows: list[tuple[str, str, str]]) -> tuple[Note, ...]:
-    return tuple(Note(at, kind, json.loads(record)) for at, kind, record in rows)
-
-
-def _question(first: float, begun: float, detail: str, finished: float | None, error: str | None) -> Question:
-    text = json.loads(detail)["request"]["text"]
-    return Question((begun - first) / S_PER_MIN, text, finished is not None, error or "")
-
-
-@contextmanager
-def _opened(directory: Path) -> Iterator[sqlite3.Connection]:
-    path = directory / FILE_NAME
-    if not path.is_file():
-        raise InputError("there is no journal", file=str(path), hint="check `state_directory`: no run has begun there")
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=2.0)) as connection:
-            yield connection
-    except sqlite3.Error as error:
-        raise InputError(f"the journal cannot be read: {error}", file=str(path)) from error
+def _question(first_s: float, step: StepRow) -> OperatorQuestion:
+    text = step.detail["request"]["text"]
+    return OperatorQuestion((step.begun_s - first_s) / S_PER_MIN, text, step.finished_s is not None, step.error or "")

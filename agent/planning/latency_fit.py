@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from agent.execution.journal_reading import JournaledStep
+from agent.execution.journal_rows import StepRow
 from agent.execution.steps import Point
 from agent.planning.time_model import S_PER_MIN, TimeModel
 from drivers.roles import OperatorTask
@@ -43,7 +43,7 @@ class KindOfStep:
     rest_s: float
 
 
-def observed_steps(steps: Iterable[JournaledStep], model: TimeModel) -> list[ObservedStep]:
+def observed_steps(steps: Iterable[StepRow], model: TimeModel) -> list[ObservedStep]:
     """Replay a run's motions from where the axes and the mount stood; what begins from nobody knows where, and what
     did not end, says nothing."""
     replay = _Replay(model)
@@ -121,14 +121,14 @@ class _Replay:
         self._at_mm: Point | None = None
         self._turned_deg: _Angles | None = None
 
-    def observed(self, step: JournaledStep) -> ObservedStep | None:
+    def observed(self, step: StepRow) -> ObservedStep | None:
         if step.finished_s is None:
             self._at_mm = self._turned_deg = None
             return None
         motion_s = self._motion_s(step)
         return None if motion_s is None else ObservedStep(step.kind, motion_s, step.finished_s - step.begun_s)
 
-    def _motion_s(self, step: JournaledStep) -> float | None:
+    def _motion_s(self, step: StepRow) -> float | None:
         """Seconds of pure motion, where it can be told; what is known afterwards is kept."""
         match step.kind:
             case "ReadPosition":
@@ -147,7 +147,7 @@ class _Replay:
         start_mm, self._at_mm = self._at_mm, target_mm
         return None if start_mm is None else self._model.move_s(start_mm, target_mm, feed_mm_per_s)
 
-    def _touch_s(self, step: JournaledStep) -> float | None:
+    def _touch_s(self, step: StepRow) -> float | None:
         start_mm, self._at_mm = self._at_mm, None
         if start_mm is None:
             return None

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.execution.journal_rows import EventRow
 from agent.execution.record_text import in_words
-from agent.execution.run_record import Note, RunRecord
+from agent.execution.run_record import RunRecord
 from agent.reports.page import EventLine
 
 
@@ -30,7 +31,7 @@ def drifts_um(record: RunRecord) -> tuple[float, ...]:
     return tuple(one for one in found if one is not None)
 
 
-def _routine(note: Note) -> bool:
+def _routine(note: EventRow) -> bool:
     record = note.record
     drift_um = _drift_um(note)
     if drift_um is not None:
@@ -38,12 +39,12 @@ def _routine(note: Note) -> bool:
     return note.kind == "asked" or str(record.get("step", "")).endswith("/found")
 
 
-def _drift_um(note: Note) -> float | None:
+def _drift_um(note: EventRow) -> float | None:
     values = note.record.get("drift_um")
     return None if values is None or "limit_um" not in note.record else float(np.linalg.norm(values))
 
 
-def _told(note: Note) -> str:
+def _told(note: EventRow) -> str:
     """A change of state by its name, everything else in words."""
     if note.kind == "state":
         reason = note.record.get("reason")

@@ -1,9 +1,8 @@
-"""How a run began, as the journal keeps it: enough to build it again, and to notice that something has changed."""
+"""Origin of a run as stored in the journal: enough to build the run again, and to notice that a file has changed."""
 
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.errors import PlanDiverged
+from agent.execution.journal_reader import JournalReader
 from agent.results.journal_entries import input_files, sha256_of
 from agent.runs.consent import Consent
 from agent.runs.kinds.kind import FullCalibration, Kind
@@ -27,7 +27,7 @@ KINDS = {kind.name: kind for kind in (FullCalibration, Verification, Night)}
 
 @dataclass(frozen=True)
 class Origin:
-    """`begun_s`, `begun_at`: machine seconds and UTC at which the preflight was over; `files` path → SHA-256."""
+    """`begun_s`, `begun_at`: machine seconds and UTC at the end of the preflight; `files` path → SHA-256."""
 
     run_id: str
     settings: Settings
@@ -39,19 +39,19 @@ class Origin:
     begun_at: str
 
     def require_unchanged(self) -> None:
-        """PlanDiverged, naming the file, where one is not what it was when the run began."""
+        """Raise PlanDiverged, naming the file, if one has changed since the run began."""
         for name, digest in digests(self.settings, self.base).items():
             if self.files.get(name) != digest:
                 raise PlanDiverged(
-                    "the file has changed since the run began, so the run cannot be gone on with",
-                    hint="put the former file back, or start a new run",
+                    "the file has changed since the run began, so the run cannot be resumed",
+                    hint="restore the former file, or start a new run",
                     file=name,
                     run=self.run_id,
                 )
 
 
 def origin_record(settings: Settings, kind: Kind, base: Path, outset: Outset) -> dict[str, Any]:
-    """For `RunJournal.origin`."""
+    """Return the record for `RunJournal.origin`."""
     options = {f.name: getattr(kind, f.name) for f in fields(kind) if f.name != "name"}  # type: ignore[arg-type]
     return {
         "kind": kind.name,
@@ -63,30 +63,27 @@ def origin_record(settings: Settings, kind: Kind, base: Path, outset: Outset) ->
     }
 
 
-def read_origin(connection: sqlite3.Connection, run: int) -> Origin:
-    """InputError where the journal does not tell how the run began."""
-    row = connection.execute(
-        "SELECT run_id, settings, record, begun_s, begun_at FROM runs JOIN origins USING (run) WHERE run = ?", (run,)
-    ).fetchone()
-    if row is None or row[3] is None:
-        raise InputError("the journal does not tell how this run began", hint="start a new run")
-    run_id, settings, text, begun_s, begun_at = row
-    record = json.loads(text)
+def read_origin(reader: JournalReader, run: int) -> Origin:
+    """Return the origin of a run. Raise InputError if the journal has none, or its preflight did not end."""
+    row = reader.origin(run)
+    if row is None or row.begun_s is None or row.begun_at is None:
+        raise InputError("the journal does not store how this run began", hint="start a new run")
+    record = row.record
     x, y, z = record["start_mm"]
     return Origin(
-        run_id=run_id,
-        settings=Settings.model_validate(with_current_keys(json.loads(settings), Settings)),
+        run_id=row.run_id,
+        settings=Settings.model_validate(with_current_keys(json.loads(row.settings_text), Settings)),
         kind=_kind(record["kind"], record["options"]),
         base=Path(record["base"]),
         outset=Outset(run, record["at"], (x, y, z)),
         files=record["files"],
-        begun_s=begun_s,
-        begun_at=begun_at,
+        begun_s=row.begun_s,
+        begun_at=row.begun_at,
     )
 
 
 def digests(settings: Settings, base: Path) -> dict[str, str]:
-    """Machine, artefact, what they name, and the position file."""
+    """Return path → SHA-256 of machine, artefact, the files they name, and the position file."""
     paths = list(input_files(settings))
     if settings.procedure.position_set.endswith(POSITION_FILES):
         paths.append(base / settings.procedure.position_set)
@@ -95,7 +92,7 @@ def digests(settings: Settings, base: Path) -> dict[str, str]:
 
 def _kind(name: str, options: Mapping[str, Any]) -> Kind:
     if name not in KINDS:
-        raise InputError(f"this version knows no run of kind {name!r}", hint="start a new run")
+        raise InputError(f"this version has no run of kind {name!r}", hint="start a new run")
     values = dict(options)
     if "consent" in values:
         values["consent"] = Consent(values["consent"])

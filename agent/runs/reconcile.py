@@ -6,20 +6,20 @@ Everything else is complete and consistent whatever instant the run ended at, be
 
 from __future__ import annotations
 
-import sqlite3
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from agent.execution.encoding import table_digest
 from agent.execution.engine import Engine
-from agent.execution.journal import FILE_NAME, Journal
+from agent.execution.journal import Journal
+from agent.execution.journal_reader import JournalReader, has_journal, open_journal
 from agent.execution.rig import AFTER, DO, Rig
 from agent.execution.steps import CheckPermissions, Plan
 from agent.probing import publish
 from agent.runs.reconcile_result import Done, Found, Reconciliation
+from agent.runs.reference_state import ACTIVATING_DECISIONS
 from agent.runs.unfinished_run import UnfinishedRun, unfinished_run
-from drivers.errors import InputError, NotActiveYet, PermissionMissing
+from drivers.errors import NotActiveYet, PermissionMissing
 from drivers.roles import MotionState
 
 
@@ -52,7 +52,7 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
 
     Raises DeviceError where the controller cannot be asked or refuses, InputError where the journal cannot be read.
     """
-    left = _left(state_directory / FILE_NAME, of_run)
+    left = _left(state_directory, of_run)
     unfinished = unfinished_run(state_directory) if of_run is None else None
     active, waiting = rig.store.active_bank(), rig.store.pending_bank()
     if left is None:
@@ -68,7 +68,7 @@ def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, res
 
 def anything_left(state_directory: Path) -> bool:
     """Whether any run of the journal has ever read the compensation; without one there is nothing to compare with."""
-    return _left(state_directory / FILE_NAME, None) is not None
+    return _left(state_directory, None) is not None
 
 
 def _person(found: Found, left: Left) -> str:
@@ -138,29 +138,22 @@ def _permitted() -> Plan[None]:
     yield CheckPermissions("reconcile/permissions")
 
 
-def _left(path: Path, of_run: int | None) -> Left | None:
-    if not path.is_file():
+def _left(state_directory: Path, of_run: int | None) -> Left | None:
+    if not has_journal(state_directory):
         return None
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=2.0)) as connection:
-            return _read(connection, of_run)
-    except sqlite3.Error as error:
-        raise InputError(f"the journal cannot be read: {error}", file=str(path)) from error
+    with open_journal(state_directory) as reader:
+        return _read(reader, of_run)
 
 
-def _read(connection: sqlite3.Connection, of_run: int | None) -> Left | None:
-    backup = connection.execute(
-        "SELECT run, run_id, bank, crc32 FROM tables JOIN runs USING (run) "
-        "WHERE role = 'backup' AND run = coalesce(?, run) ORDER BY run DESC LIMIT 1",
-        (of_run,),
-    ).fetchone()
+def _read(reader: JournalReader, of_run: int | None) -> Left | None:
+    backup = reader.last_backup(of_run)
     if backup is None:
         return None
-    run, run_id, bank, crc32 = backup
-    staged = connection.execute(
-        "SELECT bank, crc32 FROM tables WHERE run = ? AND role = 'staged' ORDER BY rowid DESC LIMIT 1", (run,)
-    ).fetchone()
-    accepted = connection.execute(
-        "SELECT 1 FROM decisions WHERE run = ? AND kind IN ('accepted', 'table-restored') LIMIT 1", (run,)
-    ).fetchone()
-    return Left(run, run_id, Bank(bank, crc32), None if staged is None else Bank(*staged), accepted is not None)
+    staged = reader.last_table(backup.run, "staged")
+    return Left(
+        run=backup.run,
+        run_id=backup.run_id,
+        former=Bank(backup.bank, backup.crc32),
+        staged=None if staged is None else Bank(staged.bank, staged.crc32),
+        accepted=reader.has_decision(backup.run, ACTIVATING_DECISIONS),
+    )

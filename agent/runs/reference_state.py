@@ -1,24 +1,24 @@
-"""The last accepted night: what is known of the machine, and the table that acts since. The journal is the truth.
+"""The last accepted night: the known errors of the machine, and the table active since. The journal is the truth.
 
-An estimate is accepted by a decision in the journal that names the table which acts with it; that a full calibration is
-needed is such a decision too, and holds until a later night is accepted. A copy of the estimate lies beside the
-journal, for people and for `volcal identify --carried-over`; nothing is read from it.
+An estimate is accepted by a decision in the journal that names the table activated with it. The need for a full
+calibration is such a decision too, and holds until a later night is accepted. A copy of the estimate is written beside
+the journal, for people and for `volcal identify --carried-over`; nothing is read from it.
 """
 
 from __future__ import annotations
 
-import json
-import sqlite3
-from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from agent.execution.encoding import table_digest
-from agent.execution.journal import FILE_NAME, RunJournal
+from agent.execution.journal import RunJournal
+from agent.execution.journal_reader import ANY_RUN, has_journal, open_journal
+from agent.execution.journal_rows import DecisionRow
+from agent.execution.journal_schema import FILE_NAME
 from agent.files import write_atomically
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError, InputError
@@ -28,26 +28,17 @@ from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
 COPY_NAME = "last-accepted.json"
 
+TABLE_RESTORED = "table-restored"
 _ACCEPTED, _FULL_NEEDED = "accepted", "full-calibration-needed"
-_SECONDS_A_NIGHT = 86400.0
-_ANY_RUN = 2**62
+ACTIVATING_DECISIONS = frozenset({_ACCEPTED, TABLE_RESTORED})
+"""Kinds of the decisions that make the staged table of their run the one expected to be active."""
 
-_LAST = (
-    "SELECT runs.run_id, decisions.at, decisions.record, "
-    "(SELECT record FROM estimates WHERE estimates.run = decisions.run ORDER BY estimates.rowid DESC LIMIT 1) "
-    "FROM decisions JOIN runs USING (run) WHERE decisions.kind = ? AND decisions.run < ? "
-    "ORDER BY decisions.rowid DESC LIMIT 1"
-)
-_PENDING = (
-    "SELECT runs.run_id, decisions.at, decisions.record FROM decisions JOIN runs USING (run) "
-    "WHERE decisions.kind = ? AND decisions.run < ? AND decisions.rowid > "
-    "coalesce((SELECT max(rowid) FROM decisions WHERE kind = ? AND run < ?), 0) ORDER BY decisions.rowid DESC LIMIT 1"
-)
+_SECONDS_A_NIGHT = 86400.0
 
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """`written` (p,) mm or rad: parameters in the acting table, `crc32` of its image; `tool` it holds for."""
+    """`written` (p,) mm or rad: parameters in the active table; `crc32` of its image; `tool` for which it holds."""
 
     machine: str
     artefact: str
@@ -63,7 +54,7 @@ class Accepted:
 
 @dataclass(frozen=True, eq=False)
 class LastAccepted:
-    """`known`: the estimate of that night, everything that is carried over; `since`: UTC, when it was accepted."""
+    """`known`: the estimate of that night, all that is carried over; `since`: UTC time of acceptance."""
 
     run_id: str
     since: str
@@ -71,14 +62,14 @@ class LastAccepted:
     known: StoredEstimate
 
     def nights_until(self, now: str) -> float:
-        """Nights from then until `now` (UTC, ISO 8601); no fewer than none."""
+        """Return nights from the acceptance until `now` (UTC, ISO 8601); 0 or more."""
         passed = datetime.fromisoformat(now) - datetime.fromisoformat(self.since)
         return max(passed.total_seconds() / _SECONDS_A_NIGHT, 0.0)
 
 
 @dataclass(frozen=True)
 class FullNeeded:
-    """A durable decision: the next permitted slot is for a full calibration."""
+    """Durable decision that the next permitted slot is for a full calibration."""
 
     run_id: str
     since: str
@@ -91,52 +82,56 @@ def record_accepted(journal: RunJournal, accepted: Accepted) -> None:
 
 
 def record_full_needed(journal: RunJournal, reason: str) -> None:
-    """Have the next permitted slot calibrate in full; durable when it returns."""
+    """Request a full calibration in the next permitted slot; durable when it returns."""
     journal.decision(_FULL_NEEDED, {"reason": reason})
 
 
 def write_copy(directory: Path, run_id: str) -> None:
-    """Lay the estimate of `run_id` beside the journal where that is the last accepted night. InputError where the
-    journal cannot be read or the directory not be written."""
-    row = _one(directory, _LAST, (_ACCEPTED, _ANY_RUN))
-    if row is not None and row[0] == run_id and row[3] is not None:
-        write_atomically(directory / COPY_NAME, row[3])
+    """Write the estimate of `run_id` beside the journal if that is the last accepted night. Raise InputError if the
+    journal cannot be read or the directory cannot be written."""
+    decision, estimate = _accepted(directory, ANY_RUN)
+    if decision is not None and decision.run_id == run_id and estimate is not None:
+        write_atomically(directory / COPY_NAME, estimate)
 
 
-def last_accepted(directory: Path, before_run: int = _ANY_RUN) -> LastAccepted | None:
-    """From the journal in the state directory, as runs `before_run` have left it; None where no night was accepted yet.
-    InputError where it cannot be read."""
-    row = _one(directory, _LAST, (_ACCEPTED, before_run))
-    if row is None:
+def last_accepted(directory: Path, before_run: int = ANY_RUN) -> LastAccepted | None:
+    """Return the last accepted night from the journal in the state directory, of runs numbered below `before_run`; None
+    if no night has been accepted yet. Raise InputError if the journal cannot be read."""
+    decision, estimate = _accepted(directory, before_run)
+    if decision is None:
         return None
-    run_id, since, record, estimate = row
-    source = f"estimate of run {run_id} in {directory / FILE_NAME}"
+    source = f"estimate of run {decision.run_id} in {directory / FILE_NAME}"
     if estimate is None:
-        raise InputError("the accepted run has no estimate", file=str(directory / FILE_NAME), run=run_id)
-    document = json.loads(record)
-    document["written"] = np.array(document["written"], dtype=np.float64)
-    return LastAccepted(run_id, since, Accepted(**document), parse_estimate(estimate, source))
+        raise InputError("the accepted run has no estimate", file=str(directory / FILE_NAME), run=decision.run_id)
+    accepted = Accepted(**{**decision.record, "written": np.array(decision.record["written"], dtype=np.float64)})
+    return LastAccepted(decision.run_id, decision.at, accepted, parse_estimate(estimate, source))
 
 
-def full_needed(directory: Path, before_run: int = _ANY_RUN) -> FullNeeded | None:
-    """The decision that no accepted night has answered yet."""
-    row = _one(directory, _PENDING, (_FULL_NEEDED, before_run, _ACCEPTED, before_run))
-    return None if row is None else FullNeeded(row[0], row[1], json.loads(row[2])["reason"])
+def full_needed(directory: Path, before_run: int = ANY_RUN) -> FullNeeded | None:
+    """Return the last decision that a full calibration is needed, unless a later night was accepted."""
+    if not has_journal(directory):
+        return None
+    with open_journal(directory) as reader:
+        needed = reader.last_decision(_FULL_NEEDED, before_run)
+        accepted = reader.last_decision(_ACCEPTED, before_run)
+    if needed is None or (accepted is not None and accepted.number > needed.number):
+        return None
+    return FullNeeded(needed.run_id, needed.at, needed.record["reason"])
 
 
-def accepted_for(job: Job, before_run: int = _ANY_RUN) -> LastAccepted | None:
-    """The last accepted night of the job's machine; None where there is none or where it was of another one."""
+def accepted_for(job: Job, before_run: int = ANY_RUN) -> LastAccepted | None:
+    """Return the last accepted night of the job's machine; None if there is none or it was of another machine."""
     last = last_accepted(job.settings.state_directory, before_run)
     return None if last is None or strangeness(job, last) else last
 
 
-def require_accepted(job: Job, before_run: int = _ANY_RUN) -> LastAccepted:
-    """The same; ConfigurationError with the reason where there is none to be compared with."""
+def require_accepted(job: Job, before_run: int = ANY_RUN) -> LastAccepted:
+    """Return the same; raise ConfigurationError, with the reason, if there is none to compare with."""
     directory = job.settings.state_directory
     last = last_accepted(directory, before_run)
     if last is None:
         raise ConfigurationError(
-            "no night was accepted yet, so there is nothing to compare with",
+            "no night has been accepted yet, so there is nothing to compare with",
             key="state_directory",
             file=str(directory),
             hint="run `volcal calibrate` first",
@@ -144,15 +139,15 @@ def require_accepted(job: Job, before_run: int = _ANY_RUN) -> LastAccepted:
     strange = strangeness(job, last)
     if strange:
         raise ConfigurationError(
-            f"the last accepted night (run {last.run_id}) cannot be gone on with: {strange}",
+            f"the last accepted night (run {last.run_id}) cannot be continued: {strange}",
             file=str(directory),
-            hint="name the settings of that machine, or run `volcal calibrate` for this one",
+            hint="pass the settings of that machine, or run `volcal calibrate` for this one",
         )
     return last
 
 
 def strangeness(job: Job, last: LastAccepted) -> str:
-    """Why an accepted night is none of this machine, artefact and tool; empty where it is."""
+    """Return why an accepted night does not belong to this machine, artefact and tool; empty if it does."""
     settings, known, accepted = job.settings, last.known, last.accepted
     model, nominal = known.model, job.machine.model
     if accepted.machine != settings.machine.name:
@@ -171,13 +166,10 @@ def strangeness(job: Job, last: LastAccepted) -> str:
     return ""
 
 
-def _one(directory: Path, query: str, values: tuple[str | int, ...]) -> tuple[Any, ...] | None:
-    path = directory / FILE_NAME
-    if not path.is_file():
-        return None
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=2.0)) as connection:
-            row: tuple[Any, ...] | None = connection.execute(query, values).fetchone()
-            return row
-    except sqlite3.Error as error:
-        raise InputError(f"the journal cannot be read: {error}", file=str(path)) from error
+def _accepted(directory: Path, before_run: int) -> tuple[DecisionRow | None, str | None]:
+    """Return the last accepting decision and the text of its run's last estimate."""
+    if not has_journal(directory):
+        return None, None
+    with open_journal(directory) as reader:
+        decision = reader.last_decision(_ACCEPTED, before_run)
+        return decision, None if decision is None else reader.last_estimate(decision.run)

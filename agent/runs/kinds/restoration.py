@@ -1,15 +1,14 @@
-"""`restore`: have a table act again that the journal has kept. Nothing moves and nothing is measured."""
+"""`restore`: reactivate a table stored in the journal. Nothing moves and nothing is measured."""
 
 from __future__ import annotations
 
-import sqlite3
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from agent.execution.encoding import table_digest, table_from
-from agent.execution.journal import FILE_NAME
+from agent.execution.encoding import table_digest
+from agent.execution.journal_reader import open_journal
+from agent.execution.journal_schema import FILE_NAME
 from agent.execution.states import RunState
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult
@@ -17,35 +16,34 @@ from agent.probing import publish
 from agent.probing.run_plan import Measured
 from agent.runs.guarded_run import GuardedRun, Means
 from agent.runs.kinds.kind import Ready
+from agent.runs.reference_state import TABLE_RESTORED
 from agent.runs.start_conditions import Outset
 from drivers.errors import InputError, NotActiveYet
 from drivers.roles import TableImage
 
 Role = Literal["backup", "staged", "restored"]
 ROLES: tuple[Role, ...] = ("backup", "staged", "restored")
-DECISION = "table-restored"
-"""What makes the table of such a run the one that is expected to act."""
 
 _NOTHING = Measured((), (), 0, None, {})
 
 
 @dataclass(frozen=True)
 class Restoration:
-    """The table that run `run_id` kept as `role`; of several the last."""
+    """Latest table stored by `run_id` with `role`."""
 
     run_id: str
     role: Role = "backup"
     name: str = "restore"
 
     def ready(self, job: Job, _: Outset) -> Ready:
-        """InputError where the journal has no such table."""
-        image = kept_table(job.settings.state_directory, self.run_id, self.role)
+        """Return the prepared run. Raise InputError if the journal has no such table."""
+        image = stored_table(job.settings.state_directory, self.run_id, self.role)
         preflight = PreflightResult(_NOTHING, _NOTHING, {}, (), 0.0, 0.0, 0)
         return Ready(job, preflight, lambda means: RestorationRun(job, means, image, self))
 
 
 class RestorationRun(GuardedRun):
-    """Stage, read back, activate, read back; where that fails, what acted acts again."""
+    """Stage, read back, activate, read back; if that fails, the previous table is reactivated."""
 
     def __init__(self, job: Job, means: Means, image: TableImage | None, wanted: Restoration) -> None:
         super().__init__(job, means)
@@ -56,7 +54,7 @@ class RestorationRun(GuardedRun):
         found = self._begin()
         self._tracker.enter(RunState.RESTORING)
         if _same(found.table, self._image):
-            self._tracker.enter(RunState.COMPLETE, f"bank {found.bank} held that table and acted already")
+            self._tracker.enter(RunState.COMPLETE, f"bank {found.bank} already held that table and was active")
             return
         bank = self._staged(found.bank)
         self._journal.table("staged", bank, self._image)
@@ -68,12 +66,12 @@ class RestorationRun(GuardedRun):
             late = f". {waits.message}. {waits.hint}"
         crc32 = None if self._image is None else table_digest(self._image)
         record = {"of_run": self._wanted.run_id, "role": self._wanted.role, "bank": bank, "crc32": crc32}
-        self._journal.decision(DECISION, record)
+        self._journal.decision(TABLE_RESTORED, record)
         text = f"bank {bank} holds the {self._wanted.role} table of run {self._wanted.run_id}{late}"
         self._tracker.enter(RunState.COMPLETE, text)
 
     def _staged(self, active: int) -> int:
-        """The bank that holds it now; bank 0 where no compensation is wanted."""
+        """Return the bank that now holds the table; bank 0 if no compensation is wanted."""
         if self._image is None:
             return 0
         bank = publish.choose_bank(self._rig.store.store_limits().banks, active)
@@ -81,21 +79,19 @@ class RestorationRun(GuardedRun):
         return bank
 
 
-def kept_table(directory: Path, run_id: str, role: str) -> TableImage | None:
-    """None where bank 0, no compensation, was kept. InputError where nothing was."""
-    path = directory / FILE_NAME
-    query = (
-        "SELECT origin_mm, step_mm, resolution_mm, shape, counts FROM tables JOIN runs USING (run) "
-        "WHERE run_id = ? AND role = ? ORDER BY tables.rowid DESC LIMIT 1"
-    )
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=2.0)) as connection:
-            row = connection.execute(query, (run_id, role)).fetchone()
-    except sqlite3.Error as error:
-        raise InputError(f"the journal cannot be read: {error}", file=str(path)) from error
-    if row is None:
-        raise InputError(f"run {run_id} has kept no {role} table", hint="`/api/tables` lists them", file=str(path))
-    return None if row[4] is None else table_from(*row)
+def stored_table(directory: Path, run_id: str, role: str) -> TableImage | None:
+    """Return the last table stored by `run_id` with `role`; None if bank 0, no compensation, was active.
+
+    Raise InputError if the run stored no such table.
+    """
+    with open_journal(directory) as reader:
+        run = reader.run(run_id)
+        table = None if run is None else reader.last_table(run.run, role)
+        image = None if table is None else reader.image(table)
+    if table is None:
+        file = str(directory / FILE_NAME)
+        raise InputError(f"run {run_id} has stored no {role} table", hint="`/api/tables` lists them", file=file)
+    return image
 
 
 def _same(one: TableImage | None, other: TableImage | None) -> bool:

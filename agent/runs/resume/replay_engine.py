@@ -9,7 +9,7 @@ from agent.errors import PlanDiverged
 from agent.execution.encoding import encode_step, table_digest
 from agent.execution.engine import Action, Engine, Observer
 from agent.execution.journal import RunJournal
-from agent.execution.replay_log import Recorded, RecordedStep
+from agent.execution.replay_log import RecordedStep, ReplayLog
 from agent.execution.steps import ActivateBank, AwaitActive, ReadActiveBank, ReadTable, Record, StageTable, Step
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.step_trace import Trace
@@ -35,11 +35,11 @@ class Replay:
     """Compares what the rebuilt plan asks for with what was recorded. `broken_off`: the step that began and did not
     end, once everything before it has been replayed."""
 
-    def __init__(self, recorded: Recorded, clock: ResumedClock, trace: Trace) -> None:
+    def __init__(self, recorded: ReplayLog, clock: ResumedClock, trace: Trace) -> None:
         self._recorded = recorded
         self._clock = clock
         self.trace = trace
-        self.broken_off = recorded.broken
+        self.broken_off = recorded.unfinished
 
     @property
     def over(self) -> bool:

@@ -1,15 +1,15 @@
-"""Go on with the run that broke off: beside `agent.runs.session.carry_out`, and with the same answers."""
+"""Resume the interrupted run: beside `agent.runs.session.carry_out`, and with the same results."""
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from agent.execution.engine import Observer
-from agent.execution.journal import FILE_NAME
+from agent.execution.journal_reader import open_journal
+from agent.execution.journal_schema import FILE_NAME
 from agent.execution.rig import Rig
 from agent.execution.run_lock import run_lock
 from agent.execution.run_state import Listener
@@ -28,9 +28,9 @@ from drivers.errors import InputError
 
 @dataclass(frozen=True)
 class ResumeRequest:
-    """Who wants the unfinished run of `state_directory` gone on with; the rest as in `agent.runs.session.Request`.
+    """Request to resume the unfinished run of `state_directory`; the rest as in `agent.runs.session.Request`.
 
-    The run goes on with the settings, the kind and the files that it began with, whatever they are now.
+    The run continues with the settings, the kind and the files that it began with, whatever they are now.
     """
 
     state_directory: Path
@@ -47,8 +47,8 @@ class ResumeRequest:
 
 
 def resume(request: ResumeRequest) -> RunResult:
-    """Raises InputError where there is nothing to go on with, PlanDiverged where a file has changed, and as `carry_out`
-    before the run lives again; afterwards every end is an `RunResult`."""
+    """Resume the run. Raise InputError if there is nothing to resume, PlanDiverged if a file has changed, and as
+    `carry_out` before the run is active again; afterwards every end is a `RunResult`."""
     run = require_resumable(request.state_directory)
     origin = origin_of(request.state_directory, run)
     origin.require_unchanged()
@@ -74,20 +74,17 @@ def resume(request: ResumeRequest) -> RunResult:
 
 
 def require_resumable(state_directory: Path) -> UnfinishedRun:
-    """The unfinished run. InputError where there is none, or why it cannot be gone on with."""
+    """Return the unfinished run. Raise InputError, with the reason, if there is none or it cannot be resumed."""
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)
     if run is None:
-        raise InputError("there is no run to go on with: the last one came to an end of its own", file=file)
+        raise InputError("there is no run to resume: the last one ended regularly", file=file)
     if not run.resumable:
-        raise InputError(f"run {run.run_id} cannot be gone on with: {run.refusal}", file=file)
+        raise InputError(f"run {run.run_id} cannot be resumed: {run.refusal}", file=file)
     return run
 
 
 def origin_of(state_directory: Path, run: UnfinishedRun) -> Origin:
-    path = state_directory / FILE_NAME
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=2.0)) as connection:
-            return read_origin(connection, run.run)
-    except sqlite3.Error as error:
-        raise InputError(f"the journal cannot be read: {error}", file=str(path)) from error
+    """Return the origin of a run. Raise InputError as `read_origin`, or if the journal cannot be read."""
+    with open_journal(state_directory) as reader:
+        return read_origin(reader, run.run)

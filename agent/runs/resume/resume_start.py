@@ -58,7 +58,7 @@ class Resumption:
         run_journal, recorded = journal.continue_run(self._origin.outset.run, wanted.run_id, clock)
         tracker = RunStateTracker(run_journal, listener, recorded.states)
         replay = Replay(recorded, self._clock, Trace())
-        self._parts = _Parts(self._clock, tracker, replay, f"resume-{recorded.legs + 1}")
+        self._parts = _Parts(self._clock, tracker, replay, f"resume-{recorded.resumptions + 1}")
         return run_journal, tracker
 
     def outset(self, rig: Rig, journal: RunJournal, wanted: Wanted) -> Outset:

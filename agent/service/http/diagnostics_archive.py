@@ -1,4 +1,4 @@
-"""Everything that helps to understand a failure, in one ZIP, with what is secret blanked."""
+"""Everything that helps to understand a failure, in one ZIP, with secrets removed."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import io
 import json
 import platform
 import re
-import sqlite3
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
-from agent.execution.journal import FILE_NAME
+from agent.execution.journal_copy import copy_journal
+from agent.execution.journal_reader import has_journal
+from agent.execution.journal_schema import FILE_NAME
 from agent.service.control import Event
 from agent.settings.schema import Settings
 
@@ -24,7 +24,7 @@ _SECRET = re.compile(r"pass|secret|token|credential|private|api_?key|pin$|user",
 
 
 def without_secrets(document: Any) -> Any:
-    """The same with the values blanked whose key sounds like a secret, at any depth."""
+    """Return the document without the values, at any depth, whose key suggests a secret."""
     if isinstance(document, Mapping):
         return {
             key: REMOVED if _SECRET.search(str(key)) and value is not None else without_secrets(value)
@@ -42,25 +42,15 @@ def diagnosis(settings: Settings, status: Mapping[str, Any], events: Sequence[Ev
         archive.writestr("events.json", _text([vars(event) for event in events]))
         archive.writestr("settings.json", _text(without_secrets(settings.model_dump(mode="json"))))
         archive.writestr("versions.json", _text(_versions()))
-        journal = settings.state_directory / FILE_NAME
-        if journal.is_file():
-            archive.writestr(FILE_NAME, _journal_copy(journal))
+        if has_journal(settings.state_directory):
+            archive.writestr(FILE_NAME, _journal_copy(settings.state_directory))
     return content.getvalue()
 
 
-def _journal_copy(path: Path) -> bytes:
-    """A consistent copy, while a run may write; settings in it without their secrets."""
+def _journal_copy(state_directory: Path) -> bytes:
+    """Return a consistent copy while a run may write; its settings have no secrets."""
     with tempfile.TemporaryDirectory() as directory:
-        target = Path(directory) / FILE_NAME
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=2.0)) as source:
-            source.execute("VACUUM INTO ?", (str(target),))
-        with closing(sqlite3.connect(target)) as copy, copy:
-            for run, text in copy.execute("SELECT run, settings FROM runs").fetchall():
-                blanked = json.dumps(without_secrets(json.loads(text)))
-                copy.execute("UPDATE runs SET settings = ? WHERE run = ?", (blanked, run))
-        with closing(sqlite3.connect(target)) as copy:
-            copy.execute("VACUUM")
-        return target.read_bytes()
+        return copy_journal(state_directory, Path(directory), without_secrets).read_bytes()
 
 
 def _versions() -> dict[str, Any]:

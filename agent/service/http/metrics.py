@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fastapi import FastAPI
 from fastapi.responses import Response
 
-from agent.execution.journal import FILE_NAME
+from agent.execution.journal_reader import has_journal
 from agent.service.allowed_requests import AT_REST
 from agent.service.control import Status
 from agent.service.http.app_state import Site
@@ -61,7 +61,7 @@ class _Known:
         machine = store.place.machine
         digests = dict(store.digests(machine))
         directory = settings.state_directory
-        if (directory / FILE_NAME).is_file() and not set(run_ids(directory)) <= set(digests):
+        if has_journal(directory) and not set(run_ids(directory)) <= set(digests):
             sync(directory, store)
             digests = dict(store.digests(machine))
         key = (settings.history.model_dump_json(), tuple(sorted(digests.items())))

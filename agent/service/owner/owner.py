@@ -14,7 +14,7 @@ from agent.errors import Busy, PlanRefused
 from agent.execution.states import RunState
 from agent.files import load_machine
 from agent.planning.job import prepare_job
-from agent.runs.kinds.restoration import ROLES, Restoration, kept_table
+from agent.runs.kinds.restoration import ROLES, Restoration, stored_table
 from agent.runs.resume.resume import origin_of, require_resumable
 from agent.runs.session import Request, RunResult, new_run_id
 from agent.service import allowed_requests
@@ -75,7 +75,7 @@ class Owner:
     def restore_table(self, run_id: str, role: str, source: Source) -> str:
         with naming(self._house.config):
             job = prepare_job(self.settings, self._house.config.parent)
-        kept_table(self.settings.state_directory, run_id, role)
+        stored_table(self.settings.state_directory, run_id, role)
         running = self._reserve()
         try:
             kind = Restoration(run_id, next(known for known in ROLES if known == role))

@@ -11,7 +11,7 @@ from fastapi.responses import Response
 
 from agent.planning.job import prepare_job
 from agent.reports.render_in_subprocess import rebuilt_apart
-from agent.runs.kinds.restoration import Role, kept_table
+from agent.runs.kinds.restoration import Role, stored_table
 from agent.service.http.app_state import SiteHere
 from agent.service.http.problems import DOCUMENTED
 from agent.service.page.result_data import Findings
@@ -60,17 +60,17 @@ def page_router() -> APIRouter:
 
     @router.get("/tables/{run_id}/{role}.csv")
     def table(site: SiteHere, run_id: str, role: Role) -> Response:
-        """A kept table as a neutral file."""
+        """Return a stored table as a neutral file."""
         job = prepare_job(site.settings(), site.config.parent)
-        text = table_csv(kept_table(site.archive.directory, run_id, role), job.tool_offset_mm, run_id, role)
+        text = table_csv(stored_table(site.archive.directory, run_id, role), job.tool_offset_mm, run_id, role)
         headers = {"Content-Disposition": f'attachment; filename="volcal-{run_id}-{role}.csv"'}
         return Response(text, media_type="text/csv", headers=headers)
 
     @router.get("/tables/difference")
     def tables_difference(site: SiteHere, one: str, one_role: Role, other: str, other_role: Role) -> Document:
-        """`other` less `one`, each the table that a run has kept in a role."""
+        """Return `other` minus `one`, each the table stored by a run with a role."""
         directory = site.archive.directory
-        return difference(kept_table(directory, one, one_role), kept_table(directory, other, other_role))
+        return difference(stored_table(directory, one, one_role), stored_table(directory, other, other_role))
 
     return router
 

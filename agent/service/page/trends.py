@@ -7,7 +7,7 @@ from contextlib import closing
 from threading import Lock
 from typing import Any
 
-from agent.execution.journal import FILE_NAME
+from agent.execution.journal_reader import has_journal
 from agent.execution.run_record import run_ids
 from agent.history.database_url import place_of
 from agent.history.overview import VOLUMETRIC, alarms_of
@@ -32,8 +32,7 @@ class Trends:
         """LinkLost or ConfigurationError where history cannot be read."""
         with closing(HistoryStore(place_of(settings))) as store:
             digests = dict(store.digests(store.place.machine))
-            journal = settings.state_directory / FILE_NAME
-            if journal.is_file() and not set(run_ids(settings.state_directory)) <= set(digests):
+            if has_journal(settings.state_directory) and not set(run_ids(settings.state_directory)) <= set(digests):
                 sync(settings.state_directory, store)
                 digests = dict(store.digests(store.place.machine))
             key = (settings.history.model_dump_json(), tuple(sorted(digests.items())))

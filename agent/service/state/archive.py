@@ -1,33 +1,24 @@
-"""The journal as the doors read it: rows to plain documents, through connections that never hinder the run."""
+"""The journal as plain documents for the endpoints, read through connections that never delay the run."""
 
 from __future__ import annotations
 
 import json
-import sqlite3
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from agent.errors import JournalFailed
-from agent.execution.journal import FILE_NAME
+from agent.execution.journal_reader import ANY_RUN, JournalReader, has_journal, open_journal
+from agent.execution.journal_rows import RunCounts, RunRow, TableRow
 from drivers.errors import InputError
 
 Document = dict[str, Any]
 
-_RUNS = (
-    "SELECT run_id, kind, started, ended, state, reason, software, "
-    "(SELECT count(*) FROM balls WHERE balls.run = runs.run), "
-    "(SELECT count(*) FROM steps WHERE steps.run = runs.run AND kind = 'TouchTowards' AND result IS NOT NULL) "
-    "FROM runs "
-)
-_RUN_FIELDS = ("run_id", "kind", "started", "ended", "state", "reason", "software", "balls", "touches")
-_TABLE_FIELDS = ("run_id", "at", "role", "bank", "crc32", "origin_mm", "step_mm", "resolution_mm", "shape")
-
 
 class UnknownRun(InputError):
-    """No run of that identity in the journal."""
+    """The journal has no run of that identity, or the run has no such document."""
 
 
 @dataclass(frozen=True)
@@ -38,126 +29,115 @@ class Archive:
     reports: Callable[[str], Path]
 
     def runs(self, limit: int, before: str | None = None) -> list[Document]:
-        """The latest first; `before`: only those begun before that run."""
-        if not self._begun:
+        """Return summaries of at most `limit` runs, the latest first; `before`: only runs started before that one."""
+        if not has_journal(self.directory):
             return []
-        where = "WHERE run < (SELECT run FROM runs WHERE run_id = ?) " if before else ""
-        values = (before, limit) if before else (limit,)
-        with self._reading() as connection:
-            if before:
-                self._number(connection, before)
-            rows = connection.execute(f"{_RUNS}{where}ORDER BY run DESC LIMIT ?", values).fetchall()
-        return [self._summary(row) for row in rows]
+        with self._reading() as reader:
+            before_run = _run(reader, before).run if before else ANY_RUN
+            return [self._summary(counts) for counts in reader.run_counts(limit, before_run)]
 
     def run(self, run_id: str) -> Document:
-        """Summary, who asked for it, gates and decisions."""
-        with self._reading() as connection:
-            run = self._number(connection, run_id)
-            row = connection.execute(f"{_RUNS}WHERE run = ?", (run,)).fetchone()
-            settings = json.loads(connection.execute("SELECT settings FROM runs WHERE run = ?", (run,)).fetchone()[0])
-            decisions = _records(connection, "SELECT at, kind, record FROM decisions WHERE run = ? ORDER BY rowid", run)
-            asked = _records(connection, "SELECT at, kind, record FROM events WHERE run = ? AND kind = 'asked'", run)
+        """Return the summary of a run, its request, gates and decisions."""
+        with self._reading() as reader:
+            run = _run(reader, run_id).run
+            (counts,) = reader.run_counts(1, run + 1)
+            settings = json.loads(reader.settings_text(run))
+            decisions = reader.decisions(run)
+            asked = reader.events(run, ("asked",), limit=1)
         return {
-            **self._summary(row),
+            **self._summary(counts),
             "position_set": settings["procedure"]["position_set"],
-            "asked": asked[0]["record"] if asked else None,
-            "gates": [one["record"] for one in decisions if one["kind"] == "gate"],
-            "decisions": [one for one in decisions if one["kind"] not in ("gate", "accepted")],
-            "accepted": any(one["kind"] == "accepted" for one in decisions),
+            "asked": asked[0].record if asked else None,
+            "gates": [one.record for one in decisions if one.kind == "gate"],
+            "decisions": [
+                {"at": one.at, "kind": one.kind, "record": one.record}
+                for one in decisions
+                if one.kind not in ("gate", "accepted")
+            ],
+            "accepted": any(one.kind == "accepted" for one in decisions),
         }
 
     def balls(self, run_id: str) -> list[Document]:
-        return self._keyed("SELECT key, record FROM balls WHERE run = ? ORDER BY ordinal", run_id)
+        """Return the balls in the order measured."""
+        with self._reading() as reader:
+            return [{"key": ball.key, **ball.record} for ball in reader.balls(_run(reader, run_id).run)]
 
     def temperatures(self, run_id: str) -> list[Document]:
-        """`minutes` of machine time since the run's first step."""
-        query = (
-            "SELECT (finished - (SELECT min(begun) FROM steps WHERE run = ?1)) / 60.0, record "
-            "FROM temperatures JOIN steps USING (run, ordinal) WHERE run = ?1 ORDER BY ordinal"
-        )
-        with self._reading() as connection:
-            rows = connection.execute(query, (self._number(connection, run_id),)).fetchall()
-        return [{"minutes": minutes, "celsius": json.loads(record)} for minutes, record in rows]
+        """Return readings; `minutes` of machine time since the first step of the run."""
+        with self._reading() as reader:
+            rows = reader.temperatures(_run(reader, run_id).run)
+        return [{"minutes": row.minutes, "celsius": row.record} for row in rows]
 
     def events(self, run_id: str, limit: int, after: int = 0) -> list[Document]:
-        """In the order that they happened; `after`: the number of the last one that is known already."""
-        query = "SELECT rowid, at, kind, record FROM events WHERE run = ? AND rowid > ? ORDER BY rowid LIMIT ?"
-        with self._reading() as connection:
-            rows = connection.execute(query, (self._number(connection, run_id), after, limit)).fetchall()
-        return [{"number": n, "at": at, "kind": kind, "record": json.loads(record)} for n, at, kind, record in rows]
+        """Return events in the order written; `after`: the number of the last one already known."""
+        with self._reading() as reader:
+            rows = reader.events(_run(reader, run_id).run, after=after, limit=limit)
+        return [{"number": row.number, "at": row.at, "kind": row.kind, "record": row.record} for row in rows]
 
     def estimate(self, run_id: str) -> Document:
-        """The estimate file's document. UnknownRun where the run did not come to one."""
-        with self._reading() as connection:
-            run = self._number(connection, run_id)
-            row = connection.execute(
-                "SELECT record FROM estimates WHERE run = ? ORDER BY rowid DESC LIMIT 1", (run,)
-            ).fetchone()
-        if row is None:
+        """Return the estimate file's document. Raise UnknownRun if the run has no estimate."""
+        with self._reading() as reader:
+            text = reader.last_estimate(_run(reader, run_id).run)
+        if text is None:
             raise UnknownRun(f"run {run_id} has no estimate", hint="it ended before its errors were identified")
-        document: Document = json.loads(row[0])
+        document: Document = json.loads(text)
         return document
 
     def report(self, run_id: str) -> Path:
-        """The report's file. UnknownRun where there is none; InputError where it cannot be made."""
-        with self._reading() as connection:
-            run = self._number(connection, run_id)
-            (ended,) = connection.execute("SELECT ended FROM runs WHERE run = ?", (run,)).fetchone()
+        """Return the report's file. Raise UnknownRun if there is none, InputError if it cannot be made."""
+        with self._reading() as reader:
+            ended = _run(reader, run_id).ended
         if ended is None:
             raise UnknownRun(f"run {run_id} has no report yet", hint="it has not ended")
         return self.reports(run_id)
 
     def tables(self, limit: int) -> list[Document]:
-        """Every table that was kept, the latest first: backups, staged and restored ones."""
-        if not self._begun:
+        """Return at most `limit` stored tables, the latest first: backups, staged and restored ones."""
+        if not has_journal(self.directory):
             return []
-        query = (
-            "SELECT run_id, at, role, bank, crc32, origin_mm, step_mm, resolution_mm, shape "
-            "FROM tables JOIN runs USING (run) ORDER BY tables.rowid DESC LIMIT ?"
-        )
-        with self._reading() as connection:
-            rows = connection.execute(query, (limit,)).fetchall()
-        return [_table(dict(zip(_TABLE_FIELDS, row, strict=True))) for row in rows]
+        with self._reading() as reader:
+            return [_table(row) for row in reader.latest_tables(limit)]
 
-    def _summary(self, row: tuple[Any, ...]) -> Document:
-        document = dict(zip(_RUN_FIELDS, row, strict=True))
-        return {**document, "report": (self.directory / document["run_id"] / "report.html").is_file()}
+    def _reading(self) -> AbstractContextManager[JournalReader]:
+        return open_journal(self.directory, JournalFailed)
 
-    def _keyed(self, query: str, run_id: str) -> list[Document]:
-        with self._reading() as connection:
-            rows = connection.execute(query, (self._number(connection, run_id),)).fetchall()
-        return [{"key": key, **json.loads(record)} for key, record in rows]
-
-    @staticmethod
-    def _number(connection: sqlite3.Connection, run_id: str) -> int:
-        row = connection.execute("SELECT run FROM runs WHERE run_id = ?", (run_id,)).fetchone()
-        if row is None:
-            raise UnknownRun(f"the journal has no run {run_id}", hint="`/api/runs` lists them")
-        return int(row[0])
-
-    @property
-    def _begun(self) -> bool:
-        """There is no journal before the first run."""
-        return (self.directory / FILE_NAME).is_file()
-
-    @contextmanager
-    def _reading(self) -> Iterator[sqlite3.Connection]:
-        path = self.directory / FILE_NAME
-        try:
-            with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=2.0)) as connection:
-                yield connection
-        except sqlite3.Error as error:
-            raise JournalFailed(f"the journal cannot be read: {error}", file=str(path)) from error
+    def _summary(self, counts: RunCounts) -> Document:
+        run = counts.run
+        return {
+            "run_id": run.run_id,
+            "kind": run.kind,
+            "started": run.started,
+            "ended": run.ended,
+            "state": run.state,
+            "reason": run.reason,
+            "software": run.software,
+            "balls": counts.balls,
+            "touches": counts.touches,
+            "report": (self.directory / run.run_id / "report.html").is_file(),
+        }
 
 
-def _records(connection: sqlite3.Connection, query: str, run: int) -> list[Document]:
-    rows = connection.execute(query, (run,)).fetchall()
-    return [{"at": at, "kind": kind, "record": json.loads(record)} for at, kind, record in rows]
+def _run(reader: JournalReader, run_id: str) -> RunRow:
+    run = reader.run(run_id)
+    if run is None:
+        raise UnknownRun(f"the journal has no run {run_id}", hint="`/api/runs` lists them")
+    return run
 
 
-def _table(document: Document) -> Document:
-    """Lists as lists; an empty bank has neither grid nor checksum."""
-    for name in ("origin_mm", "step_mm", "shape"):
-        document[name] = None if document[name] is None else json.loads(document[name])
-    document["crc32"] = None if document["crc32"] is None else f"{document['crc32']:08x}"
-    return document
+def _table(row: TableRow) -> Document:
+    """An empty bank has neither grid nor checksum."""
+    return {
+        "run_id": row.run_id,
+        "at": row.at,
+        "role": row.role,
+        "bank": row.bank,
+        "crc32": None if row.crc32 is None else f"{row.crc32:08x}",
+        "origin_mm": _listed(row.origin_mm_text),
+        "step_mm": _listed(row.step_mm_text),
+        "resolution_mm": row.resolution_mm,
+        "shape": _listed(row.shape_text),
+    }
+
+
+def _listed(text: str | None) -> Any:
+    return None if text is None else json.loads(text)

@@ -1,29 +1,25 @@
-"""What the journal tells the service between two runs: how the machine stands, and how the last run ended."""
+"""State between two runs, from the journal: the machine as it was left, and the end of the last run."""
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import structlog
 
 from agent.errors import JournalFailed
-from agent.execution.journal import FILE_NAME, Journal
+from agent.execution.journal import Journal
+from agent.execution.journal_reader import JournalReader, has_journal, open_journal
 from agent.execution.states import FINAL, RunState
 from agent.planning.job import prepare_job
 from agent.runs.kinds.drift_check import Judge
-from agent.runs.reference_state import accepted_for
+from agent.runs.reference_state import ACTIVATING_DECISIONS, accepted_for
 from agent.runs.unfinished_run import unfinished_run
 from agent.service.allowed_requests import STICKY
 from agent.service.control import Alarm
 from agent.service.state.status_board import Standing
 from agent.settings.schema import Settings
-from drivers.clock import utc_timestamp
 from drivers.errors import VolcalError
 
 log = structlog.get_logger()
@@ -31,24 +27,10 @@ log = structlog.get_logger()
 BROKEN_OFF_CODE = 480
 FAULT_CODE = 100
 
-# A reset leaves the event "acknowledged" with the run, so that a fault stays one over a restart of the service; a run
-# that is gone on with enters states after it, and what it then ends in is a fault of its own.
-_LAST = (
-    "SELECT run_id, kind, state, reason, "
-    "coalesce((SELECT max(rowid) FROM events WHERE events.run = runs.run AND events.kind = 'acknowledged'), 0) > "
-    "coalesce((SELECT max(rowid) FROM events WHERE events.run = runs.run AND events.kind = 'state'), 0) "
-    "FROM runs ORDER BY run DESC LIMIT 1"
-)
-_ACTIVE = (
-    "SELECT bank FROM tables WHERE role IN ('backup', 'restored') OR (role = 'staged' AND EXISTS "
-    "(SELECT 1 FROM decisions WHERE decisions.run = tables.run AND decisions.kind IN ('accepted', 'table-restored'))) "
-    "ORDER BY rowid DESC LIMIT 1"
-)
-
 
 @dataclass(frozen=True)
 class LeftBehind:
-    """A run whose end nobody has acknowledged yet."""
+    """A run whose end has not been acknowledged yet."""
 
     state: RunState
     run_id: str
@@ -58,79 +40,69 @@ class LeftBehind:
 
 @dataclass(frozen=True)
 class Past:
-    """Reads through connections of its own, which do not hinder the run that writes."""
+    """Reads through its own connections, which never delay the run that writes."""
 
     directory: Path
 
     def left_behind(self) -> LeftBehind | None:
-        """The last run where it was aborted, faulted or broken off, and no reset has answered that."""
-        row = self._one(_LAST)
-        if row is None or row[4]:
+        """Return the last run if it was aborted, faulted or interrupted, and no reset has acknowledged that."""
+        if not has_journal(self.directory):
             return None
-        run_id, kind, state, reason = row[0], row[1], RunState(row[2]), row[3]
+        with open_journal(self.directory, JournalFailed) as reader:
+            run = reader.last_run()
+            if run is None or _acknowledged(reader, run.run):
+                return None
+        state = RunState(run.state)
         if state in STICKY:
-            return LeftBehind(state, run_id, kind, Alarm(FAULT_CODE, reason or state.value, "see to it, then reset"))
+            alarm = Alarm(FAULT_CODE, run.reason or state.value, "see to it, then reset")
+            return LeftBehind(state, run.run_id, run.kind, alarm)
         if state in FINAL or state is RunState.WRITTEN:
             return None
-        text = f"run {run_id} was broken off while {state.value}"
-        hint = "look at the machine: nothing is known of what happened since; then reset"
-        return LeftBehind(RunState.FAULTED, run_id, kind, Alarm(BROKEN_OFF_CODE, text, hint))
+        text = f"run {run.run_id} was interrupted while {state.value}"
+        hint = "check the machine: nothing is known of what happened since; then reset"
+        return LeftBehind(RunState.FAULTED, run.run_id, run.kind, Alarm(BROKEN_OFF_CODE, text, hint))
 
     def acknowledge(self, run_id: str | None) -> None:
-        """Durable when it returns, and aside from the procedure, so that the run can be gone on with. JournalFailed
-        where it cannot be written."""
-        path = self.directory / FILE_NAME
-        if run_id is None or not path.is_file():
+        """Acknowledge the end of a run; durable when it returns. Raise JournalFailed if it cannot be written."""
+        if run_id is None or not has_journal(self.directory):
             return
-        Journal(self.directory).close()  # one of an older version is brought up to date
+        journal = Journal(self.directory)
         try:
-            with closing(sqlite3.connect(path, timeout=2.0)) as connection, connection:
-                connection.execute("PRAGMA synchronous=FULL")
-                connection.execute(
-                    "INSERT INTO events (run, at, kind, record, aside) "
-                    "SELECT run, ?, 'acknowledged', '{}', 1 FROM runs WHERE run_id = ?",
-                    (utc_timestamp(), run_id),
-                )
-        except sqlite3.Error as error:
-            raise JournalFailed(
-                f"the reset cannot be recorded: {error}", hint="check the disk under `state_directory`", file=str(path)
-            ) from error
+            journal.acknowledge(run_id)
+        finally:
+            journal.close()
 
     def standing(self, settings: Settings, base: Path) -> Standing:
-        """Empty where nothing is known; what cannot be read is said in the log and is no reason not to serve."""
+        """Return the known state, empty if there is none. A journal that cannot be read is logged, not raised."""
         try:
-            row, unfinished = self._one(_ACTIVE), unfinished_run(self.directory)
+            active_bank, unfinished = self._active_bank(), unfinished_run(self.directory)
             before_um, now_um = _volumetric_errors(settings, base)
         except VolcalError as error:
-            log.warning("what the machine was left as is not known", error=str(error))
+            log.warning("the state in which the machine was left is not known", error=str(error))
             return Standing()
         return Standing(
             ve_before_um=before_um,
             ve_now_um=now_um,
-            active_bank=None if row is None else row[0],
+            active_bank=active_bank,
             unfinished=unfinished.run_id if unfinished is not None and unfinished.resumable else None,
         )
 
-    def _one(self, query: str) -> tuple[Any, ...] | None:
-        path = self.directory / FILE_NAME
-        if not path.is_file():
+    def _active_bank(self) -> int | None:
+        if not has_journal(self.directory):
             return None
-        with _reading(path) as connection:
-            row: tuple[Any, ...] | None = connection.execute(query).fetchone()
-            return row
+        with open_journal(self.directory, JournalFailed) as reader:
+            table = reader.last_active_table(ACTIVATING_DECISIONS)
+        return None if table is None else table.bank
 
 
-@contextmanager
-def _reading(path: Path) -> Iterator[sqlite3.Connection]:
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=2.0)) as connection:
-            yield connection
-    except sqlite3.Error as error:
-        raise JournalFailed(f"the journal cannot be read: {error}", file=str(path)) from error
+def _acknowledged(reader: JournalReader, run: int) -> bool:
+    """A reset stores the event "acknowledged" with the run, so that a fault stays one over a restart of the service. A
+    resumed run enters states after it, and a fault in which it then ends is a fault of its own."""
+    return reader.last_event_number(run, "acknowledged") > reader.last_event_number(run, "state")
 
 
 def _volumetric_errors(settings: Settings, base: Path) -> tuple[float | None, float | None]:
-    """VE in µm, aligned, that the last accepted night expects: with no table, and with the one that acts since."""
+    """Return VE in µm, aligned, expected by the last accepted night: without a table, and with the one active since."""
     job = prepare_job(settings, base)
     last = accepted_for(job)
     if last is None:

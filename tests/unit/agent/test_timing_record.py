@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from agent.execution.journal_reading import JournaledStep, read_run
 from click.testing import CliRunner
 
 from agent.cli.main import main
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
-from agent.execution.journal_reading import JournaledStep, read_run
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.ideal_machine import IdealMachine
 from agent.planning.job import Job, prepare_job

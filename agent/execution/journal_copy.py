@@ -1,0 +1,32 @@
+"""Consistent copies of a journal with edited settings, for documents that leave the machine."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from agent.errors import JournalFailed
+from agent.execution.journal_reader import open_journal
+from agent.execution.journal_schema import FILE_NAME
+
+
+def copy_journal(directory: Path, target: Path, edit_settings: Callable[[Any], Any]) -> Path:
+    """Copy the journal of a state directory into the existing directory `target`; a run may write meanwhile.
+
+    `edit_settings` maps the settings document of each run to the one in the copy; the original text is not left in free
+    pages of the file. Return the copy. Raise JournalFailed if the journal cannot be read or the copy not be written.
+    """
+    path = target / FILE_NAME
+    with open_journal(directory, JournalFailed) as reader:
+        reader.copy_to(path)
+        with closing(sqlite3.connect(path)) as copy, copy:
+            for run, text in copy.execute("SELECT run, settings FROM runs").fetchall():
+                edited = json.dumps(edit_settings(json.loads(text)))
+                copy.execute("UPDATE runs SET settings = ? WHERE run = ?", (edited, run))
+        with closing(sqlite3.connect(path)) as copy:
+            copy.execute("VACUUM")
+    return path

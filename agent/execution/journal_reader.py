@@ -1,0 +1,292 @@
+"""The one reader of the journal: typed rows through a connection that changes nothing and never delays the writer.
+
+Methods take the number of a run in its journal (`RunRow.run`). They neither migrate nor need the newest schema: only
+`origin` and the restriction to the procedure need columns that an older journal lacks.
+"""
+
+# ruff: noqa: S608  every statement is put together from constants of this module
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable, Collection, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+from agent.execution.encoding import table_from
+from agent.execution.journal_rows import (
+    BallRow,
+    DecisionRow,
+    EventRow,
+    OriginRow,
+    RunCounts,
+    RunRow,
+    StepRow,
+    TableRow,
+    TemperatureRow,
+    TouchRow,
+)
+from agent.execution.journal_schema import FILE_NAME
+from drivers.errors import InputError, VolcalError
+from drivers.roles import TableImage
+
+Row = TypeVar("Row")
+
+ANY_RUN = 2**62
+"""Greater than the number of any run."""
+
+_TIMEOUT_S = 2.0
+
+_RUN = "SELECT run, run_id, kind, started, ended, state, reason, software FROM runs "
+_COUNTS = (
+    "SELECT run, run_id, kind, started, ended, state, reason, software, "
+    "(SELECT count(*) FROM balls WHERE balls.run = runs.run), "
+    "(SELECT count(*) FROM steps WHERE steps.run = runs.run AND kind = 'TouchTowards' AND result IS NOT NULL) "
+    "FROM runs "
+)
+_LAST_RUN_WITH_STEPS = _RUN + "WHERE run IN (SELECT run FROM steps) ORDER BY run DESC LIMIT 1"
+_LAST_WORKING_RUN = _RUN + (
+    "WHERE run IN (SELECT run FROM steps UNION SELECT run FROM origins WHERE begun_s IS NOT NULL) "
+    "ORDER BY run DESC LIMIT 1"
+)
+_STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM steps "
+_DECISION = "SELECT run, run_id, decisions.rowid, at, decisions.kind, record FROM decisions JOIN runs USING (run) "
+_TABLE = (
+    "SELECT run, run_id, tables.rowid, at, role, bank, crc32, origin_mm, step_mm, resolution_mm, shape "
+    "FROM tables JOIN runs USING (run) "
+)
+_ACTIVE_TABLE = _TABLE + (
+    "WHERE role IN ('backup', 'restored') OR (role = 'staged' AND EXISTS (SELECT 1 FROM decisions "
+    "WHERE decisions.run = tables.run AND decisions.kind IN (SELECT value FROM json_each(:kinds)))) "
+    "ORDER BY tables.rowid DESC LIMIT 1"
+)
+_EVENT = (
+    "SELECT rowid, at, kind, record FROM events WHERE run = :run AND rowid > :after "
+    "AND (:kinds IS NULL OR kind IN (SELECT value FROM json_each(:kinds))){aside} ORDER BY rowid LIMIT :limit"
+)
+_IMAGE = "SELECT origin_mm, step_mm, resolution_mm, shape, counts FROM tables WHERE "
+
+
+def has_journal(directory: Path) -> bool:
+    """Return True if the state directory holds a journal; there is none before the first run."""
+    return (directory / FILE_NAME).is_file()
+
+
+@contextmanager
+def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> Iterator[JournalReader]:
+    """Open the journal of a state directory for reading; nothing is created and nothing is changed.
+
+    Raise `failure` if there is none, or if it cannot be read, now or by a method of the reader inside the block.
+    """
+    path = directory / FILE_NAME
+    try:
+        uri = f"{path.resolve().as_uri()}?mode=ro"
+        with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
+            yield JournalReader(connection)
+    except sqlite3.Error as error:
+        raise failure(f"the journal cannot be read: {error}", file=str(path)) from error
+
+
+class JournalReader:
+    """Reads through any connection to a journal, of this process or in memory; the caller closes it."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+
+    def run_ids(self) -> tuple[str, ...]:
+        """Return the identities of all runs in the order started."""
+        return self._rows(str, "SELECT run_id FROM runs ORDER BY run")
+
+    def runs(self) -> tuple[RunRow, ...]:
+        """Return all runs in the order started."""
+        return self._rows(RunRow, _RUN + "ORDER BY run")
+
+    def run(self, run_id: str) -> RunRow | None:
+        return self._first(RunRow, _RUN + "WHERE run_id = :run_id", run_id=run_id)
+
+    def last_run(self) -> RunRow | None:
+        return self._first(RunRow, _RUN + "ORDER BY run DESC LIMIT 1")
+
+    def last_working_run(self) -> RunRow | None:
+        """Return the last run that wrote a step or passed its preflight."""
+        return self._first(RunRow, _LAST_WORKING_RUN if self.has_origins() else _LAST_RUN_WITH_STEPS)
+
+    def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
+        """Return at most `limit` runs with a number below `before_run`, the latest first."""
+        rows = self._all(_COUNTS + "WHERE run < :before ORDER BY run DESC LIMIT :limit", before=before_run, limit=limit)
+        return tuple(RunCounts(RunRow(*run), balls, touches) for *run, balls, touches in rows)
+
+    def settings_text(self, run: int) -> str:
+        """Return the settings document that the run was started with, JSON as written."""
+        return str(self._value("SELECT settings FROM runs WHERE run = :run", run=run))
+
+    def has_origins(self) -> bool:
+        """Return False for a journal of version 1, which does not store how a run started."""
+        return self._one("SELECT 1 FROM sqlite_master WHERE name = 'origins'") is not None
+
+    def origin(self, run: int) -> OriginRow | None:
+        return self._first(
+            OriginRow,
+            "SELECT run, run_id, settings, record, begun_s, begun_at FROM runs JOIN origins USING (run) "
+            "WHERE run = :run",
+            run=run,
+        )
+
+    def steps(self, run: int, kind: str | None = None, *, procedure_only: bool = False) -> tuple[StepRow, ...]:
+        """Return the steps of a run in order. `procedure_only` leaves out withdrawals and returns, here as below."""
+        query = _STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
+        return self._rows(StepRow, _restricted(query, procedure_only), run=run, kind=kind)
+
+    def count_steps(self, run: int) -> int:
+        return int(self._value("SELECT count(*) FROM steps WHERE run = :run", run=run))
+
+    def last_step_key(self, run: int) -> str | None:
+        """Return the key of the last step that began."""
+        return self._first(str, "SELECT key FROM steps WHERE run = :run ORDER BY ordinal DESC LIMIT 1", run=run)
+
+    def time_span_s(self, run: int) -> tuple[float, float] | None:
+        """Return machine seconds at which the first step began and the last one ended; None without a step."""
+        query = "SELECT min(begun), max(coalesce(finished, begun)) FROM steps WHERE run = :run"
+        [(first, last)] = self._all(query, run=run)
+        return None if first is None else (first, last)
+
+    def last_ordinal(self, run: int) -> int:
+        """Return the greatest ordinal of the run's steps and balls; 0 without any."""
+        steps = "SELECT coalesce(max(ordinal), 0) FROM steps WHERE run = :run"
+        balls = "SELECT coalesce(max(ordinal), 0) FROM balls WHERE run = :run"
+        return max(int(self._value(steps, run=run)), int(self._value(balls, run=run)))
+
+    def touches(self, run: int) -> tuple[TouchRow, ...]:
+        """Return the touches of the procedure that have a result."""
+        query = "SELECT ordinal, key, at, result FROM touches WHERE run = :run ORDER BY ordinal"
+        return self._rows(TouchRow, query, run=run)
+
+    def count_touches(self, run: int) -> int:
+        """Return the number of `touches`."""
+        return int(self._value("SELECT count(*) FROM touches WHERE run = :run", run=run))
+
+    def balls(self, run: int) -> tuple[BallRow, ...]:
+        """Return the ball centres in the order measured, complete run or not."""
+        query = "SELECT ordinal, key, record FROM balls WHERE run = :run ORDER BY ordinal"
+        return self._rows(BallRow, query, run=run)
+
+    def count_balls(self, run: int) -> int:
+        return int(self._value("SELECT count(*) FROM balls WHERE run = :run", run=run))
+
+    def temperatures(self, run: int) -> tuple[TemperatureRow, ...]:
+        return self._rows(
+            TemperatureRow,
+            "SELECT (finished - (SELECT min(begun) FROM steps WHERE run = :run)) / 60.0, record "
+            "FROM temperatures JOIN steps USING (run, ordinal) WHERE run = :run ORDER BY ordinal",
+            run=run,
+        )
+
+    def events(
+        self,
+        run: int,
+        kinds: Collection[str] | None = None,
+        *,
+        after: int = 0,
+        limit: int = -1,
+        procedure_only: bool = False,
+    ) -> tuple[EventRow, ...]:
+        """Return events in the order written, of `kinds` only if given, with numbers greater than `after`.
+
+        `limit`: at most so many; negative for all.
+        """
+        query = _restricted(_EVENT, procedure_only)
+        return self._rows(EventRow, query, run=run, kinds=_listed(kinds), after=after, limit=limit)
+
+    def last_event_number(self, run: int, kind: str) -> int:
+        """Return the number of the run's last event of that kind; 0 without one."""
+        query = "SELECT coalesce(max(rowid), 0) FROM events WHERE run = :run AND kind = :kind"
+        return int(self._value(query, run=run, kind=kind))
+
+    def decisions(self, run: int, *, procedure_only: bool = False) -> tuple[DecisionRow, ...]:
+        query = _DECISION + "WHERE run = :run{aside} ORDER BY decisions.rowid"
+        return self._rows(DecisionRow, _restricted(query, procedure_only), run=run)
+
+    def has_decision(self, run: int, kinds: Collection[str]) -> bool:
+        query = "SELECT 1 FROM decisions WHERE run = :run AND kind IN (SELECT value FROM json_each(:kinds)) LIMIT 1"
+        return self._one(query, run=run, kinds=_listed(kinds)) is not None
+
+    def last_decision(self, kind: str, before_run: int = ANY_RUN) -> DecisionRow | None:
+        """Return the last decision of that kind of all runs with a number below `before_run`."""
+        query = _DECISION + "WHERE decisions.kind = :kind AND run < :before ORDER BY decisions.rowid DESC LIMIT 1"
+        return self._first(DecisionRow, query, kind=kind, before=before_run)
+
+    def estimates(self, run: int) -> tuple[str, ...]:
+        """Return every estimate file's JSON text in the order written."""
+        return self._rows(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid", run=run)
+
+    def last_estimate(self, run: int) -> str | None:
+        """Return the JSON text of the run's last estimate file."""
+        return self._first(str, "SELECT record FROM estimates WHERE run = :run ORDER BY rowid DESC LIMIT 1", run=run)
+
+    def tables(self, run: int, *, procedure_only: bool = False) -> tuple[TableRow, ...]:
+        """Return the tables stored by a run in the order written."""
+        query = _TABLE + "WHERE run = :run{aside} ORDER BY tables.rowid"
+        return self._rows(TableRow, _restricted(query, procedure_only), run=run)
+
+    def latest_tables(self, limit: int) -> tuple[TableRow, ...]:
+        """Return at most `limit` stored tables of all runs, the latest first."""
+        return self._rows(TableRow, _TABLE + "ORDER BY tables.rowid DESC LIMIT :limit", limit=limit)
+
+    def last_table(self, run: int, role: str) -> TableRow | None:
+        query = _TABLE + "WHERE run = :run AND role = :role ORDER BY tables.rowid DESC LIMIT 1"
+        return self._first(TableRow, query, run=run, role=role)
+
+    def last_backup(self, run: int | None = None) -> TableRow | None:
+        """Return the backup of the last run that stored one, or of `run` alone."""
+        query = _TABLE + "WHERE role = 'backup' AND run = coalesce(:run, run) ORDER BY run DESC LIMIT 1"
+        return self._first(TableRow, query, run=run)
+
+    def last_active_table(self, accepting: Collection[str]) -> TableRow | None:
+        """Return the stored table that the last runs left active: a staged one only if its run has a decision of the
+        kinds `accepting`."""
+        return self._first(TableRow, _ACTIVE_TABLE, kinds=_listed(accepting))
+
+    def image(self, table: TableRow) -> TableImage | None:
+        """Return the whole stored table; None for an empty bank."""
+        return self._image("rowid = :number", number=table.number)
+
+    def image_with_digest(self, run: int, crc32: int) -> TableImage | None:
+        """Return a table stored by `run` with that CRC-32; None if there is none."""
+        return self._image("run = :run AND crc32 = :crc32 AND counts IS NOT NULL", run=run, crc32=crc32)
+
+    def copy_to(self, path: Path) -> None:
+        """Write a consistent copy of the journal to a new file; a run may write meanwhile."""
+        self._connection.execute("VACUUM INTO ?", (str(path),))
+
+    def _image(self, where: str, **values: int) -> TableImage | None:
+        row = self._one(_IMAGE + where + " LIMIT 1", **values)
+        return None if row is None or row[-1] is None else table_from(*row)
+
+    def _rows(self, row_type: Callable[..., Row], query: str, **values: str | int | None) -> tuple[Row, ...]:
+        return tuple(row_type(*row) for row in self._all(query, **values))
+
+    def _first(self, row_type: Callable[..., Row], query: str, **values: str | int | None) -> Row | None:
+        row = self._one(query, **values)
+        return None if row is None else row_type(*row)
+
+    def _all(self, query: str, **values: str | int | None) -> list[tuple[Any, ...]]:
+        return self._connection.execute(query, values).fetchall()
+
+    def _one(self, query: str, **values: str | int | None) -> tuple[Any, ...] | None:
+        row: tuple[Any, ...] | None = self._connection.execute(query, values).fetchone()
+        return row
+
+    def _value(self, query: str, **values: str | int | None) -> Any:
+        return self._connection.execute(query, values).fetchone()[0]
+
+
+def _restricted(query: str, procedure_only: bool) -> str:
+    """Journals of version 1 have no column `aside`, so it is named only if it is needed."""
+    return query.format(aside=" AND NOT aside" if procedure_only else "")
+
+
+def _listed(kinds: Collection[str] | None) -> str | None:
+    """Return a list of kinds as one JSON parameter, which keeps every statement constant."""
+    return None if kinds is None else json.dumps(sorted(kinds))

@@ -1,0 +1,164 @@
+"""Typed rows of the journal, as `agent.execution.journal_reader` returns them.
+
+`*_text` fields hold JSON exactly as written; the property of the same name without the suffix decodes it on first use.
+`run` numbers the runs of one journal in the order started; `number` the rows of one table in the order written.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """`started`, `ended`: UTC, ISO 8601; `ended` is None until a run is closed. `state`: value of a `RunState`."""
+
+    run: int
+    run_id: str
+    kind: str
+    started: str
+    ended: str | None
+    state: str
+    reason: str | None
+    software: str
+
+
+@dataclass(frozen=True)
+class RunCounts:
+    """A run with the number of its balls and of its touches that have a result."""
+
+    run: RunRow
+    balls: int
+    touches: int
+
+
+@dataclass(frozen=True)
+class OriginRow:
+    """Start of a run. `begun_s`, `begun_at`: machine seconds and UTC at the end of the preflight, None before."""
+
+    run: int
+    run_id: str
+    settings_text: str
+    record_text: str
+    begun_s: float | None
+    begun_at: str | None
+
+    @cached_property
+    def record(self) -> Mapping[str, Any]:
+        return _decoded(self.record_text)
+
+
+@dataclass(frozen=True)
+class StepRow:
+    """Times in machine seconds; `finished_s` and `result_text` are None if the step did not end."""
+
+    ordinal: int
+    key: str
+    kind: str
+    detail_text: str
+    begun_s: float
+    finished_s: float | None
+    result_text: str | None
+    error: str | None
+
+    @cached_property
+    def detail(self) -> Mapping[str, Any]:
+        return _decoded(self.detail_text)
+
+    @cached_property
+    def result(self) -> Any:
+        return None if self.result_text is None else json.loads(self.result_text)
+
+
+@dataclass(frozen=True)
+class TouchRow:
+    """A touch of the procedure that has a result; `at_s` in machine seconds."""
+
+    ordinal: int
+    key: str
+    at_s: float
+    result_text: str
+
+
+@dataclass(frozen=True)
+class BallRow:
+    """A measured ball centre."""
+
+    ordinal: int
+    key: str
+    record_text: str
+
+    @cached_property
+    def record(self) -> Mapping[str, Any]:
+        return _decoded(self.record_text)
+
+
+@dataclass(frozen=True)
+class TemperatureRow:
+    """A reading: sensor names to °C, `minutes` of machine time after the first step of the run."""
+
+    minutes: float
+    record_text: str
+
+    @cached_property
+    def record(self) -> Mapping[str, float]:
+        return _decoded(self.record_text)
+
+
+@dataclass(frozen=True)
+class EventRow:
+    """`at`: UTC, ISO 8601."""
+
+    number: int
+    at: str
+    kind: str
+    record_text: str
+
+    @cached_property
+    def record(self) -> Mapping[str, Any]:
+        return _decoded(self.record_text)
+
+
+@dataclass(frozen=True)
+class DecisionRow:
+    """`at`: UTC, ISO 8601."""
+
+    run: int
+    run_id: str
+    number: int
+    at: str
+    kind: str
+    record_text: str
+
+    @cached_property
+    def record(self) -> Mapping[str, Any]:
+        return _decoded(self.record_text)
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """A stored compensation table without its counts. `role`: backup, staged or restored.
+
+    `crc32` and everything after it are None for an empty bank; origin, step and shape are JSON lists as written.
+    """
+
+    run: int
+    run_id: str
+    number: int
+    at: str
+    role: str
+    bank: int
+    crc32: int | None
+    origin_mm_text: str | None
+    step_mm_text: str | None
+    resolution_mm: float | None
+    shape_text: str | None
+
+
+def _decoded(text: str) -> Mapping[str, Any]:
+    document: dict[str, Any] = json.loads(text)
+    return document
