@@ -84,16 +84,20 @@ def open_journal(directory: Path, failure: type[VolcalError] = InputError) -> It
     try:
         uri = f"{path.resolve().as_uri()}?mode=ro"
         with closing(sqlite3.connect(uri, uri=True, timeout=_TIMEOUT_S)) as connection:
-            yield JournalReader(connection)
+            yield JournalReader(connection, path)
     except sqlite3.Error as error:
         raise failure(f"the journal cannot be read: {error}", file=str(path)) from error
 
 
 class JournalReader:
-    """Reads through any connection to a journal, of this process or in memory; the caller closes it."""
+    """Reads through any connection to a journal, also the writer's or one in memory; the caller closes it.
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
+    `path` is only named in errors.
+    """
+
+    def __init__(self, connection: sqlite3.Connection, path: Path = Path(FILE_NAME)) -> None:
         self._connection = connection
+        self._path = path
 
     def run_ids(self) -> tuple[str, ...]:
         """Return the identities of all runs in the order started."""
@@ -105,6 +109,15 @@ class JournalReader:
 
     def run(self, run_id: str) -> RunRow | None:
         return self._first(RunRow, _RUN + "WHERE run_id = :run_id", run_id=run_id)
+
+    def require_run(self, run_id: str) -> RunRow:
+        """Return the run. Raise InputError, naming the last runs, if the journal has none of that identity."""
+        run = self.run(run_id)
+        if run is None:
+            last = self.run_ids()[:-4:-1]
+            hint = f"the last ones are: {', '.join(last)}" if last else "it has no run yet"
+            raise InputError(f"the journal has no run {run_id}", file=str(self._path), hint=hint)
+        return run
 
     def last_run(self) -> RunRow | None:
         return self._first(RunRow, _RUN + "ORDER BY run DESC LIMIT 1")

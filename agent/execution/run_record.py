@@ -87,29 +87,20 @@ def read_record(directory: Path, run_id: str) -> RunRecord:
     """Return the record of a run. Raise InputError if there is no such journal or run, or it cannot be read."""
     _require_journal(directory, "check `state_directory`: no run has begun there")
     with open_journal(directory) as reader:
-        return _record(reader, _run(reader, directory, run_id))
+        return _record(reader, reader.require_run(run_id))
 
 
 def read_steps(directory: Path, run_id: str) -> RunSteps:
     """Return settings and steps of a run. InputError as `read_record`."""
     _require_journal(directory, "name the folder of a run in a state directory")
     with open_journal(directory) as reader:
-        run = _run(reader, directory, run_id).run
+        run = reader.require_run(run_id).run
         return RunSteps(json.loads(reader.settings_text(run)), reader.steps(run))
 
 
 def _require_journal(directory: Path, hint: str) -> None:
     if not has_journal(directory):
         raise InputError("there is no journal", file=str(directory / FILE_NAME), hint=hint)
-
-
-def _run(reader: JournalReader, directory: Path, run_id: str) -> RunRow:
-    run = reader.run(run_id)
-    if run is None:
-        last = reader.run_ids()[:-4:-1]
-        hint = f"the last ones are: {', '.join(last)}" if last else "it has no run yet"
-        raise InputError(f"the journal has no run {run_id}", file=str(directory / FILE_NAME), hint=hint)
-    return run
 
 
 def _record(reader: JournalReader, row: RunRow) -> RunRecord:

@@ -30,7 +30,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first
 
 import numpy as np
 
-from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
 from agent.results.estimation import find
@@ -132,11 +132,9 @@ def carried_out(seed: int, temperatures: TemperatureSettings) -> Run:
         ended = carry_out(request)
         if ended.error is not None or world.collisions or not world.controller.active_bank:
             raise RuntimeError(f"seed {seed}: {ended.error or ended.outcome.proof or world.collisions}")
-        journal = Journal(state)
-        try:
-            records = [r for r in journal.read_balls(ended.outcome.run_id) if not r["key"].startswith("verify")]
-        finally:
-            journal.close()
+        with open_journal(state) as reader:
+            balls = reader.balls(reader.require_run(ended.outcome.run_id).run)
+        records = [ball.record for ball in balls if not ball.record["key"].startswith("verify")]
     return Run(world, job, ended, records)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import tempfile
 from pathlib import Path
 
@@ -11,7 +10,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from agent.execution.journal import FILE_NAME, Journal
+from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
 from agent.execution.run_state import Announcement, RunStateTracker
 from agent.execution.states import FINAL, RunState
 from drivers.clock import VirtualClock
@@ -71,11 +71,10 @@ class RunStates(RuleBasedStateMachine):
 
     @invariant()
     def the_journal_knows_the_state(self) -> None:
-        with sqlite3.connect(Path(self.folder.name) / FILE_NAME) as other:
-            ((state, ended),) = other.execute("SELECT state, ended FROM runs").fetchall()
-        other.close()
-        assert state == self.tracker.state.value
-        assert (ended is not None) == (self.tracker.state in FINAL)
+        with open_journal(Path(self.folder.name)) as reader:
+            (run,) = reader.runs()
+        assert run.state == self.tracker.state.value
+        assert (run.ended is not None) == (self.tracker.state in FINAL)
 
     @invariant()
     def everybody_heard_of_everything_once(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +11,9 @@ import pytest
 
 from agent.errors import Busy
 from agent.execution.engine import Engine
-from agent.execution.journal import FILE_NAME, Journal, RunJournal
+from agent.execution.journal import Journal, RunJournal
+from agent.execution.journal_reader import open_journal
+from agent.execution.journal_schema import FILE_NAME
 from agent.execution.states import FINAL, FORWARD, PACKML, RunState, may_follow
 from agent.execution.steps import (
     MoveTo,
@@ -42,14 +43,6 @@ def run_journal(journal: Journal) -> RunJournal:
     return journal.start_run("run-1", "calibrate", {"machine": "m.toml"}, "0.1.0", VirtualClock())
 
 
-def rows(path: Path, query: str) -> list[tuple[object, ...]]:
-    """What another process sees: only what was committed."""
-    with sqlite3.connect(path / FILE_NAME) as other:
-        found = other.execute(query).fetchall()
-    other.close()
-    return found
-
-
 def test_results_are_sent_back_and_the_conclusion_returned() -> None:
     def plan() -> Plan[int]:
         first = yield ReadActiveBank("a")
@@ -63,10 +56,11 @@ def test_results_are_sent_back_and_the_conclusion_returned() -> None:
 def test_a_step_is_durable_before_it_moves_and_its_result_before_the_next(
     tmp_path: Path, run_journal: RunJournal
 ) -> None:
-    seen: list[list[tuple[object, ...]]] = []
+    seen: list[list[tuple[object, ...]]] = []  # through another connection: only what was committed
 
     def look(_: object) -> Touch:
-        seen.append(rows(tmp_path, "SELECT key, begun IS NOT NULL, result FROM steps ORDER BY ordinal"))
+        with open_journal(tmp_path) as reader:
+            seen.append([(step.key, step.begun_s is not None, step.result_text) for step in reader.steps(1)])
         return Touch((1.0, 2.0, 0.1 + 0.2))
 
     def plan() -> Plan[None]:
@@ -96,8 +90,9 @@ def test_an_error_names_its_step_and_is_in_the_journal(tmp_path: Path, run_journ
         Engine({MoveTo: lose}, run_journal).run(plan())
     assert caught.value.where == {"link": "tcp:host:502", "step": "station-1/park"}
     assert closed == [True]
-    assert "connection reset" in str(rows(tmp_path, "SELECT error FROM steps")[0][0])
-    assert "station-1/park" in str(rows(tmp_path, "SELECT record FROM events WHERE kind = 'fault'")[0][0])
+    with open_journal(tmp_path) as reader:
+        assert "connection reset" in str(reader.steps(1)[0].error)
+        assert "station-1/park" in reader.events(1, ("fault",))[0].record_text
 
 
 def test_balls_temperatures_and_decisions_have_their_tables(tmp_path: Path, run_journal: RunJournal) -> None:
@@ -109,10 +104,11 @@ def test_balls_temperatures_and_decisions_have_their_tables(tmp_path: Path, run_
 
     actions = {ReadTemperatures: lambda _: {"artefact": 20.25}, Record: lambda _: None}
     Engine(actions, run_journal).run(plan())
-    assert json.loads(str(rows(tmp_path, "SELECT record FROM temperatures")[0][0])) == {"artefact": 20.25}
-    assert json.loads(str(rows(tmp_path, "SELECT record FROM balls")[0][0]))["centre_mm"] == [1.0, 2.0, 3.0]
-    assert rows(tmp_path, "SELECT kind FROM decisions") == [("gate",)]
-    assert rows(tmp_path, "SELECT kind FROM events") == [("event",)]
+    with open_journal(tmp_path) as reader:
+        assert [one.record for one in reader.temperatures(1)] == [{"artefact": 20.25}]
+        assert [one.record["centre_mm"] for one in reader.balls(1)] == [[1.0, 2.0, 3.0]]
+        assert [one.kind for one in reader.decisions(1)] == ["gate"]
+        assert [one.kind for one in reader.events(1)] == ["event"]
 
 
 def test_a_staged_table_is_kept_whole(tmp_path: Path, run_journal: RunJournal) -> None:
@@ -124,17 +120,19 @@ def test_a_staged_table_is_kept_whole(tmp_path: Path, run_journal: RunJournal) -
 
     Engine({StageTable: lambda _: None}, run_journal).run(plan())
     run_journal.table("staged", 1, image)
-    ((blob,),) = rows(tmp_path, "SELECT counts FROM tables")
-    assert isinstance(blob, bytes)
-    assert np.array_equal(np.frombuffer(blob, ">i4").reshape(2, 2, 2, 3), counts)
+    with open_journal(tmp_path) as reader:
+        (table,) = reader.tables(1)
+        stored = reader.image(table)
+    assert stored is not None
+    assert stored.same_as(image)
+    assert np.array_equal(stored.counts, counts)
 
 
 def test_a_run_keeps_its_balls_when_nobody_closes_it(journal: Journal, tmp_path: Path) -> None:
     run = journal.start_run("run-2", "calibrate", {}, "0.1.0", VirtualClock())
     run.finish(Record("b/centre", "ball", {"ball": 3}), None, begun=False)
-    reopened = Journal(tmp_path)
-    assert reopened.read_balls("run-2") == [{"ball": 3}]
-    reopened.close()
+    with open_journal(tmp_path) as reader:
+        assert [ball.record for ball in reader.balls(run.run)] == [{"ball": 3}]
 
 
 def test_two_runs_cannot_share_an_identity(journal: Journal, run_journal: RunJournal) -> None:

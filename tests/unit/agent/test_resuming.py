@@ -10,7 +10,8 @@ import pytest
 from agent.errors import PlanDiverged
 from agent.execution.encoding import decode_result, encode_result, table_digest
 from agent.execution.journal import Journal, RunJournal
-from agent.execution.replay_log import Recorded
+from agent.execution.journal_reader import open_journal
+from agent.execution.replay_log import ReplayLog
 from agent.execution.rig import step_tag
 from agent.execution.run_state import Announcement, RunStateTracker
 from agent.execution.states import RunState
@@ -74,15 +75,16 @@ def test_a_table_is_known_by_its_digest_and_kept_whole(journal: Journal) -> None
     assert run.stored_table(1) is None
 
 
-def test_what_is_written_is_not_written_twice_and_not_otherwise(journal: Journal) -> None:
+def test_what_is_written_is_not_written_twice_and_not_otherwise(journal: Journal, tmp_path: Path) -> None:
     run = begun(journal)
     run.decision("gate", {"value": THIRD})
     run.aside().decision("restore/activated", {"bank": 1})
     again, _ = journal.continue_run(run.run, run.run_id, VirtualClock())
     again.decision("gate", {"value": THIRD})
     again.decision("proof", {"accepted": True})
-    kinds = journal._connection.execute("SELECT kind, aside FROM decisions").fetchall()
-    assert kinds == [("gate", 0), ("restore/activated", 1), ("proof", 0)]
+    with open_journal(tmp_path) as reader:
+        assert [one.kind for one in reader.decisions(1)] == ["gate", "restore/activated", "proof"]
+        assert [one.kind for one in reader.decisions(1, procedure_only=True)] == ["gate", "proof"]
     other, _ = journal.continue_run(run.run, run.run_id, VirtualClock())
     with pytest.raises(PlanDiverged, match="same with other figures"):
         other.decision("gate", {"value": 0.3333333333333333 + 1e-16})
@@ -120,12 +122,13 @@ def broken_at_c(journal: Journal) -> None:
     run.begin(steps.send(None))
 
 
-def test_only_the_step_that_did_not_end_is_done(journal: Journal) -> None:
+def test_only_the_step_that_did_not_end_is_done(journal: Journal, tmp_path: Path) -> None:
     broken_at_c(journal)
     done: list[str] = []
     assert replaying(journal, done).run(plan()) == Touch((THIRD, 0.0, 0.0))
     assert done == ["c"]
-    assert journal.read_balls("run-1") == [{"centre_mm": [THIRD, 0.0, 0.0]}]
+    with open_journal(tmp_path) as reader:
+        assert [ball.record for ball in reader.balls(1)] == [{"centre_mm": [THIRD, 0.0, 0.0]}]
 
 
 def test_another_key_names_both_and_does_nothing(journal: Journal) -> None:
@@ -237,4 +240,4 @@ def test_a_tag_tells_runs_and_steps_apart() -> None:
 
 
 def test_nothing_recorded_takes_nothing() -> None:
-    assert not Recorded().takes("decisions", "gate", "{}")
+    assert not ReplayLog().takes("decisions", "gate", "{}")

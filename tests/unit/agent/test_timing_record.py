@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from agent.execution.journal_reading import JournaledStep, read_run
 from click.testing import CliRunner
 
 from agent.cli.main import main
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
+from agent.execution.journal_rows import StepRow
+from agent.execution.run_record import read_steps
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.ideal_machine import IdealMachine
 from agent.planning.job import Job, prepare_job
@@ -74,10 +75,9 @@ def test_a_machine_quicker_than_its_file_gets_no_negative_latency() -> None:
     assert refit(MODEL, [ObservedStep(MOVE, 2.0, 1.5)]).command_latency_s == 0.0
 
 
-def journaled(
-    kind: str, begun_s: float, finished_s: float | None, result: object = None, **detail: object
-) -> JournaledStep:
-    return JournaledStep("k", kind, detail, begun_s, finished_s, result)
+def journaled(kind: str, begun_s: float, finished_s: float | None, result: object = None, **detail: object) -> StepRow:
+    result_text = None if result is None else json.dumps(result)
+    return StepRow(1, "k", kind, json.dumps(detail), begun_s, finished_s, result_text, None)
 
 
 def test_a_replay_knows_where_the_axes_stand() -> None:
@@ -160,15 +160,15 @@ def test_the_command_prints_what_to_write_into_the_settings(slow_run: Path) -> N
 
 def test_only_a_run_that_is_there_is_read(slow_run: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no run other.*the last ones are: slow"):
-        read_run(slow_run.parent, "other")
+        read_steps(slow_run.parent, "other")
     nowhere = tmp_path / "nowhere"
     with pytest.raises(InputError, match="there is no journal"):
-        read_run(nowhere, "slow")
+        read_steps(nowhere, "slow")
     assert not nowhere.exists()
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn" / "journal.sqlite").write_bytes(b"no database" * 100)
     with pytest.raises(InputError, match="cannot be read"):
-        read_run(tmp_path / "torn", "slow")
+        read_steps(tmp_path / "torn", "slow")
 
 
 def test_a_run_without_steps_teaches_nothing(tmp_path: Path) -> None:
