@@ -189,7 +189,7 @@ class Deadline:
     def expired(self) -> bool:
         return self.clock.now() >= self.expires_s
 
-    def require(self, awaited: str, *, hint: str = "", **where: str | int) -> None:
+    def raise_if_expired(self, awaited: str, *, hint: str = "", **where: str | int) -> None:
         """Raise `DeadlineExpired` naming what was awaited, if the instant has passed."""
         if self.expired:
             raise DeadlineExpired(f"timed out waiting for {awaited}", hint=hint, **where)

@@ -216,7 +216,7 @@ class SimulatedMachineDevice:
         deadline = Deadline.after(self._clock, end - self.world.now + MOTION_MARGIN_S)
         try:
             while end is not None:
-                deadline.require("the end of a motion", hint="is the machine held?")
+                deadline.raise_if_expired("the end of a motion", hint="is the machine held?")
                 self._clock.sleep(end - self.world.now)
                 self._catch_up()
                 end = ends_s()

@@ -101,7 +101,7 @@ class Rig:
         """Wait until the axes stand: while they brake a controller takes neither a move nor another bank."""
         deadline = Deadline.after(self.clock, STANDSTILL_WITHIN_S)
         while self.machine.status().state is MotionState.MOVING:
-            deadline.require("standstill after a stop", hint="look at the machine before anything else")
+            deadline.raise_if_expired("standstill after a stop", hint="look at the machine before anything else")
             self.clock.sleep(STANDSTILL_POLL_S)
 
     def actions(self, run: int | None = None) -> dict[type, Action]:

@@ -20,7 +20,7 @@ class DriveDescription:
     vendor_id: int | None = None
     product_code: int | None = None
 
-    def completed(self, settings: AxisSettings) -> AxisSettings:
+    def with_identity(self, settings: AxisSettings) -> AxisSettings:
         """The settings with the identity of the EDS where they state none."""
         found = {"vendor_id": self.vendor_id, "product_code": self.product_code}
         missing = {name: value for name, value in found.items() if value and getattr(settings, name) is None}

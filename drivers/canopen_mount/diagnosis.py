@@ -79,8 +79,8 @@ def _state(drive: Drive) -> Iterator[Line]:
 
 def _supply(drive: Drive) -> Iterator[Line]:
     voltage_mv = drive.node.read_optional(objects.DC_LINK_MV)
-    told = "the drive does not tell its DC link voltage" if voltage_mv is None else f"DC link {voltage_mv / 1e3:.1f} V"
-    yield voltage_mv is None or voltage_mv > 0, told
+    text = "the drive does not tell its DC link voltage" if voltage_mv is None else f"DC link {voltage_mv / 1e3:.1f} V"
+    yield voltage_mv is None or voltage_mv > 0, text
 
 
 def _position(drive: Drive) -> Iterator[Line]:
@@ -102,7 +102,7 @@ def _limits(drive: Drive) -> Iterator[Line]:
         yield True, "no software limits in the drive (0x607D)"
         return
     scale, settings = drive.settings.scale, drive.settings
-    held = all(limits.hold(scale.counts(angle)) for angle in (settings.lower_deg, settings.upper_deg))
+    held = all(limits.contains(scale.counts(angle)) for angle in (settings.lower_deg, settings.upper_deg))
     lower, upper = sorted((scale.angle_deg(limits.lower), scale.angle_deg(limits.upper)))
     narrow = "" if held else ": narrower than lower_deg ... upper_deg, positions beyond them are refused"
     yield held, f"software limits of the drive {lower:g} ... {upper:g} degrees (0x607D){narrow}"

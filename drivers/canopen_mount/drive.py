@@ -50,21 +50,21 @@ class Drive:
         self.node = node
         self.settings = settings
         self._heartbeat_ms = heartbeat_ms
-        self._watch = NodeMonitor(node, clock, timeout_s=heartbeat_timeout_s if heartbeat_ms else None)
+        self._monitor = NodeMonitor(node, clock, timeout_s=heartbeat_timeout_s if heartbeat_ms else None)
         self._clock = clock
         self._scale = settings.scale
         self._tolerated = tolerated_emergencies
         self._mode: int | None = None
         self._target = 0
-        self._way = 0
-        self._found_as_left = True
+        self._direction = 0
+        self._state_as_found = True
         self._enabled_here = False
         self._soft_limits: SoftLimits | None = None
-        self._limit_told = False
+        self._limit_logged = False
         self._homed = settings.homing is None
         self._prepared = False
 
-    def prove(self) -> None:
+    def verify(self) -> None:
         """Raises when the drive is not the one that the settings describe, or counts in other units; writes nothing,
         unless the units are to be written. Remembers its software limits."""
         verify_identity(self.node, self.settings)
@@ -91,7 +91,7 @@ class Drive:
                 **self.node.where,
             )
         own = self._soft_limits
-        if own is not None and not own.hold(self._scale.counts(angle_deg)):
+        if own is not None and not own.contains(self._scale.counts(angle_deg)):
             lower, upper = sorted((self._scale.angle_deg(own.lower), self._scale.angle_deg(own.upper)))
             raise CommandRejected(
                 f"{self.node.axis} {angle_deg:g} degrees is outside the drive's own software limits"
@@ -114,8 +114,8 @@ class Drive:
         self.node.start()
         self._mode = None
         self._prepared = True
-        self._found_as_left = True
-        self._watch.arm()
+        self._state_as_found = True
+        self._monitor.arm()
 
     def enable(self) -> None:
         """Climb the state table to *operation enabled*, after a stop where the drive is found enabled at first. A fault
@@ -127,14 +127,14 @@ class Drive:
             state = self.state()
             self.check()  # what came before that answer is known now
             if state is DriveState.OPERATION_ENABLED:
-                if not self._found_as_left:
+                if not self._state_as_found:
                     return
                 self.quick_stop()  # whoever left it enabled may have left it turning
             elif state is DriveState.FAULT:
                 self._reset_fault()
             else:
-                self._take(ENABLE_TRANSITIONS[state])
-            self._found_as_left = False
+                self._perform(ENABLE_TRANSITIONS[state])
+            self._state_as_found = False
         raise MotionFault(
             "the drive does not reach operation enabled", hint="check its enable inputs", **self.node.where
         )
@@ -142,17 +142,17 @@ class Drive:
     def _reset_fault(self) -> None:
         _log.warning("fault reset", text=self.fault_text(), **self.node.where)
         try:
-            self._take(ENABLE_TRANSITIONS[DriveState.FAULT])
+            self._perform(ENABLE_TRANSITIONS[DriveState.FAULT])
         except DeadlineExpired as error:
             raise self._fault("the fault of the drive cannot be reset") from error
 
     def start_turn(self, angle_deg: float) -> float:
         """Hand over a set-point; returns the predicted duration in s. The caller has checked the limits."""
         self._enter_profile_position()
-        self._limit_told = False
+        self._limit_logged = False
         self._target = self._scale.counts(angle_deg)
         start = self.node.read(objects.POSITION)
-        self._way = (self._target > start) - (self._target < start)
+        self._direction = (self._target > start) - (self._target < start)
         self.node.write(objects.TARGET_POSITION, self._target)
         self.node.write(objects.CONTROLWORD, states.NEW_SET_POINT)
         self._await(
@@ -173,7 +173,7 @@ class Drive:
 
     def describe_unreached_target(self) -> str:
         """What the drive tells of a target that it does not reach."""
-        return describe_unreached_target(self.node, self._scale, self._target, self._way)
+        return describe_unreached_target(self.node, self._scale, self._target, self._direction)
 
     def start_homing(self, homing: HomingSettings) -> None:
         self._homed = False
@@ -216,7 +216,7 @@ class Drive:
         """Error codes of emergencies. Raises when the node has restarted or left its NMT state (MotionFault) or is
         silent (LinkTimeout, LinkLost)."""
         try:
-            return self._watch.check()
+            return self._monitor.check()
         except MotionFault:
             self._prepared = False
             self._homed = self.settings.homing is None
@@ -243,9 +243,9 @@ class Drive:
             raise self._fault("the drive went into fault")
         self._require_calm(codes)
         if state is not DriveState.OPERATION_ENABLED:
-            made = "made a quick stop" if state is DriveState.QUICK_STOP_ACTIVE else "left operation enabled"
+            action = "made a quick stop" if state is DriveState.QUICK_STOP_ACTIVE else "left operation enabled"
             raise MotionFault(
-                f"the drive {made}, it is in {state.value}",
+                f"the drive {action}, it is in {state.value}",
                 hint="a stop, an enable input or another master took it away",
                 **self.node.where,
             )
@@ -267,14 +267,14 @@ class Drive:
 
     def _judge_limit(self) -> None:
         """Bit 11 may also tell of a limited current; it is the end of a turn where something bars the way."""
-        if bars := blocking_limit(self.node, self._target, self._way):
+        if reason := blocking_limit(self.node, self._target, self._direction):
             raise MotionFault(
-                f"stopped at a limit (statusword bit 11): {bars}",
+                f"stopped at a limit (statusword bit 11): {reason}",
                 hint="check the limits of the drive and of the settings, the zero of the encoder, and the switches",
                 **self.node.where,
             )
-        if not self._limit_told:
-            self._limit_told = True
+        if not self._limit_logged:
+            self._limit_logged = True
             _log.warning("internal limit active", **self.node.where)
 
     def state_of(self, statusword: int) -> DriveState:
@@ -290,12 +290,12 @@ class Drive:
             **self.node.where,
         )
 
-    def _take(self, step: StateTransition) -> None:
+    def _perform(self, step: StateTransition) -> None:
         for controlword in step.controlwords:
             self.node.write(objects.CONTROLWORD, controlword)
-        self._await(f"the drive to be {step.arrives.value}", lambda: self._arrived(step.arrives), step.within_s)
+        self._await(f"the drive to be {step.target.value}", lambda: self._has_reached(step.target), step.within_s)
 
-    def _arrived(self, awaited: DriveState) -> bool:
+    def _has_reached(self, awaited: DriveState) -> bool:
         state = self.state()
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION) and awaited not in (
             DriveState.FAULT,
@@ -326,5 +326,7 @@ class Drive:
     def _await(self, awaited: str, arrived: Callable[[], bool], within_s: float) -> None:
         deadline = Deadline.after(self._clock, within_s)
         while not arrived():
-            deadline.require(awaited, hint="check the drive's enable inputs and its display", **self.node.where)
+            deadline.raise_if_expired(
+                awaited, hint="check the drive's enable inputs and its display", **self.node.where
+            )
             self._clock.sleep(POLL_S)

@@ -19,7 +19,7 @@ class SoftLimits:
     lower: int
     upper: int
 
-    def hold(self, counts: int) -> bool:
+    def contains(self, counts: int) -> bool:
         return self.lower <= counts <= self.upper
 
 
@@ -34,26 +34,26 @@ def read_soft_limits(node: DriveNode) -> SoftLimits | None:
 def active_switches(node: DriveNode) -> dict[int, str]:
     """The limit switches that are active, by the direction of counts that they bar."""
     inputs = node.read_optional(objects.DIGITAL_INPUTS) or 0
-    return {way: name for way, name in SWITCHES.items() if inputs & (1 if way < 0 else 2)}
+    return {direction: name for direction, name in SWITCHES.items() if inputs & (1 if direction < 0 else 2)}
 
 
-def blocking_limit(node: DriveNode, target: int, way: int) -> str:
+def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
     """What bars the way to `target` counts; `way`: 1 upwards, -1 downwards. Empty when nothing that is told does."""
-    switch = active_switches(node).get(way)
+    switch = active_switches(node).get(direction)
     if switch is not None:
         return f"the {switch} is active (0x60FD)"
     limits = read_soft_limits(node)
-    if limits is not None and not limits.hold(target):
+    if limits is not None and not limits.contains(target):
         return f"the target {target} is outside the drive's software limits {limits.lower} ... {limits.upper} (0x607D)"
     return ""
 
 
-def describe_unreached_target(node: DriveNode, scale: AxisScale, target: int, way: int) -> str:
+def describe_unreached_target(node: DriveNode, scale: AxisScale, target: int, direction: int) -> str:
     """What the drive tells of a target that it does not reach."""
-    told = [f"at {scale.angle_deg(node.read(objects.POSITION)):.4f} of {scale.angle_deg(target):.4f} degrees"]
-    if bars := blocking_limit(node, target, way):
-        told.append(bars)
+    parts = [f"at {scale.angle_deg(node.read(objects.POSITION)):.4f} of {scale.angle_deg(target):.4f} degrees"]
+    if reason := blocking_limit(node, target, direction):
+        parts.append(reason)
     distance = node.read_optional(objects.FOLLOWING_DISTANCE)
     if distance is not None:
-        told.append(f"following error {abs(distance) / float(scale.counts_per_degree):.4f} degrees (0x60F4)")
-    return ", ".join(told)
+        parts.append(f"following error {abs(distance) / float(scale.counts_per_degree):.4f} degrees (0x60F4)")
+    return ", ".join(parts)

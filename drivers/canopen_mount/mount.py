@@ -43,7 +43,7 @@ class CanopenMount:
         self._connect()
         try:
             for drive in self._drives:
-                drive.prove()
+                drive.verify()
             for drive in self._drives:
                 drive.prepare()
         except BaseException:
@@ -73,11 +73,11 @@ class CanopenMount:
     def home(self) -> None:
         """Reference the drives that need it, one after the other; an absolute encoder is only enabled."""
         try:
-            for drive in self._opened():
+            for drive in self._require_open():
                 drive.enable()
                 self._home_one(drive)
         except BaseException as error:
-            self._abandon(error)
+            self._stop_after_error(error)
             raise
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
@@ -86,7 +86,7 @@ class CanopenMount:
         Raises CommandRejected (limits, not homed: nothing was sent), MotionFault, DeadlineExpired, LinkError.
         Whatever ends the wait early, both drives have been quick-stopped before it travels on.
         """
-        drives = self._opened()
+        drives = self._require_open()
         targets = (azimuth_deg, elevation_deg)
         for drive, target in zip(drives, targets, strict=True):
             drive.require_within_limits(target)
@@ -99,11 +99,11 @@ class CanopenMount:
             self._clock.sleep(self._settings.settle_s)
             return self._settled(targets)
         except BaseException as error:
-            self._abandon(error)
+            self._stop_after_error(error)
             raise
 
     def orientation(self) -> Orientation:
-        azimuth, elevation = self._opened()
+        azimuth, elevation = self._require_open()
         return Orientation(azimuth.angle_deg(), elevation.angle_deg())
 
     def diagnose(self) -> list[DiagnosticFinding]:
@@ -120,8 +120,8 @@ class CanopenMount:
                 self._disconnect()
 
     def _adapter(self) -> list[DiagnosticFinding]:
-        told = self._link.adapter_text() if self._link is not None else ""
-        return [DiagnosticFinding(self._address.name, ok=told.endswith("no error"), text=told)] if told else []
+        text = self._link.adapter_status_text() if self._link is not None else ""
+        return [DiagnosticFinding(self._address.name, ok=text.endswith("no error"), text=text)] if text else []
 
     def _connect(self) -> None:
         self._link = link = self._networks.acquire(self._address)
@@ -142,7 +142,7 @@ class CanopenMount:
         )
         return Drive(
             node,
-            description.completed(settings),
+            description.with_identity(settings),
             self._clock,
             heartbeat_ms=self._settings.heartbeat_ms,
             heartbeat_timeout_s=self._settings.heartbeat_timeout_s,
@@ -155,7 +155,7 @@ class CanopenMount:
         if link is not None:
             link.close()
 
-    def _opened(self) -> tuple[Drive, Drive]:
+    def _require_open(self) -> tuple[Drive, Drive]:
         if len(self._drives) != 2:
             raise LinkLost("the mount is not open", device=self._context.name, hint="open the device first")
         azimuth, elevation = self._drives
@@ -168,7 +168,9 @@ class CanopenMount:
         drive.start_homing(homing)
         deadline = Deadline.after(self._clock, homing.timeout_s)
         while not drive.homing_ended():
-            deadline.require("homing to end", hint="check the reference switch and its cable", **drive.node.where)
+            deadline.raise_if_expired(
+                "homing to end", hint="check the reference switch and its cable", **drive.node.where
+            )
             self._clock.sleep(POLL_S)
 
     def _await_end_of_turn(self, predicted_s: float) -> None:
@@ -183,7 +185,7 @@ class CanopenMount:
                 drive.check_in_motion()
             if turning and deadline.expired:
                 late = turning[0]
-                deadline.require(
+                deadline.raise_if_expired(
                     f"{late.node.axis} to reach its target (statusword bit 10), {late.describe_unreached_target()}",
                     hint="check that the mount is free to turn, its brake is open and nothing is jammed",
                     **late.node.where,
@@ -193,15 +195,15 @@ class CanopenMount:
         deadline = Deadline.after(self._clock, self._settings.in_position_timeout_s)
         while True:
             angles = [drive.angle_deg() for drive in self._drives]
-            astray = [
+            outside = [
                 (drive, angle - target)
                 for drive, angle, target in zip(self._drives, angles, targets, strict=True)
                 if abs(angle - target) > drive.settings.in_position_deg
             ]
-            if not astray:
+            if not outside:
                 return Orientation(*angles)
-            drive, error_deg = astray[0]
-            deadline.require(
+            drive, error_deg = outside[0]
+            deadline.raise_if_expired(
                 f"{drive.node.axis} to come to rest within {drive.settings.in_position_deg:g} degrees"
                 f" (it is {error_deg:+.4f} degrees off)",
                 hint="check the load, the controller gains and the window in_position_deg",
@@ -211,7 +213,7 @@ class CanopenMount:
             for other in self._drives:
                 other.check_in_motion()
 
-    def _abandon(self, error: BaseException) -> None:
+    def _stop_after_error(self, error: BaseException) -> None:
         """Stop both drives before `error` travels on; a stop that fails is added to it."""
         if isinstance(error, DeviceError):
             error.at(device=self._context.name)

@@ -104,7 +104,7 @@ class DriveNode:
             self._link.check()
             self._node.nmt.state = "OPERATIONAL"
         except (can.CanError, OSError) as error:
-            raise self._link.lost(str(error)).at(**self.where) from error
+            raise self._link.lost_error(str(error)).at(**self.where) from error
         self.read(STATUSWORD)
 
     def take_boot_up(self) -> bool:
@@ -159,7 +159,7 @@ class DriveNode:
             except canopen.SdoCommunicationError as error:
                 raise self._unanswered(entry, error) from error
             except (can.CanError, OSError) as error:
-                raise self._link.lost(str(error)).at(**self.where) from error
+                raise self._link.lost_error(str(error)).at(**self.where) from error
 
     def _unanswered(self, entry: str, error: Exception) -> DeviceError:
         if "No SDO response" not in str(error):
@@ -168,9 +168,9 @@ class DriveNode:
                 hint="check that no other CANopen master talks to this node",
                 **self.where,
             )
-        told = self._link.adapter_text()
+        text = self._link.adapter_status_text()
         return LinkTimeout(
-            f"no SDO response from node {self.node_id} to {entry}" + (f"; {told}" if told else ""),
+            f"no SDO response from node {self.node_id} to {entry}" + (f"; {text}" if text else ""),
             hint="check that the drive is powered, its node id, the bit rate, the cable and both terminators",
             **self.where,
         )

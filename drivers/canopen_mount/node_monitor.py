@@ -54,18 +54,18 @@ class NodeMonitor:
                 **self._node.where,
             )
         if self._node.take_heartbeat():
-            self._heard()
+            self._note_heartbeat()
         elif self._timeout_s is not None and self._clock.now() - self._last_s > self._timeout_s:
-            self._ask()
+            self._probe_by_sdo()
         return codes
 
-    def _heard(self) -> None:
+    def _note_heartbeat(self) -> None:
         self._last_s = self._clock.now()
         if self._silent:
             self._silent = False
             _log.info("heartbeat available again", **self._node.where)
 
-    def _ask(self) -> None:
+    def _probe_by_sdo(self) -> None:
         self._node.read(STATUSWORD)
         self._last_s = self._clock.now()
         if not self._silent:

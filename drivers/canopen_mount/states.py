@@ -55,10 +55,10 @@ START_HOMING = ENABLE_OPERATION | 0x0010
 
 @dataclass(frozen=True)
 class StateTransition:
-    """`controlwords` are written in order, then `arrives` is awaited for `within_s` of machine time."""
+    """`controlwords` are written in order, then `target` is awaited for `within_s` of machine time."""
 
     controlwords: tuple[int, ...]
-    arrives: DriveState
+    target: DriveState
     within_s: float
 
 

@@ -52,7 +52,7 @@ class MachineContract:
         with pytest.raises(StoppedError):
             target = np.add(rig.start_mm, (1000.0, 0.0, 0.0))
             rig.machine.move_to(target, feed_mm_per_s=SLOW_MM_PER_S, guarded=False)
-        rig.come_to_rest()
+        rig.await_rest()
         stopped = rig.machine.position()
         assert SLOW_MM_PER_S < stopped[0] - rig.start_mm[0] < 4.0 * SLOW_MM_PER_S
         rig.clock.sleep(5.0)
@@ -111,13 +111,13 @@ class RotaryMountContract:
         assert isinstance(rig.mount, RotaryMount)
 
     def test_turn_reaches_its_target(self, rig: ContractRig) -> None:
-        rig.go(rig.mount_is_free_at_mm)
+        rig.go(rig.clear_of_mount_mm)
         reached = rig.mount.orient_to(45.0, -30.0)
         assert (reached.azimuth_deg, reached.elevation_deg) == pytest.approx((45.0, -30.0), abs=1e-3)
         assert rig.mount.orientation() == reached
 
     def test_wait_that_is_broken_off_stops_the_turn(self, rig: ContractRig) -> None:
-        rig.go(rig.mount_is_free_at_mm)
+        rig.go(rig.clear_of_mount_mm)
         rig.interrupt.after(1.5)
         with pytest.raises(StoppedError):
             rig.mount.orient_to(90.0, 0.0)

@@ -57,7 +57,7 @@ class ContractRig(ABC):
     outside_mm: ClassVar[tuple[tuple[float, float, float], ...]] = ((1e9, 0.0, 0.0), (0.0, 0.0, -1e9))
     """Targets outside the travel."""
 
-    mount_is_free_at_mm: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
+    clear_of_mount_mm: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
     """Where the tip is out of the way of everything that turns."""
 
     resolution_mm: float = 1e-5
@@ -81,7 +81,7 @@ class ContractRig(ABC):
     def go(self, target_mm: tuple[float, float, float] | Vector) -> None:
         self.machine.move_to(np.array(target_mm, dtype=float), feed_mm_per_s=None, guarded=False)
 
-    def come_to_rest(self) -> None:
+    def await_rest(self) -> None:
         for _ in range(100):
             if self.machine.status().state is not MotionState.MOVING:
                 return

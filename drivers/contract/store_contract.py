@@ -22,7 +22,7 @@ class CompensationStoreContract:
         assert rig.store.active_bank() == 0
         assert rig.store.read_table(1) is None
         rig.store.stage(1, rig.table())
-        self._require_kept(rig, 1, rig.table())
+        self._require_stored(rig, 1, rig.table())
         assert rig.store.active_bank() == 0
 
     def test_activation_reads_back_and_goes_back(self, rig: ContractRig) -> None:
@@ -37,7 +37,7 @@ class CompensationStoreContract:
         rig.store.activate(1)
         with pytest.raises(StoreError):
             rig.store.stage(1, rig.table(2))
-        self._require_kept(rig, 1, rig.table())
+        self._require_stored(rig, 1, rig.table())
 
     def test_empty_or_missing_bank_does_not_act(self, rig: ContractRig) -> None:
         for bank in (2, 9):
@@ -60,7 +60,7 @@ class CompensationStoreContract:
         read = rig.store.read_table(1)
         assert read is None or read.same_as(own)
 
-    def _require_kept(self, rig: ContractRig, bank: int, table: TableImage) -> None:
+    def _require_stored(self, rig: ContractRig, bank: int, table: TableImage) -> None:
         read = rig.store.read_table(bank)
         assert read is not None
         assert read.same_as(table)

@@ -112,9 +112,9 @@ class SlcanBus(slcanBus):
             super().__init__(channel, **options)
             undo.pop_all()
         self.serialPortOrig.write_timeout = SEND_WITHIN_S
-        self._hear_out_the_opening()
+        self._discard_opening_refusal()
 
-    def _hear_out_the_opening(self) -> None:
+    def _discard_opening_refusal(self) -> None:
         """python-can opens twice; the adapter's refusal of the second time is no refusal of a frame."""
         self._write("F")
         ends_s = wall_seconds() + FLAGS_WITHIN_S
@@ -144,8 +144,8 @@ class SlcanBus(slcanBus):
         flags = self.status_flags(FLAGS_WITHIN_S)
         if flags is None:
             return "the adapter does not answer when asked for its status"
-        told = [text for bit, text in STATUS_FLAGS.items() if flags >> bit & 1]
-        return f"the adapter reports {', '.join(told)}" if told else "the adapter reports no error"
+        reported = [text for bit, text in STATUS_FLAGS.items() if flags >> bit & 1]
+        return f"the adapter reports {', '.join(reported)}" if reported else "the adapter reports no error"
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         super().send(msg, SEND_WITHIN_S if timeout is None else timeout)
@@ -157,7 +157,7 @@ class SlcanBus(slcanBus):
     def _read(self, timeout: float | None) -> str | None:
         """The next line or BELL; None when none came within `timeout` seconds."""
         ends_s = None if timeout is None else wall_seconds() + timeout
-        while (line := self._take_line()) is None:
+        while (line := self._next_buffered_line()) is None:
             left_s = None if ends_s is None else max(0.0, ends_s - wall_seconds())
             if not self._fill(left_s):
                 return None
@@ -168,7 +168,7 @@ class SlcanBus(slcanBus):
             self._answered.set()
         return line
 
-    def _take_line(self) -> str | None:
+    def _next_buffered_line(self) -> str | None:
         ends = [end for mark in (b"\r", b"\a") if (end := self._buffer.find(mark)) >= 0]
         if not ends:
             return None
@@ -188,7 +188,7 @@ class SlcanBus(slcanBus):
 
 
 def _lock_port(port: str) -> io.FileIO:
-    """The port, locked: of two processes that talk to one adapter, the second is told so. Holds while it is open."""
+    """Open and lock the serial port exclusively; the lock lasts while the returned file is open."""
     held = io.FileIO(os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), "r+")
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -55,7 +55,7 @@ class _Network(canopen.Network):
 
 
 class _Receiver(threading.Thread):
-    """Feeds a network from its bus until told to stop or until the bus fails."""
+    """Feeds a network from its bus until reported to stop or until the bus fails."""
 
     def __init__(self, bus: can.BusABC, network: _Network) -> None:
         super().__init__(name=f"CAN receiver {bus.channel_info}", daemon=True)
@@ -75,11 +75,11 @@ class _Receiver(threading.Thread):
             if message is None:
                 continue
             if message.is_error_frame:
-                self._take_error(message.arbitration_id)
+                self._handle_error_frame(message.arbitration_id)
             else:
                 self._listener.on_message_received(message)  # type: ignore[no-untyped-call]
 
-    def _take_error(self, classes: int) -> None:
+    def _handle_error_frame(self, classes: int) -> None:
         if classes & BUS_OFF:
             self.failure = can.CanOperationError("the CAN controller has gone off the bus (bus-off)")
             self._stopping.set()
@@ -108,7 +108,7 @@ class _SharedNetwork:
         receiver.start()
         return cls(bus, network, receiver)
 
-    def shut(self) -> None:
+    def close_bus(self) -> None:
         self.receiver.stop()
         self.network.bus = None
         with contextlib.suppress(can.CanError, OSError):  # it may have died before
@@ -152,7 +152,7 @@ class CanNetworks:
                 return
             if self._open.get(address) is shared:
                 del self._open[address]
-        shared.shut()
+        shared.close_bus()
 
 
 class CanLink:
@@ -187,20 +187,20 @@ class CanLink:
         """Raises LinkLost when the receiving thread has ended."""
         failure = self._require_open().receiver.failure
         if failure is not None:
-            raise self.lost(f"receiving has stopped: {failure}")
+            raise self.lost_error(f"receiving has stopped: {failure}")
 
-    def adapter_text(self) -> str:
+    def adapter_status_text(self) -> str:
         """What the adapter says of itself, where it can be asked; empty where not. Moves and changes nothing."""
         bus = self._require_open().bus
         if not isinstance(bus, SlcanBus):
             return ""
         try:
-            told = bus.status_text()
+            reported = bus.status_text()
         except (can.CanError, OSError) as error:
-            raise self.lost(str(error)) from error
-        return f"{told}; it has refused {bus.refusals} commands" if bus.refusals else told
+            raise self.lost_error(str(error)) from error
+        return f"{reported}; it has refused {bus.refusals} commands" if bus.refusals else reported
 
-    def lost(self, what: str) -> LinkLost:
+    def lost_error(self, what: str) -> LinkLost:
         return LinkLost(
             f"CAN link lost, {what}",
             link=self.name,

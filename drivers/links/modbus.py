@@ -27,7 +27,7 @@ _EXCEPTIONS = {
 }
 
 
-class _Refused(Exception):
+class _ExceptionResponse(Exception):
     def __init__(self, code: int) -> None:
         super().__init__(code)
         self.code = code
@@ -75,7 +75,7 @@ class ModbusLink:
         self.where = where
         self.transport = transport
         self.latency = LatencyStatistics()
-        self.repeated = 0
+        self.repeat_count = 0
         """Requests that had to be sent again."""
         self._writable = tuple(writable)
         self._retries = retries
@@ -112,8 +112,8 @@ class ModbusLink:
             written = self._writable_count(register, data)
             request = struct.pack(">BHHHHB", WRITE_AND_READ, read, count, register, written, len(data)) + data
             try:
-                answer = self._repeatedly(request, register, idempotent=idempotent)
-            except _Refused as refusal:
+                answer = self._send_with_retries(request, register, idempotent=idempotent)
+            except _ExceptionResponse as refusal:
                 if refusal.code != ILLEGAL_FUNCTION:
                     raise self._exception_error(refusal.code, register) from None
             else:
@@ -122,12 +122,14 @@ class ModbusLink:
         self.write(register, data, idempotent=idempotent)
         return self.read(read, count)
 
-    def exchange_line_s(self, written: int, read: int) -> float:
+    def exchange_wire_time_s(self, written: int, read: int) -> float:
         """What the wire itself takes for an `exchange` of so many registers; 0 where that is not known."""
         if self._combined:
-            return self.transport.line_s(struct.pack(">BHHHHB", WRITE_AND_READ, 0, read, 0, 0, 0) + bytes(2 * written))
+            return self.transport.wire_time_s(
+                struct.pack(">BHHHHB", WRITE_AND_READ, 0, read, 0, 0, 0) + bytes(2 * written)
+            )
         write = struct.pack(">BHHB", WRITE, 0, written, 0) + bytes(2 * written)
-        return self.transport.line_s(write) + self.transport.line_s(struct.pack(">BHH", READ, 0, read))
+        return self.transport.wire_time_s(write) + self.transport.wire_time_s(struct.pack(">BHH", READ, 0, read))
 
     def _writable_count(self, register: int, data: bytes) -> int:
         count = len(data) // 2
@@ -151,20 +153,20 @@ class ModbusLink:
 
     def _checked(self, request: bytes, register: int, *, idempotent: bool) -> bytes:
         try:
-            return self._repeatedly(request, register, idempotent=idempotent)
-        except _Refused as refusal:
+            return self._send_with_retries(request, register, idempotent=idempotent)
+        except _ExceptionResponse as refusal:
             raise self._exception_error(refusal.code, register) from None
 
-    def _repeatedly(self, request: bytes, register: int, *, idempotent: bool) -> bytes:
+    def _send_with_retries(self, request: bytes, register: int, *, idempotent: bool) -> bytes:
         for _ in range(self._retries if idempotent else 0):
             try:
-                return self._once(request, register)
+                return self._send_once(request, register)
             except (LinkTimeout, DamagedFrame):
-                self.repeated += 1
-        return self._once(request, register)
+                self.repeat_count += 1
+        return self._send_once(request, register)
 
-    def _once(self, request: bytes, register: int) -> bytes:
-        """The answer without its function code; raises `_Refused` for an exception response."""
+    def _send_once(self, request: bytes, register: int) -> bytes:
+        """The answer without its function code; raises `_ExceptionResponse` for an exception response."""
         if not self.connected:
             raise LinkLost("link is not open", hint="open the device first", register=register, **self.where)
         started_s = wall_seconds()
@@ -178,7 +180,7 @@ class ModbusLink:
         if answer[0] == function | EXCEPTION_BIT and len(answer) == 2:
             if answer[1] == BUSY:
                 raise LinkTimeout("controller is busy", register=register, **self.where)
-            raise _Refused(answer[1])
+            raise _ExceptionResponse(answer[1])
         if answer[0] != function:
             raise ProtocolError(
                 f"function {function} answered with function {answer[0]}", register=register, **self.where

@@ -58,7 +58,7 @@ class RtuTransport:
         self._where = where
         self._serial: serial.Serial | None = None
         self._quiet_since_s = float("-inf")
-        self._unsettled = False
+        self._needs_clearing = False
         self.stray_bytes = 0
 
     @property
@@ -90,19 +90,19 @@ class RtuTransport:
             self._serial.close()
             self._serial = None
 
-    def line_s(self, request: bytes) -> float:
+    def wire_time_s(self, request: bytes) -> float:
         return self._line.exchange_s(len(request), answer_length(request))
 
     def ask(self, request: bytes) -> bytes:
         port = self._serial
         if port is None:
             raise LinkLost("the serial port is not open", hint="open the device first", **self._where)
-        started_s, owed_s = self._clock.now(), self.line_s(request)
+        started_s, owed_s = self._clock.now(), self.wire_time_s(request)
         try:
-            self._settle(port)
-            self._unsettled = True
+            self._clear_line(port)
+            self._needs_clearing = True
             answer = self._transact(port, build_frame(self._unit, request), request)
-            self._unsettled = False
+            self._needs_clearing = False
         except LinkTimeout:
             owed_s += self._timeout_s
             raise
@@ -119,11 +119,11 @@ class RtuTransport:
             self._pass_time(started_s + owed_s)
         return answer
 
-    def _settle(self, port: serial.Serial) -> None:
+    def _clear_line(self, port: serial.Serial) -> None:
         """Nothing old on the line, and silent for as long as the standard wants."""
         self.stray_bytes += len(port.read(port.in_waiting))
-        if self._unsettled:
-            self.stray_bytes += len(self._until_quiet(port))
+        if self._needs_clearing:
+            self.stray_bytes += len(self._read_until_quiet(port))
         self._pass_time(self._quiet_since_s + self._line.gap_s)
 
     def _pass_time(self, instant_s: float) -> None:
@@ -132,10 +132,10 @@ class RtuTransport:
 
     def _transact(self, port: serial.Serial, frame: bytes, request: bytes) -> bytes:
         port.write(frame)
-        give_up_s = wall_seconds() + self.line_s(request) + self._timeout_s
+        deadline_s = wall_seconds() + self.wire_time_s(request) + self._timeout_s
         if self._line.echo:
-            self._take_echo(port, frame, give_up_s)
-        answer = self._frame(port, frame, give_up_s)
+            self._read_echo(port, frame, deadline_s)
+        answer = self._read_frame(port, frame, deadline_s)
         if answer[0] != self._unit:
             raise ProtocolError(
                 f"unit {answer[0]} answered instead of unit {self._unit}",
@@ -144,21 +144,21 @@ class RtuTransport:
             )
         return answer[1:-2]
 
-    def _frame(self, port: serial.Serial, sent: bytes, give_up_s: float) -> bytes:
+    def _read_frame(self, port: serial.Serial, sent: bytes, deadline_s: float) -> bytes:
         """One whole answer. A sound frame of another length or function is handed on to be judged above."""
         data = b""
         while (wanted := _length(data, sent[1])) is None or len(data) < wanted:
-            more = self._some(port, give_up_s - wall_seconds(), (wanted or ADDRESS_AND_CRC) - len(data))
+            more = self._read_some(port, deadline_s - wall_seconds(), (wanted or ADDRESS_AND_CRC) - len(data))
             if not more:
                 self._require_no_echo(data, sent)
                 raise self._incomplete(data, wanted)
             data += more
             if wanted is None and len(data) >= ADDRESS_AND_CRC and _length(data, sent[1]) is None:
-                data += self._until_quiet(port)
+                data += self._read_until_quiet(port)
                 break
         if has_valid_crc(data) and data != sent:
             return data
-        data += self._until_quiet(port)
+        data += self._read_until_quiet(port)
         self._require_no_echo(data, sent)
         raise DamagedFrame(
             f"garbled answer: {_hex(data)}",
@@ -166,10 +166,10 @@ class RtuTransport:
             **self._where,
         )
 
-    def _take_echo(self, port: serial.Serial, frame: bytes, give_up_s: float) -> None:
+    def _read_echo(self, port: serial.Serial, frame: bytes, deadline_s: float) -> None:
         heard = b""
         while len(heard) < len(frame):
-            more = self._some(port, give_up_s - wall_seconds(), len(frame) - len(heard))
+            more = self._read_some(port, deadline_s - wall_seconds(), len(frame) - len(heard))
             if not more:
                 break
             heard += more
@@ -185,16 +185,16 @@ class RtuTransport:
             **self._where,
         )
 
-    def _some(self, port: serial.Serial, within_s: float, at_most: int) -> bytes:
+    def _read_some(self, port: serial.Serial, within_s: float, at_most: int) -> bytes:
         """What has come, as soon as anything has; empty when nothing came in time."""
         ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))
         return bytes(port.read(at_most)) if ready else b""
 
-    def _until_quiet(self, port: serial.Serial) -> bytes:
+    def _read_until_quiet(self, port: serial.Serial) -> bytes:
         """Everything until the line is silent."""
         data = b""
-        give_up_s = wall_seconds() + QUIET_WITHIN_S
-        while (more := self._some(port, max(QUIET_S, self._line.gap_s), 256)) and wall_seconds() < give_up_s:
+        deadline_s = wall_seconds() + QUIET_WITHIN_S
+        while (more := self._read_some(port, max(QUIET_S, self._line.gap_s), 256)) and wall_seconds() < deadline_s:
             data += more
         return data
 

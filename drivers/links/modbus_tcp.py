@@ -64,7 +64,7 @@ class TcpTransport:
     def close(self) -> None:
         self._client.close()
 
-    def line_s(self, request: bytes) -> float:
+    def wire_time_s(self, request: bytes) -> float:
         """Not known, and small against everything else."""
         return 0.0
 

@@ -31,7 +31,7 @@ class Transport(Protocol):
         `DamagedFrame`, `ProtocolError`; an exception response is an answer."""
         ...
 
-    def line_s(self, request: bytes) -> float:
+    def wire_time_s(self, request: bytes) -> float:
         """The least time that the wire itself takes for `request` and its answer; 0 where it is not known."""
         ...
 

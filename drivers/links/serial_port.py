@@ -66,7 +66,7 @@ class SerialPort:
                 **self.where,
             ) from error
         self._received = b""
-        self._stay_up()
+        self._keep_dtr_on_close()
 
     def close(self) -> None:
         port, self._port = self._port, None
@@ -78,13 +78,13 @@ class SerialPort:
 
     def write(self, data: bytes) -> None:
         try:
-            self._opened().write(data)
+            self._require_port().write(data)
         except (OSError, termios.error) as error:
             raise self._lost(error) from error
 
     def read(self, within_s: float) -> bytes:
         """What has come, at least one byte, or nothing within that wall time."""
-        port = self._opened()
+        port = self._require_port()
         try:
             ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))
             if not ready:
@@ -96,7 +96,7 @@ class SerialPort:
 
     def read_line(self, within_s: float) -> bytes | None:
         """The next line that is not empty, without its end; None if none is complete within that wall time."""
-        give_up_s = wall_seconds() + within_s
+        deadline_s = wall_seconds() + within_s
         while True:
             end = self._received.find(b"\n")
             if end >= 0:
@@ -107,21 +107,21 @@ class SerialPort:
             if len(self._received) > LONGEST_LINE:
                 line, self._received = self._received, b""
                 return line
-            data = self.read(give_up_s - wall_seconds())
+            data = self.read(deadline_s - wall_seconds())
             if not data:
                 return None
             self._received += data
 
-    def _stay_up(self) -> None:
+    def _keep_dtr_on_close(self) -> None:
         """Closing must not drop DTR: many boards restart, and forget where they are, when it comes up again."""
         try:
-            attributes = termios.tcgetattr(self._opened().fileno())
+            attributes = termios.tcgetattr(self._require_port().fileno())
             attributes[2] &= ~termios.HUPCL
-            termios.tcsetattr(self._opened().fileno(), termios.TCSANOW, attributes)
+            termios.tcsetattr(self._require_port().fileno(), termios.TCSANOW, attributes)
         except (OSError, termios.error) as error:
             raise self._lost(error) from error
 
-    def _opened(self) -> serial.Serial:
+    def _require_port(self) -> serial.Serial:
         if self._port is None:
             raise LinkLost("the serial port is not open", hint="open the device first", **self.where)
         return self._port

@@ -19,7 +19,7 @@ from drivers.linuxcnc.pins import PinValue
 BRIDGE = Path(__file__).resolve().parent / "bridge"
 PROTOCOL = 1
 END_WITHIN_S = 2.0
-SAID_BYTES = 400
+STDERR_TAIL_BYTES = 400
 START_HINT = "is LinuxCNC running, under the same user and with the same HOME? Is linuxcnc-uspace installed?"
 
 Answer = dict[str, Any]
@@ -29,7 +29,7 @@ class _Bridge(NamedTuple):
     """A process and what it says on standard error, kept for the message of its end."""
 
     process: subprocess.Popen[bytes]
-    complaints: IO[bytes]
+    stderr: IO[bytes]
 
 
 class BridgeLink:
@@ -42,7 +42,7 @@ class BridgeLink:
         self.where = {"device": device, "link": "linuxcnc bridge"}
         self._bridge: _Bridge | None = None
         self._buffered = b""
-        self._silent = False
+        self._unresponsive = False
         self._number = 0
         self._lock = threading.RLock()
         self.hello: Answer = {}
@@ -60,7 +60,7 @@ class BridgeLink:
         """Start the bridge. LinkLost where it or LinuxCNC is not there."""
         with self._lock:
             self.close()
-            self._bridge = self._started()
+            self._bridge = self._start_process()
             try:
                 self._answer(0)
                 self.hello = self.ask("hello", watch_s=self._watch_s)
@@ -77,14 +77,14 @@ class BridgeLink:
         with self._lock:
             if self._bridge is None:
                 return
-            process, complaints = self._bridge
-            if self._silent:
+            process, stderr = self._bridge
+            if self._unresponsive:
                 process.kill()
-            self._bridge, self._buffered, self._silent = None, b"", False
+            self._bridge, self._buffered, self._unresponsive = None, b"", False
             for stream in (process.stdin, process.stdout):
                 if stream is not None:
                     _close(stream)
-            complaints.close()
+            stderr.close()
             if not _ended(process):
                 process.kill()
                 _ended(process)  # who wants to abort by another bridge does not wait for this one for ever
@@ -96,14 +96,14 @@ class BridgeLink:
             self._send({"id": self._number, "do": what, **fields})
             answer = self._answer(self._number)
         if "ok" in answer:
-            fields_told: Answer = answer["ok"]
-            return fields_told
+            reply: Answer = answer["ok"]
+            return reply
         raise self._refusal(answer)
 
     def abort(self) -> None:
         """Stop whatever moves, by a new bridge where the old one has gone or does not answer."""
         with self._lock:
-            if self._silent or not self.connected:
+            if self._unresponsive or not self.connected:
                 self.open()
             self.ask("abort")
 
@@ -125,24 +125,24 @@ class BridgeLink:
 
     # ------------------------------------------------------------------ bytes
 
-    def _started(self) -> _Bridge:
-        complaints = tempfile.TemporaryFile()  # noqa: SIM115  closed with the link
+    def _start_process(self) -> _Bridge:
+        stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed with the link
         try:
             process = subprocess.Popen(  # noqa: S603  the command is the user's own setting
                 self._command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=complaints,
+                stderr=stderr,
                 # Ctrl-C is for the agent, which stops the machine first. A group and no session: those are scheduled
                 # as one (autogroup), and beside busy ones a session of few requests was seen to starve for seconds.
                 process_group=0,
             )
         except OSError as error:
-            complaints.close()
+            stderr.close()
             raise LinkLost(
                 f"the bridge cannot be started: {error.strerror or error}", hint=START_HINT, **self.where
             ) from error
-        return _Bridge(process, complaints)
+        return _Bridge(process, stderr)
 
     def _send(self, request: Answer) -> None:
         bridge = self._bridge
@@ -158,8 +158,8 @@ class BridgeLink:
         """The answer of that number; later ones of requests that were given up are dropped."""
         ends_s = wall_seconds() + self._within_s
         while True:
-            answer = self._parsed(self._line(ends_s))
-            self._silent = False
+            answer = self._parse(self._line(ends_s))
+            self._unresponsive = False
             if answer.get("id") == number:
                 if number == 0 and "error" in answer:
                     raise self._refusal(answer)
@@ -173,7 +173,7 @@ class BridgeLink:
             while b"\n" not in self._buffered:
                 left_s = ends_s - wall_seconds()
                 if left_s <= 0.0 or not readable.select(left_s):
-                    self._silent = True
+                    self._unresponsive = True
                     raise LinkTimeout(f"no answer within {self._within_s:g} s", hint="see LinuxCNC", **self.where)
                 chunk = os.read(bridge.process.stdout.fileno(), 65536)
                 if not chunk:
@@ -182,7 +182,7 @@ class BridgeLink:
         line, _, self._buffered = self._buffered.partition(b"\n")
         return line
 
-    def _parsed(self, line: bytes) -> Answer:
+    def _parse(self, line: bytes) -> Answer:
         try:
             answer = json.loads(line)
         except ValueError as error:
@@ -200,15 +200,15 @@ class BridgeLink:
     def _ended(self) -> LinkLost:
         """The bridge has gone: its exit code and the last that it said."""
         assert self._bridge is not None  # noqa: S101  it was asked
-        process, complaints = self._bridge
+        process, stderr = self._bridge
         try:
             ended = f"ended with {process.wait(END_WITHIN_S)}"
         except subprocess.TimeoutExpired:
             ended = "closed its pipe"
-        complaints.seek(0, 2)
-        complaints.seek(max(0, complaints.tell() - SAID_BYTES))
-        said = complaints.read().decode(errors="replace").strip().splitlines()
-        return LinkLost(f"the bridge {ended}{': ' + said[-1] if said else ''}", hint=START_HINT, **self.where)
+        stderr.seek(0, 2)
+        stderr.seek(max(0, stderr.tell() - STDERR_TAIL_BYTES))
+        messages = stderr.read().decode(errors="replace").strip().splitlines()
+        return LinkLost(f"the bridge {ended}{': ' + messages[-1] if messages else ''}", hint=START_HINT, **self.where)
 
 
 def _ended(process: subprocess.Popen[bytes]) -> bool:

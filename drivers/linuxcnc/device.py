@@ -60,7 +60,7 @@ class LinuxCnc:
         parts, self._parts = self._parts, None
         try:
             if parts is not None and self._session.link.connected:
-                parts.motion.give_back()
+                parts.motion.restore_modes()
         finally:
             self._session.link.close()
 
@@ -78,14 +78,14 @@ class LinuxCnc:
         self._session.home()
 
     def limits(self) -> AxisLimits:
-        return self._session.facts.limits
+        return self._session.properties.limits
 
     def status(self) -> MachineStatus:
-        snapshot = self._session.look()
+        snapshot = self._session.read_snapshot()
         return MachineStatus(snapshot.state, self._session.permissions(snapshot), snapshot.fault)
 
     def position(self) -> Vector:
-        return np.array(self._session.look().position)
+        return np.array(self._session.read_snapshot().position)
 
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         kind = MotionKind.GUARDED if guarded else MotionKind.POSITIONING
@@ -156,9 +156,9 @@ class LinuxCnc:
         return self._store
 
     def _home_in_place(self) -> None:
-        if self._session.settings.homing != "absolute-encoders" or not self._session.facts.absolute_encoders:
+        if self._session.settings.homing != "absolute-encoders" or not self._session.properties.absolute_encoders:
             return
-        snapshot = self._session.look()
+        snapshot = self._session.read_snapshot()
         if snapshot.task_state == ON and not snapshot.homed:
             self._session.home()
 

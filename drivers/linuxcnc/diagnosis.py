@@ -41,9 +41,9 @@ def diagnose(session: LinuxCncSession, store: LinuxCncStore | None) -> list[Diag
 def _findings(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
     hello = session.link.hello
     yield DiagnosticFinding(
-        "bridge", ok=True, text=f"LinuxCNC {hello['version']}, {session.facts.machine_name}, {hello['ini']}"
+        "bridge", ok=True, text=f"LinuxCNC {hello['version']}, {session.properties.machine_name}, {hello['ini']}"
     )
-    first = session.look()
+    first = session.read_snapshot()
     yield _latency(session, first)
     yield _state(first)
     missing = [name.value for name, given in session.permissions(first).items() if not given]
@@ -67,16 +67,16 @@ def _tables(store: LinuxCncStore | None) -> list[DiagnosticFinding]:
 
 def _latency(session: LinuxCncSession, first: Snapshot) -> DiagnosticFinding:
     """Round trips, and whether LinuxCNC's seconds are as long as ours."""
-    began_s = wall_seconds()
-    before = session.look()
-    took: list[float] = []
+    start_s = wall_seconds()
+    before = session.read_snapshot()
+    durations_s: list[float] = []
     for _ in range(LATENCY_READS):
         asked_s = wall_seconds()
-        last = session.look()
-        took.append(wall_seconds() - asked_s)
-    passed_s = wall_seconds() - began_s
+        last = session.read_snapshot()
+        durations_s.append(wall_seconds() - asked_s)
+    passed_s = wall_seconds() - start_s
     skew_s = (last.monotonic_s - before.monotonic_s) - passed_s
-    median_s, worst_s = sorted(took)[len(took) // 2], max(took)
+    median_s, worst_s = sorted(durations_s)[len(durations_s) // 2], max(durations_s)
     text = f"median {median_s * 1e3:.2f} ms, worst {worst_s * 1e3:.2f} ms; clock skew {skew_s * 1e3:.2f} ms"
     return DiagnosticFinding(
         "latency", ok=median_s <= SLOW_ROUND_TRIP_S and abs(skew_s) <= worst_s + SKEW_LEAST_S, text=text
@@ -91,8 +91,8 @@ def _state(snapshot: Snapshot) -> DiagnosticFinding:
 
 
 def _probe(session: LinuxCncSession, snapshot: Snapshot) -> DiagnosticFinding:
-    wanted = session.settings.probe_tool
-    loaded = wanted is None or snapshot.tool == wanted
+    expected = session.settings.probe_tool
+    loaded = expected is None or snapshot.tool == expected
     healthy = session.probe_healthy(snapshot)
     pin = "tripped" if snapshot.deflected else "free"
     text = f"tool {snapshot.tool} in the spindle, motion.probe-input is {pin}{'' if healthy else ', not healthy'}"
@@ -100,11 +100,11 @@ def _probe(session: LinuxCncSession, snapshot: Snapshot) -> DiagnosticFinding:
 
 
 def _travel(session: LinuxCncSession) -> DiagnosticFinding:
-    limits = session.facts.limits
+    limits = session.properties.limits
     travel = ", ".join(
         f"{axis} {low:g} … {high:g} mm" for axis, low, high in zip(XYZ, limits.lower_mm, limits.upper_mm, strict=True)
     )
-    return DiagnosticFinding("travel", ok=True, text=f"{travel}; 1 unit is {session.facts.mm_per_unit:g} mm")
+    return DiagnosticFinding("travel", ok=True, text=f"{travel}; 1 unit is {session.properties.mm_per_unit:g} mm")
 
 
 def _overrides(snapshot: Snapshot) -> Iterator[DiagnosticFinding]:
@@ -125,15 +125,15 @@ def _ini(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
         *((f"JOINT_{number}", "HOME_ABSOLUTE_ENCODER") for number in range(session.link.hello["joints"])),
         *((f"JOINT_{number}", "HOME_SEARCH_VEL") for number in range(session.link.hello["joints"])),
     ]
-    told = session.link.ask("ini", keys=keys)["values"]
-    values = dict(zip([f"[{section}]{key}" for section, key in keys], told, strict=True))
+    reported = session.link.ask("ini", keys=keys)["values"]
+    values = dict(zip([f"[{section}]{key}" for section, key in keys], reported, strict=True))
     override = values["[DISPLAY]MAX_FEED_OVERRIDE"]
     yield DiagnosticFinding(
         "[DISPLAY]MAX_FEED_OVERRIDE",
         ok=override is None or _number(override) <= 1.0,
         text=f"{override}: up to so many times the feed asked for" if override else "not set",
     )
-    period_s = session.facts.servo_period_s
+    period_s = session.properties.servo_period_s
     spread_um = 1e3 * LATCH_MM_PER_S * period_s
     yield DiagnosticFinding(
         "[EMCMOT]SERVO_PERIOD",
@@ -172,8 +172,8 @@ def _temperatures(session: LinuxCncSession) -> DiagnosticFinding:
             "temperatures", ok=True, text="no HAL pins named: another device must be the thermometer"
         )
     values = session.link.get_all(list(pins.values()))
-    told = ", ".join(f"{name} {float(value):.2f} °C" for name, value in zip(pins, values, strict=True))
-    return DiagnosticFinding("temperatures", ok=True, text=told)
+    reported = ", ".join(f"{name} {float(value):.2f} °C" for name, value in zip(pins, values, strict=True))
+    return DiagnosticFinding("temperatures", ok=True, text=reported)
 
 
 def _number(text: str | None) -> float:

@@ -58,24 +58,24 @@ class LinuxCncMotion:
 
     def __init__(self, session: LinuxCncSession) -> None:
         self._session = session
-        self._limits = session.facts.limits
+        self._limits = session.properties.limits
         self._braking = False
         self._modal_before: tuple[float, ...] | None = None
-        self._came: Triple | None = None  # the way of the last motion that began with the probe free
+        self._approach_direction: Triple | None = None  # the way of the last motion that began with the probe free
         self.tag = 0
         """Which step the motions belong to; written as a comment behind the line."""
 
     def run(self, kind: MotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> MotionResult:
         """Returns at the target, or for a touch where it tripped or ended; anything else is raised."""
-        target = self._proved(kind, target_mm, feed_mm_per_s)
+        target = self._validated_target(kind, target_mm, feed_mm_per_s)
         self._await_rest()
-        before = self._session.look()
+        before = self._session.read_snapshot()
         self._require_ready(kind, before)
-        before = self._freed(kind, before, target)
+        before = self._ensure_probe_free(kind, before, target)
         if math.dist(before.position, target) < LIMIT_TOLERANCE_MM:
             return MotionResult(before.position, replace(before, tripped=False))
         self._modal_before = self._modal_before or before.modal
-        ended = self._carried_out(kind, before, target, feed_mm_per_s)
+        ended = self._execute(kind, before, target, feed_mm_per_s)
         return MotionResult(before.position, ended)
 
     def stop(self) -> None:
@@ -86,17 +86,17 @@ class LinuxCncMotion:
     def reset(self) -> None:
         """Switch the machine on where it is off, and wait until it says that it rests: for a few cycles more its task
         is still busy with switching on, and a motion would be refused."""
-        if self._session.look().task_state != ON:
+        if self._session.read_snapshot().task_state != ON:
             self._session.link.ask("on")
             self._await_rest(anyway=True)
 
     def require_idle(self) -> None:
         """CommandRejected while something moves or is held."""
-        self._require_at_rest(self._session.look())
+        self._require_at_rest(self._session.read_snapshot())
 
-    def give_back(self) -> None:
+    def restore_modes(self) -> None:
         """Restore the modal codes that were there before the first motion, and manual mode."""
-        if self._modal_before is None or self._session.look().task_state != ON:
+        if self._modal_before is None or self._session.read_snapshot().task_state != ON:
             return
         self._await_rest()
         codes = " ".join(f"G{code:g}" for code in self._modal_before if code in OWN_CODES)
@@ -107,7 +107,7 @@ class LinuxCncMotion:
 
     # ------------------------------------------------------------------ before
 
-    def _proved(self, kind: MotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
+    def _validated_target(self, kind: MotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
         x, y, z = (float(value) for value in target_mm)
         feed_ok = feed_mm_per_s is None or (math.isfinite(feed_mm_per_s) and feed_mm_per_s > 0.0)
         if not all(map(math.isfinite, (x, y, z))) or not feed_ok:
@@ -123,8 +123,8 @@ class LinuxCncMotion:
             return
         session = self._session
         deadline = Deadline.after(session.clock, session.settings.motion_margin_s)
-        while session.look().state is MotionState.MOVING:
-            deadline.require("the axes to rest", hint="see LinuxCNC", **session.where)
+        while session.read_snapshot().state is MotionState.MOVING:
+            deadline.raise_if_expired("the axes to rest", hint="see LinuxCNC", **session.where)
             session.clock.sleep(REST_POLL_S)
         self._braking = False
 
@@ -149,28 +149,28 @@ class LinuxCncMotion:
         if snapshot.state is not MotionState.IDLE:
             raise self._rejected(f"LinuxCNC is {snapshot.state.value}", hint="end the program or the hold first")
 
-    def _freed(self, kind: MotionKind, before: Snapshot, target: Triple) -> Snapshot:
+    def _ensure_probe_free(self, kind: MotionKind, before: Snapshot, target: Triple) -> Snapshot:
         """LinuxCNC sees only the edge of the probe's signal, so a probe that is deflected guards nothing. It may be
         led back against the way it came; where that is not known, it is led a little and must come free."""
         if kind is MotionKind.POSITIONING or not before.deflected:
             return before
         if kind is MotionKind.TOUCH:
             raise self._rejected("the probe is deflected before the touch", hint="back off first")
-        way = np.subtract(target, before.position)
-        if self._came is None:
-            return self._led_a_little(before, way)
-        if float(way @ np.array(self._came)) >= 0.0:
+        path = np.subtract(target, before.position)
+        if self._approach_direction is None:
+            return self._free_slowly(before, path)
+        if float(path @ np.array(self._approach_direction)) >= 0.0:
             raise self._rejected("the probe is deflected and the move would not lead it back", hint="move it free")
         return before
 
-    def _led_a_little(self, before: Snapshot, way: Vector) -> Snapshot:
+    def _free_slowly(self, before: Snapshot, path: Vector) -> Snapshot:
         """Where the first millimetres of a move end, slowly; GuardTripped where the probe is still deflected there."""
-        length = float(np.linalg.norm(way))
+        length = float(np.linalg.norm(path))
         if length < LIMIT_TOLERANCE_MM:
             return before
-        x, y, z = (np.array(before.position) + way * min(1.0, FREE_WITHIN_MM / length)).tolist()
+        x, y, z = (np.array(before.position) + path * min(1.0, FREE_WITHIN_MM / length)).tolist()
         self._modal_before = self._modal_before or before.modal
-        ended = self._carried_out(MotionKind.POSITIONING, before, (x, y, z), FREEING_MM_PER_S)
+        ended = self._execute(MotionKind.POSITIONING, before, (x, y, z), FREEING_MM_PER_S)
         if ended.deflected:
             raise GuardTripped(
                 f"the probe is deflected, and still is after {FREE_WITHIN_MM:g} mm of this move",
@@ -183,29 +183,29 @@ class LinuxCncMotion:
         """Machine positions by G53; G38 knows no G53, so the offsets that act are taken off."""
         if kind is MotionKind.TOUCH:
             target = _difference(target, before.program_offset)
-        place = " ".join(f"{axis}{value:.7f}" for axis, value in zip(XYZ, target, strict=True))
+        words = " ".join(f"{axis}{value:.7f}" for axis, value in zip(XYZ, target, strict=True))
         word = "G38.3" if kind is MotionKind.TOUCH else ("G53 G0" if feed_mm_per_s is None else "G53 G1")
         feed = "" if feed_mm_per_s is None else f" F{60.0 * feed_mm_per_s:.6f}"
         comment = f" (volcal {self.tag})" if self.tag else ""
-        return f"{PREFIX} {word} {place}{feed}{comment}"
+        return f"{PREFIX} {word} {words}{feed}{comment}"
 
     # ------------------------------------------------------------------ while
 
-    def _carried_out(self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> Snapshot:
+    def _execute(self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> Snapshot:
         """The look that shows its end, which was a success."""
         if not before.deflected:
-            self._came = _difference(target, before.position)
+            self._approach_direction = _difference(target, before.position)
         try:
             self._session.link.ask("mdi", line=self._line(kind, before, target, feed_mm_per_s))
         except LinkError as error:
             self._stop_because_of(error)
             raise
         try:
-            ended, said = self._wait(kind, before, target, feed_mm_per_s)
+            ended, messages = self._wait(kind, before, target, feed_mm_per_s)
         except BaseException as error:
             self._stop_because_of(error)
             raise
-        self._require_success(kind, ended, target, said)
+        self._require_success(kind, ended, target, messages)
         return ended
 
     def _wait(
@@ -217,15 +217,15 @@ class LinuxCncMotion:
         allowed_s = self._allowed_s(before, target, feed_mm_per_s)
         deadline = Deadline.after(clock, allowed_s)
         held: Deadline | None = None
-        said: tuple[str, ...] = ()
+        messages: tuple[str, ...] = ()
         ended: Snapshot | None = None
         while True:
-            snapshot = session.look()
-            said += snapshot.errors
+            snapshot = session.read_snapshot()
+            messages += snapshot.errors
             if not snapshot.under_way or snapshot.task_state != ON:
                 ended = replace(snapshot, outcome=(ended or snapshot).outcome)
                 if snapshot.in_position or snapshot.task_state != ON:
-                    return ended, said + self._said_late(ended, said)
+                    return ended, messages + self._late_messages(ended, messages)
             self._require_still_permitted(kind, snapshot)
             if snapshot.paused:
                 held = held or Deadline.after(clock, settings.held_at_most_s)
@@ -233,15 +233,15 @@ class LinuxCncMotion:
                 deadline = Deadline.after(clock, allowed_s)
             else:
                 held = None
-                deadline.require(f"the end of a {kind.value}", hint="see LinuxCNC", **session.where)
+                deadline.raise_if_expired(f"the end of a {kind.value}", hint="see LinuxCNC", **session.where)
             clock.sleep(settings.poll_interval_s)
 
-    def _said_late(self, ended: Snapshot, said: tuple[str, ...]) -> tuple[str, ...]:
+    def _late_messages(self, ended: Snapshot, messages: tuple[str, ...]) -> tuple[str, ...]:
         """The reason of an error may come a cycle after it."""
-        if ended.outcome != "error" or said:
+        if ended.outcome != "error" or messages:
             return ()
         self._session.clock.sleep(self._session.settings.poll_interval_s)
-        return self._session.look().errors
+        return self._session.read_snapshot().errors
 
     def _allowed_s(self, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> float:
         override = before.rapid_override if feed_mm_per_s is None else before.feed_override
@@ -282,9 +282,9 @@ class LinuxCncMotion:
 
     # ------------------------------------------------------------------ after
 
-    def _require_success(self, kind: MotionKind, ended: Snapshot, target: Triple, said: tuple[str, ...]) -> None:
+    def _require_success(self, kind: MotionKind, ended: Snapshot, target: Triple, messages: tuple[str, ...]) -> None:
         where = self._session.where
-        text = "; ".join(said)
+        text = "; ".join(messages)
         if ended.task_state != ON:
             raise MotionFault(
                 f"{kind.value} ended in a fault: {ended.fault}{': ' if text else ''}{text}",

@@ -23,7 +23,7 @@ class LinuxCncProbing:
         self._motion = motion
 
     def status(self) -> ProbeStatus:
-        snapshot = self._session.look()
+        snapshot = self._session.read_snapshot()
         loaded, healthy = self._loaded(snapshot), self._session.probe_healthy(snapshot)
         detail = "" if loaded else f"tool {snapshot.tool} is in the spindle"
         return ProbeStatus(loaded, healthy, snapshot.deflected, detail if healthy else "not healthy: battery or link")
@@ -51,21 +51,21 @@ class LinuxCncProbing:
         LinuxCNC latches in the servo cycle that sees the pin, on average half a cycle after the trip, and as much later
         as the signal is late.
         """
-        facts, settings = self._session.facts, self._session.settings
-        way = np.subtract(target, ended.start)
-        direction = way / np.linalg.norm(way)
+        properties, settings = self._session.properties, self._session.settings
+        path = np.subtract(target, ended.start)
+        direction = path / np.linalg.norm(path)
         gone_mm = math.dist(ended.snapshot.probed, ended.start)
         shares = np.abs(direction).tolist()
         speed = min(
             feed_mm_per_s * ended.snapshot.feed_override,
-            limit_along_direction(shares, facts.limits.rapid_mm_per_s),
-            math.sqrt(2.0 * limit_along_direction(shares, facts.limits.acceleration_mm_per_s2) * gone_mm),
+            limit_along_direction(shares, properties.limits.rapid_mm_per_s),
+            math.sqrt(2.0 * limit_along_direction(shares, properties.limits.acceleration_mm_per_s2) * gone_mm),
         )
-        late_s = settings.latch_cycles * facts.servo_period_s + settings.probe_delay_s
+        late_s = settings.latch_cycles * properties.servo_period_s + settings.probe_delay_s
         return np.asarray(direction * speed * late_s)
 
     def _require_usable(self) -> None:
-        snapshot = self._session.look()
+        snapshot = self._session.read_snapshot()
         if not (self._loaded(snapshot) and self._session.probe_healthy(snapshot)):
             raise PermissionMissing(
                 f"no healthy probe in the spindle (tool {snapshot.tool})", hint="load the probe", **self._session.where

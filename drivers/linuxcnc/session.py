@@ -35,30 +35,30 @@ class LinuxCncSession:
         self.clock = clock
         self.settings = settings
         self.where = link.where
-        self._facts: MachineProperties | None = None
+        self._properties: MachineProperties | None = None
         self._pins = settings.pins()
 
     def open(self) -> None:
         """LinkLost where LinuxCNC is not there, ConfigurationError for another machine."""
         self.link.open()
-        self._facts = self._read_facts()
-        wanted = self.settings.machine_name
-        if wanted is not None and self._facts.machine_name != wanted:
+        self._properties = self._read_properties()
+        expected = self.settings.machine_name
+        if expected is not None and self._properties.machine_name != expected:
             raise ConfigurationError(
-                f"LinuxCNC runs machine {self._facts.machine_name!r}, not {wanted!r}",
+                f"LinuxCNC runs machine {self._properties.machine_name!r}, not {expected!r}",
                 hint=f"started from {self.link.hello['ini']}",
                 key="machine_name",
                 **self.where,
             )
 
     @property
-    def facts(self) -> MachineProperties:
-        if self._facts is None:
+    def properties(self) -> MachineProperties:
+        if self._properties is None:
             raise LinkLost("device is not open", hint="open it first", **self.where)
-        return self._facts
+        return self._properties
 
-    def look(self) -> Snapshot:
-        return parse_snapshot(self.link.ask("status", pins=self._pins), self.facts.mm_per_unit, self.where)
+    def read_snapshot(self) -> Snapshot:
+        return parse_snapshot(self.link.ask("status", pins=self._pins), self.properties.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
         """HAL pins where they are named, LinuxCNC's own state otherwise."""
@@ -83,23 +83,23 @@ class LinuxCncSession:
         """Home all joints by the sequence of the INI file; this may move the axes. Returns when they are."""
         self.link.ask("home")
         deadline = Deadline.after(self.clock, self.settings.homing_within_s)
-        said: tuple[str, ...] = ()
+        messages: tuple[str, ...] = ()
         try:
             while True:
-                snapshot = self.look()
-                said += snapshot.errors
+                snapshot = self.read_snapshot()
+                messages += snapshot.errors
                 if snapshot.homed and not snapshot.homing:
                     return
-                if said and not snapshot.homing:
-                    raise CommandRejected(f"homing failed: {'; '.join(said)}", hint="see LinuxCNC", **self.where)
-                deadline.require("the joints to be homed", hint="see LinuxCNC", **self.where)
+                if messages and not snapshot.homing:
+                    raise CommandRejected(f"homing failed: {'; '.join(messages)}", hint="see LinuxCNC", **self.where)
+                deadline.raise_if_expired("the joints to be homed", hint="see LinuxCNC", **self.where)
                 self.clock.sleep(self.settings.poll_interval_s)
         except BaseException:
             if self.link.connected:
                 self.link.ask("abort")
             raise
 
-    def _read_facts(self) -> MachineProperties:
+    def _read_properties(self) -> MachineProperties:
         hello = self.link.hello
         if hello["axis_mask"] & XYZ_MASK != XYZ_MASK:
             raise ConfigurationError("LinuxCNC has no axes X, Y, Z", hint="see [TRAJ]COORDINATES", **self.where)
@@ -107,8 +107,8 @@ class LinuxCncSession:
         axes = [(f"AXIS_{name}", key) for name in XYZ for key in ("MAX_VELOCITY", "MAX_ACCELERATION")]
         encoders = [(f"JOINT_{number}", "HOME_ABSOLUTE_ENCODER") for number in range(hello["joints"])]
         single = [("EMCMOT", "SERVO_PERIOD"), ("EMC", "MACHINE"), ("TRAJ", "MAX_LINEAR_VELOCITY")]
-        told = self.link.ask("ini", keys=[*axes, *encoders, *single])["values"]
-        values = dict(zip([*axes, *encoders, *single], told, strict=True))
+        reported = self.link.ask("ini", keys=[*axes, *encoders, *single])["values"]
+        values = dict(zip([*axes, *encoders, *single], reported, strict=True))
         dynamics = [self._number(values[key], f"[{key[0]}]{key[1]}") * mm for key in axes]
         fastest = values["TRAJ", "MAX_LINEAR_VELOCITY"]
         cap = math.inf if fastest is None else self._number(fastest, "[TRAJ]MAX_LINEAR_VELOCITY") * mm
@@ -127,12 +127,12 @@ class LinuxCncSession:
             machine_name=values["EMC", "MACHINE"] or "",
         )
 
-    def _number(self, told: object, place: str) -> float:
+    def _number(self, reported: object, place: str) -> float:
         """A positive number of the INI file or the status."""
         try:
-            value = float(str(told).split("#")[0])
+            value = float(str(reported).split("#")[0])
         except ValueError:
             value = math.nan
         if not 0.0 < value < math.inf:
-            raise ProtocolError(f"LinuxCNC states {place} as {told!r}", hint="see its INI file", **self.where)
+            raise ProtocolError(f"LinuxCNC states {place} as {reported!r}", hint="see its INI file", **self.where)
         return value

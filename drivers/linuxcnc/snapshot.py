@@ -69,22 +69,22 @@ class Snapshot:
         return text
 
 
-def parse_snapshot(told: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
+def parse_snapshot(status: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
     """From the bridge's answer to `status`. ProtocolError where something is missing."""
     try:
-        offset = told["eoffset"]
+        offset = status["eoffset"]
         return Snapshot(
-            position=_without(told["position"], offset, mm_per_unit),
-            probed=_without(told["probed"], offset, mm_per_unit),
-            deflected=told["probe"],
-            outcome=told["state"],
-            joint_faults=tuple(told["joint_faults"]),
-            on_limit=tuple(told["on_limit"]),
-            program_offset=_without(told["program_offset"], (0.0, 0.0, 0.0), mm_per_unit),
-            modal=tuple(told["modal"]),
-            errors=tuple(told["errors"]),
-            pins=tuple(told["pins"]),
-            **{name: told[name] for name in _COPIED_FIELDS},
+            position=_subtract_offset(status["position"], offset, mm_per_unit),
+            probed=_subtract_offset(status["probed"], offset, mm_per_unit),
+            deflected=status["probe"],
+            outcome=status["state"],
+            joint_faults=tuple(status["joint_faults"]),
+            on_limit=tuple(status["on_limit"]),
+            program_offset=_subtract_offset(status["program_offset"], (0.0, 0.0, 0.0), mm_per_unit),
+            modal=tuple(status["modal"]),
+            errors=tuple(status["errors"]),
+            pins=tuple(status["pins"]),
+            **{name: status[name] for name in _COPIED_FIELDS},
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ProtocolError(f"the bridge's status cannot be read: {error!r}", **where) from error
@@ -109,6 +109,6 @@ _COPIED_FIELDS = (
 )
 
 
-def _without(values: Any, offset: Any, mm_per_unit: float) -> Triple:
+def _subtract_offset(values: Any, offset: Any, mm_per_unit: float) -> Triple:
     x, y, z = ((value - part) * mm_per_unit for value, part in zip(values, offset, strict=True))
     return x, y, z

@@ -57,7 +57,7 @@ class BankReader:
                 return window[4:]
             if int.from_bytes(window[2:4], "big") == NO_BLOCK and seen_by_then.expired:
                 raise self._protocol_error(f"controller has no block {number} of bank {bank}")
-            deadline.require(f"block {number} of bank {bank} in the read window", **self._session.where)
+            deadline.raise_if_expired(f"block {number} of bank {bank} in the read window", **self._session.where)
             clock.sleep(self._session.settings.fine_poll_interval_s)
 
     def _require_sound(self, bank: int, descriptor: TableDescriptor) -> None:

@@ -83,10 +83,10 @@ class ModbusCnc:
         self._open.motion.tag = tag
 
     def hold(self) -> None:
-        self._session.urgent(CommandCode.HOLD)
+        self._session.send_urgent(CommandCode.HOLD)
 
     def resume(self) -> None:
-        self._session.urgent(CommandCode.RESUME)
+        self._session.send_urgent(CommandCode.RESUME)
 
     def reset(self) -> None:
         self._session.command(CommandBlock(CommandCode.RESET))

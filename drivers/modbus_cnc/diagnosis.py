@@ -40,7 +40,7 @@ def diagnose(session: ModbusSession) -> list[DiagnosticFinding]:
 
 
 def _findings(session: ModbusSession) -> Iterator[DiagnosticFinding]:
-    status = session.look()
+    status = session.read_status_unchecked()
     version = f"{status.version >> 8}.{status.version & 0xFF}"
     yield DiagnosticFinding("link", ok=True, text=f"{session.where['link']}, register map version {version}")
     yield _heartbeat(session, status)
@@ -62,17 +62,17 @@ def _findings(session: ModbusSession) -> Iterator[DiagnosticFinding]:
 
 def _heartbeat(session: ModbusSession, before: StatusImage) -> DiagnosticFinding:
     session.clock.sleep(HEARTBEAT_PAUSE_S)
-    after = session.look()
+    after = session.read_status_unchecked()
     runs = after.heartbeat != before.heartbeat
     return DiagnosticFinding("heartbeat", ok=runs, text="runs" if runs else f"stands at {after.heartbeat}")
 
 
 def _latency(session: ModbusSession) -> DiagnosticFinding:
     for _ in range(LATENCY_READS):
-        session.look()
+        session.read_status_unchecked()
     latency = session.link.latency
     text = f"median {latency.median_s * 1e3:.2f} ms, worst {latency.worst_s * 1e3:.2f} ms"
-    return DiagnosticFinding("latency", ok=latency.median_s <= SLOW_ROUND_TRIP_S + session.poll_line_s, text=text)
+    return DiagnosticFinding("latency", ok=latency.median_s <= SLOW_ROUND_TRIP_S + session.poll_wire_time_s, text=text)
 
 
 def _machine(status: StatusImage) -> Iterator[DiagnosticFinding]:

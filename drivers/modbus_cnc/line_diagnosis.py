@@ -22,7 +22,7 @@ WATCHDOG_S = 1.0
 
 def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[DiagnosticFinding]:
     """After the link has been used: the time a poll takes, and what had to be repeated."""
-    poll_s = session.poll_line_s
+    poll_s = session.poll_wire_time_s
     left_s = WATCHDOG_S - max(session.settings.poll_interval_s, poll_s) - poll_s - session.settings.timeout_s
     text = (
         f"a poll takes {poll_s * 1e3:.0f} ms of the line at {line.mode}; after one lost answer {left_s:.2f} s are left"
@@ -31,7 +31,7 @@ def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[Diagnost
     yield DiagnosticFinding("line", ok=left_s > 0.0, text=text + advice)
     transport = session.link.transport
     if isinstance(transport, RtuTransport):
-        repeated, stray = session.link.repeated, transport.stray_bytes
+        repeated, stray = session.link.repeat_count, transport.stray_bytes
         text = f"{repeated} requests repeated, {stray} bytes that nobody had asked for, in {session.link.latency.count}"
         yield DiagnosticFinding("line faults", ok=repeated == stray == 0, text=text)
 

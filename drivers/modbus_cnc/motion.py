@@ -58,7 +58,7 @@ class ModbusMotion:
     def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> MotionResult:
         """Returns when the outcome is in position, tripped or missed; any other is raised."""
         session = self._session
-        target = self._proved(code, target_mm, feed_mm_per_s)
+        target = self._validated_target(code, target_mm, feed_mm_per_s)
         try:
             self._await_rest()
             sequence, accepted = session.start(
@@ -76,7 +76,7 @@ class ModbusMotion:
     def stop(self) -> None:
         """Send STOP. It does not wait for rest, since it is called where sleeping is not possible."""
         self._braking = True
-        self._session.urgent(CommandCode.STOP)
+        self._session.send_urgent(CommandCode.STOP)
 
     def _await_rest(self) -> None:
         """After a STOP the axes brake for a moment, in which the controller would refuse a motion."""
@@ -84,12 +84,12 @@ class ModbusMotion:
             return
         session = self._session
         deadline = Deadline.after(session.clock, session.settings.motion_margin_s)
-        while _under_way(session.poll()):
-            deadline.require("the axes to rest after STOP", hint="see the controller", **session.where)
+        while _is_under_way(session.poll()):
+            deadline.raise_if_expired("the axes to rest after STOP", hint="see the controller", **session.where)
             session.clock.sleep(session.settings.fine_poll_interval_s)
         self._braking = False
 
-    def _proved(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
+    def _validated_target(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
         x, y, z = (float(value) for value in target_mm)
         feed_ok = feed_mm_per_s is None or (math.isfinite(feed_mm_per_s) and feed_mm_per_s > 0.0)
         if not all(map(math.isfinite, (x, y, z))) or not feed_ok:
@@ -110,7 +110,7 @@ class ModbusMotion:
         deadline = Deadline.after(clock, allowed_s)
         held_deadline: Deadline | None = None
         fine_s = settings.fine_poll_interval_s
-        while _under_way(status):
+        while _is_under_way(status):
             if status.state is MotionState.HELD:
                 held_deadline = held_deadline or Deadline.after(clock, settings.held_at_most_s)
                 self._require_resumed(held_deadline)
@@ -118,7 +118,7 @@ class ModbusMotion:
                 pause_s = slice_s
             else:
                 held_deadline = None
-                deadline.require(f"the end of {code.label}", hint="see the controller", **session.where)
+                deadline.raise_if_expired(f"the end of {code.label}", hint="see the controller", **session.where)
                 pause_s = _equal_slice_s(end_s - clock.now(), slice_s)
                 if pause_s < fine_s:
                     pause_s, fine_s = fine_s, min(1.5 * fine_s, COARSEST_FINE_POLL_S, slice_s)
@@ -128,7 +128,7 @@ class ModbusMotion:
 
     def _slice_s(self, interval_s: float) -> float:
         """The pause between two polls: on a slow line the poll itself is part of the interval."""
-        return max(interval_s - self._session.poll_line_s, self._session.settings.fine_poll_interval_s)
+        return max(interval_s - self._session.poll_wire_time_s, self._session.settings.fine_poll_interval_s)
 
     def _predicted_s(self, start: Triple, target: Triple, feed_mm_per_s: float | None) -> float:
         return move_duration_s(
@@ -195,7 +195,7 @@ class ModbusMotion:
         return ProtocolError(text, hint="the controller does not follow the register map", **self._session.where)
 
 
-def _under_way(status: StatusImage) -> bool:
+def _is_under_way(status: StatusImage) -> bool:
     return status.outcome is MotionOutcome.UNDER_WAY and status.state is not MotionState.FAULT
 
 

@@ -48,7 +48,7 @@ class StatusImage(NamedTuple):
     heartbeat_copy: int
 
     @property
-    def whole(self) -> bool:
+    def is_consistent(self) -> bool:
         """False for an image that was read while the controller wrote it."""
         return self.heartbeat == self.heartbeat_copy
 
@@ -129,7 +129,7 @@ class BlockLayouts:
                 register=first_register,
                 **where,
             )
-        if not status.whole:
+        if not status.is_consistent:
             return status
         wrong = _first_illegal(status)
         if wrong:

@@ -47,15 +47,15 @@ class ModbusSession:
         self._heartbeat = 0
         self._peer = PeerHeartbeat(clock, settings.heartbeat_lost_after_s, link.where)
         self._sequence = 0
-        self._known: dict[int, int] = {}
+        self._results: dict[int, int] = {}
         self._unacknowledged = 0
 
     def open(self) -> StatusImage:
         """Connect, prove protocol and version, take over the sequence numbers where they stand."""
         self.link.open()
-        status = self.look()
+        status = self.read_status_unchecked()
         self._sequence, self._unacknowledged = status.acknowledge, 0
-        self._known = {status.acknowledge: status.result}
+        self._results = {status.acknowledge: status.result}
         if status.state is MotionState.FAULT and status.fault_code == FAULT_HEARTBEAT_LOST:
             status = self.command(CommandBlock(CommandCode.RESET))
         return status
@@ -65,27 +65,27 @@ class ModbusSession:
 
     def status(self) -> StatusImage:
         """Read one image; writes nothing."""
-        return self._noted(self.look())
+        return self._check_status(self.read_status_unchecked())
 
-    def look(self) -> StatusImage:
+    def read_status_unchecked(self) -> StatusImage:
         """As `status`, for onlookers: neither the heartbeat nor the acknowledgement is judged."""
-        return self._whole(self._read_status())
+        return self._consistent_status(self._read_status())
 
     @property
-    def poll_line_s(self) -> float:
+    def poll_wire_time_s(self) -> float:
         """What the wire itself takes for a poll."""
-        return self.link.exchange_line_s(1, self.layouts.status.size)
+        return self.link.exchange_wire_time_s(1, self.layouts.status.size)
 
     def poll(self) -> StatusImage:
         """Write the heartbeat and read one image."""
-        return self.write_and_status(
+        return self.write_and_read_status(
             self.settings.blocks.command, self._next_heartbeat().to_bytes(2, "big"), idempotent=True
         )
 
-    def write_and_status(self, register: int, data: bytes, *, idempotent: bool) -> StatusImage:
+    def write_and_read_status(self, register: int, data: bytes, *, idempotent: bool) -> StatusImage:
         blocks = self.settings.blocks
         answer = self.link.exchange(register, data, blocks.status, self.layouts.status.size, idempotent=idempotent)
-        return self._noted(self._whole(self._decoded(answer)))
+        return self._check_status(self._consistent_status(self._decoded(answer)))
 
     def command(self, command: CommandBlock, *, within_s: float | None = None) -> StatusImage:
         """Send and wait for the acknowledgement. Raises CommandRejected or PermissionMissing when refused."""
@@ -98,15 +98,15 @@ class ModbusSession:
         allowed_s = within_s or self.settings.acknowledge_within_s
         deadline = Deadline.after(self.clock, allowed_s)
         pause_s = self.settings.fine_poll_interval_s
-        while sequence not in self._known:
+        while sequence not in self._results:
             if deadline.expired:
                 raise self._not_acknowledged(CommandCode(command.code), allowed_s)
             self.clock.sleep(min(pause_s, deadline.remaining_s))
             pause_s = min(2.0 * pause_s, self.settings.poll_interval_s)
             status = self.poll()
-        return sequence, self._accepted(command, self._known[sequence], status)
+        return sequence, self._accepted(command, self._results[sequence], status)
 
-    def urgent(self, code: CommandCode) -> StatusImage:
+    def send_urgent(self, code: CommandCode) -> StatusImage:
         """HOLD, RESUME, STOP: acknowledged without sleeping on the clock.
 
         They are sent from inside a sleep of the clock (a hold, an abort), where sleeping again would recurse.
@@ -114,12 +114,12 @@ class ModbusSession:
         overwrite it.
         """
         if code is not CommandCode.STOP and self._unacknowledged:
-            self._await_at_once(self._unacknowledged, code)
+            self._await_without_sleeping(self._unacknowledged, code)
         sequence = self._next_sequence()
         status = self._send(CommandBlock(code), sequence)
-        if sequence not in self._known:
-            status = self._await_at_once(sequence, code)
-        return self._accepted(CommandBlock(code), self._known[sequence], status)
+        if sequence not in self._results:
+            status = self._await_without_sleeping(sequence, code)
+        return self._accepted(CommandBlock(code), self._results[sequence], status)
 
     def read_limits(self) -> ControllerLimits:
         data = self.link.read(self.settings.blocks.limits, self.layouts.limits.size)
@@ -136,19 +136,19 @@ class ModbusSession:
             ) from error
         self._unacknowledged = sequence
         try:
-            return self.write_and_status(self.settings.blocks.command, block, idempotent=False)
+            return self.write_and_read_status(self.settings.blocks.command, block, idempotent=False)
         except (LinkTimeout, DamagedFrame):
             status = self.status()
-        if sequence in self._known:
+        if sequence in self._results:
             return status
         # The request was lost. Should it be seen after all: no number is executed twice (map, section 6).
-        return self.write_and_status(self.settings.blocks.command, block, idempotent=True)
+        return self.write_and_read_status(self.settings.blocks.command, block, idempotent=True)
 
-    def _await_at_once(self, sequence: int, code: CommandCode) -> StatusImage:
+    def _await_without_sleeping(self, sequence: int, code: CommandCode) -> StatusImage:
         give_up_s = wall_seconds() + URGENT_WITHIN_S
         while True:
             status = self.poll()
-            if sequence in self._known:
+            if sequence in self._results:
                 return status
             if wall_seconds() > give_up_s:
                 raise self._not_acknowledged(code, URGENT_WITHIN_S)
@@ -174,15 +174,15 @@ class ModbusSession:
             **self.where,
         )
 
-    def _noted(self, status: StatusImage) -> StatusImage:
+    def _check_status(self, status: StatusImage) -> StatusImage:
         """Watch the heartbeat and the acknowledgement of an image."""
         self._peer.observe(status.heartbeat)
         if status.acknowledge == self._unacknowledged != 0:
-            self._known[status.acknowledge] = status.result
+            self._results[status.acknowledge] = status.result
             self._unacknowledged = 0
-            while len(self._known) > 4:
-                del self._known[next(iter(self._known))]
-        elif status.acknowledge not in self._known:
+            while len(self._results) > 4:
+                del self._results[next(iter(self._results))]
+        elif status.acknowledge not in self._results:
             raise ProtocolError(
                 f"stale or foreign sequence number {status.acknowledge} acknowledged, last sent {self._sequence}",
                 hint="the controller restarted, or another client commands it; one master only",
@@ -190,12 +190,12 @@ class ModbusSession:
             )
         return status
 
-    def _whole(self, status: StatusImage) -> StatusImage:
+    def _consistent_status(self, status: StatusImage) -> StatusImage:
         for _ in range(HALF_WRITTEN_READS):
-            if status.whole:
+            if status.is_consistent:
                 return status
             status = self._read_status()
-        if status.whole:
+        if status.is_consistent:
             return status
         raise ProtocolError(
             f"status image stays half-written: heartbeat {status.heartbeat}, copy {status.heartbeat_copy}",

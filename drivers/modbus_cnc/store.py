@@ -74,14 +74,14 @@ class ModbusStore:
         self._require_stageable(bank, table)
         data = table_bytes(table)
         crc = crc32(data)
-        descriptor = self._packed(table_descriptor(bank, table, crc))
+        descriptor = self._pack_descriptor(table_descriptor(bank, table, crc))
         settings = self._session.settings
         self._session.link.write(settings.blocks.descriptor, descriptor, idempotent=True)
         self._table_command(CommandBlock(CommandCode.TABLE_BEGIN, bank=bank))
         for number, block in enumerate(data_blocks(data), start=1):
             self._write_block(number, block)
         self._commit(bank, crc)
-        self._prove(bank, descriptor, data)
+        self._verify_read_back(bank, descriptor, data)
 
     def activate(self, bank: int) -> None:
         """Arm with the CRC-32 of the table just read, confirm with the nonce, wait until the bank is shown.
@@ -110,7 +110,7 @@ class ModbusStore:
     def _write_block(self, number: int, block: bytes) -> None:
         session = self._session
         data = session.layouts.block.reordered(block) + number.to_bytes(2, "big")
-        status = session.write_and_status(session.settings.blocks.data_window, data, idempotent=True)
+        status = session.write_and_read_status(session.settings.blocks.data_window, data, idempotent=True)
         self._await(status, lambda image: self._block_taken(number, image), f"data block {number} to be taken")
 
     def _block_taken(self, number: int, status: StatusImage) -> bool:
@@ -130,9 +130,9 @@ class ModbusStore:
                 f"state {status.bank_state(bank).name.lower()}"
             )
 
-    def _prove(self, bank: int, descriptor: bytes, data: bytes) -> None:
+    def _verify_read_back(self, bank: int, descriptor: bytes, data: bytes) -> None:
         table, seen = self._reader.read(bank)
-        if self._packed(seen) != descriptor or table_bytes(table) != data:
+        if self._pack_descriptor(seen) != descriptor or table_bytes(table) != data:
             raise ReadBackMismatch(
                 f"bank {bank} reads back differently from what was written",
                 hint="do not activate it; stage it again",
@@ -157,12 +157,12 @@ class ModbusStore:
         deadline = Deadline.after(clock, settings.table_within_s)
         pause_s = settings.fine_poll_interval_s
         while not reached(status):
-            deadline.require(awaited, **self._session.where)
+            deadline.raise_if_expired(awaited, **self._session.where)
             clock.sleep(pause_s)
             pause_s = min(2.0 * pause_s, COARSEST_POLL_S)
             status = self._session.status()
 
-    def _packed(self, descriptor: TableDescriptor) -> bytes:
+    def _pack_descriptor(self, descriptor: TableDescriptor) -> bytes:
         try:
             return self._session.layouts.descriptor.pack(descriptor)
         except ValueError as error:

@@ -28,7 +28,7 @@ class BankFiles:
         return None if text is None else parse_table(text, file=str(path), bank=bank, **self._where)
 
     def write(self, bank: int, table: TableImage) -> None:
-        self._make()
+        self._create_directory()
         write_atomically(self.directory / f"bank{bank}.table", format_table(table))
 
     def active(self) -> tuple[int, int]:
@@ -47,14 +47,14 @@ class BankFiles:
         return int(match[1]), int(match[2], 16)
 
     def set_active(self, bank: int, crc32: int) -> None:
-        self._make()
+        self._create_directory()
         write_atomically(self._active_path, f"volcal-active-bank 1\nbank {bank}\ncounts_crc32 {crc32:08X}\n")
 
     @property
     def _active_path(self) -> Path:
         return self.directory / "active"
 
-    def _make(self) -> None:
+    def _create_directory(self) -> None:
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
         except OSError as error:

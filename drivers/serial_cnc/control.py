@@ -20,9 +20,9 @@ class MotionControl:
     the motion away. The hold acts at once; the reset is sent by whoever looks next. In a braking axis it would cost
     the position (alarm 3)."""
 
-    def __init__(self, conversation: Conversation, watch: StatusTracker, clock: Clock) -> None:
+    def __init__(self, conversation: Conversation, tracker: StatusTracker, clock: Clock) -> None:
         self._conversation = conversation
-        self._watch = watch
+        self._tracker = tracker
         self._clock = clock
         self._stopping = False
 
@@ -41,69 +41,71 @@ class MotionControl:
         """Does not wait for rest: it is called where sleeping is not possible."""
         self._stopping = True
         self._conversation.realtime(CANCEL_JOG + HOLD)
-        self.look()
+        self.read_status()
 
-    def look(self) -> TrackedStatus:
+    def read_status(self) -> TrackedStatus:
         """A report; finishes a stop if the axes have come to rest."""
-        look = self._watch.look()
-        if self._stopping and look.state is not MotionState.MOVING:
-            if look.state is not MotionState.FAULT:
-                look = self._forget_motion()
-            self._stopping = self._watch.ours_moves = False
-        return look
+        status = self._tracker.read_status()
+        if self._stopping and status.state is not MotionState.MOVING:
+            if status.state is not MotionState.FAULT:
+                status = self._discard_motion()
+            self._stopping = self._tracker.own_motion = False
+        return status
 
     def finish(self) -> None:
         """Before the line is closed: a real machine comes to rest by itself, and then forgets what was held."""
-        give_up_s = wall_seconds() + CLOSE_WITHIN_S
-        while self._stopping and wall_seconds() < give_up_s:
-            self.look()
-            self._conversation.idle_for(CLOSE_POLL_S)
+        deadline_s = wall_seconds() + CLOSE_WITHIN_S
+        while self._stopping and wall_seconds() < deadline_s:
+            self.read_status()
+            self._conversation.drain_for(CLOSE_POLL_S)
 
-    def ready(self, within_s: float) -> TrackedStatus:
+    def require_ready(self, within_s: float) -> TrackedStatus:
         """A report that lets a motion begin. PermissionMissing or CommandRejected where it does not."""
         deadline = Deadline.after(self._clock, within_s)
-        look = self.look()
+        status = self.read_status()
         while self._stopping:
-            deadline.require("the axes to rest after a stop", hint="see the controller", **self._conversation.where)
+            deadline.raise_if_expired(
+                "the axes to rest after a stop", hint="see the controller", **self._conversation.where
+            )
             self._clock.sleep(CLOSE_POLL_S)
-            look = self.look()
-        if look.missing:
+            status = self.read_status()
+        if status.missing:
             raise PermissionMissing(
-                f"motion refused: {look.missing}" + (f"; {look.fault}" if look.fault else ""),
+                f"motion refused: {status.missing}" + (f"; {status.fault}" if status.fault else ""),
                 hint="make the machine ready: home it, close the door, stop the spindle, end other programs",
                 **self._conversation.where,
             )
-        if look.state is not MotionState.IDLE:
+        if status.state is not MotionState.IDLE:
             raise CommandRejected(
-                f"the controller is not idle: {look.word}",
+                f"the controller is not idle: {status.word}",
                 hint="resume or reset what is held there, then start again",
                 **self._conversation.where,
             )
-        return look
+        return status
 
     def reset(self) -> None:
         """Unlock after an alarm that has kept the position, or after a door that is closed again. CommandRejected where
         homing is needed."""
-        look = self.look()
-        if look.word == DOOR_CLOSED_AGAIN:
-            self._forget_motion()
+        status = self.read_status()
+        if status.word == DOOR_CLOSED_AGAIN:
+            self._discard_motion()
             return
-        if look.state is not MotionState.FAULT:
+        if status.state is not MotionState.FAULT:
             return
-        if look.alarm not in POSITION_KEPT:
+        if status.alarm not in POSITION_KEPT:
             raise CommandRejected(
-                f"not unlocked: {look.fault}, the position is not certain",
+                f"not unlocked: {status.fault}, the position is not certain",
                 hint="home the machine ($H), then start again",
                 **self._conversation.where,
             )
         self.unlock()
 
-    def _forget_motion(self) -> TrackedStatus:
+    def _discard_motion(self) -> TrackedStatus:
         """A soft reset of axes that rest: what was planned is gone, the position stays."""
         self._conversation.reset()
-        self._watch.expect_restart()
-        return self._watch.look()
+        self._tracker.expect_restart()
+        return self._tracker.read_status()
 
     def unlock(self) -> None:
         self._conversation.ask("$X")
-        self._watch.look()
+        self._tracker.read_status()

@@ -37,12 +37,12 @@ class ControllerSettings:
     hal: bool
 
     @classmethod
-    def of(cls, told: Iterable[MessageLine | SettingLine]) -> ControllerSettings:
+    def of(cls, lines: Iterable[MessageLine | SettingLine]) -> ControllerSettings:
         """Settings that are no numbers (names, passwords) are left out."""
         values: dict[int, float] = {}
         version = options = ""
         hal = False
-        for line in told:
+        for line in lines:
             match line:
                 case SettingLine(number, text) if (value := _number(text)) is not None:
                     values[number] = value

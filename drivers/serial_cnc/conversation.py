@@ -60,7 +60,7 @@ class Conversation:
         self._synchronised = False
         self._reports = 0
         self._last_report: StatusReport | None = None
-        self._told: list[MessageLine | SettingLine] = []
+        self._messages: list[MessageLine | SettingLine] = []
         self.restarts = 0
         self.alarm: int | None = None
         self.probe_results: list[ProbeResult] = []
@@ -71,7 +71,7 @@ class Conversation:
         """Connect and wait for a first report. Before anything is asked, `synchronise`. Moves nothing."""
         self.line.open()
         self._pending.clear()
-        self._told.clear()
+        self._messages.clear()
         self._synchronised = False
         self.probe_results.clear()
         return self._first_report()
@@ -80,7 +80,7 @@ class Conversation:
         self.line.close()
 
     def _first_report(self) -> StatusReport:
-        give_up_s = wall_seconds() + self.settings.boot_within_s
+        deadline_s = wall_seconds() + self.settings.boot_within_s
         before, garbled = self._reports, ""
         while True:
             self.line.write(QUERY)
@@ -90,7 +90,7 @@ class Conversation:
                 garbled = error.message  # a board that boots says all sorts of things
             if self._reports > before and self._last_report is not None:
                 return self._last_report
-            if wall_seconds() >= give_up_s:
+            if wall_seconds() >= deadline_s:
                 break
         if garbled:
             raise ProtocolError(
@@ -106,11 +106,11 @@ class Conversation:
         """Agree on which answer belongs to which line, on a controller that is idle or locked: late answers to lines of
         an earlier user end here, since the refusal of our own line is the last of them."""
         self.line.write(SYNCHRONISE.encode() + b"\n")
-        give_up_s = wall_seconds() + self.settings.answer_within_s
-        while wall_seconds() < give_up_s:
-            line = self._line_or_rubbish(give_up_s - wall_seconds())
+        deadline_s = wall_seconds() + self.settings.answer_within_s
+        while wall_seconds() < deadline_s:
+            line = self._next_line_or_raw(deadline_s - wall_seconds())
             if isinstance(line, AnswerLine) and line.error is not None:
-                while self._line_or_rubbish(LATE_WITHIN_S) is not None:
+                while self._next_line_or_raw(LATE_WITHIN_S) is not None:
                     continue
                 self._synchronised = True
                 return
@@ -120,13 +120,13 @@ class Conversation:
             **self.where,
         )
 
-    def _line_or_rubbish(self, within_s: float) -> Line | bytes | None:
+    def _next_line_or_raw(self, within_s: float) -> Line | bytes | None:
         """The next line; its bytes where it is the tail of something that was said before."""
         raw = self.line.read_line(within_s)
         if raw is None:
             return None
         try:
-            return self._noted(parse_line(raw))
+            return self._record(parse_line(raw))
         except GarbledLineError:
             return raw
 
@@ -157,9 +157,9 @@ class Conversation:
     def send(self, line: str) -> SentLine:
         """Send a line; its answer comes later. Never more than the controller's receive buffer holds."""
         ticket = SentLine(line)
-        give_up_s = wall_seconds() + self.settings.answer_within_s
+        deadline_s = wall_seconds() + self.settings.answer_within_s
         while self._pending and self._buffered(line) >= self.settings.receive_buffer:
-            if not self._read_one(give_up_s):
+            if not self._read_one(deadline_s):
                 raise LinkTimeout("the controller takes no further line: its buffer is full", **self.where)
         self._pending.append(ticket)
         self.line.write(line.encode("ascii") + b"\n")
@@ -167,19 +167,19 @@ class Conversation:
 
     def ask(self, line: str) -> list[MessageLine | SettingLine]:
         """Send a line that is answered at once; what was told before its ``ok``. CommandRejected for an error."""
-        self._told.clear()
+        self._messages.clear()
         ticket = self.send(line)
         self.await_answer(ticket)
         self.require_accepted(ticket)
-        return list(self._told)
+        return list(self._messages)
 
     def await_answer(self, ticket: SentLine) -> None:
-        give_up_s = wall_seconds() + self.settings.answer_within_s
+        deadline_s = wall_seconds() + self.settings.answer_within_s
         restarts = self.restarts
         while not ticket.answered:
             if self.restarts != restarts:
                 raise ProtocolError(f"the controller has restarted instead of answering {ticket.line!r}", **self.where)
-            if not self._read_one(give_up_s):
+            if not self._read_one(deadline_s):
                 raise LinkTimeout(
                     f"no answer to {ticket.line!r} within {self.settings.answer_within_s:g} s", **self.where
                 )
@@ -203,16 +203,16 @@ class Conversation:
         restarts = self.restarts
         self.alarm = None
         self.line.write(SOFT_RESET)
-        give_up_s = wall_seconds() + self.settings.answer_within_s
+        deadline_s = wall_seconds() + self.settings.answer_within_s
         while self.restarts == restarts:
-            if not self._read_one(give_up_s):
+            if not self._read_one(deadline_s):
                 raise LinkTimeout("no welcome after a soft reset", hint="reset the controller by hand", **self.where)
 
-    def forget_alarm(self) -> None:
+    def clear_alarm(self) -> None:
         """A report shows that there is none any more."""
         self.alarm = None
 
-    def idle_for(self, wall_s: float) -> None:
+    def drain_for(self, wall_s: float) -> None:
         """Take what comes within so short a wall time."""
         self._read_one(wall_seconds() + wall_s)
 
@@ -222,13 +222,13 @@ class Conversation:
         return sum(len(ticket.line) + 1 for ticket in self._pending) + len(line) + 1
 
     def _read_for(self, wall_s: float, reports: int) -> None:
-        give_up_s = wall_seconds() + wall_s
-        while self._reports == reports and self._read_one(give_up_s):
+        deadline_s = wall_seconds() + wall_s
+        while self._reports == reports and self._read_one(deadline_s):
             continue
 
-    def _read_one(self, give_up_s: float) -> bool:
+    def _read_one(self, deadline_s: float) -> bool:
         """Take one line in; False if none has come by then."""
-        raw = self.line.read_line(give_up_s - wall_seconds())
+        raw = self.line.read_line(deadline_s - wall_seconds())
         if raw is None:
             return False
         try:
@@ -240,12 +240,12 @@ class Conversation:
                 garbled=repr(raw[:80]),
                 **self.where,
             ) from error
-        self._noted(line)
+        self._record(line)
         if isinstance(line, AnswerLine):
             self._answer(line)
         return True
 
-    def _noted(self, line: Line) -> Line:
+    def _record(self, line: Line) -> Line:
         match line:
             case StatusReport():
                 self._reports, self._last_report = self._reports + 1, line
@@ -257,7 +257,7 @@ class Conversation:
                 self.restarts += 1
                 self._pending.clear()
             case MessageLine() | SettingLine():
-                self._told.append(line)
+                self._messages.append(line)
             case _:
                 pass
         return line

@@ -39,11 +39,11 @@ class Correction:
         result: Vector = values
         return result
 
-    def applied(self, position_mm: Vector) -> Vector:
+    def apply(self, position_mm: Vector) -> Vector:
         """Displayed -> what the axes are sent to."""
         return position_mm + self.at(position_mm)
 
-    def taken_out(self, sent_mm: Vector) -> Vector:
+    def remove(self, sent_mm: Vector) -> Vector:
         """What the axes were sent to -> displayed."""
         if self._table is None:
             return sent_mm

@@ -59,13 +59,13 @@ class SerialCnc:
             fatal = identity.settings.fatal()
             if fatal:
                 raise ConfigurationError(fatal, hint="`volcal doctor` lists every setting that matters", **self._where)
-            watch = StatusTracker(self._conversation, identity.settings, by_hand=self._settings.referenced_by_hand)
-            watch.take_offset(identity.parameters, identity.modes)
-            watch.look()
+            tracker = StatusTracker(self._conversation, identity.settings, by_hand=self._settings.referenced_by_hand)
+            tracker.set_work_offset(identity.parameters, identity.modes)
+            tracker.read_status()
         except BaseException:
             self._conversation.close()
             raise
-        self._parts = _Parts(self._conversation, identity.settings, watch, self._store, self._clock)
+        self._parts = _Parts(self._conversation, identity.settings, tracker, self._store, self._clock)
 
     def close(self) -> None:
         parts, self._parts = self._parts, None
@@ -82,20 +82,20 @@ class SerialCnc:
         return self._open.frames.limits
 
     def status(self) -> MachineStatus:
-        look = self._open.control.look()
-        return MachineStatus(look.state, look.permissions, look.fault)
+        status = self._open.control.read_status()
+        return MachineStatus(status.state, status.permissions, status.fault)
 
     def position(self) -> Vector:
         parts = self._open
-        return parts.frames.displayed(parts.control.look().position_mm)
+        return parts.frames.to_displayed(parts.control.read_status().position_mm)
 
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         parts, target = self._open, np.asarray(target_mm, dtype=np.float64)
         parts.frames.require_reachable(target, feed_mm_per_s)
         if guarded:
-            parts.probing.guarded(target, feed_mm_per_s)
+            parts.probing.move_guarded(target, feed_mm_per_s)
         else:
-            parts.motion.straight(target, feed_mm_per_s)
+            parts.motion.move_straight(target, feed_mm_per_s)
 
     def hold(self) -> None:
         self._open.control.hold()
@@ -116,7 +116,7 @@ class SerialCnc:
 
     def probe_status(self) -> ProbeStatus:
         """The controller has one input for the probe: nothing tells whether it is loaded or its battery is full."""
-        return ProbeStatus(loaded=True, healthy=True, deflected=self._open.control.look().deflected)
+        return ProbeStatus(loaded=True, healthy=True, deflected=self._open.control.read_status().deflected)
 
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
         parts, target = self._open, np.asarray(target_mm, dtype=np.float64)
@@ -153,7 +153,7 @@ class SerialCnc:
         return dict(self._settings.stated_temperatures_c)
 
     def _require_rest(self) -> None:
-        if self._parts is not None and self._parts.control.look().state is MotionState.MOVING:
+        if self._parts is not None and self._parts.control.read_status().state is MotionState.MOVING:
             raise CommandRejected("a compensation cannot change during a motion", **self._where)
 
     @property
@@ -169,13 +169,13 @@ class _Parts:
     def __init__(
         self,
         conversation: Conversation,
-        told: ControllerSettings,
-        watch: StatusTracker,
+        controller_settings: ControllerSettings,
+        tracker: StatusTracker,
         store: BankStore,
         clock: Clock,
     ) -> None:
         zero = conversation.settings.axis_zero_mm
-        self.control = MotionControl(conversation, watch, clock)
-        self.frames = CoordinateFrames(told.limits(zero), zero, store, conversation.where)
-        self.motion = SerialMotion(conversation, watch, self.control, self.frames, clock)
-        self.probing = SerialProbing(conversation, watch, self.motion, self.frames)
+        self.control = MotionControl(conversation, tracker, clock)
+        self.frames = CoordinateFrames(controller_settings.limits(zero), zero, store, conversation.where)
+        self.motion = SerialMotion(conversation, tracker, self.control, self.frames, clock)
+        self.probing = SerialProbing(conversation, tracker, self.motion, self.frames)

@@ -35,36 +35,38 @@ def diagnose(
     finally:
         if opened_here:
             conversation.close()
-    findings.append(_tables(store, directory, look=opened_here))
+    findings.append(_tables(store, directory, status=opened_here))
     return findings
 
 
 def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterator[DiagnosticFinding]:
     identity = read_identity(conversation)
-    told = identity.settings
-    yield DiagnosticFinding("link", ok=True, text=f"{conversation.where['link']}, version {told.version}")
-    yield from told.findings(referenced_by_hand=settings.referenced_by_hand)
-    if told.fatal():
+    controller = identity.settings
+    yield DiagnosticFinding("link", ok=True, text=f"{conversation.where['link']}, version {controller.version}")
+    yield from controller.findings(referenced_by_hand=settings.referenced_by_hand)
+    if controller.fatal():
         yield _latency(conversation.report)
         return
-    limits = told.limits(settings.axis_zero_mm)
+    limits = controller.limits(settings.axis_zero_mm)
     travel = ", ".join(
         f"{axis} {low:g} … {high:g} mm" for axis, low, high in zip("XYZ", limits.lower_mm, limits.upper_mm, strict=True)
     )
     yield DiagnosticFinding("travel", ok=True, text=travel)
-    watch = StatusTracker(conversation, told, by_hand=settings.referenced_by_hand)
-    watch.take_offset(identity.parameters, identity.modes)
-    yield _latency(watch.look)  # so many that every field that comes now and then has come
-    look = watch.look()
-    yield DiagnosticFinding("state", ok=not look.fault, text=look.word + (f": {look.fault}" if look.fault else ""))
+    tracker = StatusTracker(conversation, controller, by_hand=settings.referenced_by_hand)
+    tracker.set_work_offset(identity.parameters, identity.modes)
+    yield _latency(tracker.read_status)  # so many that every field that comes now and then has come
+    status = tracker.read_status()
     yield DiagnosticFinding(
-        "permissions", ok=not look.missing, text=f"missing: {look.missing}" if look.missing else "all given"
+        "state", ok=not status.fault, text=status.word + (f": {status.fault}" if status.fault else "")
     )
-    text = "deflected: touching something, or $6 is wrong" if look.deflected else "free; the controller tells no more"
-    yield DiagnosticFinding("probe", ok=not look.deflected, text=text)
-    offset = ", ".join(f"{value:.3f}" for value in watch.work_offset().tolist())
+    yield DiagnosticFinding(
+        "permissions", ok=not status.missing, text=f"missing: {status.missing}" if status.missing else "all given"
+    )
+    text = "deflected: touching something, or $6 is wrong" if status.deflected else "free; the controller tells no more"
+    yield DiagnosticFinding("probe", ok=not status.deflected, text=text)
+    offset = ", ".join(f"{value:.3f}" for value in tracker.work_offset().tolist())
     yield DiagnosticFinding("work offset", ok=True, text=f"{offset} mm")
-    feed, rapid = look.overrides
+    feed, rapid = status.overrides
     yield DiagnosticFinding("overrides", ok=(feed, rapid) == (100, 100), text=f"feed {feed} %, rapids {rapid} %")
     stated = settings.stated_temperatures_c
     if stated:
@@ -72,20 +74,20 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
         yield DiagnosticFinding("temperatures", ok=True, text=f"stated, not measured: {named}")
 
 
-def _latency(look: Callable[[], object]) -> DiagnosticFinding:
+def _latency(status: Callable[[], object]) -> DiagnosticFinding:
     times_s: list[float] = []
     for _ in range(LATENCY_READS):
         start_s = wall_seconds()
-        look()
+        status()
         times_s.append(wall_seconds() - start_s)
     text = f"median {median(times_s) * 1e3:.2f} ms, worst {max(times_s) * 1e3:.2f} ms"
     return DiagnosticFinding("latency", ok=median(times_s) <= SLOW_ROUND_TRIP_S, text=text)
 
 
-def _tables(store: BankStore, directory: Path, *, look: bool) -> DiagnosticFinding:
+def _tables(store: BankStore, directory: Path, *, status: bool) -> DiagnosticFinding:
     """The controller has no tables, and must not seem to have any."""
     try:
-        if look and directory.exists():
+        if status and directory.exists():
             store.open()
     except DeviceError as error:
         return DiagnosticFinding("tables", ok=False, text=str(error))

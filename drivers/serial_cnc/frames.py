@@ -29,14 +29,14 @@ class CoordinateFrames:
         self._store = store
         self._where = where
 
-    def machine(self, displayed_mm: Vector) -> Vector:
+    def to_machine(self, displayed_mm: Vector) -> Vector:
         """Never beyond the travel: at its very end a correction outwards is left out."""
-        sent = np.clip(self._store.correction.applied(displayed_mm), self._lower, self._upper)
+        sent = np.clip(self._store.correction.apply(displayed_mm), self._lower, self._upper)
         result: Vector = sent + self._zero
         return result
 
-    def displayed(self, machine_mm: Vector) -> Vector:
-        return self._store.correction.taken_out(machine_mm - self._zero)
+    def to_displayed(self, machine_mm: Vector) -> Vector:
+        return self._store.correction.remove(machine_mm - self._zero)
 
     def require_reachable(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
         """CommandRejected for what is no motion, or outside the travel."""

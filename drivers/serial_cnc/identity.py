@@ -42,12 +42,12 @@ def read_identity(conversation: Conversation) -> ControllerIdentity:
             **conversation.where,
         )
     conversation.synchronise()
-    told = conversation.ask("$I")
-    if not any(isinstance(line, MessageLine) and line.kind == "VER" for line in told):
+    lines = conversation.ask("$I")
+    if not any(isinstance(line, MessageLine) and line.kind == "VER" for line in lines):
         raise ProtocolError(
             "no version in the answer to $I", hint="GRBL 1.1 or grblHAL is needed", **conversation.where
         )
-    settings = ControllerSettings.of([*told, *conversation.ask("$$")])
+    settings = ControllerSettings.of([*lines, *conversation.ask("$$")])
     parameters = [line for line in conversation.ask("$#") if isinstance(line, MessageLine)]
     modes = [line.text for line in conversation.ask("$G") if isinstance(line, MessageLine) and line.kind == "GC"]
     if not modes:

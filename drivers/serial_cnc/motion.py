@@ -54,56 +54,56 @@ class SerialMotion:
     def __init__(
         self,
         conversation: Conversation,
-        watch: StatusTracker,
+        tracker: StatusTracker,
         control: MotionControl,
         frames: CoordinateFrames,
         clock: Clock,
     ) -> None:
         self._conversation = conversation
-        self._watch = watch
+        self._tracker = tracker
         self._control = control
         self._frames = frames
         self._clock = clock
         self._settings = conversation.settings
         self.where = conversation.where
 
-    def ready(self) -> TrackedStatus:
-        return self._control.ready(self._settings.motion_margin_s)
+    def require_ready(self) -> TrackedStatus:
+        return self._control.require_ready(self._settings.motion_margin_s)
 
-    def straight(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
+    def move_straight(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
         """G0 or G1 to displayed positions, without a look at the probe."""
-        start = self.ready().position_mm
-        goal = self._frames.machine(target_mm)
+        start = self.require_ready().position_mm
+        goal = self._frames.to_machine(target_mm)
         word = "G0" if feed_mm_per_s is None else "G1"
         line = f"{PREAMBLE}G53{word}{axis_words(goal)}"
         if feed_mm_per_s is not None:
             line += feed_word(feed_mm_per_s)
         order = MotionOrder(line, "move", goal, feed_mm_per_s, self._settings.poll_interval_s, barrier=True)
-        self.require_at(goal, self.carry_out(order, start), "move")
+        self.require_at(goal, self.execute(order, start), "move")
 
-    def carry_out(self, order: MotionOrder, start_mm: Vector) -> TrackedStatus:
+    def execute(self, order: MotionOrder, start_mm: Vector) -> TrackedStatus:
         """Send and wait for the end; the report after it."""
         conversation = self._conversation
         conversation.probe_results.clear()
-        surprises = self._watch.surprises
-        self._watch.ours_moves = True
+        unexpected_restarts = self._tracker.unexpected_restarts
+        self._tracker.own_motion = True
         try:
             ticket = conversation.send(order.line)
             if order.barrier:
                 self._await_planned(ticket)
                 ticket = conversation.send(BARRIER)
-            look = self._await_end(ticket, order, start_mm, surprises)
+            status = self._await_end(ticket, order, start_mm, unexpected_restarts)
         except BaseException as error:
             if not isinstance(error, CommandRejected):
                 self._stop_because_of(error)
             raise
         finally:
-            self._watch.ours_moves = False
+            self._tracker.own_motion = False
         conversation.require_accepted(ticket)
-        return look
+        return status
 
-    def require_at(self, goal_mm: Vector, look: TrackedStatus, what: str) -> None:
-        off_mm = float(np.linalg.norm(look.position_mm - goal_mm))
+    def require_at(self, goal_mm: Vector, status: TrackedStatus, what: str) -> None:
+        off_mm = float(np.linalg.norm(status.position_mm - goal_mm))
         if off_mm > self._settings.position_tolerance_mm:
             raise MotionFault(
                 f"{what} ended {off_mm:.3f} mm from its target",
@@ -118,61 +118,65 @@ class SerialMotion:
         except (LinkTimeout, ProtocolError):
             if self._conversation.alarm is None:
                 raise
-            self._require_sound(self._watch.look(), "move")
+            self._require_sound(self._tracker.read_status(), "move")
             raise
         self._conversation.require_accepted(ticket)
 
-    def _await_end(self, ticket: SentLine, order: MotionOrder, start_mm: Vector, surprises: int) -> TrackedStatus:
-        look = self._watch.look()
+    def _await_end(
+        self, ticket: SentLine, order: MotionOrder, start_mm: Vector, unexpected_restarts: int
+    ) -> TrackedStatus:
+        status = self._tracker.read_status()
         predicted_s = DurationPrediction(self._frames.limits).of(
-            start_mm, order.goal_mm, order.feed_mm_per_s, look.slowest_share
+            start_mm, order.goal_mm, order.feed_mm_per_s, status.slowest_share
         )
-        pace = PollSchedule(self._clock, self._settings, predicted_s, order.slice_s)
+        schedule = PollSchedule(self._clock, self._settings, predicted_s, order.slice_s)
         held: Deadline | None = None
         idle = 0
         while True:
-            self._require_same(surprises, order.what)
-            self._require_sound(look, order.what)
+            self._require_no_restart(unexpected_restarts, order.what)
+            self._require_sound(status, order.what)
             if self._control.stopping:
                 raise MotionFault(f"the {order.what} was stopped", hint="start the run again", **self.where)
             if ticket.answered:
-                return look
-            if look.state is MotionState.HELD:
+                return status
+            if status.state is MotionState.HELD:
                 held = held or Deadline.after(self._clock, self._settings.held_at_most_s)
-                self._require_resumed(held, look)
-                pace.begin_anew()
+                self._require_resumed(held, status)
+                schedule.restart()
             else:
                 held = None
-                pace.deadline.require(f"the end of a {order.what}", hint="see the controller", **self.where)
-                idle = idle + 1 if look.state is MotionState.IDLE and pace.fine else 0
+                schedule.deadline.raise_if_expired(
+                    f"the end of a {order.what}", hint="see the controller", **self.where
+                )
+                idle = idle + 1 if status.state is MotionState.IDLE and schedule.past_predicted_end else 0
                 self._require_answer(idle, ticket)
-            self._clock.sleep(pace.pause_s())
-            look = self._watch.look()
+            self._clock.sleep(schedule.pause_s())
+            status = self._tracker.read_status()
 
-    def _require_same(self, surprises: int, what: str) -> None:
-        if self._watch.surprises == surprises:
+    def _require_no_restart(self, unexpected_restarts: int, what: str) -> None:
+        if self._tracker.unexpected_restarts == unexpected_restarts:
             return
-        self._watch.position_lost = True
+        self._tracker.position_lost = True
         raise MotionFault(
             f"the controller has restarted in the middle of a {what}",
             hint="power, USB or reset button; home the machine before anything else",
             **self.where,
         )
 
-    def _require_sound(self, look: TrackedStatus, what: str) -> None:
+    def _require_sound(self, status: TrackedStatus, what: str) -> None:
         """The alarms and lost permissions that end a motion, each as its own error."""
-        if look.state is not MotionState.FAULT:
+        if status.state is not MotionState.FAULT:
             return
-        if look.alarm == ALARM_PROBE_STATE:
+        if status.alarm == ALARM_PROBE_STATE:
             self._control.unlock()
             raise CommandRejected(f"the probe is deflected before a {what}", hint="back off first", **self.where)
-        if look.alarm == PROBE_PROTECTED_ALARM:
+        if status.alarm == PROBE_PROTECTED_ALARM:
             self._control.unlock()
             raise GuardTripped(f"probe tripped in a {what}", hint="see what the probe touched", **self.where)
-        raise MotionFault(f"{what} ended in an alarm: {look.fault}", hint="see the controller", **self.where)
+        raise MotionFault(f"{what} ended in an alarm: {status.fault}", hint="see the controller", **self.where)
 
-    def _require_resumed(self, held: Deadline, look: TrackedStatus) -> None:
-        if not look.permissions[Permission.DOORS_CLOSED]:
+    def _require_resumed(self, held: Deadline, status: TrackedStatus) -> None:
+        if not status.permissions[Permission.DOORS_CLOSED]:
             raise PermissionMissing("the door was opened in motion", hint="close it, start again", **self.where)
         if held.expired:
             raise MotionFault(

@@ -44,11 +44,11 @@ class PollSchedule:
         self.deadline = Deadline.after(clock, self._allowed_s)
 
     @property
-    def fine(self) -> bool:
+    def past_predicted_end(self) -> bool:
         """Whether the predicted end has passed."""
         return self._clock.now() >= self._end_s
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Time spent held does not count."""
         self.deadline = Deadline.after(self._clock, self._allowed_s)
 

@@ -29,81 +29,81 @@ class ProbeCycleResult:
     """A probe cycle: its result, and the report after it."""
 
     result: ProbeResult
-    look: TrackedStatus
+    status: TrackedStatus
 
 
 class SerialProbing:
     """A latch is believed only when it is the only one, and lies on the path of its touch."""
 
     def __init__(
-        self, conversation: Conversation, watch: StatusTracker, motion: SerialMotion, frames: CoordinateFrames
+        self, conversation: Conversation, tracker: StatusTracker, motion: SerialMotion, frames: CoordinateFrames
     ) -> None:
         self._conversation = conversation
-        self._watch = watch
+        self._tracker = tracker
         self._motion = motion
         self._frames = frames
         self._settings = conversation.settings
-        self._pressed: Vector | None = None
+        self._press_direction: Vector | None = None
 
     def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
-        look = self._motion.ready()
-        if look.deflected:
+        status = self._motion.require_ready()
+        if status.deflected:
             raise CommandRejected(
                 "the probe is deflected before the touch", hint="back off first", **self._motion.where
             )
-        goal = self._frames.machine(target_mm)
-        if _distance(look.position_mm, goal) < SHORTEST_MM:
-            return Miss(_triple(self._frames.displayed(look.position_mm)))
-        ended = self._cycle(UNTIL_CONTACT, "touch", look.position_mm, goal, feed_mm_per_s)
-        position = _triple(self._frames.displayed(np.array(ended.result.position)))
+        goal = self._frames.to_machine(target_mm)
+        if _distance(status.position_mm, goal) < SHORTEST_MM:
+            return Miss(_triple(self._frames.to_displayed(status.position_mm)))
+        ended = self._cycle(UNTIL_CONTACT, "touch", status.position_mm, goal, feed_mm_per_s)
+        position = _triple(self._frames.to_displayed(np.array(ended.result.position)))
         return Touch(position) if ended.result.tripped else Miss(position)
 
-    def guarded(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
+    def move_guarded(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
         """A move that stops when the probe trips. A deflected probe is led off first, never further on."""
-        look = self._motion.ready()
-        goal = self._frames.machine(target_mm)
-        if look.deflected:
-            look = self._led_off(look, goal, feed_mm_per_s)
-        start = look.position_mm
-        if _distance(start, goal) < SHORTEST_MM or look.deflected:
+        status = self._motion.require_ready()
+        goal = self._frames.to_machine(target_mm)
+        if status.deflected:
+            status = self._back_off(status, goal, feed_mm_per_s)
+        start = status.position_mm
+        if _distance(start, goal) < SHORTEST_MM or status.deflected:
             return
         ended = self._cycle(UNTIL_CONTACT, "guarded move", start, goal, self._feed(start, goal, feed_mm_per_s))
         if ended.result.tripped:
-            x, y, z = self._frames.displayed(np.array(ended.result.position)).tolist()
+            x, y, z = self._frames.to_displayed(np.array(ended.result.position)).tolist()
             raise GuardTripped(
                 f"probe tripped in a move that was no touch, at X {x:.3f} Y {y:.3f} Z {z:.3f}",
                 hint="something stands in the way, or mount and artefact are not where the plan has them",
                 **self._motion.where,
             )
 
-    def _led_off(self, look: TrackedStatus, goal: Vector, feed_mm_per_s: float | None) -> TrackedStatus:
+    def _back_off(self, status: TrackedStatus, goal: Vector, feed_mm_per_s: float | None) -> TrackedStatus:
         """Towards the goal until the probe comes free; MotionFault where it does not within `free_within_mm`."""
-        start, way = look.position_mm, goal - look.position_mm
-        length = float(np.linalg.norm(way))
+        start, path = status.position_mm, goal - status.position_mm
+        length = float(np.linalg.norm(path))
         if length < SHORTEST_MM:
-            return look
-        if self._pressed is not None and float(way @ self._pressed) > 0.0:
+            return status
+        if self._press_direction is not None and float(path @ self._press_direction) > 0.0:
             raise CommandRejected(
                 "the probe is deflected and the move would press on", hint="move it free", **self._motion.where
             )
         share = min(1.0, self._settings.free_within_mm / length)
-        near = start + share * way
-        ended = self._cycle(UNTIL_FREE, "way off", start, near, self._feed(start, near, feed_mm_per_s))
+        free_target = start + share * path
+        ended = self._cycle(UNTIL_FREE, "way off", start, free_target, self._feed(start, free_target, feed_mm_per_s))
         if ended.result.tripped:
-            self._pressed = None
+            self._press_direction = None
         elif share < 1.0:
             raise MotionFault(
                 f"the probe is still deflected after {self._settings.free_within_mm:g} mm",
                 hint="look at the stylus and at the probe's wiring ($6), and move it free by hand",
                 **self._motion.where,
             )
-        return ended.look
+        return ended.status
 
     def _cycle(self, code: str, what: str, start: Vector, goal: Vector, feed_mm_per_s: float) -> ProbeCycleResult:
-        work = goal - self._watch.work_offset()
+        work = goal - self._tracker.work_offset()
         line = f"{PREAMBLE}{code}{axis_words(work)}{feed_word(feed_mm_per_s)}"
         order = MotionOrder(line, what, goal, feed_mm_per_s, self._settings.touch_poll_interval_s, barrier=False)
-        look = self._motion.carry_out(order, start)
+        status = self._motion.execute(order, start)
         results = self._conversation.probe_results
         if len(results) != 1:
             raise self._error(f"{what} ended with {len(results)} probe results, not one")
@@ -111,12 +111,12 @@ class SerialProbing:
         if result.tripped:
             self._require_on_path(result, start, goal)
             if code == UNTIL_CONTACT:
-                self._pressed = (goal - start) / _distance(goal, start)
+                self._press_direction = (goal - start) / _distance(goal, start)
         else:
-            self._motion.require_at(goal, look, what)
-            if _distance(np.array(result.position), look.position_mm) > self._settings.position_tolerance_mm:
+            self._motion.require_at(goal, status, what)
+            if _distance(np.array(result.position), status.position_mm) > self._settings.position_tolerance_mm:
                 raise self._error(f"{what} has missed, and its result is not where the axes are")
-        return ProbeCycleResult(result, look)
+        return ProbeCycleResult(result, status)
 
     def _require_on_path(self, result: ProbeResult, start: Vector, goal: Vector) -> None:
         off_mm = distance_to_segment_mm(np.array(result.position), start, goal)

@@ -62,15 +62,15 @@ class StatusTracker:
         self._homed: bool | None = None
         self._alarm: int | None = None
         self._in_alarm = False
-        self.ours_moves = False
+        self.own_motion = False
         """Whether what moves is a motion of this driver."""
         self.position_lost = False
-        self.surprises = 0
+        self.unexpected_restarts = 0
         """Restarts that nobody here has asked for."""
 
-    def take_offset(self, told: list[MessageLine], modes: str) -> None:
+    def set_work_offset(self, lines: list[MessageLine], modes: str) -> None:
         """The work offset out of the answers to ``$#`` and ``$G``. Told in another form, it will come with a report."""
-        offsets = {message.kind: message for message in told}
+        offsets = {message.kind: message for message in lines}
         system = next((word for word in modes.split() if word in COORDINATE_SYSTEMS), None)
         try:
             parts = [offsets[str(system)].triple(), offsets["G92"].triple(), _tool_offset(offsets["TLO"])]
@@ -79,7 +79,7 @@ class StatusTracker:
         x, y, z = (sum(values) for values in zip(*parts, strict=True))
         self._offset = (x, y, z)
 
-    def look(self) -> TrackedStatus:
+    def read_status(self) -> TrackedStatus:
         """Ask for a report. A critical alarm silences the controller until it is reset, which moves nothing."""
         conversation = self._conversation
         try:
@@ -95,7 +95,7 @@ class StatusTracker:
             self._note_restart(expected=True)
             report = conversation.report()
             self._alarm = conversation.alarm if conversation.alarm is not None else alarm
-        return self._taken(report)
+        return self._interpret(report)
 
     def expect_restart(self) -> None:
         """Called after a reset of our own: what it wipes out is forgotten, the position is kept."""
@@ -106,14 +106,14 @@ class StatusTracker:
         for _ in range(REPORTS_UNTIL_OFFSET):
             if self._offset is not None:
                 return np.array(self._offset)
-            self.look()
+            self.read_status()
         raise ProtocolError(
             f"no work offset (WCO) in {REPORTS_UNTIL_OFFSET} reports",
             hint="switch it on in the report mask $10",
             **self._conversation.where,
         )
 
-    def _taken(self, report: StatusReport) -> TrackedStatus:
+    def _interpret(self, report: StatusReport) -> TrackedStatus:
         self._note_restart(expected=False)
         self._note_fields(report)
         self._note_alarm(report)
@@ -140,7 +140,7 @@ class StatusTracker:
         self._offset, self._overrides, self._spindle_turns = None, (100, 100), False
         if expected:
             return
-        self.surprises += 1
+        self.unexpected_restarts += 1
         if not self._settings.homes:
             self.position_lost = True  # switched off and on, it counts from wherever it stands
 
@@ -158,13 +158,13 @@ class StatusTracker:
 
     def _note_alarm(self, report: StatusReport) -> None:
         if report.state != "Alarm":
-            self._conversation.forget_alarm()
+            self._conversation.clear_alarm()
             self._alarm, self._in_alarm = None, False
             return
-        told = self._conversation.alarm
-        if told is None and not self._in_alarm:
-            told = report.substate if report.substate else self._alarm
-        self._alarm = told if told is not None else self._alarm
+        code = self._conversation.alarm
+        if code is None and not self._in_alarm:
+            code = report.substate if report.substate else self._alarm
+        self._alarm = code if code is not None else self._alarm
         self._in_alarm = True
         if self._alarm not in POSITION_KEPT:
             self.position_lost = True
@@ -176,7 +176,7 @@ class StatusTracker:
             Permission.AUTOMATIC: state not in NOT_AUTOMATIC,
             Permission.DOORS_CLOSED: (state != "Door" or report.substate == 0) and "D" not in pins,
             Permission.SPINDLE_STOPPED: not self._spindle_turns,
-            Permission.PROGRAM_IDLE: state in NO_PART_PROGRAM or self.ours_moves,
+            Permission.PROGRAM_IDLE: state in NO_PART_PROGRAM or self.own_motion,
             Permission.REFERENCED: referenced,
             Permission.NO_FAULT: state != "Alarm",
             Permission.CONSENT: True,

@@ -46,7 +46,7 @@ class BankStore:
     def open(self) -> None:
         """Take up the bank that acted last. StoreError where its table is not the one that was activated."""
         bank, crc = self._files.active()
-        self._active, self.correction = bank, Correction(self._proved(bank, crc) if bank else None)
+        self._active, self.correction = bank, Correction(self._verified_table(bank, crc) if bank else None)
 
     def active_bank(self) -> int:
         return self._active
@@ -86,7 +86,7 @@ class BankStore:
         self._files.set_active(bank, counts_crc32(table.counts) if table is not None else 0)
         self._active, self.correction = bank, Correction(table)
 
-    def _proved(self, bank: int, crc: int) -> TableImage:
+    def _verified_table(self, bank: int, crc: int) -> TableImage:
         if bank not in BANKS:
             raise self._error(f"bank {bank} is recorded as active, and there is none")
         table = self._files.read(bank)

@@ -75,7 +75,7 @@ class LinuxCncInstance:
                 raise ConfigurationError(
                     f"LinuxCNC did not start: {output[-1] if output else 'no output'}", file=str(self.log)
                 )
-            deadline.require("LinuxCNC to be homed", hint=f"see {self.log}")
+            deadline.raise_if_expired("LinuxCNC to be homed", hint=f"see {self.log}")
             deadline.clock.sleep(POLL_S)
 
     def _homed(self) -> bool:

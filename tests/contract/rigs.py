@@ -36,7 +36,7 @@ class Played(ContractRig):
     """Every role of one machine. `world` is only looked at."""
 
     outside_mm = ((4000.1, 0.0, 0.0), (0.0, -0.1, 0.0), (0.0, 0.0, 1e9))
-    mount_is_free_at_mm = (2900.0, 0.0, 750.0)
+    clear_of_mount_mm = (2900.0, 0.0, 750.0)
 
     machine: Machine
     probe: Probe

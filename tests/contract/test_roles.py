@@ -41,7 +41,7 @@ class TestProbe(ProbeContract):
 
 class TestRotaryMount(RotaryMountContract):
     def test_it_stands_where_it_was_stopped(self, rig: Played) -> None:
-        rig.go(rig.mount_is_free_at_mm)
+        rig.go(rig.clear_of_mount_mm)
         rig.interrupt.after(1.5)
         with pytest.raises(StoppedError):
             rig.mount.orient_to(90.0, 0.0)

@@ -321,7 +321,7 @@ def mdi(link: BridgeLink, *lines: str) -> None:
 def until(reached) -> None:
     deadline = Deadline.after(RealClock(), 20.0)
     while not reached():
-        deadline.require("what the test waits for")
+        deadline.raise_if_expired("what the test waits for")
         deadline.clock.sleep(0.01)
 
 

@@ -94,7 +94,7 @@ def test_link_that_cannot_be_made_is_one_clear_line(tmp_path: Path) -> None:
 def test_the_zero_of_the_axes_is_the_one_shipped(case: Case) -> None:
     zero = re.search(r"axis_zero_mm = (\[.*?\])", case.settings.read_text())
     assert zero is not None
-    assert case.ready["serial"]["axis_zero_mm"] == json.loads(zero[1])
+    assert case.require_ready["serial"]["axis_zero_mm"] == json.loads(zero[1])
 
 
 def test_doctor_finds_nothing_wrong_and_says_where_the_tables_are(case: Case) -> None:
@@ -137,6 +137,6 @@ def test_a_corrected_program_goes_where_the_verification_was_measured(case: Case
     moves = re.findall(r"X([-\d.]+) ?Y([-\d.]+) ?Z([-\d.]+)", ended.stdout)
     bank = case.banks.read(1)
     assert bank is not None
-    sent = Correction(bank).applied(np.array([1003.5, 301.25, 402.0]))
+    sent = Correction(bank).apply(np.array([1003.5, 301.25, 402.0]))
     assert np.array(moves[-1], dtype=float) == pytest.approx(sent, abs=2e-4)
     assert np.linalg.norm(sent - [1003.5, 301.25, 402.0]) > 2e-3

@@ -104,7 +104,7 @@ def status_answer(transaction: int) -> bytes:
 def test_status_and_heartbeat_requests_are_the_golden_ones(script: Script) -> None:
     with closing(link_to(script)) as link:
         session = ModbusSession(link, VirtualClock(), ModbusCncSettings(host="127.0.0.1"))
-        session.look()
+        session.read_status_unchecked()
         session._heartbeat = 6
         session._known = {7: 1}
         session.poll()
@@ -119,7 +119,7 @@ def test_status_and_heartbeat_requests_are_the_golden_ones(script: Script) -> No
 def test_a_touch_command_is_the_golden_one_and_its_answer_is_understood(script: Script) -> None:
     with closing(link_to(script)) as link:
         session = ModbusSession(link, VirtualClock(), ModbusCncSettings(host="127.0.0.1"))
-        session.look()
+        session.read_status_unchecked()
         session._known, session._heartbeat, session._sequence = {7: 1}, 6, 6
         session.poll()
         session._known = {6: 1}

@@ -106,7 +106,7 @@ def test_busy_is_asked_again() -> None:
     slave = scripted(framed("11 83 06"), ANSWER_17)
     with linked(slave, retries=1) as link:
         assert link.read(0x6B, 3) == VALUE_17
-        assert link.repeated == 1
+        assert link.repeat_count == 1
     slave = scripted(framed("11 83 06"))
     with linked(slave) as link, pytest.raises(LinkTimeout, match="busy"):
         link.read(0x6B, 3)
@@ -143,7 +143,7 @@ def test_a_damaged_answer_is_told_as_such_and_asked_again(damage: Callable[[byte
     slave = scripted(damage(ANSWER_17), ANSWER_17)
     with linked(slave, timeout_s=SILENCE_S, retries=1) as link:
         assert link.read(0x6B, 3) == VALUE_17
-        assert (len(slave.requests), link.repeated) == (2, 1)
+        assert (len(slave.requests), link.repeat_count) == (2, 1)
 
 
 def test_what_is_not_idempotent_is_sent_once() -> None:

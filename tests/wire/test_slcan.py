@@ -241,10 +241,10 @@ def test_adapter_that_is_pulled_out_is_a_lost_link() -> None:
 
 def test_link_asks_its_adapter(peer: SlcanPeerBus) -> None:
     link = CanNetworks().acquire(CanAddress.of("slcan", peer.port, READY))
-    assert link.adapter_text() == "the adapter reports no error"
+    assert link.adapter_status_text() == "the adapter reports no error"
     peer.go_off_bus()
     link.add_node(5, canopen.ObjectDictionary()).network.send_message(0x605, b"\x40" + bytes(7))
-    assert link.adapter_text() == (
+    assert link.adapter_status_text() == (
         "the adapter reports error warning, error passive, bus error; it has refused 1 commands"
     )
     link.close()

@@ -135,7 +135,7 @@ class TestBlocks:
 
 class TestPunch:
     def test_what_the_controller_punches_is_what_it_holds(self, line: Line) -> None:
-        tape = line.punch_read.punched()
+        tape = line.punch_read.receive()
         assert line.asked == ["press PUNCH at the controller"]
         assert len(tape.blocks) == len(PARAMETERS)
         assert tape.text().count("N01005Q1A1P10000001A2P10000001A3P10000001\n") == 1
@@ -144,17 +144,17 @@ class TestPunch:
     def test_nobody_presses(self, line: Line) -> None:
         line.presses = False
         with pytest.raises(DeadlineExpired, match="PUNCH was not pressed within 60 s"):
-            line.punch_read.punched()
+            line.punch_read.receive()
 
     def test_readable_leader_is_left_out(self, line: Line) -> None:
         line.presses = False
         line.cnc.press_punch("PARAMETER BACKUP N1P2\n")
-        assert len(line.punch_read.punched().blocks) == len(PARAMETERS)
+        assert len(line.punch_read.receive().blocks) == len(PARAMETERS)
 
     def test_tape_that_breaks_off(self, line: Line) -> None:
         line.clock.subscribe(once(4.0, line.cnc.press_reset))
         with pytest.raises(LinkTimeout, match=r"breaks off after \d+ blocks"):
-            line.punch_read.punched()
+            line.punch_read.receive()
 
     def test_wrong_hole(self, line: Line) -> None:
         at: list[int] = []
@@ -165,7 +165,7 @@ class TestPunch:
 
         line.cnc.line.distort = bad
         with pytest.raises(ProtocolError, match="parity fault in block"):
-            line.punch_read.punched()
+            line.punch_read.receive()
 
     def test_lost_second_mark(self, line: Line) -> None:
         seen: list[bytes] = []
@@ -176,24 +176,24 @@ class TestPunch:
 
         line.cnc.line.distort = without
         with pytest.raises(ProtocolError, match="without a second %"):
-            line.punch_read.punched()
+            line.punch_read.receive()
 
     def test_line_that_goes(self, line: Line) -> None:
         line.clock.subscribe(once(4.0, line.cnc.line.close))
         with pytest.raises(LinkLost, match="gone"):
-            line.punch_read.punched()
+            line.punch_read.receive()
 
 
 class TestRead:
     def test_both_directions_and_the_comparison(self, line: Line) -> None:
-        backup = line.punch_read.punched()
+        backup = line.punch_read.receive()
         line.cnc.parameters = dict.fromkeys(PARAMETERS, "P1")
         line.punch_read.write(backup)
         assert line.cnc.parameters == PARAMETERS
         assert [text.split()[1] for text in line.asked] == ["PUNCH", "READ", "PUNCH"]
 
     def test_controller_that_stops_us_is_obeyed_within_ten_characters(self, line: Line) -> None:
-        line.punch_read.read_by_controller(LONG)
+        line.punch_read.send(LONG)
         line.clock.sleep(1.0)
         assert line.cnc.mode is Mode.READY
         assert line.cnc.parameters[3099] == "P3099"
@@ -201,7 +201,7 @@ class TestRead:
 
     def test_slow_controller_stops_us_often(self) -> None:
         for line in made(TapeCnc({}, baud=600)):
-            line.punch_read.read_by_controller(LONG)
+            line.punch_read.send(LONG)
             line.clock.sleep(20.0)
             assert line.cnc.parameters[3099] == "P3099"
             assert 0 < line.cnc.overrun <= 10
@@ -210,19 +210,19 @@ class TestRead:
         for line in made(TapeCnc({}, baud=600)):
             line.cnc.stays_stopped = True
             with pytest.raises(LinkTimeout, match="stopped the transfer") as caught:
-                line.punch_read.read_by_controller(LONG)
+                line.punch_read.send(LONG)
             assert "of 102 blocks; read its backup back in" in caught.value.__notes__[0]
 
     def test_write_protection_stops_us_too(self) -> None:
         for line in made(TapeCnc({}, writable=False)):
             with pytest.raises(LinkTimeout, match="stopped the transfer"):
-                line.punch_read.read_by_controller(parse_tape(MANUAL))
+                line.punch_read.send(parse_tape(MANUAL))
             assert line.cnc.alarm == "parameters are write-protected"
 
     def test_nobody_presses(self, line: Line) -> None:
         line.presses = False
         with pytest.raises(DeadlineExpired, match="READ was not pressed"):
-            line.punch_read.read_by_controller(parse_tape(MANUAL))
+            line.punch_read.send(parse_tape(MANUAL))
 
     def test_value_that_the_controller_keeps_otherwise(self, line: Line) -> None:
         line.cnc.misstored = {2: "P00000001"}

@@ -1,7 +1,7 @@
 """One JSON object a line on standard input, one back on standard output: LinuxCNC for a program of another Python.
 
 Run by the distribution's interpreter (`/usr/bin/python3 drivers/linuxcnc/bridge`), because the modules `linuxcnc` and
-`hal` are built for that one. Imports nothing of volcal. Every request is answered within a few cycles of the task;
+`hal` are built for that one. Imports nothing of volcal. Every request is answer_line within a few cycles of the task;
 nothing here waits for a motion. The machine is stopped when standard input ends, and when a motion that was begun here
 is under way and nobody has asked for `watch_s` seconds.
 
@@ -175,21 +175,21 @@ class Bridge:
             "rapid_override": stat.rapidrate,
             "cycle_s": stat.cycle_time,
             "abandoned": self._abandoned,
-            "errors": self._drained(),
+            "errors": self._take_messages(),
             "pins": self._pins.values(*request.get("pins", ())),
             "monotonic_s": time.monotonic(),
         }
 
-    def _drained(self) -> list[str]:
+    def _take_messages(self) -> list[str]:
         """What LinuxCNC has said since it was asked last."""
-        said = []
+        messages = []
         for _ in range(100):
             message = self._channel.poll()
             if not message:
                 break
             if message[0] in ERRORS:
-                said.append(message[1])
-        return said
+                messages.append(message[1])
+        return messages
 
     # ------------------------------------------------------------------ what it does
 
@@ -206,7 +206,7 @@ class Bridge:
             raise RefusedError("LinuxCNC is busy with a program or another command")
         if self._stat.task_mode != linuxcnc.MODE_MDI:
             self._set_mode(linuxcnc.MODE_MDI)
-        self._drained()
+        self._take_messages()
         self._abandoned = False
         self._command.mdi(request["line"])
         self._begin()
@@ -273,12 +273,12 @@ class Bridge:
             if reached(self._stat):
                 return
             if time.monotonic() > ends_s:
-                said = "; ".join(self._drained())
-                raise RefusedError(f"LinuxCNC did not {what}{': ' if said else ''}{said}")
+                messages = "; ".join(self._take_messages())
+                raise RefusedError(f"LinuxCNC did not {what}{': ' if messages else ''}{messages}")
             time.sleep(0.002)
 
 
-def answered(bridge: Bridge, line: bytes) -> Fields:
+def answer_line(bridge: Bridge, line: bytes) -> Fields:
     """The answer to one line; never raises for what was asked."""
     number = None
     try:
@@ -315,7 +315,7 @@ def main() -> None:
                 return
             *lines, buffered = (buffered + chunk).split(b"\n")
             for line in lines:
-                replies.write(json.dumps(answered(bridge, line)) + "\n")
+                replies.write(json.dumps(answer_line(bridge, line)) + "\n")
     except (BrokenPipeError, KeyboardInterrupt, GoneError):
         return
     finally:

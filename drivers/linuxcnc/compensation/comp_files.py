@@ -41,7 +41,7 @@ class CompFileStore:
         return self._signal(BANK_SIGNAL)
 
     def pending_bank(self) -> int | None:
-        chosen = self._chosen()
+        chosen = self._selected_bank()
         return None if chosen == self.active_bank() else chosen
 
     def read_table(self, bank: int) -> TableImage | None:
@@ -60,7 +60,7 @@ class CompFileStore:
 
     def stage(self, bank: int, table: TableImage) -> None:
         """Refused where more of the table would be lost than the settings accept."""
-        self._banks.require_stageable(bank, table, (self.active_bank(), self._chosen()))
+        self._banks.require_stageable(bank, table, (self.active_bank(), self._selected_bank()))
         part = own_axis_part(table)
         self._require_acceptable(part)
         folder = self._banks.directory / f"bank{bank}"
@@ -69,15 +69,15 @@ class CompFileStore:
         except OSError as error:
             raise self._banks.error(f"cannot make {folder}: {error.strerror}") from error
         self._banks.write(bank, table)
-        for name, text in _files(bank, table).items():
+        for name, text in _bank_texts(bank, table).items():
             write_atomically(folder / name, text)
 
     def activate(self, bank: int) -> None:
         """Arm: every file proved again, a link laid beside; confirm: the link put in place. Acts after a restart."""
-        if bank == self._chosen():
+        if bank == self._selected_bank():
             return
         if bank != 0:
-            self._prove(bank)
+            self._verify(bank)
         elif not (self._banks.directory / "bank0").is_dir():
             raise self._banks.error("there is no directory bank0 without compensation", hint=SETUP)
         armed = self._banks.directory / f"{ACTING}.part"
@@ -105,13 +105,13 @@ class CompFileStore:
             findings.append(DiagnosticFinding(subject, ok=True, text=f"up to {lost_um:.1f} µm of its table do not act"))
         return findings
 
-    def _prove(self, bank: int) -> None:
+    def _verify(self, bank: int) -> None:
         self._banks.require_known(bank)
         table = self._banks.read(bank)
         if table is None:
             raise self._banks.error(f"bank {bank} holds no table", hint="stage it first")
         folder = self._banks.directory / f"bank{bank}"
-        for name, text in _files(bank, table).items():
+        for name, text in _bank_texts(bank, table).items():
             if read_if_exists(folder / name) != text:
                 raise self._mismatch(f"{folder / name} is not what the table of bank {bank} makes")
 
@@ -128,7 +128,7 @@ class CompFileStore:
     def _link(self) -> Path:
         return self._banks.directory / ACTING
 
-    def _chosen(self) -> int:
+    def _selected_bank(self) -> int:
         """The bank that the next start takes."""
         try:
             name = self._link.readlink().name
@@ -148,7 +148,7 @@ class CompFileStore:
         return ChecksumMismatch(text, hint="stage the table again", **self._banks.where)
 
 
-def _files(bank: int, table: TableImage) -> dict[str, str]:
+def _bank_texts(bank: int, table: TableImage) -> dict[str, str]:
     """Name → text of the files that LinuxCNC reads for this bank."""
     part = own_axis_part(table)
     files = {

@@ -104,7 +104,7 @@ class LiveStore:
             raise self._banks.error(f"bank {bank} was not armed", hint="somebody else switches banks; try again")
         self._set("confirm-nonce", nonce)
         self._await(lambda: int(self._get("bank")) == bank, f"bank {bank} to be chosen")
-        self._await(lambda: self._acts(bank), f"bank {bank} to act and settle")
+        self._await(lambda: self._is_active(bank), f"bank {bank} to act and settle")
 
     def diagnose(self) -> list[DiagnosticFinding]:
         """Loader, table that acts, faults; reads only."""
@@ -127,7 +127,7 @@ class LiveStore:
             findings.append(DiagnosticFinding(subject, ok=False, text=text))
         return findings
 
-    def _acts(self, bank: int) -> bool:
+    def _is_active(self, bank: int) -> bool:
         fault = int(self._get("acting-fault"))
         if fault in FAULTS_WITHOUT_BANK and int(self._get("acting-bank")) == bank:
             raise self._banks.error(FAULTS[fault])
@@ -165,7 +165,7 @@ class LiveStore:
     def _await(self, reached: Callable[[], bool], awaited: str) -> None:
         deadline = Deadline.after(self._clock, self._within_s)
         while not reached():
-            deadline.require(awaited, hint="look at the log of LinuxCNC", **self._banks.where)
+            deadline.raise_if_expired(awaited, hint="look at the log of LinuxCNC", **self._banks.where)
             self._clock.sleep(POLL_S)
 
     def _get(self, pin: str) -> PinValue:

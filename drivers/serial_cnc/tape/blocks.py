@@ -78,13 +78,13 @@ def parse_tape(text: str) -> Tape:
 def _block(line: str, number: int) -> Block:
     bare = _COMMENT.sub("", line).rstrip("; ")
     words = []
-    at = 0
-    while at < len(bare):
-        match = _WORD.match(bare, at)
+    position = 0
+    while position < len(bare):
+        match = _WORD.match(bare, position)
         if match is None:
             raise TapeError(f"block {number} is no row of words: {line!r}")
         words.append(Word(match[1], match[2]))
-        at = match.end()
+        position = match.end()
     return tuple(words)
 
 
@@ -93,24 +93,24 @@ class TapeDifference:
     """A parameter that reads back as something else; `found` is None where it is missing."""
 
     number: int
-    place: str
-    wanted: Word
+    axis: str
+    expected: Word
     found: Word | None
 
     def __str__(self) -> str:
-        where = f"N{self.number}{self.place}"
-        return f"{where}: wrote {self.wanted}, " + ("not there" if self.found is None else f"reads {self.found}")
+        where = f"N{self.number}{self.axis}"
+        return f"{where}: wrote {self.expected}, " + ("not there" if self.found is None else f"reads {self.found}")
 
 
-def differences(wanted: Tape, found: Tape) -> list[TapeDifference]:
-    """Every value of `wanted` that `found` has not, or not so. What `found` has besides is no difference. TapeError
+def differences(expected: Tape, found: Tape) -> list[TapeDifference]:
+    """Every value of `expected` that `found` has not, or not so. What `found` has besides is no difference. TapeError
     for a block that is no parameter."""
-    there = dict(_values(found.blocks))
+    actual = dict(_values(found.blocks))
     found_differences = []
-    for (number, place), word in _values(wanted.blocks):
-        other = there.get((number, place))
+    for (number, axis), word in _values(expected.blocks):
+        other = actual.get((number, axis))
         if other is None or not word.same_as(other):
-            found_differences.append(TapeDifference(number, place, word, other))
+            found_differences.append(TapeDifference(number, axis, word, other))
     return found_differences
 
 
@@ -118,16 +118,16 @@ def _values(blocks: Iterable[Block]) -> Iterable[tuple[tuple[int, str], Word]]:
     """(parameter, axis or spindle) and its value. A second value of the same one is told apart by its count."""
     for block in blocks:
         number: int | None = None
-        place = ""
+        axis = ""
         for word in block:
             match word.letter:
                 case "N":
                     number = int(Decimal(word.text))
                 case "A" | "S":
-                    place = f"{word.letter}{int(Decimal(word.text))}"
+                    axis = f"{word.letter}{int(Decimal(word.text))}"
                 case "Q" | "O" | "G":
                     pass
                 case _ if number is None:
                     raise TapeError(f"a value without a parameter: {''.join(map(str, block))}")
                 case _:
-                    yield (number, place), word
+                    yield (number, axis), word

@@ -37,18 +37,18 @@ class ParityFault:
 Character = str | DeviceControl | ParityFault
 
 
-def punched(byte: int) -> int:
+def with_even_parity(byte: int) -> int:
     """Seven bits with even parity in the eighth."""
     return byte | (byte.bit_count() & 1) << 7
 
 
 def encode(text: str) -> bytes:
     """ASCII text to a tape's characters. Raises UnicodeEncodeError for what is no ASCII."""
-    return bytes(punched(byte) for byte in text.encode("ascii"))
+    return bytes(with_even_parity(byte) for byte in text.encode("ascii"))
 
 
 def encode_control(control: DeviceControl) -> bytes:
-    return bytes((punched(control),))
+    return bytes((with_even_parity(control),))
 
 
 def decode(data: bytes) -> list[Character]:
@@ -56,7 +56,7 @@ def decode(data: bytes) -> list[Character]:
     characters: list[Character] = []
     for byte in data:
         seven = byte & 0x7F
-        if punched(seven) != byte:
+        if with_even_parity(seven) != byte:
             characters.append(ParityFault(byte))
         elif seven in _CONTROLS:
             characters.append(_CONTROLS[seven])

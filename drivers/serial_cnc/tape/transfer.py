@@ -49,7 +49,7 @@ class PunchRead:
     def __exit__(self, *_: object) -> None:
         self._port.close()
 
-    def punched(self) -> Tape:
+    def receive(self) -> Tape:
         """What the controller punches. Slowed down by nobody: it is taken as fast as it comes."""
         self._announce("press PUNCH at the controller")
         characters = self._from_first_mark()
@@ -63,7 +63,7 @@ class PunchRead:
         except TapeError as error:
             self._refuse(str(error))
 
-    def read_by_controller(self, tape: Tape) -> None:
+    def send(self, tape: Tape) -> None:
         """Send once READ is pressed. An error leaves a part of the tape in the controller, and says how much."""
         data = encode(tape.text())
         self._announce("press READ at the controller")
@@ -71,12 +71,12 @@ class PunchRead:
         sent = 0
         try:
             while sent < len(data):
-                self._obey(sent)
+                self._obey_flow_control(sent)
                 chunk = data[sent : sent + AT_ONCE]
                 self._port.write(chunk)
                 sent += len(chunk)
                 self._clock.sleep(len(chunk) * BITS_OF_CHARACTER / self._settings.baud)
-            self._obey(sent, ended=True)
+            self._obey_flow_control(sent, ended=True)
         except Exception as error:
             blocks = data[:sent].count(encode("\n"))
             error.add_note(
@@ -86,8 +86,8 @@ class PunchRead:
 
     def write(self, tape: Tape) -> None:
         """Send, have it punched back, compare. Raises ReadBackMismatch naming the parameters that differ."""
-        self.read_by_controller(tape)
-        self.compare(tape, self.punched())
+        self.send(tape)
+        self.compare(tape, self.receive())
 
     def compare(self, wanted: Tape, found: Tape) -> None:
         try:
@@ -110,7 +110,7 @@ class PunchRead:
         """Everything up to the first mark is leader; the characters that came right behind it."""
         deadline = Deadline.after(self._clock, self._settings.operator_within_s)
         while True:
-            characters = self._come()
+            characters = self._received()
             for place, character in enumerate(characters):
                 if character == MARK:
                     return characters[place + 1 :]
@@ -120,7 +120,7 @@ class PunchRead:
         """The text that has come, of `held` first; waits for some."""
         deadline = Deadline.after(self._clock, self._settings.silent_within_s)
         while not held:
-            held.extend(self._come())
+            held.extend(self._received())
             if not held and deadline.expired:
                 raise LinkTimeout(
                     f"the punched tape breaks off after {text.count(chr(10))} blocks: silent for "
@@ -147,12 +147,12 @@ class PunchRead:
 
     def _await_start(self) -> None:
         deadline = Deadline.after(self._clock, self._settings.operator_within_s)
-        while DeviceControl.READER_START not in self._come():
+        while DeviceControl.READER_START not in self._received():
             self._require_pressed(deadline, "READ")
 
-    def _obey(self, sent: int, *, ended: bool = False) -> None:
+    def _obey_flow_control(self, sent: int, *, ended: bool = False) -> None:
         """Go on unless the controller has stopped us; then wait until it lets us go on. At the end it need not."""
-        stopped = self._last_word(self._come()) is DeviceControl.READER_STOP
+        stopped = self._last_flow_control(self._received()) is DeviceControl.READER_STOP
         deadline = Deadline.after(self._clock, self._settings.stopped_within_s)
         while stopped and not ended:
             if deadline.expired:
@@ -163,9 +163,9 @@ class PunchRead:
                     **self.where,
                 )
             self._clock.sleep(POLL_S)
-            stopped = self._last_word(self._come()) is not DeviceControl.READER_START
+            stopped = self._last_flow_control(self._received()) is not DeviceControl.READER_START
 
-    def _last_word(self, characters: list[Character]) -> DeviceControl | None:
+    def _last_flow_control(self, characters: list[Character]) -> DeviceControl | None:
         """The last of reader start and reader stop; None where neither has come."""
         words = [c for c in characters if c in (DeviceControl.READER_START, DeviceControl.READER_STOP)]
         for character in characters:
@@ -176,7 +176,7 @@ class PunchRead:
 
     # ------------------------------------------------------------------ both
 
-    def _come(self) -> list[Character]:
+    def _received(self) -> list[Character]:
         return decode(self._port.read(0.0))
 
     def _require_pressed(self, deadline: Deadline, key: str) -> None:

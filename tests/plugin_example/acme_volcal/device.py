@@ -113,7 +113,7 @@ class AcmeCnc:
             allowed_s = 1.5 * float(np.linalg.norm(target_mm - start)) / speed + MARGIN_S
             deadline = Deadline.after(self._clock, allowed_s)
             while (outcome := self._ask("outcome")[0]) == "moving":
-                deadline.require(f"the end of {kind}", hint="see the controller", **self._line.where)
+                deadline.raise_if_expired(f"the end of {kind}", hint="see the controller", **self._line.where)
                 self._clock.sleep(POLL_S)
         except BaseException as error:
             try:

@@ -124,7 +124,7 @@ def test_every_state_leads_to_operation_enabled() -> None:
         for _ in DriveState:
             if state is not DriveState.OPERATION_ENABLED:
                 path_s += ENABLE_TRANSITIONS[state].within_s
-                state = ENABLE_TRANSITIONS[state].arrives
+                state = ENABLE_TRANSITIONS[state].target
         assert state is DriveState.OPERATION_ENABLED
         assert math.isfinite(path_s)
 

@@ -40,14 +40,14 @@ class TestCorrection:
     def test_is_taken_out_exactly(self, place: tuple[float, float, float], seed: int) -> None:
         correction = Correction(table(seed))
         displayed = np.array(place)
-        assert correction.taken_out(correction.applied(displayed)) == pytest.approx(displayed, abs=1e-9)
+        assert correction.remove(correction.apply(displayed)) == pytest.approx(displayed, abs=1e-9)
 
     @settings(max_examples=20)
     @given(positions, st.integers(0, 20))
     def test_is_taken_out_at_the_steepest_that_is_let_in(self, place: tuple[float, float, float], seed: int) -> None:
         steep = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, table(seed, round(MAX_SLOPE / 2e-4)).counts)
         correction = Correction(steep)
-        assert correction.taken_out(correction.applied(np.array(place))) == pytest.approx(np.array(place), abs=1e-4)
+        assert correction.remove(correction.apply(np.array(place))) == pytest.approx(np.array(place), abs=1e-4)
 
     def test_single_plane_and_single_node(self) -> None:
         flat = TableImage((0.0, 0.0, 0.0), STEP, 1e-4, np.full((3, 1, 1, 3), 7, dtype=np.int32))
