@@ -1,1 +1,1 @@
-"""Roles that devices play, the links they are reached by, and the drivers that ship with volcal."""
+"""Device roles, the links that reach devices, and the drivers that ship with volcal."""

@@ -1,7 +1,7 @@
-"""Time, handed in. This is the only module of the house that imports `time`.
+"""Clocks, passed to their users as arguments. No other module of the project imports `time`.
 
-All waiting in plans' engine and in drivers is `clock.sleep` under a `Deadline`; a hold or an abort is
-noticed there and nowhere else, so it is noticed everywhere.
+The step engine and the drivers wait only by `clock.sleep` under a `Deadline`. Holds and aborts are detected in
+that sleep, so every wait reacts to them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Protocol
 from drivers.errors import DeadlineExpired
 
 INTERRUPT_SLICE_S = 0.05
-"""Longest machine time for which a hold or an abort goes unnoticed (agent design: 50 ms)."""
+"""Longest machine time until a hold or an abort is detected (agent design: 50 ms)."""
 
 
 class Clock(Protocol):
@@ -40,7 +40,7 @@ class RealClock:
 
 
 class ScaledClock:
-    """Runs `factor` times as fast as the wall clock."""
+    """Clock that runs `factor` times as fast as the wall clock."""
 
     def __init__(self, factor: float) -> None:
         if not factor > 0.0:
@@ -57,21 +57,24 @@ class ScaledClock:
 
 
 class VirtualClock:
-    """Sleeping is what makes time pass; listeners (a world, wire servers) are moved along with it."""
+    """Clock that advances only when someone sleeps on it; listeners (a world, wire servers) advance with it."""
 
     def __init__(self) -> None:
         self._now = 0.0
         self._listeners: list[Callable[[float], None]] = []
 
     def subscribe(self, listener: Callable[[float], None]) -> None:
-        """`listener(now)` is called after every advance."""
+        """Register `listener`; it is called with the current time after every advance."""
         self._listeners.append(listener)
 
     def now(self) -> float:
         return self._now
 
     def sleep(self, duration_s: float) -> None:
-        """Time passes, however short the sleep: else who waits for an instant would wait for ever just before it."""
+        """Advance by `duration_s`, at least to the next float64.
+
+        A shorter sleep would leave the time unchanged, and a loop that waits for an instant would never end.
+        """
         if duration_s > 0.0:
             self.advance_to(max(self._now + duration_s, math.nextafter(self._now, math.inf)))
 
@@ -84,11 +87,11 @@ class VirtualClock:
 
 
 class LockstepClock:
-    """Virtual time shared with a simulator process: a sleep here is an advance there.
+    """Virtual time shared with a simulator process: a sleep on this clock advances the simulated world.
 
-    The agent's side leads. One request is the line ``advance SECONDS\\n``, the answer ``ok\\n`` once the
-    simulated world has reached that instant. The clock is no device and raises no fault: when the peer is
-    gone, time runs on with the wall clock, so that the machine's own link reports the loss.
+    The agent's side leads. A request is the line ``advance SECONDS\\n``; the peer answers ``ok\\n`` once the
+    simulated world has reached that instant. The clock is not a device and raises no fault: if the peer is
+    lost, time continues with the wall clock, so that the machine's own link reports the loss.
     """
 
     def __init__(self, host: str, port: int, *, answer_within_s: float = 10.0) -> None:
@@ -130,10 +133,10 @@ class LockstepClock:
 
 
 class InterruptibleClock:
-    """A clock whose every sleep is sliced so that `check` runs at least each `slice_s` of machine time.
+    """Clock that splits every sleep into slices, so that `check` runs at least every `slice_s` of machine time.
 
-    `check` raises to abort, or blocks while the run is held. Time spent held does not count: deadlines
-    made from this clock do not expire during a hold.
+    `check` raises to abort, or blocks while the run is held. Time on hold does not count: deadlines
+    created with this clock do not expire during a hold.
     """
 
     def __init__(self, inner: Clock, check: Callable[[], None], slice_s: float = INTERRUPT_SLICE_S) -> None:
@@ -147,11 +150,11 @@ class InterruptibleClock:
 
     def sleep(self, duration_s: float) -> None:
         self._run_check()
-        left = duration_s
-        while left > 0.0:
-            piece = min(left, self._slice_s)
-            self._inner.sleep(piece)
-            left -= piece
+        remaining_s = duration_s
+        while remaining_s > 0.0:
+            part_s = min(remaining_s, self._slice_s)
+            self._inner.sleep(part_s)
+            remaining_s -= part_s
             self._run_check()
 
     @property
@@ -165,14 +168,17 @@ class InterruptibleClock:
 
 
 def without_interrupts(clock: Clock) -> Clock:
-    """The clock without its interruptions: for the moments within one request and its answer, which are never torn
-    apart, and which a hold or a STOP itself needs while the run is interrupted."""
+    """Return the clock beneath an `InterruptibleClock`, or `clock` itself.
+
+    For waits between a request and its answer: these must not be interrupted, and a hold or a STOP needs them itself
+    while the run is interrupted.
+    """
     return clock.inner if isinstance(clock, InterruptibleClock) else clock
 
 
 @dataclass(frozen=True)
 class Deadline:
-    """The instant by which something must have happened."""
+    """Latest instant at which an awaited event is accepted, on a given clock."""
 
     clock: Clock
     expires_s: float
@@ -190,18 +196,18 @@ class Deadline:
         return self.clock.now() >= self.expires_s
 
     def raise_if_expired(self, awaited: str, *, hint: str = "", **where: str | int) -> None:
-        """Raise `DeadlineExpired` naming what was awaited, if the instant has passed."""
+        """Raise `DeadlineExpired`, naming the awaited event, if the deadline has passed."""
         if self.expired:
             raise DeadlineExpired(f"timed out waiting for {awaited}", hint=hint, **where)
 
 
 def wall_seconds() -> float:
-    """Wall clock for figures about the agent itself, never for machine time."""
+    """Return a monotonic wall-clock time in s, for timing the agent itself and never for machine time."""
     return time.perf_counter()
 
 
 def utc_timestamp() -> str:
-    """Civil time for records: ISO 8601, UTC, to the millisecond."""
+    """Return the current civil time for records: ISO 8601, UTC, to the millisecond."""
     seconds = time.time()
     stamp = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(seconds))
     return f"{stamp}.{int(seconds * 1e3) % 1000:03d}Z"

@@ -1,7 +1,7 @@
-"""Plugins by entry point: a name, a settings model, a factory.
+"""Driver plugins, found by entry point: a name, a settings model and a factory.
 
-A third party ships a package with an entry point of the group ``volcal.drivers`` that points at a
-`DriverPlugin`; nothing here changes.
+A third party ships a package with an entry point in the group ``volcal.drivers`` that refers to a
+`DriverPlugin`; no code here changes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ENTRY_POINT_GROUP = "volcal.drivers"
 
 @dataclass(frozen=True)
 class DeviceContext:
-    """What a driver is given: its name in the configuration, its clock, and where relative paths start."""
+    """Inputs to a driver besides its settings: its configured name, its clock, and the base of relative paths."""
 
     name: str
     clock: Clock
@@ -33,11 +33,11 @@ class DeviceContext:
 
 @dataclass(frozen=True)
 class DriverPlugin:
-    """`create(settings, context)` builds a device that is not yet open.
+    """Driver plugin. `create(settings, context)` returns a device that is not yet open.
 
-    The device plays every role whose Protocol in `drivers.roles` it implements. `claims(settings)`: what no other
-    device of the same machine may use as well, as text for people, with the option that says so. `several_mounts`:
-    whether it stands for a mount at each station (`drivers.roles.MultiStationMount`).
+    The device plays every role whose Protocol in `drivers.roles` it implements. `claims(settings)` maps resources
+    that no other device of the same machine may use (readable text) to the option that claims them. `several_mounts`
+    is True if the device serves a mount at each station (`drivers.roles.MultiStationMount`).
     """
 
     name: str
@@ -48,35 +48,38 @@ class DriverPlugin:
 
 
 def installed_plugins() -> list[str]:
-    """Names of the plugins that are installed, in alphabetical order; none of them is loaded."""
+    """Return the names of the installed plugins in alphabetical order, without loading any."""
     return sorted(entry.name for entry in _entries())
 
 
 def create_device(driver: str, options: Mapping[str, object], context: DeviceContext) -> Device:
-    """The device that plugin `driver` builds from `options`; not open yet."""
+    """Return the device that plugin `driver` creates from `options`; it is not open yet."""
     plugin = _plugin(driver, context.name)
     return plugin.create(_validated(plugin, options, context.name), context)
 
 
 def check_options(driver: str, options: Mapping[str, object], name: str) -> Mapping[str, str]:
-    """What the device claims for itself. ConfigurationError for an unknown driver or options that it refuses."""
+    """Return the resources that the device claims exclusively, each with the option that claims it.
+
+    Raises ConfigurationError for an unknown driver or invalid options.
+    """
     plugin = _plugin(driver, name)
     return plugin.claims(_validated(plugin, options, name))
 
 
 def has_several_mounts(driver: str, name: str) -> bool:
-    """Whether one device of `driver` stands for a mount at each station."""
+    """Return True if one device of `driver` serves a mount at each station."""
     return _plugin(driver, name).several_mounts
 
 
 def _plugin(driver: str, name: str) -> DriverPlugin:
-    """Only the one that is asked for is loaded: another that is broken, or heavy, is no concern of this machine."""
+    """Load and return the plugin `driver`; others are not loaded, since they may be broken or slow to import."""
     named = [entry for entry in _entries() if entry.name == driver]
     if not named:
         raise ConfigurationError(
             f"unknown driver {driver!r}",
             key=f"devices.{name}.driver",
-            hint=f"installed drivers: {', '.join(installed_plugins())}",
+            hint=f"choose one of the installed drivers: {', '.join(installed_plugins())}",
         )
     try:
         plugin = named[0].load()
@@ -92,7 +95,7 @@ def _plugin(driver: str, name: str) -> DriverPlugin:
 
 @lru_cache(maxsize=1)
 def _entries() -> tuple[EntryPoint, ...]:
-    """What was installed when this process first asked."""
+    """Return the entry points of all installed plugins, looked up once per process."""
     return tuple(entry_points(group=ENTRY_POINT_GROUP))
 
 

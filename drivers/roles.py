@@ -1,9 +1,9 @@
-"""The roles a device plays. A driver implements one or more of them; nobody above knows which driver it is.
+"""Device roles. A driver implements one or more of them; its callers depend on the roles only.
 
-Units: mm, mm/s, s, °C; mount angles in degrees. Axis positions are the ones the controller displays, in the
-order X, Y, Z. Every method may raise `DeviceError`; every wait has a deadline inside the driver and sleeps on
-the clock the driver was given. When a wait is left by an exception of any kind, the driver stops the motion
-it had started before the exception travels on.
+Units: mm, mm/s, s, °C; mount angles in degrees. Axis positions are the displayed ones, in the order X, Y, Z.
+Every method may raise `DeviceError`. Every wait has a deadline inside the driver and sleeps on the clock passed to
+the driver. If an exception of any kind ends a wait, the driver stops the motion it had started before it propagates
+the exception.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """Travel and dynamics of the three axes as the controller states them."""
+    """Travel and dynamics of the three axes, as reported by the controller."""
 
     lower_mm: tuple[float, float, float]
     upper_mm: tuple[float, float, float]
@@ -31,7 +31,7 @@ class AxisLimits:
 
 
 class Permission(Enum):
-    """What must be so before the agent may move; ISO 16090-1 operating conditions in the controller's words."""
+    """Conditions for moving the machine (operating conditions of ISO 16090-1), worded as on the controller."""
 
     AUTOMATIC = "controller in automatic mode"
     DOORS_CLOSED = "doors closed"
@@ -70,14 +70,14 @@ class ProbeStatus:
 
 @dataclass(frozen=True)
 class Touch:
-    """A trip. `position_mm` is what the controller latched at the trip, never where it stopped."""
+    """Probe trip. `position_mm` is the position latched at the trip, never the position where the axes stopped."""
 
     position_mm: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Miss:
-    """The target was reached and nothing tripped: a result, not a fault."""
+    """Probing move that reached its target without a trip: a result, not a fault."""
 
     position_mm: tuple[float, float, float]
 
@@ -89,7 +89,7 @@ class Orientation:
 
 
 class Activation(Enum):
-    """When an activated bank takes effect."""
+    """Event at which an activated bank takes effect."""
 
     IMMEDIATE = "immediate"
     RESET = "reset"
@@ -99,10 +99,10 @@ class Activation(Enum):
 
 @dataclass(frozen=True)
 class TableImage:
-    """A compensation table as a controller holds it: corrections added to the commanded position.
+    """Compensation table as stored in a controller: corrections added to the commanded position.
 
-    `counts` has shape (nx, ny, nz, 3), int32, x slowest; one count is `resolution_mm`. The grid is
-    `origin_mm + index * step_mm`, along the axis positions displayed.
+    `counts` has shape (nx, ny, nz, 3), int32, x slowest; one count is `resolution_mm`. The grid nodes are at
+    `origin_mm + index * step_mm`, in displayed axis positions.
     """
 
     origin_mm: tuple[float, float, float]
@@ -126,7 +126,7 @@ class TableImage:
 
 @dataclass(frozen=True)
 class StoreLimits:
-    """What a compensation store can represent."""
+    """Limits on the tables that a compensation store accepts."""
 
     banks: tuple[int, ...]
     max_nodes: tuple[int, int, int]
@@ -147,17 +147,21 @@ class Machine(Protocol):
     def position(self) -> Vector: ...
 
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
-        """Straight line to `target_mm`; `None` is rapid. A guarded move that trips the probe stops and
-        raises `GuardTripped`, its fault cleared, so that the way back out is open. Returns when the axes are in
-        position."""
+        """Move in a straight line to `target_mm` and return when the axes are in position.
+
+        A feed of None is rapid. If the probe trips in a guarded move, the axes stop and the method raises
+        `GuardTripped`; the fault is already cleared then, so the withdrawal can start at once.
+        """
 
     def hold(self) -> None: ...
 
     def resume(self) -> None: ...
 
     def reset(self) -> None:
-        """Clear a fault whose cause is gone; moves nothing, and does nothing where there is no fault.
-        Raises CommandRejected while the cause lasts."""
+        """Clear a fault whose cause has been removed; does nothing if there is no fault. Moves nothing.
+
+        Raises CommandRejected while the cause persists.
+        """
 
     def stop(self) -> None:
         """Stop motion now; idempotent, and safe to call in any state."""
@@ -165,10 +169,10 @@ class Machine(Protocol):
 
 @runtime_checkable
 class StepTracing(Protocol):
-    """A device that passes on which step of a procedure its motions belong to, for the controller's own log."""
+    """Device that reports to the controller's own log which step of the procedure a motion belongs to."""
 
     def trace(self, tag: int) -> None:
-        """The motions from now on belong to the step of this tag (32 bits, not 0)."""
+        """Assign all further motions to the step with this tag (32 bits, not 0)."""
         ...
 
 
@@ -179,17 +183,20 @@ class Probe(Protocol):
     def probe_status(self) -> ProbeStatus: ...
 
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
-        """Straight line towards `target_mm` until the probe trips; stops, and returns the latched position."""
+        """Move in a straight line towards `target_mm` until the probe trips, stop, and return the latched position.
+
+        Returns a `Miss` if the target is reached without a trip.
+        """
 
 
 @runtime_checkable
 class RotaryMount(Protocol):
-    """Azimuth about Z from +X, elevation from the XY plane."""
+    """Rotary mount of the artefact. Azimuth about Z from +X, elevation from the XY plane."""
 
     def home(self) -> None: ...
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
-        """Turn, wait until both axes are in position and settled, return what the encoders say."""
+        """Turn, wait until both axes are in position and settled, and return the encoder angles."""
 
     def orientation(self) -> Orientation: ...
 
@@ -198,41 +205,41 @@ class RotaryMount(Protocol):
 
 @runtime_checkable
 class MultiStationMount(Protocol):
-    """A device with a mount at each of several stations behind it (counted from 1)."""
+    """Device that serves one mount at each of several stations (counted from 1)."""
 
     def mount_at(self, station: int) -> RotaryMount: ...
 
 
 @runtime_checkable
 class CompensationStore(Protocol):
-    """Banks of compensation tables in the controller; bank 0 is "no compensation" and cannot be written."""
+    """Banks of compensation tables in the controller; bank 0 means "no compensation" and cannot be written."""
 
     def store_limits(self) -> StoreLimits: ...
 
     def active_bank(self) -> int: ...
 
     def pending_bank(self) -> int | None:
-        """The bank that will act once the controller has been reset, restarted or referenced; None: none waits."""
+        """Return the bank that becomes active at the next reset, restart or referencing; None if there is none."""
         ...
 
     def read_table(self, bank: int) -> TableImage | None:
-        """The whole table, its CRC-32 proved; None where the bank is empty."""
+        """Return the whole table after checking its CRC-32; None if the bank is empty."""
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Write into an inactive bank, commit with CRC-32. The active bank is refused."""
+        """Write to an inactive bank and commit it with its CRC-32. Raises StoreError for the active bank."""
 
     def activate(self, bank: int) -> None:
-        """Two steps: arm, then confirm; returns when the controller says that `bank` is active."""
+        """Activate in two steps, arm and confirm; return once the controller reports `bank` as active."""
 
 
 @runtime_checkable
 class Thermometer(Protocol):
     def temperatures_c(self) -> Mapping[str, float]:
-        """Named temperatures: at least ``artefact``; usually ``ambient`` and ``machine`` too."""
+        """Return temperatures in °C by name: at least ``artefact``, usually also ``ambient`` and ``machine``."""
 
 
 class OperatorTask(Enum):
-    """What a person at the machine can be asked for."""
+    """Tasks that an operator can be asked to do."""
 
     MOVE_ARTEFACT = "move the artefact and its mount to a station"
     CONSENT = "consent"
@@ -240,7 +247,7 @@ class OperatorTask(Enum):
 
 @dataclass(frozen=True)
 class OperatorRequest:
-    """A question with one answer: done / yes, or no. `station` counts from 1 where the task needs one."""
+    """Yes/no question to the operator (done counts as yes). `station`, counted from 1, is set if the task has one."""
 
     task: OperatorTask
     text: str
@@ -249,14 +256,14 @@ class OperatorRequest:
 
 @runtime_checkable
 class Operator(Protocol):
-    """The person at the machine, by whatever they are reached: a console, a panel, a simulated hand."""
+    """Person at the machine, reached through a console or a panel, or simulated."""
 
     def ask(self, request: OperatorRequest) -> bool: ...
 
 
 @dataclass(frozen=True)
 class DiagnosticFinding:
-    """One line of a device's self-diagnosis (`volcal doctor`)."""
+    """One result of a device's self-diagnosis (`volcal doctor`)."""
 
     subject: str
     ok: bool
@@ -264,14 +271,14 @@ class DiagnosticFinding:
 
 
 class Device(Protocol):
-    """What every plugin creates, whatever roles it plays besides."""
+    """Interface of every device that a plugin creates, in addition to its roles."""
 
     def open(self) -> None:
-        """Connect and prove that the peer is the right one; moves nothing."""
+        """Connect and verify the identity of the peer; moves nothing."""
 
     def close(self) -> None: ...
 
     def stop(self) -> None: ...
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Reach, read, measure latency; moves nothing and writes nothing."""
+        """Check that the device answers, read its state, measure latency; moves nothing and writes nothing."""

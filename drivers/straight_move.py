@@ -1,4 +1,4 @@
-"""A straight move: how long it will take, so that a wait can sleep until just before its end, and what lies on it."""
+"""Duration of a straight move, so that a wait can sleep until just before its end, and distances from its path."""
 
 from __future__ import annotations
 
@@ -18,29 +18,38 @@ def move_duration_s(
     rapid_mm_per_s: Sequence[float],
     acceleration_mm_per_s2: Sequence[float],
 ) -> float:
-    """Trapezoidal (or triangular) velocity along the line; no axis above its own speed and acceleration."""
+    """Return the duration in s of a move with a trapezoidal (or triangular) velocity profile along the line.
+
+    No axis exceeds its own speed and acceleration.
+    """
     deltas = [abs(end - begin) for begin, end in zip(start_mm, target_mm, strict=True)]
     length_mm = math.sqrt(sum(delta * delta for delta in deltas))
     if length_mm == 0.0:
         return 0.0
-    shares = [delta / length_mm for delta in deltas]
-    speed = limit_along_direction(shares, rapid_mm_per_s)
-    acceleration = limit_along_direction(shares, acceleration_mm_per_s2)
+    components = [delta / length_mm for delta in deltas]
+    speed = limit_along_direction(components, rapid_mm_per_s)
+    acceleration = limit_along_direction(components, acceleration_mm_per_s2)
     if feed_mm_per_s is not None:
         speed = min(speed, feed_mm_per_s)
+    # Accelerating to v and braking again takes v²/a of path: a shorter move has a triangular profile, t = 2 √(s/a).
     if length_mm < speed * speed / acceleration:
         return 2.0 * math.sqrt(length_mm / acceleration)
+    # Trapezoidal profile: s/v at full speed, plus v/(2a) for each of the two ramps.
     return length_mm / speed + speed / acceleration
 
 
 def distance_to_segment_mm(point_mm: Vector, start_mm: Vector, end_mm: Vector) -> float:
-    """Of a point, (3,), from the straight line between two others."""
+    """Return the distance in mm of a point, shape (3,), from the line segment between two others."""
     along = end_mm - start_mm
     square = float(along @ along)
-    share = float(np.clip((point_mm - start_mm) @ along / square, 0.0, 1.0)) if square else 0.0
-    return float(np.linalg.norm(point_mm - start_mm - share * along))
+    # Foot of the perpendicular, as a fraction of the segment: t = (p - a)·(b - a) / |b - a|², limited to 0 ... 1.
+    fraction = float(np.clip((point_mm - start_mm) @ along / square, 0.0, 1.0)) if square else 0.0
+    return float(np.linalg.norm(point_mm - start_mm - fraction * along))
 
 
-def limit_along_direction(shares: Sequence[float], per_axis: Sequence[float]) -> float:
-    """The largest value along a line on which no axis exceeds its own; `shares`: |direction|, of unit length."""
-    return min(limit / share for share, limit in zip(shares, per_axis, strict=True) if share > 0.0)
+def limit_along_direction(components: Sequence[float], per_axis: Sequence[float]) -> float:
+    """Return the largest speed or acceleration along a direction at which no axis exceeds its own limit.
+
+    `components` are the absolute components of the unit direction vector: min over the axes of limit_i / |d_i|.
+    """
+    return min(limit / part for part, limit in zip(components, per_axis, strict=True) if part > 0.0)

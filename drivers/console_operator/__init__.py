@@ -1,1 +1,1 @@
-"""The person at the machine, reached through the terminal that volcal runs in."""
+"""Operator device that asks through the terminal in which volcal runs."""

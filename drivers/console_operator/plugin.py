@@ -1,4 +1,4 @@
-"""Entry point `console-operator`: questions on stderr, answers from stdin, so stdout stays for results."""
+"""Entry point `console-operator`: questions on stderr, answers from stdin; stdout remains free for results."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class ConsoleOperatorSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    attempts: int = Field(default=5, ge=1, le=100, description="answers that are not understood before it is a no")
+    attempts: int = Field(default=5, ge=1, le=100, description="unrecognised answers until the reply counts as no")
 
 
 class ConsoleOperator:
-    """Plays Operator. Refuses where nobody could answer, instead of waiting for ever."""
+    """Operator at a terminal. Raises an error if there is no terminal, instead of waiting for ever."""
 
     def __init__(self, settings: ConsoleOperatorSettings, name: str, source: TextIO, sink: TextIO) -> None:
         self._attempts = settings.attempts
@@ -37,22 +37,22 @@ class ConsoleOperator:
         self._sink = sink
 
     def open(self) -> None:
-        """Nothing to connect; whether a terminal is there is asked when it is needed."""
+        """Do nothing: there is nothing to connect, and the terminal is checked only when it is needed."""
 
     def close(self) -> None:
-        """Nothing to close: the terminal belongs to whoever started volcal."""
+        """Do nothing: the terminal belongs to the process that started volcal."""
 
     def stop(self) -> None:
-        """Nothing moves."""
+        """Do nothing: this device moves nothing."""
 
     def diagnose(self) -> list[DiagnosticFinding]:
         present = self._has_terminal
         return [DiagnosticFinding("terminal", ok=present, text="present" if present else "stdin is not a terminal")]
 
     def ask(self, request: OperatorRequest) -> bool:
-        """True for done or yes. Raises PermissionMissing without a terminal or when it is closed meanwhile."""
+        """Return True for done or yes. Raises PermissionMissing if there is no terminal or it closes meanwhile."""
         if not self._has_terminal:
-            raise self._nobody(request, "no terminal to ask on")
+            raise self._unreachable(request, "there is no terminal")
         place = f" (station {request.station})" if request.station is not None else ""
         question = f"\n{request.text}{place} {_CHOICES[request.task]}: "
         for _ in range(self._attempts):
@@ -68,18 +68,18 @@ class ConsoleOperator:
         self._sink.flush()
         line = self._source.readline()
         if not line:
-            raise self._nobody(request, "the terminal was closed")
+            raise self._unreachable(request, "the terminal was closed")
         return line.strip().lower()
 
     @property
     def _has_terminal(self) -> bool:
         return self._source.isatty() and self._sink.isatty()
 
-    def _nobody(self, request: OperatorRequest, why: str) -> PermissionMissing:
+    def _unreachable(self, request: OperatorRequest, why: str) -> PermissionMissing:
         return PermissionMissing(
-            f"operator cannot be asked to {request.task.value}: {why}"
+            f"the operator cannot be asked to {request.task.value}: {why}"
             if request.task is OperatorTask.MOVE_ARTEFACT
-            else f"operator cannot be asked for {request.task.value}: {why}",
+            else f"the operator cannot be asked for {request.task.value}: {why}",
             hint="run volcal in a terminal, or configure another operator device",
             device=self._name,
         )

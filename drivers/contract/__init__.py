@@ -1,4 +1,4 @@
-"""What every player of a role must do, whoever wrote it: test classes to be subclassed by a driver's own tests.
+"""Contract tests of the device roles, to be subclassed by the tests of each driver.
 
 Needs pytest. See docs/how-to/write-a-driver-plugin.md.
 """

@@ -1,5 +1,5 @@
-"""The contract of `Machine`, `Probe` and `RotaryMount`. Each test takes the fixture `rig` (a `ContractRig`)."""
-# ruff: noqa: S101  asserting is what these are for
+"""Contract tests of `Machine`, `Probe` and `RotaryMount`. Each test uses the fixture `rig` (a `ContractRig`)."""
+# ruff: noqa: S101  contract tests assert
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class MachineContract:
         rig.go(before)
 
     @pytest.mark.parametrize("feed", [0.0, -5.0, math.inf, math.nan])
-    def test_feed_that_is_none_is_rejected(self, rig: ContractRig, feed: float) -> None:
+    def test_invalid_feed_is_rejected(self, rig: ContractRig, feed: float) -> None:
         with pytest.raises(CommandRejected):
             rig.machine.move_to(np.array(rig.free_mm), feed_mm_per_s=feed, guarded=False)
 
-    def test_guarded_move_into_an_obstacle_is_a_tripped_guard(self, rig: ContractRig) -> None:
+    def test_guarded_move_into_an_obstacle_trips_the_guard(self, rig: ContractRig) -> None:
         target = rig.approach()
         with pytest.raises(GuardTripped):
             rig.machine.move_to(target, feed_mm_per_s=10.0, guarded=True)
@@ -46,7 +46,7 @@ class MachineContract:
         trip_y = rig.trip_mm(target)[1]
         assert trip_y < rig.machine.position()[1] < trip_y + 6.0
 
-    def test_wait_that_is_broken_off_stops_the_motion(self, rig: ContractRig) -> None:
+    def test_interrupted_wait_stops_the_motion(self, rig: ContractRig) -> None:
         rig.go(rig.start_mm)
         rig.interrupt.after(2.0)
         with pytest.raises(StoppedError):
@@ -70,7 +70,7 @@ class ProbeContract:
     def test_plays_the_role(self, rig: ContractRig) -> None:
         assert isinstance(rig.probe, Probe)
 
-    def test_touch_is_where_the_probe_tripped_not_where_it_stopped(self, rig: ContractRig) -> None:
+    def test_touch_is_the_trip_position_not_the_stop_position(self, rig: ContractRig) -> None:
         target = rig.approach()
         touch = rig.probe.touch_towards(target, feed_mm_per_s=5.0)
         assert isinstance(touch, Touch)
@@ -116,7 +116,7 @@ class RotaryMountContract:
         assert (reached.azimuth_deg, reached.elevation_deg) == pytest.approx((45.0, -30.0), abs=1e-3)
         assert rig.mount.orientation() == reached
 
-    def test_wait_that_is_broken_off_stops_the_turn(self, rig: ContractRig) -> None:
+    def test_interrupted_wait_stops_the_turn(self, rig: ContractRig) -> None:
         rig.go(rig.clear_of_mount_mm)
         rig.interrupt.after(1.5)
         with pytest.raises(StoppedError):

@@ -1,4 +1,4 @@
-"""What the contract is told about the machine that it is run on."""
+"""Test rig of the contract tests: the machine under test and the positions to use on it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from drivers.roles import CompensationStore, Machine, MotionState, Probe, Rotary
 
 
 class StoppedError(Exception):
-    """What breaks a wait off in these tests."""
+    """Exception that interrupts a wait in these tests."""
 
 
 @dataclass
 class Interrupt:
-    """Raises from the clock's sleeps once its time has come to `at_s`: give the driver
-    ``InterruptibleClock(clock, interrupt.check)``."""
+    """Interruption that raises `StoppedError` from the clock's sleep at time `at_s`.
+
+    Give the driver ``InterruptibleClock(clock, interrupt.check)``.
+    """
 
     clock: Clock
     at_s: float | None = None
@@ -34,10 +36,10 @@ class Interrupt:
 
 
 class ContractRig(ABC):
-    """A machine with one obstacle, in front of which the tip can be brought.
+    """Machine with one obstacle that the stylus tip can approach.
 
-    Only the roles that are tested need be there. `clock` is the one that the driver has; `interrupt` is watched by it.
-    Positions are axis positions, mm.
+    Only the roles under test need to be present. `clock` is the driver's clock and checks `interrupt`. Positions are
+    axis positions in mm.
     """
 
     clock: Clock
@@ -49,31 +51,33 @@ class ContractRig(ABC):
     thermometer: Thermometer
 
     start_mm: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
-    """A place from which +X is free for 1000 mm."""
+    """Position from which the path along +X is free for 1000 mm."""
 
     free_mm: ClassVar[tuple[float, float, float]] = (123.456, 0.0, 78.9)
-    """Another that is free, and the way to it from the start too."""
+    """Another free position; the path to it from the start is free as well."""
 
     outside_mm: ClassVar[tuple[tuple[float, float, float], ...]] = ((1e9, 0.0, 0.0), (0.0, 0.0, -1e9))
-    """Targets outside the travel."""
+    """Positions outside the travel."""
 
     clear_of_mount_mm: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
-    """Where the tip is out of the way of everything that turns."""
+    """Position at which the tip is clear of everything that turns."""
 
     resolution_mm: float = 1e-5
-    """To which positions travel on the link."""
+    """Resolution of positions on the link, mm."""
 
     @abstractmethod
     def approach(self) -> Vector:
-        """Bring the tip before the obstacle, 25 mm of free way along +Y ahead of it at least 5; returns a target inside
-        the obstacle, straight ahead along +Y."""
+        """Move the tip in front of the obstacle and return a target inside it, straight ahead along +Y.
+
+        The path along +Y up to the obstacle is free for about 25 mm, at least 5 mm.
+        """
 
     @abstractmethod
     def trip_mm(self, target_mm: Vector) -> Vector:
-        """Where the probe trips on the way from `approach` to the target it returned."""
+        """Return the axis position at which the probe trips on the path from `approach` to the target it returned."""
 
     def table(self, factor: int = 1) -> TableImage:
-        """A table that the store takes; another one for each `factor`."""
+        """Return a table that the store accepts; each `factor` gives a different one."""
         limits = self.store.store_limits()
         counts = np.arange(3 * 2 * 4 * 3, dtype=np.int32).reshape(3, 2, 4, 3) * factor - 30
         return TableImage((0.0, 0.0, 0.0), (2000.0, 1300.0, 500.0), limits.resolution_mm, counts)

@@ -1,5 +1,5 @@
-"""The contract of `CompensationStore` and `Thermometer`. Each test takes the fixture `rig` (a `ContractRig`)."""
-# ruff: noqa: S101  asserting is what these are for
+"""Contract tests of `CompensationStore` and `Thermometer`. Each test uses the fixture `rig` (a `ContractRig`)."""
+# ruff: noqa: S101  contract tests assert
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from drivers.roles import CompensationStore, TableImage, Thermometer
 
 
 class CompensationStoreContract:
-    """Of a store whose banks are empty and whose activation is immediate."""
+    """Contract of a store with empty banks and immediate activation."""
 
     def test_plays_the_role(self, rig: ContractRig) -> None:
         assert isinstance(rig.store, CompensationStore)
         assert set(rig.store.store_limits().banks) >= {1, 2}
 
-    def test_staged_table_reads_back_and_does_not_act(self, rig: ContractRig) -> None:
+    def test_staged_table_reads_back_and_is_not_active(self, rig: ContractRig) -> None:
         assert rig.store.active_bank() == 0
         assert rig.store.read_table(1) is None
         rig.store.stage(1, rig.table())
         self._require_stored(rig, 1, rig.table())
         assert rig.store.active_bank() == 0
 
-    def test_activation_reads_back_and_goes_back(self, rig: ContractRig) -> None:
+    def test_activation_reads_back_and_can_be_undone(self, rig: ContractRig) -> None:
         rig.store.stage(2, rig.table())
         rig.store.activate(2)
         assert rig.store.active_bank() == 2
@@ -39,14 +39,14 @@ class CompensationStoreContract:
             rig.store.stage(1, rig.table(2))
         self._require_stored(rig, 1, rig.table())
 
-    def test_empty_or_missing_bank_does_not_act(self, rig: ContractRig) -> None:
+    def test_empty_or_missing_bank_cannot_be_activated(self, rig: ContractRig) -> None:
         for bank in (2, 9):
             with pytest.raises(StoreError):
                 rig.store.activate(bank)
         assert rig.store.active_bank() == 0
 
     @pytest.mark.parametrize("bank", [0, 9])
-    def test_bank_that_is_none_is_not_written(self, rig: ContractRig, bank: int) -> None:
+    def test_unknown_bank_is_not_written(self, rig: ContractRig, bank: int) -> None:
         with pytest.raises(StoreError):
             rig.store.stage(bank, rig.table())
 

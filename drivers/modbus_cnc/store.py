@@ -26,7 +26,7 @@ from drivers.modbus_cnc.registers import CommandBlock, ControllerLimits, StatusI
 from drivers.modbus_cnc.session import ModbusSession
 from drivers.modbus_cnc.table import crc32, data_blocks, table_bytes, table_descriptor
 from drivers.roles import Activation, StoreLimits, TableImage
-from drivers.tables.objections import limits_violation
+from drivers.tables.checks import limits_violation
 
 COARSEST_POLL_S = 0.1
 

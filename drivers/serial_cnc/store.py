@@ -14,7 +14,7 @@ from drivers.roles import Activation, StoreLimits, TableImage
 from drivers.serial_cnc.bank_files import BankFiles
 from drivers.serial_cnc.correction import Correction
 from drivers.serial_cnc.settings import BankSettings
-from drivers.tables.objections import limits_violation, table_defect
+from drivers.tables.checks import limits_violation, table_defect
 from drivers.tables.text import counts_crc32
 
 BANKS = (1, 2)

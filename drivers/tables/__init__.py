@@ -1,1 +1,1 @@
-"""Compensation tables as drivers keep them: what a store can take, their text form, banks of files."""
+"""Compensation tables as drivers store them: limit checks, text format, durable files."""

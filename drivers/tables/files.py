@@ -1,4 +1,4 @@
-"""Files that are whole or not there, also across a power cut."""
+"""Atomic, durable file writes: after a power cut a file is either complete or absent."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from drivers.errors import StoreError
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Beside it, made durable, then put in its place. StoreError where the disk refuses; the old file stays."""
+    """Write `text` to a temporary file, sync it, and rename it to `path`.
+
+    Raises StoreError if the disk refuses; the old file is unchanged then.
+    """
     part = path.with_name(path.name + ".part")
     try:
         with part.open("w", encoding="ascii", newline="\n") as file:
@@ -20,22 +23,24 @@ def write_atomically(path: Path, text: str) -> None:
         sync_directory(path.parent)
     except OSError as error:
         raise StoreError(
-            f"cannot write {path}: {error.strerror}", hint="check the disk and the rights of the directory"
+            f"cannot write {path}: {error.strerror}", hint="check the disk and the permissions of the directory"
         ) from error
 
 
 def read_if_exists(path: Path) -> str | None:
-    """The text, bytes that are none kept as they are; None where there is no file."""
+    """Return the text of the file, with non-ASCII bytes as surrogate escapes; None if there is no file."""
     try:
         return path.read_bytes().decode("ascii", "surrogateescape")
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise StoreError(f"cannot read {path}: {error.strerror}", hint="check the rights of the directory") from error
+        raise StoreError(
+            f"cannot read {path}: {error.strerror}", hint="check the permissions of the directory"
+        ) from error
 
 
 def sync_directory(folder: Path) -> None:
-    """Renames in `folder` survive a power cut."""
+    """Sync `folder`, so that renames in it survive a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)

@@ -1,4 +1,4 @@
-r"""A table as text that shows when it was cut, changed or mixed up.
+r"""Text format of a compensation table, with checksums that reveal truncation, changes and mixed-up parts.
 
 ::
 
@@ -8,10 +8,10 @@ r"""A table as text that shows when it was cut, changed or mixed up.
     resolution_mm R
     nodes NX NY NZ
     counts_crc32 HHHHHHHH      over the counts as big-endian int32
-    DX DY DZ                   one line a node, x slowest, z fastest
+    DX DY DZ                   one line per node, x slowest, z fastest
     file_crc32 HHHHHHHH        over every byte before this line
 
-Numbers keep every bit. The CRC-32 of the counts is the one by which a table is known everywhere else.
+Numbers are written to full float64 precision. The CRC-32 of the counts identifies the table everywhere else.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ TRAILER = re.compile(r"file_crc32 ([0-9A-F]{8})\n\Z")
 
 
 def counts_crc32(counts: NDArray[np.int32]) -> int:
-    """CRC-32 of the counts as big-endian int32, x slowest, dx dy dz innermost."""
+    """Return the CRC-32 of the counts as big-endian int32, x slowest, dx dy dz innermost."""
     return zlib.crc32(counts.astype(">i4").tobytes(order="C"))
 
 
@@ -56,20 +56,25 @@ def format_table(table: TableImage) -> str:
 
 
 def parse_table(text: str, **where: str | int) -> TableImage:
-    """StoreError for a text that is no table, ChecksumMismatch for one that was changed; `where` goes into them."""
+    """Parse the text of a table file. `where` is attached to the errors.
+
+    Raises StoreError for text that is not a table, ChecksumMismatch for a table that was changed.
+    """
     last = TRAILER.search(text)
     if last is None:
-        raise StoreError("table file does not end as it must: cut off, or no table", hint=RESTAGE_HINT, **where)
+        raise StoreError(
+            "table file does not end with its checksum line: it is truncated or not a table", hint=RESTAGE_HINT, **where
+        )
     body = text[: last.start()]
     if zlib.crc32(body.encode("utf-8", "surrogateescape")) != int(last[1], 16):
         raise ChecksumMismatch("table file was changed after it was written", hint=RESTAGE_HINT, **where)
     head = HEADER.match(body)
     if head is None:
-        raise StoreError("table file has no head of version 1", hint=RESTAGE_HINT, **where)
+        raise StoreError("table file has no header of version 1", hint=RESTAGE_HINT, **where)
     try:
         return _image(head, body[head.end() :])
     except ValueError as error:
-        raise StoreError(f"table file makes no sense: {error}", hint=RESTAGE_HINT, **where) from error
+        raise StoreError(f"table file is inconsistent: {error}", hint=RESTAGE_HINT, **where) from error
 
 
 RESTAGE_HINT = "stage the table again"

@@ -106,7 +106,7 @@ def test_status_and_heartbeat_requests_are_the_golden_ones(script: Script) -> No
         session = ModbusSession(link, VirtualClock(), ModbusCncSettings(host="127.0.0.1"))
         session.read_status_unchecked()
         session._heartbeat = 6
-        session._known = {7: 1}
+        session._results = {7: 1}
         session.poll()
     assert script.requests == [GOLDEN["A"], GOLDEN["B"]]
 
@@ -120,9 +120,9 @@ def test_a_touch_command_is_the_golden_one_and_its_answer_is_understood(script: 
     with closing(link_to(script)) as link:
         session = ModbusSession(link, VirtualClock(), ModbusCncSettings(host="127.0.0.1"))
         session.read_status_unchecked()
-        session._known, session._heartbeat, session._sequence = {7: 1}, 6, 6
+        session._results, session._heartbeat, session._sequence = {7: 1}, 6, 6
         session.poll()
-        session._known = {6: 1}
+        session._results = {6: 1}
         command = CommandBlock(CommandCode.TOUCH, target=(1000.0, 200.5, -0.25), feed=5.0)
         sequence, status = session.start(command)
     assert script.requests[2] == GOLDEN["C"]

@@ -7,8 +7,8 @@ from pathlib import Path
 from drivers.errors import StoreError
 from drivers.linuxcnc.compensation.settings import CompensationSettings
 from drivers.roles import Activation, StoreLimits, TableImage
+from drivers.tables.checks import limits_violation, table_defect
 from drivers.tables.files import read_if_exists, write_atomically
-from drivers.tables.objections import limits_violation, table_defect
 from drivers.tables.text import format_table, parse_table
 
 BANKS = (1, 2)

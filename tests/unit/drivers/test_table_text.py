@@ -13,8 +13,8 @@ from hypothesis.extra.numpy import arrays
 
 from drivers.errors import ChecksumMismatch, StoreError
 from drivers.roles import Activation, StoreLimits, TableImage
+from drivers.tables.checks import limits_violation, table_defect
 from drivers.tables.files import read_if_exists, write_atomically
-from drivers.tables.objections import limits_violation, table_defect
 from drivers.tables.text import format_table, parse_table
 
 numbers = st.floats(-1e6, 1e6, allow_nan=False)
