@@ -14,6 +14,8 @@ from service_house import outcome
 
 from agent.cli.main import LazyGroup, main
 from agent.execution.states import RunState
+from agent.settings.schema import Settings
+from twin.formats.toml_reading import Strict
 
 ROOT = Path(__file__).resolve().parents[3]
 REFERENCE = ROOT / "docs" / "reference"
@@ -99,3 +101,18 @@ def test_the_command_page_names_every_option(name: str) -> None:
     text = page("cli.md")
     options = [max(p.opts, key=len) for p in command.params if isinstance(p, click.Option)]
     assert [option for option in options if f"`{option}`" not in text] == []
+
+
+def test_settings_page_lists_every_renamed_key() -> None:
+    documented = {
+        (former.strip("`"), present.strip("`"))
+        for former, present in rows(section(page("settings.md"), "Renamed keys"))
+        if former.startswith("`")
+    }
+    declared = {
+        (f"{name}.{former}", f"{name}.{present}")
+        for name, field in Settings.model_fields.items()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Strict)
+        for former, present in field.annotation.former_keys.items()
+    }
+    assert documented == declared
