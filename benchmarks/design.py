@@ -17,22 +17,22 @@ import numpy as np
 
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.design.design_problem import Setting
-from twin.design.candidates import Candidates
-from twin.design.goals import Positions
-from twin.design.search import Search, Selection
+from twin.design.candidates import CandidatePositions
+from twin.design.goals import PositionCountGoal
+from twin.design.search import ExchangeSearch, Selection
 
 GRID_DEG = 15.0
 POSITIONS = 24
 SAMPLE = 40
 
 
-def plain_value(candidates: Candidates, precision: np.ndarray, index: int) -> float:
+def plain_value(candidates: CandidatePositions, precision: np.ndarray, index: int) -> float:
     factor = candidates.factors[index]
     covariance = np.linalg.inv(precision + factor.T @ factor)
     return float(np.vdot(candidates.form.aligned, covariance))
 
 
-def plain_seconds(candidates: Candidates, chosen: tuple[int, ...]) -> float:
+def plain_seconds(candidates: CandidatePositions, chosen: tuple[int, ...]) -> float:
     """Of one evaluation, on average over the sample; plainly evaluated the found set must be worth the same."""
     precision = candidates.precision.copy()
     sample = np.linspace(0, candidates.count - 1, SAMPLE).astype(int)
@@ -43,14 +43,14 @@ def plain_seconds(candidates: Candidates, chosen: tuple[int, ...]) -> float:
     for index in chosen:
         precision += candidates.factors[index].T @ candidates.factors[index]
     plain = float(np.trace(candidates.form.aligned @ np.linalg.inv(precision)))
-    carried = candidates.vce(chosen).aligned_mm ** 2 - candidates.form.beside
+    carried = candidates.vce(chosen).aligned_mm ** 2 - candidates.form.unresolved_mm2
     assert abs(plain / carried - 1.0) < 1e-9, "the two do not compute the same"
     return seconds
 
 
-def greedy(search: Search) -> tuple[int, ...]:
+def greedy(search: ExchangeSearch) -> tuple[int, ...]:
     start = Selection.of(search.candidates)
-    *_, last = search.grown(
+    *_, last = search.grow(
         start, lambda chosen: np.full(search.candidates.count, len(chosen) < POSITIONS), per_minute=False
     )
     return last.chosen
@@ -66,7 +66,7 @@ def run() -> dict[str, float]:
     priced = perf_counter()
     grown = greedy(search)
     greedily = perf_counter()
-    chosen = Positions(POSITIONS).reached(search)
+    chosen = PositionCountGoal(POSITIONS).select(search)
     done = perf_counter()
     one = plain_seconds(candidates, chosen)
     evaluations = POSITIONS * candidates.count - POSITIONS * (POSITIONS - 1) // 2

@@ -22,13 +22,13 @@ from twin.collision.bodies import ProbeGeometry
 from twin.errors import TwinError
 from twin.formats.artefact_file import parse_artefact
 from twin.formats.machine_file import parse_machine
-from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
+from twin.formats.toml_reading import StrictModel, forbid_unknown_keys, read_toml
 from twin.machine.machine_description import MachineDescription
 
 Value = TypeVar("Value")
 
 
-class TruthSettings(Strict):
+class TruthSettings(StrictModel):
     """The machine as it is. `scale` multiplies the family's amplitudes."""
 
     seed: int = Field(default=21, ge=0)
@@ -37,7 +37,7 @@ class TruthSettings(Strict):
     deflection: bool = True
 
 
-class ArtefactTruthSettings(Strict):
+class ArtefactTruthSettings(StrictModel):
     """How far the bar is from its certificate, in standard uncertainties of the certificate and of the CTE."""
 
     seed: int = Field(default=4, ge=0)
@@ -45,7 +45,7 @@ class ArtefactTruthSettings(Strict):
     cte_error: NonNegativeFloat = 1.0
 
 
-class TriggerSettings(Strict):
+class TriggerSettings(StrictModel):
     """How the probe trips. `lobing_um` is the amplitude of a three-lobed pretravel around the stylus."""
 
     pretravel_um: NonNegativeFloat = 8.0
@@ -54,7 +54,7 @@ class TriggerSettings(Strict):
     overtravel_mm: PositiveFloat = 6.0
 
 
-class AxisBehaviour(Strict):
+class AxisBehaviour(StrictModel):
     """What one motion leaves behind: a scatter of every axis, and half the backlash against the way it came.
 
     `backlash_um`: of every axis, or of X, Y, Z; `backlash_growth_um_per_m`: by how much it grows along each axis' own
@@ -71,7 +71,7 @@ class AxisBehaviour(Strict):
         return self.backlash_um if isinstance(self.backlash_um, tuple) else (self.backlash_um,) * 3
 
 
-class MountBehaviour(Strict):
+class MountBehaviour(StrictModel):
     """Errors of the rotary mount and of the hand that puts it down; they move the bar as a whole."""
 
     index_error_deg: NonNegativeFloat = 0.01
@@ -82,7 +82,7 @@ class MountBehaviour(Strict):
     acceleration_deg_per_s2: PositiveFloat = 40.0
 
 
-class StoreSettings(Strict):
+class StoreSettings(StrictModel):
     """What the controller's compensation banks can hold."""
 
     banks: list[PositiveInt] = Field(default=[1, 2], min_length=1)
@@ -93,7 +93,7 @@ class StoreSettings(Strict):
     activation: Literal["immediate", "reset", "power_cycle", "reference"] = "immediate"
 
 
-class AgeingSettings(Strict):
+class AgeingSettings(StrictModel):
     """How the machine changes from night to night, and which `night` it is (0: as drawn).
 
     `seasonal_um_per_m`: amplitude of the scale errors of X, Y, Z, a sine of period `season_nights` with the phases of
@@ -111,7 +111,7 @@ class AgeingSettings(Strict):
     collision: dict[str, float] = Field(default_factory=dict)
 
 
-class ScenarioDocument(Strict):
+class ScenarioDocument(StrictModel):
     """Keys of a scenario. `start_mm`: axis positions at the start, without it the lower ends of the travel.
 
     `own_mounts`: a mount at every station, instead of one that is carried with the artefact; the artefact is carried
@@ -132,8 +132,8 @@ class ScenarioDocument(Strict):
     artefacts: list[Path] = Field(default_factory=list)
     mounts_deg: list[tuple[float, float]] = Field(default_factory=list)
     start_mm: Coordinates | None = None
-    mount: Annotated[MountGeometry, refuse_unknown(MountGeometry)] = MountGeometry()
-    probe: Annotated[ProbeGeometry, refuse_unknown(ProbeGeometry)] = ProbeGeometry()
+    mount: Annotated[MountGeometry, forbid_unknown_keys(MountGeometry)] = MountGeometry()
+    probe: Annotated[ProbeGeometry, forbid_unknown_keys(ProbeGeometry)] = ProbeGeometry()
     truth: TruthSettings = TruthSettings()
     artefact_truth: ArtefactTruthSettings = ArtefactTruthSettings()
     trigger: TriggerSettings = TriggerSettings()

@@ -6,14 +6,14 @@ from typing import Annotated
 
 from pydantic import Field, NonNegativeFloat
 
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 
 Coordinates = tuple[float, float, float]
 Temperature = Annotated[float, Field(ge=-20.0, le=60.0)]
 Hours = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
-class TemperatureSettings(Strict):
+class TemperatureSettings(StrictModel):
     """Temperatures at the start and what becomes of them; without any key nothing warms.
 
     The ambient rises by `ambient_rise_k` as 1 - exp(-t/τ) with `ambient_time_constant_h` (0: at once, as when the

@@ -20,7 +20,7 @@ from agent.runs.session import RunResult
 from agent.settings.load import load_settings, naming, with_overrides
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError, LinkError
-from twin.formats.toml_reading import validated
+from twin.formats.toml_reading import validate_document
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
     document["clock"] = {"kind": "lockstep", **ready["time"]}
     document["state_directory"] = str(out.resolve())
     with translated(ConfigurationError):
-        return validated(document, "settings of the demonstration", Settings)
+        return validate_document(document, "settings of the demonstration", Settings)
 
 
 def _truth_after(simulator: SimulatorProcess, before_um: float) -> Truth:

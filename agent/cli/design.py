@@ -28,7 +28,7 @@ from agent.settings.load import naming
 from drivers.clock import wall_seconds
 from drivers.errors import InputError, UserError
 from twin.artefact.position_set import Position
-from twin.design.goals import Goal, Positions, Slot, Target
+from twin.design.goals import Goal, PositionCountGoal, TargetErrorGoal, TimeSlotGoal
 
 PATH = click.Path(path_type=Path)
 _SLOT = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(min|h)?\s*")
@@ -122,9 +122,9 @@ def _goal(slot: float | None, positions: int | None, target_vce: float | None) -
     if not (math.isfinite(given[0]) and given[0] > 0.0):
         raise InputError(f"the goal must be above zero, not {given[0]:g}", key=GOALS)
     if slot is not None:
-        return Slot(slot)
+        return TimeSlotGoal(slot)
     with translated(InputError):
-        return Positions(positions) if positions is not None else Target(1e-3 * given[0])
+        return PositionCountGoal(positions) if positions is not None else TargetErrorGoal(1e-3 * given[0])
 
 
 def _rivals(job: Job) -> list[Rival]:

@@ -17,9 +17,9 @@ from agent.cli.errors import reported
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.identifiability import Question, Ranking, rank
 from agent.reports.page.number_format import number, plural, point
-from twin.design.identifiability import Visibility
-from twin.design.setup_advice import UM_PER_MM, effect, proposal
-from twin.design.setup_trials import Gain
+from twin.design.identifiability import Identifiability
+from twin.design.setup_advice import UM_PER_MM, describe_gain, describe_trial
+from twin.design.setup_trials import TrialGain
 
 PATH = click.Path(path_type=Path)
 MILLIONTHS = 1e3, 1e6
@@ -81,12 +81,12 @@ def _show(found: Ranking, console: Console) -> None:
     console.print(_sigma_table(seen))
     console.print("What would show more, the most first:")
     for place, gain in enumerate(_first_of_each_kind(found.advice), start=1):
-        console.print(f"{place:3d}. {proposal(gain.trial)}:\n     {effect(gain)}", markup=False)
+        console.print(f"{place:3d}. {describe_trial(gain.trial)}:\n     {describe_gain(gain)}", markup=False)
 
 
-def _first_of_each_kind(advice: Sequence[Gain]) -> list[Gain]:
+def _first_of_each_kind(advice: Sequence[TrialGain]) -> list[TrialGain]:
     """Of lengths, and of styli along one axis, only the best."""
-    best: dict[str, Gain] = {}
+    best: dict[str, TrialGain] = {}
     for gain in advice:
         best.setdefault(gain.trial.kind, gain)
     return list(best.values())
@@ -115,7 +115,7 @@ def _fields_table(found: Ranking) -> Table:
     return table
 
 
-def _sigma_table(seen: Visibility) -> Table:
+def _sigma_table(seen: Identifiability) -> Table:
     """Standard deviations by error and order, before and after."""
     rows = [(error, list(cells)) for error, cells in _sigma_rows(seen)]
     table = Table(title="standard deviation, before → after, in µm and µrad", title_justify="left")
@@ -128,7 +128,7 @@ def _sigma_table(seen: Visibility) -> Table:
     return table
 
 
-def _sigma_rows(seen: Visibility) -> Iterator[tuple[str, Iterator[tuple[int, str]]]]:
+def _sigma_rows(seen: Identifiability) -> Iterator[tuple[str, Iterator[tuple[int, str]]]]:
     """Error name, or that of a single term, with (order, text); a term without order stands in the first column."""
     parts = zip(seen.model.parameters, seen.prior_sigma.tolist(), seen.posterior_sigma.tolist(), strict=True)
     named = ((p.error if p.order else p.name, max(p.order, 1), _change(p.unit, a, b)) for p, a, b in parts)

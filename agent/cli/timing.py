@@ -25,7 +25,7 @@ from agent.planning.latency_fit import (
 from agent.planning.time_model import S_PER_MIN, TimeModel, time_model
 from agent.settings.schema import Settings
 from drivers.errors import InputError
-from twin.formats.toml_reading import validated, with_current_keys
+from twin.formats.toml_reading import validate_document, with_current_keys
 
 
 @click.command("timing")
@@ -54,7 +54,7 @@ def timing_command(run: Path, as_json: bool) -> None:
 def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
     """The model that the run was predicted with, and its steps."""
     with translated(InputError):
-        settings = validated(with_current_keys(recorded.settings, Settings), "settings of the run", Settings)
+        settings = validate_document(with_current_keys(recorded.settings, Settings), "settings of the run", Settings)
     model = time_model(load_machine(settings.machine), settings.timing)
     return model, observed_steps(recorded.steps, model)
 

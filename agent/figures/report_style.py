@@ -114,14 +114,14 @@ class Drawing:
         return self._svg
 
 
-def transparent(axes: Axes) -> None:
+def make_transparent(axes: Axes) -> None:
     axes.patch.set_alpha(0.0)
 
 
 def _raw_svg(figure: Figure) -> str:
     buffer = io.StringIO()
     for axes in figure.axes:
-        transparent(axes)
+        make_transparent(axes)
     unstamped = {"Date": None, "Creator": None, "Format": None, "Type": None}
     FigureCanvasSVG(figure).print_svg(buffer, metadata=unstamped)  # type: ignore[no-untyped-call]
     return buffer.getvalue()

@@ -15,11 +15,11 @@ from agent.settings.load import POSITION_FILES
 from drivers.errors import ConfigurationError, InputError
 from twin.arrays import Array
 from twin.artefact.position_set import Position, parse_position_set
-from twin.design.identifiability import Visibility, visibility
+from twin.design.identifiability import Identifiability, assess_identifiability
 from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
-from twin.design.procedure import Planned, Procedure
-from twin.design.setup_advice import UM_PER_MM, effect, proposal
-from twin.design.setup_trials import Gain, gains, viewpoints
+from twin.design.procedure import PlannedMeasurement, Procedure
+from twin.design.setup_advice import UM_PER_MM, describe_gain, describe_trial
+from twin.design.setup_trials import TrialGain, evaluated_tools, trial_gains
 from twin.identification import predicted_vce
 from twin.identification.options import Formulation
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
@@ -48,10 +48,10 @@ class Ranking:
     job: Job
     position_set: str
     set_up: SetUp
-    planned: Planned
-    seen: Visibility
+    planned: PlannedMeasurement
+    seen: Identifiability
     vce: tuple[VolumetricRms, ...]
-    advice: tuple[Gain, ...]
+    advice: tuple[TrialGain, ...]
 
     def as_json(self) -> dict[str, Any]:
         seen, planned = self.seen, self.planned
@@ -98,16 +98,16 @@ def rank(question: Question) -> Ranking:
 
 
 def _ranked(job: Job, name: str, set_up: SetUp, grid: Array) -> Ranking:
-    estimate, views = set_up.estimate(), viewpoints(set_up, grid)
-    seen = visibility(estimate, views)
+    estimate, views = set_up.estimate(), evaluated_tools(set_up, grid)
+    seen = assess_identifiability(estimate, views)
     return Ranking(
         job=job,
         position_set=name,
         set_up=set_up,
-        planned=set_up.planned(),
+        planned=set_up.plan(),
         seen=seen,
         vce=tuple(predicted_vce(estimate, grid, view.form.tool_offset) for view in views),
-        advice=gains(set_up, seen, views),
+        advice=trial_gains(set_up, seen, views),
     )
 
 
@@ -146,7 +146,7 @@ def _with_tools(positions: Sequence[Position], tools: Sequence[str]) -> tuple[Po
     return (*(replace(position, tool=tool) for tool in tools for position in free), *bound)
 
 
-def _fields_json(seen: Visibility) -> list[dict[str, Any]]:
+def _fields_json(seen: Identifiability) -> list[dict[str, Any]]:
     return [
         {
             "tool": at.tool,
@@ -160,7 +160,7 @@ def _fields_json(seen: Visibility) -> list[dict[str, Any]]:
     ]
 
 
-def _sigma_json(seen: Visibility) -> dict[str, dict[str, Any]]:
+def _sigma_json(seen: Identifiability) -> dict[str, dict[str, Any]]:
     return {
         parameter.name: {"unit": parameter.unit, "prior": float(prior), "posterior": float(posterior)}
         for parameter, prior, posterior in zip(
@@ -169,11 +169,11 @@ def _sigma_json(seen: Visibility) -> dict[str, dict[str, Any]]:
     }
 
 
-def _advice_json(gain: Gain) -> dict[str, Any]:
+def _advice_json(gain: TrialGain) -> dict[str, Any]:
     tool = gain.trial.tool
     return {
-        "proposal": proposal(gain.trial),
-        "effect": effect(gain),
+        "proposal": describe_trial(gain.trial),
+        "effect": describe_gain(gain),
         "tool_offset_mm": None if tool is None else tool.offset.tolist(),
         "added_set": gain.trial.added or None,
         "positions": gain.positions,

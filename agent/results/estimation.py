@@ -24,7 +24,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals, held_out_test
 from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
-from twin.identification import Estimate, Options, identify, identify_by_evidence, left_covariance
+from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
 from twin.machine.machine_description import MachineDescription
 
 UM_PER_MM = 1e3
@@ -120,7 +120,7 @@ def prove(job: Job, finding: Finding, before: Sequence[MeasuredBall], after: Seq
             observed,
             result,
             job.artefact,
-            left_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm),
+            residual_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm),
         )
         before_um, after_um = UM_PER_MM * _left(job, before).rms_mm, UM_PER_MM * result.rms_mm
     limits = job.settings.verification

@@ -16,7 +16,7 @@ from agent.results.observations import Correction, observations_of
 from agent.settings.schema import Settings
 from twin.artefact.observations import Observations
 from twin.artefact.thermal_regressors import smooth_readings, thermal_regressors
-from twin.identification import CarriedOver, Options
+from twin.identification import CarriedOverPrior, Options
 
 
 def balls_for_estimate(job: Job, measured: Measured) -> list[MeasuredBall]:
@@ -56,7 +56,7 @@ def options_of(settings: Settings, seen: Observations) -> Options:
     return replace(warm, formulation=chosen.formulation, use_prior=chosen.prior, weights=chosen.weights)
 
 
-def going_on(settings: Settings, seen: Observations, known: CarriedOver) -> Options:
+def going_on(settings: Settings, seen: Observations, known: CarriedOverPrior) -> Options:
     """How a night goes on from what is known before."""
     return replace(_warm(settings, seen), carried_over=known)
 
@@ -66,5 +66,5 @@ def _warm(settings: Settings, seen: Observations) -> Options:
     return Options(
         temperature_standard_uncertainty_k=settings.temperature.standard_uncertainty_k,
         drift=drift_prior_of(settings) if drifted else None,
-        holds_at=seen.thermal_regressors[-1] if drifted else None,
+        state_regressors=seen.thermal_regressors[-1] if drifted else None,
     )

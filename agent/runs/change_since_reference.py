@@ -9,7 +9,7 @@ import numpy as np
 from agent.planning.job import Job
 from agent.runs.reference_state import LastAccepted
 from twin.arrays import Array
-from twin.identification import CarriedOver, Estimate, process_noise
+from twin.identification import CarriedOverPrior, Estimate, process_noise
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import QuadraticForm, evaluation_grid, volumetric_error
@@ -37,7 +37,7 @@ def night_noise(job: Job, model: ErrorModel) -> Array:
     return noise
 
 
-def known_tonight(job: Job, last: LastAccepted, nights: float) -> CarriedOver:
+def known_tonight(job: Job, last: LastAccepted, nights: float) -> CarriedOverPrior:
     """What the last accepted night knows, grown older by `nights`."""
     return last.known.carried_over().after(night_noise(job, last.known.model), nights)
 

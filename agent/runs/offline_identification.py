@@ -29,7 +29,7 @@ from twin.artefact.artefact import Artefact
 from twin.compensation.table_file import checksum, format_side_file, format_table
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import format_estimate, parse_estimate
-from twin.identification import CarriedOver, Options, process_noise
+from twin.identification import CarriedOverPrior, Options, process_noise
 from twin.machine.machine_description import MachineDescription
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
@@ -147,7 +147,7 @@ def read_material(request: Request) -> Material:
     return Material(machine, artefact, balls, tool, options)
 
 
-def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOver:
+def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOverPrior:
     """Return an earlier estimate of this machine as prior, widened by the change since."""
     text = read_text(path)
     with translated(InputError, file=str(path)):

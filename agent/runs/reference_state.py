@@ -161,7 +161,7 @@ def strangeness(job: Job, last: LastAccepted) -> str:
             return f"the machine has another {name} since"
     if accepted.tool != settings.tool or not (known.tool_offsets == job.tool_offset_mm).all():
         return f"it was measured with tool {accepted.tool} {known.tool_offsets[0].tolist()}, not {settings.tool}"
-    if accepted.artefact != settings.artefact.name or not known.unknowns.artefact.belong_to(job.artefact):
+    if accepted.artefact != settings.artefact.name or not known.unknowns.artefact.matches(job.artefact):
         return f"it was measured with artefact {accepted.artefact} as certified then"
     return ""
 

@@ -7,12 +7,12 @@ from typing import Annotated, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 
 Error = Annotated[str, Field(pattern=r"^[A-Z0-9_]{2,8}(\[[a-z0-9]+\])?$")]
 
 
-class HistorySettings(Strict):
+class HistorySettings(StrictModel):
     """Settings of the run history. `url`: database URL without password (SQLAlchemy form), shared by all machines of a
     plant; by default a SQLite file in the state directory. `credentials_file`: file with the password, one line.
     `machine`: name of this machine in the history; by default the name of the machine file.

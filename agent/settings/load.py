@@ -10,7 +10,7 @@ from agent.files import read_text, translated
 from agent.settings.schema import Settings, parse_settings
 from drivers.errors import ConfigurationError, UserError
 from drivers.registry import check_options
-from twin.formats.toml_reading import validated
+from twin.formats.toml_reading import validate_document
 
 POSITION_FILES = (".csv", ".toml")
 
@@ -65,7 +65,7 @@ def with_overrides(
     if formulation is not None:
         document["identification"]["formulation"] = formulation
     with translated(ConfigurationError):
-        return validated(document, "command line", Settings)
+        return validate_document(document, "command line", Settings)
 
 
 def _check_devices(settings: Settings) -> None:

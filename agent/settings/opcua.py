@@ -8,14 +8,14 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 
 
 def _address(text: str) -> str:
     return str(ip_address(text))
 
 
-class OpcUaSettings(Strict):
+class OpcUaSettings(StrictModel):
     """Settings of the OPC UA server. `trusted_clients`: directory with client certificates (DER or PEM); by default
     ``opcua/trusted`` in the state directory. `anonymous_reading`: anonymous clients may read, hold and abort."""
 

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 
 
 def _network(text: str) -> str:
@@ -24,7 +24,7 @@ Network = Annotated[str, AfterValidator(_network)]
 Address = Annotated[str, AfterValidator(_address)]
 
 
-class GatewaySettings(Strict):
+class GatewaySettings(StrictModel):
     """Settings of the panel gateway. `clients`: permitted addresses or networks; other connections are closed.
 
     Without `access_code_file` panels may only read, hold and abort.

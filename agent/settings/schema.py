@@ -18,7 +18,7 @@ from agent.settings.service import ServiceSettings
 from agent.settings.temperature import TemperatureSettings
 from twin.artefact.position_set import MountGeometry
 from twin.collision.bodies import ProbeGeometry
-from twin.formats.toml_reading import Strict, read_toml, refuse_unknown
+from twin.formats.toml_reading import StrictModel, forbid_unknown_keys, read_toml
 
 Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
 Coordinates = tuple[float, float, float]
@@ -27,7 +27,7 @@ Angles = tuple[Annotated[float, Field(ge=-180.0, le=180.0)], Annotated[float, Fi
 Order = Literal["evidence", "file"] | Annotated[int, Field(ge=1, le=15)]
 
 
-class ClockSettings(Strict):
+class ClockSettings(StrictModel):
     """Clock of the run: `real` on a machine, `scaled` or `lockstep` against simulators."""
 
     kind: Literal["real", "scaled", "lockstep"] = "real"
@@ -36,14 +36,14 @@ class ClockSettings(Strict):
     port: int = Field(default=0, ge=0, le=65535)
 
 
-class DeviceSettings(Strict):
+class DeviceSettings(StrictModel):
     """A device: the name of its driver plugin, and the options that this plugin validates."""
 
     driver: Name
     options: dict[str, Any] = Field(default_factory=dict)
 
 
-class RoleSettings(Strict):
+class RoleSettings(StrictModel):
     """Device that plays each role. `mount`: one device for all stations, or a device for each station."""
 
     machine: Name
@@ -54,7 +54,7 @@ class RoleSettings(Strict):
     mount: Name | dict[PositiveInt, Name]
 
 
-class StationSettings(Strict):
+class StationSettings(StrictModel):
     """Stations of the mount. `places_mm`: foot of the mount at each station (numbered from 1), workpiece frame.
 
     If each station has its own mount: `artefacts` lists one artefact file per station (omit it if a single artefact is
@@ -74,7 +74,7 @@ class StationSettings(Strict):
         return self.model_copy(update={"artefacts": [(base / path).resolve() for path in self.artefacts]})
 
 
-class ProcedureSettings(Strict):
+class ProcedureSettings(StrictModel):
     """Measuring procedure. `position_set`: names joined by + (S1+S3), or the path of a position file."""
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -110,7 +110,7 @@ class ProcedureSettings(Strict):
     on_failure: Literal["stop", "skip"] = "skip"
 
 
-class ProbeCheckSettings(Strict):
+class ProbeCheckSettings(StrictModel):
     """Repeatability check of the probe before a run: 2σ of `touches` touches at a ball's pole against `limit_um`."""
 
     enabled: bool = True
@@ -118,7 +118,7 @@ class ProbeCheckSettings(Strict):
     limit_um: PositiveFloat = 2.0
 
 
-class QualificationSettings(Strict):
+class QualificationSettings(StrictModel):
     """Stylus qualification on the datum ball with 25 touches before a run.
 
     `ball`: number of the datum ball; by default the first ball that is accessible from all sides. `limit_um`: limit of
@@ -136,7 +136,7 @@ class QualificationSettings(Strict):
     ball_radius_sigma_um: float = Field(default=0.2, ge=0.0, le=10.0)
 
 
-class ReversalSettings(Strict):
+class ReversalSettings(StrictModel):
     """Reversal test of the linear axes on the datum ball: `touches` from either side at two points per axis.
 
     Lost motion above `limit_um` raises a warning. If it exceeds the limit by more than its uncertainty and `on_excess`
@@ -149,7 +149,7 @@ class ReversalSettings(Strict):
     on_excess: Literal["warn", "stop"] = "warn"
 
 
-class IdentificationSettings(Strict):
+class IdentificationSettings(StrictModel):
     """Identification. `order` of the Legendre series: chosen by `evidence`, that of the machine `file`, or a number."""
 
     formulation: Literal["centres", "distances"] = "centres"
@@ -158,14 +158,14 @@ class IdentificationSettings(Strict):
     order: Order = "evidence"
 
 
-class TableSettings(Strict):
+class TableSettings(StrictModel):
     """Grid and anchor of the compensation table. `anchor_mm`: axis positions at which the correction is zero."""
 
     step_mm: Coordinates = (100.0, 100.0, 100.0)
     anchor_mm: Coordinates | None = None
 
 
-class GateSettings(Strict):
+class GateSettings(StrictModel):
     """Limits of the gates between an estimate and a machine; µm where the key says so.
 
     Runs take them from the settings file, `volcal identify` from the file it is given or else these defaults.
@@ -189,7 +189,7 @@ class GateSettings(Strict):
     allow_extrapolation: bool = False
 
 
-class VerificationSettings(Strict):
+class VerificationSettings(StrictModel):
     """Held-out positions: measured before and after at these stations and not used for the estimate."""
 
     former_keys: ClassVar[Mapping[str, str]] = {
@@ -203,7 +203,7 @@ class VerificationSettings(Strict):
     max_remaining_fraction: float = Field(default=0.8, gt=0.0, le=1.0)
 
 
-class TimingSettings(Strict):
+class TimingSettings(StrictModel):
     """Parameters of the cycle time prediction; speeds of the linear axes come from the machine file.
 
     Speed and acceleration are those of the mount. Each latency is added to the motion time of its command;
@@ -223,7 +223,7 @@ class TimingSettings(Strict):
     relocation_minutes: float = Field(default=0.0, ge=0.0, le=600.0)
 
 
-class NightlySettings(Strict):
+class NightlySettings(StrictModel):
     """Nights after a full calibration: measurements of `verify` and `nightly`, and limits for a changed machine.
 
     The first `held_out_positions` of `verification.positions_deg` are measured at the start, and again if a new table
@@ -256,13 +256,13 @@ class NightlySettings(Strict):
     full_allowed: bool = False
 
 
-class PreflightSettings(Strict):
+class PreflightSettings(StrictModel):
     """Driver plugin that simulates the machine in the preflight."""
 
     driver: Name = "simulated"
 
 
-class Settings(Strict):
+class Settings(StrictModel):
     """All settings of one machine and its procedure."""
 
     machine: Path
@@ -272,8 +272,8 @@ class Settings(Strict):
     clock: ClockSettings = ClockSettings()
     devices: dict[Name, DeviceSettings]
     roles: RoleSettings
-    mount: Annotated[MountGeometry, refuse_unknown(MountGeometry)] = MountGeometry()
-    probe: Annotated[ProbeGeometry, refuse_unknown(ProbeGeometry)] = ProbeGeometry()
+    mount: Annotated[MountGeometry, forbid_unknown_keys(MountGeometry)] = MountGeometry()
+    probe: Annotated[ProbeGeometry, forbid_unknown_keys(ProbeGeometry)] = ProbeGeometry()
     stations: StationSettings
     procedure: ProcedureSettings = ProcedureSettings()
     probe_check: ProbeCheckSettings = ProbeCheckSettings()

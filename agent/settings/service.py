@@ -9,12 +9,12 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 
 HourSpan = Annotated[str, Field(pattern=r"^([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3]):[0-5]\d$")]
 
 
-class ServiceSettings(Strict):
+class ServiceSettings(StrictModel):
     """Settings of the service. `host`: listening address; any address but loopback requires a certificate.
 
     Unattended starts are permitted only within `hours` (local time, for example 22:00-05:30) and `warm_up_minutes`

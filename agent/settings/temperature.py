@@ -8,12 +8,12 @@ from typing import Annotated, ClassVar, Self
 from pydantic import Field, model_validator
 
 from twin.artefact.artefact import REFERENCE_TEMPERATURE_C
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 
 Sensor = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
 
 
-class TemperatureSettings(Strict):
+class TemperatureSettings(StrictModel):
     """Temperature settings. Sensor names are those that the thermometer reports; sensors on one body are averaged.
 
     `standard_uncertainty_k`: standard uncertainty of the artefact temperature, common to the whole run.

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from agent.figures.study_style import INK, MARKERS, QUIET, SERIES
 from agent.planning.design.bar_variants import Bar
-from agent.studies.identification_variants import Way, ways
-from agent.studies.procedure_value import Trial, Verdict, Worth
+from agent.studies.identification_variants import IdentificationVariant, identification_variants
+from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
@@ -28,9 +28,12 @@ ACROSS = "balls over the same length"
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One way: verdict and share of the gain for each of `COUNTS`; a share is None where there is no gain at all."""
+    """Results of one identification variant: verdict and share of the gain for each of `COUNTS`.
 
-    way: Way
+    A share is None if the variant gains nothing with any ball count.
+    """
+
+    variant: IdentificationVariant
     verdicts: tuple[Verdict, ...]
     shares: tuple[float | None, ...]
 
@@ -42,13 +45,18 @@ class Curve:
 
 def run(case: StudyCase) -> StudyResult:
     """Bars of the case's length with 3 to 15 balls, in the case's set."""
-    bar, worth, chosen, positions = Bar.of(case.artefact), Worth(case), ways(case.options), case.positions()
-    trials = [Trial.of(case, bar.with_(balls=count), positions) for count in COUNTS]
-    rows = worth.judged(trials, chosen, [COUNTS.index(count) for count in CHECKED])
-    before = worth.before
+    bar, evaluator, variants, positions = (
+        Bar.of(case.artefact),
+        ProcedureEvaluator(case),
+        identification_variants(case.options),
+        case.positions(),
+    )
+    trials = [ProcedureVariant.of(case, bar.with_(balls=count), positions) for count in COUNTS]
+    rows = evaluator.evaluate(trials, variants, [COUNTS.index(count) for count in CHECKED])
+    before = evaluator.before
     curves = [
-        Curve(way, verdicts, gain_shares(verdicts, before))
-        for way, verdicts in zip(chosen, zip(*rows, strict=True), strict=True)
+        Curve(variant, verdicts, gain_shares(verdicts, before))
+        for variant, verdicts in zip(variants, zip(*rows, strict=True), strict=True)
     ]
     return StudyResult(
         name=NAME,
@@ -71,9 +79,9 @@ def gain_shares(verdicts: Sequence[Verdict], before: VolumetricRms) -> tuple[flo
     return tuple(None if value is None else (before.aligned_um - value) / gain for value in left)
 
 
-def _rows(trials: Sequence[Trial], curves: Sequence[Curve]) -> list[tuple[Cell, ...]]:
+def _rows(trials: Sequence[ProcedureVariant], curves: Sequence[Curve]) -> list[tuple[Cell, ...]]:
     return [
-        (count, *cells(curve.way.label, trial, verdict), share)
+        (count, *cells(curve.variant.label, trial, verdict), share)
         for curve in curves
         for count, trial, verdict, share in zip(COUNTS, trials, curve.verdicts, curve.shares, strict=True)
     ]
@@ -83,13 +91,16 @@ def _summary(curves: Sequence[Curve], rows: Sequence[Sequence[Verdict]], before:
     return {
         "ve_raw_um": before.raw_um,
         "ve_aligned_um": before.aligned_um,
-        "fewest_balls_with_95_percent": {curve.way.label: curve.fewest for curve in curves},
+        "fewest_balls_with_95_percent": {curve.variant.label: curve.fewest for curve in curves},
         "published_fewest_balls": PUBLISHED_BALLS,
         "vce_aligned_um": {
-            curve.way.label: {str(n): aligned_um(curve.verdicts[COUNTS.index(n)]) for n in CHECKED} for curve in curves
+            curve.variant.label: {str(n): aligned_um(curve.verdicts[COUNTS.index(n)]) for n in CHECKED}
+            for curve in curves
         },
         "not_identified": {
-            curve.way.label: [n for n, verdict in zip(COUNTS, curve.verdicts, strict=True) if verdict.expected is None]
+            curve.variant.label: [
+                n for n, verdict in zip(COUNTS, curve.verdicts, strict=True) if verdict.expected is None
+            ]
             for curve in curves
         },
         "worst_deviation_in_standard_errors": worst_deviation(rows),
@@ -103,9 +114,9 @@ def _draw(figure: Figure, curves: Sequence[Curve], before: VolumetricRms) -> Non
         panel.draw_curve(COUNTS, curve.verdicts, series)
     panel.draw_before(before)
     panel.label("Volumetric error left", ACROSS)
-    panel.across(COUNTS[0] - 0.5, COUNTS[-1] + 0.5, COUNTS)
+    panel.set_abscissa(COUNTS[0] - 0.5, COUNTS[-1] + 0.5, COUNTS)
     _draw_shares(figure.add_subplot(slots[1]), curves)
-    draw_legend(figure, [curve.way.title for curve in curves], before)
+    draw_legend(figure, [curve.variant.title for curve in curves], before)
 
 
 def _draw_shares(axes: Axes, curves: Sequence[Curve]) -> None:

@@ -45,7 +45,7 @@ class Chunk(Generic[Item]):
         return results
 
 
-def chunked(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
+def split_into_chunks(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
     """Chunks of equal size but for the last one, for so many workers."""
     size = max(1, min(_LARGEST, -(-len(items) // (_CHUNKS_A_WORKER * workers))))
     return [Chunk(start, items[start : start + size]) for start in range(0, len(items), size)]
@@ -59,9 +59,9 @@ def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
     return chunk.run(function)
 
 
-def run_chunk_alike(task: bytes, chunk: Chunk[Any], software: Mapping[str, str]) -> list[Any]:
+def run_chunk_on_cluster(task: bytes, chunk: Chunk[Any], software: Mapping[str, str]) -> list[Any]:
     """The same on another computer; ConfigurationError where its software is not the one that hands out the work."""
-    here = software_here()
+    here = local_software()
     for name, wanted in software.items():
         if here[name] != wanted:
             raise ConfigurationError(
@@ -71,7 +71,7 @@ def run_chunk_alike(task: bytes, chunk: Chunk[Any], software: Mapping[str, str])
     return run_chunk(task, chunk)
 
 
-def software_here() -> dict[str, str]:
+def local_software() -> dict[str, str]:
     """Versions of what the numbers of a study depend on."""
     names = ("volcal", "numpy", "scipy")
     return {"Python": ".".join(platform.python_version_tuple()[:2]), **{name: version(name) for name in names}}

@@ -21,8 +21,8 @@ from urllib.parse import urlsplit
 from distributed import Client, Future, KilledWorker, wait
 
 from agent.errors import RunError
-from agent.studies.chunks import chunked, run_chunk_alike, software_here
-from agent.studies.workers import Done
+from agent.studies.chunks import local_software, run_chunk_on_cluster, split_into_chunks
+from agent.studies.workers import OnItemsDone
 from drivers.errors import ConfigurationError, LinkLost, LinkTimeout, VolcalError
 
 Item = TypeVar("Item")
@@ -68,11 +68,11 @@ class DaskWorkers:
             self._client.close(timeout=CLOSE_S)  # type: ignore[no-untyped-call]
             self._client = None
 
-    def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: Done) -> list[Result]:
+    def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]:
         client = self._connected()
-        pickled, software = pickle.dumps(task), software_here()
-        chunks = chunked(items, self._threads(client))
-        futures = [client.submit(run_chunk_alike, pickled, chunk, software, pure=False) for chunk in chunks]
+        pickled, software = pickle.dumps(task), local_software()
+        chunks = split_into_chunks(items, self._threads(client))
+        futures = [client.submit(run_chunk_on_cluster, pickled, chunk, software, pure=False) for chunk in chunks]
         try:
             found = self._gathered(client, futures, done)
         except BaseException:
@@ -94,15 +94,15 @@ class DaskWorkers:
             raise LinkTimeout("the Dask scheduler has no worker", hint=hint, link=self._address) from None
         return max(1, sum(self._workers(client).values()))
 
-    def _gathered(self, client: Client, futures: Sequence[Work], done: Done) -> list[list[Any]]:
+    def _gathered(self, client: Client, futures: Sequence[Work], done: OnItemsDone) -> list[list[Any]]:
         """Results in the order of the futures, taken as they come."""
         number = {future.key: place for place, future in enumerate(futures)}
         found: list[list[Any]] = [[] for _ in futures]
         pending, finished = set(futures), 0
-        alone = _Alone(self._address)
+        timeout = _WorkerTimeout(self._address)
         while pending:
             ready, pending = self._next(pending)
-            alone.see(bool(ready or self._workers(client)))
+            timeout.update(bool(ready or self._workers(client)))
             for future in ready:
                 found[number[future.key]] = self._result(client, future)
                 finished += len(found[number[future.key]])
@@ -125,10 +125,10 @@ class DaskWorkers:
         loop = client.loop.asyncio_loop  # type: ignore[union-attr]
         fetching = client.gather(future, asynchronous=True)  # type: ignore[no-untyped-call]
         coming = asyncio.run_coroutine_threadsafe(fetching, loop)
-        alone = _Alone(self._address)
+        timeout = _WorkerTimeout(self._address)
         try:
             while not futures_done([coming], timeout=POLL_S).done:
-                alone.see(bool(self._workers(client)))
+                timeout.update(bool(self._workers(client)))
         finally:
             coming.cancel()  # nothing where it has ended
         return self._taken(coming)
@@ -164,16 +164,16 @@ class DaskWorkers:
         return LinkLost("the Dask scheduler is gone in the middle of the work", hint=hint, link=self._address)
 
 
-class _Alone:
+class _WorkerTimeout:
     """How long the scheduler has been without workers, looked at every POLL_S."""
 
     def __init__(self, address: str) -> None:
         self._address = address
         self._seconds = 0.0
 
-    def see(self, somebody: bool) -> None:
+    def update(self, has_workers: bool) -> None:
         """LinkTimeout after FIRST_WORKER_S of nobody."""
-        self._seconds = 0.0 if somebody else self._seconds + POLL_S
+        self._seconds = 0.0 if has_workers else self._seconds + POLL_S
         if self._seconds > FIRST_WORKER_S:
             hint = "have they the same volcal[cluster], and memory enough?"
             raise LinkTimeout("the Dask scheduler has no worker any more", hint=hint, link=self._address)

@@ -24,13 +24,19 @@ from twin.machine.machine_description import MachineDescription
 from twin.machine.volumetric import evaluation_grid
 from twin.uncertainty.coverage import (
     FieldError,
-    Share,
+    ObservedCoverage,
     held_out_levels,
+    observed_coverage,
     parameter_levels,
-    share_held,
     volumetric_comparisons,
 )
-from twin.uncertainty.random_machines import AS_MODELLED, FORMS, THERMOMETER_UNCERTAINTY_K, Made, make
+from twin.uncertainty.random_machines import (
+    AS_MODELLED,
+    DEFLECTION_FORMS,
+    THERMOMETER_UNCERTAINTY_K,
+    RandomMachine,
+    draw_random_machine,
+)
 
 NAME = "coverage"
 NOMINAL = 0.95
@@ -45,7 +51,7 @@ _CHECKED = 5  # one machine as modelled for so many of another making
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class ComparedEstimate:
     """One estimate of one machine: `levels` by region, and true and predicted volumetric errors in mm."""
 
     form: str
@@ -58,7 +64,7 @@ class Compared:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class CoverageTask:
     """Task: the number and form of a machine → what both estimates say of it, held against what it is."""
 
     machine: MachineDescription
@@ -69,18 +75,18 @@ class Comparison:
     tool_offset: Array
     seed: int
 
-    def __call__(self, item: tuple[int, str]) -> list[Compared]:
+    def __call__(self, item: tuple[int, str]) -> list[ComparedEstimate]:
         number, form = item
         rng = generator(self.seed, number)
-        made = make(self.machine, self.tool_offset, form, rng)
-        both = self._joined(made, rng)
+        random_machine = draw_random_machine(self.machine, self.tool_offset, form, rng)
+        both = self._joined(random_machine, rng)
         seen = both.where(np.arange(both.size) < self.planned.size)
         again = both.where(np.arange(both.size) >= self.planned.size)
         low, high = np.array(self.machine.model.ranges_mm).T
         points = rng.uniform(low, high, (_POINTS, 3))
-        return [self._compared(made, *found, again, points) for found in self._estimates(seen, form)]
+        return [self._compared(random_machine, *found, again, points) for found in self._estimates(seen, form)]
 
-    def _joined(self, made: Made, rng: np.random.Generator) -> Observations:
+    def _joined(self, random_machine: RandomMachine, rng: np.random.Generator) -> Observations:
         """Set and held-out positions measured with the same artefact on the same day."""
         parts = (self.planned, self.held_out)
         further = replace(self.held_out, position=self.held_out.position + self.planned.position.max() + 1)
@@ -88,7 +94,7 @@ class Comparison:
             name: np.concatenate([getattr(part, name) for part in (self.planned, further)])
             for name in ("position", "ball", "tool", "axis_positions", "covariance", "temperature_c", "elevation_rad")
         }
-        return made.measured(Observations(**rows, tool_offsets=parts[0].tool_offsets), self.artefact, rng)
+        return random_machine.measured(Observations(**rows, tool_offsets=parts[0].tool_offsets), self.artefact, rng)
 
     def _estimates(self, seen: Observations, form: str) -> Iterator[tuple[str, MachineDescription, Estimate]]:
         own = self.machine
@@ -103,14 +109,14 @@ class Comparison:
 
     def _compared(
         self,
-        made: Made,
+        random_machine: RandomMachine,
         chosen: str,
         machine: MachineDescription,
         estimate: Estimate,
         again: Observations,
         points: Array,
-    ) -> Compared:
-        truth = made.truth
+    ) -> ComparedEstimate:
+        truth = random_machine.truth
         field = FieldError.of(estimate, truth, points)
         ve, vce = volumetric_comparisons(estimate, truth, evaluation_grid(machine.model.ranges_mm, _GRID))
         levels = {
@@ -120,19 +126,19 @@ class Comparison:
             "VE": np.array([ve.level]),
             "VCE": np.array([vce.level]),
         }
-        if made.form == AS_MODELLED:
+        if random_machine.form == AS_MODELLED:
             levels[PARAMETERS] = parameter_levels(estimate, truth.parameters, _BETTER_KNOWN)
         order = max(estimate.model.highest_order)
-        return Compared(made.form, chosen, order, levels, ve.true_mm, vce.true_mm, vce.expected_mm)
+        return ComparedEstimate(random_machine.form, chosen, order, levels, ve.true_mm, vce.true_mm, vce.expected_mm)
 
 
 def run(case: StudyCase) -> StudyResult:
     """Coverage over `case.machines` machines, forms in turn, and over some that are as modelled."""
-    machines = [(number, FORMS[number % len(FORMS)]) for number in range(case.machines)]
+    machines = [(number, DEFLECTION_FORMS[number % len(DEFLECTION_FORMS)]) for number in range(case.machines)]
     machines += [(case.machines + extra, AS_MODELLED) for extra in range(max(case.machines // _CHECKED, 2))]
     found = case.map(_comparison(case), machines)
     every = [one for estimates in found for one in estimates]
-    table = Coverage(every, generator(case.seed, len(machines)))
+    table = CoverageTable(every, generator(case.seed, len(machines)))
     return StudyResult(
         name=NAME,
         title="How often the 95 % regions of an estimate hold the truth",
@@ -144,13 +150,13 @@ def run(case: StudyCase) -> StudyResult:
     )
 
 
-def _comparison(case: StudyCase) -> Comparison:
+def _comparison(case: StudyCase) -> CoverageTask:
     procedure = case.procedure
-    return Comparison(
+    return CoverageTask(
         machine=case.machine,
         artefact=case.artefact,
-        planned=procedure.planned(case.positions()).observations,
-        held_out=procedure.planned(case.job.held_out).observations,
+        planned=procedure.plan(case.positions()).observations,
+        held_out=procedure.plan(case.job.held_out).observations,
         options=replace(case.options, temperature_standard_uncertainty_k=THERMOMETER_UNCERTAINTY_K),
         tool_offset=case.tool_offset,
         seed=case.seed,
@@ -158,22 +164,22 @@ def _comparison(case: StudyCase) -> Comparison:
 
 
 @dataclass(frozen=True, eq=False)
-class Coverage:
+class CoverageTable:
     """Shares held, over all that was compared."""
 
-    compared: Sequence[Compared]
+    compared: Sequence[ComparedEstimate]
     rng: np.random.Generator
 
-    def of(self, chosen: str, form: str | None = None) -> list[Compared]:
-        """Those of one way to choose the order: of one form, or of the mixture of all."""
-        forms = FORMS if form is None else (form,)
+    def select(self, chosen: str, form: str | None = None) -> list[ComparedEstimate]:
+        """Those of one choice to choose the order: of one form, or of the mixture of all."""
+        forms = DEFLECTION_FORMS if form is None else (form,)
         return [one for one in self.compared if one.chosen == chosen and one.form in forms]
 
-    def share(self, of: Sequence[Compared], region: str, nominal: float = NOMINAL) -> Share:
-        return share_held([one.levels[region] for one in of], nominal, self.rng)
+    def share(self, of: Sequence[ComparedEstimate], region: str, nominal: float = NOMINAL) -> ObservedCoverage:
+        return observed_coverage([one.levels[region] for one in of], nominal, self.rng)
 
     @property
-    def ways(self) -> tuple[str, ...]:
+    def order_choices(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(one.chosen for one in self.compared))
 
 
@@ -194,7 +200,7 @@ COLUMNS = (
 )
 
 
-def _row(number: int, one: Compared) -> tuple[str | int | float | None, ...]:
+def _row(number: int, one: ComparedEstimate) -> tuple[str | int | float | None, ...]:
     held = {region: float(np.mean(levels <= NOMINAL)) for region, levels in one.levels.items()}
     level = {region: float(levels[0]) for region, levels in one.levels.items()}
     return (
@@ -214,26 +220,30 @@ def _row(number: int, one: Compared) -> tuple[str | int | float | None, ...]:
     )
 
 
-def _summary(table: Coverage) -> dict[str, object]:
-    said: dict[str, object] = {"forms": list(FORMS), "nominal": NOMINAL}
-    for way in table.ways:
-        every = table.of(way)
+def _summary(table: CoverageTable) -> dict[str, object]:
+    summary: dict[str, object] = {"forms": list(DEFLECTION_FORMS), "nominal": NOMINAL}
+    for choice in table.order_choices:
+        every = table.select(choice)
         shares = _shares(table, every)
-        said[way] = {
+        summary[choice] = {
             **{region: share.observed for region, share in shares.items()},
             "standard_errors": _rounded([share.standard_error for share in shares.values()]),
             "predicted_over_true_vce": _ratio(every),
-            "by_form": {form: _pairs(table, table.of(way, form)) for form in FORMS if table.of(way, form)},
+            "by_form": {
+                form: _pairs(table, table.select(choice, form))
+                for form in DEFLECTION_FORMS
+                if table.select(choice, form)
+            },
         }
-    said["as_modelled"] = _pairs(table, table.of(ORDER_OF_FILE, AS_MODELLED))
-    return said
+    summary["as_modelled"] = _pairs(table, table.select(ORDER_OF_FILE, AS_MODELLED))
+    return summary
 
 
-def _shares(table: Coverage, of: Sequence[Compared]) -> dict[str, Share]:
+def _shares(table: CoverageTable, of: Sequence[ComparedEstimate]) -> dict[str, ObservedCoverage]:
     return {region: table.share(of, region) for region in of[0].levels}
 
 
-def _pairs(table: Coverage, of: Sequence[Compared]) -> dict[str, list[float]]:
+def _pairs(table: CoverageTable, of: Sequence[ComparedEstimate]) -> dict[str, list[float]]:
     """Share held and its standard error, by region."""
     shares = _shares(table, of)
     return {region: _rounded([share.observed, share.standard_error]) for region, share in shares.items()}
@@ -243,7 +253,7 @@ def _rounded(values: Sequence[float]) -> list[float]:
     return [round(value, 4) for value in values]
 
 
-def _ratio(of: Sequence[Compared]) -> dict[str, float]:
+def _ratio(of: Sequence[ComparedEstimate]) -> dict[str, float]:
     ratios = np.array([one.predicted_vce_mm / one.vce_mm for one in of])
     return {
         "mean": round(float(ratios.mean()), 4),
@@ -256,14 +266,16 @@ def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _panels(table: Coverage) -> list[Panel]:
+def _panels(table: CoverageTable) -> list[Panel]:
     panels = []
-    for way in table.ways:
-        groups = {form: table.of(way, form) for form in FORMS if table.of(way, form)} | {"all": table.of(way)}
+    for choice in table.order_choices:
+        groups = {form: table.select(choice, form) for form in DEFLECTION_FORMS if table.select(choice, form)} | {
+            "all": table.select(choice)
+        }
         shares = {region: [table.share(of, region) for of in groups.values()] for region in REGIONS}
         curves = {
-            region: np.array([table.share(table.of(way), region, level).observed for level in LEVELS])
+            region: np.array([table.share(table.select(choice), region, level).observed for level in LEVELS])
             for region in REGIONS
         }
-        panels.append(Panel(way, tuple(groups), shares, curves))
+        panels.append(Panel(choice, tuple(groups), shares, curves))
     return panels

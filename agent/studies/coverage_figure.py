@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from agent.figures.study_style import BAND_OPACITY, GREEN, INK, MARKERS, QUIET, SERIES
 from twin.arrays import Array
-from twin.uncertainty.coverage import Share
+from twin.uncertainty.coverage import ObservedCoverage
 
 LEVELS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99])
 BAND = (93.0, 97.0)
@@ -26,7 +26,7 @@ class Panel:
 
     title: str
     groups: tuple[str, ...]
-    shares: Mapping[str, Sequence[Share]]
+    shares: Mapping[str, Sequence[ObservedCoverage]]
     curves: Mapping[str, Array]
 
 

@@ -1,7 +1,7 @@
 """Designed sets against S1, S2, S3 and their combinations: volumetric compensated error over machine minutes.
 
-Every set is judged by the closed form for whole procedures (`twin.uncertainty.error_budget`), with the deflection of
-the machine file, which neither the model nor the search knows. The named sets are judged under the published
+Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`), with the deflection of
+the machine file, which neither the model nor the search knows. The named sets are evaluated under the published
 formulation as well: distances, unit weights, no prior.
 """
 
@@ -25,10 +25,10 @@ from agent.planning.design.variants import Variant, variants_of
 from agent.planning.job import Job
 from agent.studies.study import Cell, StudyCase, StudyResult
 from twin.artefact.position_set import Position
-from twin.design.goals import Goal, Slot, Target
+from twin.design.goals import Goal, TargetErrorGoal, TimeSlotGoal
 from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
-from twin.uncertainty.error_budget import budget_of
+from twin.uncertainty.error_budget import error_budget_of_form
 from twin.uncertainty.residual_field_form import FieldForm
 
 Item = TypeVar("Item")
@@ -37,9 +37,9 @@ NAME = "design"
 GRID_DEG = 15.0
 SETS = ("S1", "S2", "S3", "S1+S2", "S1+S3", "S2+S3", "S1+S2+S3")
 REFERENCE = "S3"
-SHARES = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.75, 1.0)
+SLOT_SHARES = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.75, 1.0)
 """Slots, as shares of the time of the reference."""
-OF_VARIANTS = 0.5
+VARIANT_SHARE = 0.5
 """Slot of the artefact search, likewise."""
 TOUCHES, BALLS, THETAS_DEG = (5, 9, 13), (5, 7, 9, 15), (0.0, 5.0, 30.0)
 SLOT_KIND, TARGET_KIND = "design for a slot", "design for a target"
@@ -64,7 +64,7 @@ CENTRES = Options(estimate_scales=False, outliers="none")
 
 
 @dataclass(frozen=True)
-class Judged:
+class EvaluatedSet:
     """One set. `vce_um`: closed form with deflection; `criterion_um`: what the search minimises; of named sets also
     `published_um` under the published formulation, and `with_prior_um` the same with our prior; all rigidly aligned."""
 
@@ -85,72 +85,75 @@ class Judged:
 
 def run(case: StudyCase) -> StudyResult:
     """Named sets, designs for slots and for the reference's own VCE, and the artefact search at one slot."""
-    judge = Judge.of(case)
+    evaluator = SetEvaluator.of(case)
     base = variants_of(case.job, Path())[0]
-    named = [judge.named(base, name, case.positions(name)) for name in SETS]
+    named = [evaluator.evaluate_named(base, name, case.positions(name)) for name in SETS]
     reference = next(one for one in named if one.name == REFERENCE)
-    goals: list[tuple[str, Goal]] = [(SLOT_KIND, Slot(share * reference.minutes)) for share in SHARES]
-    goals.append((TARGET_KIND, Target(1e-3 * reference.criterion_um)))
+    goals: list[tuple[str, Goal]] = [(SLOT_KIND, TimeSlotGoal(share * reference.minutes)) for share in SLOT_SHARES]
+    goals.append((TARGET_KIND, TargetErrorGoal(1e-3 * reference.criterion_um)))
     setting = Setting(base.jobs, GRID_DEG)
     designs = [
-        judge.design(base, setting, goal, kind=kind, with_preflight=True)
+        evaluator.evaluate_design(base, setting, goal, kind=kind, with_preflight=True)
         for kind, goal in _counted(case, goals, "designs")
     ]
-    slot = Slot(OF_VARIANTS * reference.minutes)
-    ways = _counted(case, _ways(case.job), "artefacts and touches")
+    slot = TimeSlotGoal(VARIANT_SHARE * reference.minutes)
+    options = _counted(case, _options(case.job), "artefacts and touches")
     variants = [
-        judge.design(way, Setting(way.jobs, GRID_DEG), slot, kind="variant", with_preflight=False) for way in ways
+        evaluator.evaluate_design(variant, Setting(variant.jobs, GRID_DEG), slot, kind="variant", with_preflight=False)
+        for variant in options
     ]
-    judged = [*named, *designs, *variants]
+    evaluated = [*named, *designs, *variants]
     return StudyResult(
         name=NAME,
         title="Designed position sets against S1, S2, S3",
         columns=COLUMNS,
-        rows=[_row(one) for one in judged],
-        summary=_summary(judge, named, designs),
-        draw=partial(_draw, named=named, designs=designs, variants=variants, before_um=judge.before_um),
+        rows=[_row(one) for one in evaluated],
+        summary=_summary(evaluator, named, designs),
+        draw=partial(_draw, named=named, designs=designs, variants=variants, before_um=evaluator.before_um),
         size_in=(10.5, 4.6),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
-    """The same yardstick for all: `field` of the case's reality on the evaluation grid."""
+class SetEvaluator:
+    """The same yardstick for all: `field` of the case's assumptions on the evaluation grid."""
 
     field: FieldForm
 
     @classmethod
-    def of(cls, case: StudyCase) -> Judge:
+    def of(cls, case: StudyCase) -> SetEvaluator:
         grid = evaluation_grid(case.machine.model.ranges_mm)
-        return cls(FieldForm.build(case.machine.model, case.reality, grid, case.tool_offset))
+        return cls(FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset))
 
     @property
     def before_um(self) -> float:
         return self.field.before().aligned_um
 
-    def named(self, way: Variant, name: str, positions: Sequence[Position]) -> Judged:
-        minutes = machine_minutes(_job(way), positions).total
-        return self._judged(name, "named", way, positions, minutes, published=True)
+    def evaluate_named(self, variant: Variant, name: str, positions: Sequence[Position]) -> EvaluatedSet:
+        minutes = machine_minutes(_job(variant), positions).total
+        return self._evaluated(name, "named", variant, positions, minutes, published=True)
 
-    def design(self, way: Variant, setting: Setting, goal: Goal, *, kind: str, with_preflight: bool) -> Judged:
+    def evaluate_design(
+        self, variant: Variant, setting: Setting, goal: Goal, *, kind: str, with_preflight: bool
+    ) -> EvaluatedSet:
         found = designed(setting, goal, verify=False, with_preflight=with_preflight, say=lambda _: None)
-        return self._judged(
-            f"{len(found.positions)} designed", kind, way, found.positions, found.minutes, published=False
+        return self._evaluated(
+            f"{len(found.positions)} designed", kind, variant, found.positions, found.minutes, published=False
         )
 
-    def _judged(
-        self, name: str, kind: str, way: Variant, positions: Sequence[Position], minutes: float, *, published: bool
-    ) -> Judged:
-        job = _job(way)
-        planned = job.procedure.planned(positions)
+    def _evaluated(
+        self, name: str, kind: str, variant: Variant, positions: Sequence[Position], minutes: float, *, published: bool
+    ) -> EvaluatedSet:
+        job = _job(variant)
+        planned = job.procedure.plan(positions)
         worth = valuation_of(job, positions)
-        expected = partial(budget_of, self.field, job.machine.family, job.artefact, planned.observations)
-        return Judged(
+        expected = partial(error_budget_of_form, self.field, job.machine.family, job.artefact, planned.observations)
+        return EvaluatedSet(
             name=name,
             kind=kind,
-            touches=way.touches,
-            artefact_balls=way.balls,
-            theta_deg=way.theta_deg,
+            touches=variant.touches,
+            artefact_balls=variant.balls,
+            theta_deg=variant.theta_deg,
             positions=len(planned.positions),
             balls=planned.observations.size,
             minutes=minutes,
@@ -162,18 +165,18 @@ class Judge:
         )
 
 
-def _job(way: Variant) -> Job:
-    return next(iter(way.jobs.values()))
+def _job(variant: Variant) -> Job:
+    return next(iter(variant.jobs.values()))
 
 
-def _ways(job: Job) -> list[Variant]:
+def _options(job: Job) -> list[Variant]:
     """One thing at a time: touches, balls, tilt."""
     choices: list[dict[str, Sequence[int] | Sequence[float]]] = [
         {"touches": TOUCHES},
         {"balls": BALLS},
         {"thetas_deg": THETAS_DEG},
     ]
-    return [way for choice in choices for way in variants_of(job, Path(), **choice)]  # type: ignore[arg-type]
+    return [variant for choice in choices for variant in variants_of(job, Path(), **choice)]  # type: ignore[arg-type]
 
 
 def _counted(case: StudyCase, items: Sequence[Item], what: str) -> Iterator[Item]:
@@ -183,42 +186,48 @@ def _counted(case: StudyCase, items: Sequence[Item], what: str) -> Iterator[Item
     case.progress(what, len(items), len(items))
 
 
-def _row(one: Judged) -> list[Cell]:
-    return [getattr(one, field.name) for field in fields(Judged)]
+def _row(one: EvaluatedSet) -> list[Cell]:
+    return [getattr(one, field.name) for field in fields(EvaluatedSet)]
 
 
-def _summary(judge: Judge, named: Sequence[Judged], designs: Sequence[Judged]) -> dict[str, object]:
+def _summary(
+    evaluator: SetEvaluator, named: Sequence[EvaluatedSet], designs: Sequence[EvaluatedSet]
+) -> dict[str, object]:
     """The VCE of the reference, ours and published, and in what share of its time a design has it."""
     reference = next(one for one in named if one.name == REFERENCE)
     rivals = {
         "reference": reference.vce_um,
-        "published": reference.published_um or judge.before_um,
-        "published_with_prior": reference.with_prior_um or judge.before_um,
+        "published": reference.published_um or evaluator.before_um,
+        "published_with_prior": reference.with_prior_um or evaluator.before_um,
     }
     return {
         "set": REFERENCE,
-        "ve_um": judge.before_um,
+        "ve_um": evaluator.before_um,
         "reference_minutes": reference.minutes,
         **{f"{name}_vce_um": vce_um for name, vce_um in rivals.items()},
         **{f"share_of_time_to_{name}": _share(designs, vce_um, reference) for name, vce_um in rivals.items()},
     }
 
 
-def _share(designs: Sequence[Judged], vce_um: float, reference: Judged) -> float | None:
+def _share(designs: Sequence[EvaluatedSet], vce_um: float, reference: EvaluatedSet) -> float | None:
     """Of the reference's time in which a design is at least as good; None where none is."""
     soonest = min((one.minutes for one in designs if one.vce_um <= vce_um), default=None)
     return None if soonest is None else soonest / reference.minutes
 
 
 def _draw(
-    figure: Figure, named: Sequence[Judged], designs: Sequence[Judged], variants: Sequence[Judged], before_um: float
+    figure: Figure,
+    named: Sequence[EvaluatedSet],
+    designs: Sequence[EvaluatedSet],
+    variants: Sequence[EvaluatedSet],
+    before_um: float,
 ) -> None:
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     _draw_sets(left, named, designs, before_um)
     _draw_variants(right, variants)
 
 
-def _draw_sets(axes: Axes, named: Sequence[Judged], designs: Sequence[Judged], before_um: float) -> None:
+def _draw_sets(axes: Axes, named: Sequence[EvaluatedSet], designs: Sequence[EvaluatedSet], before_um: float) -> None:
     line = sorted((one for one in designs if one.kind == SLOT_KIND), key=lambda one: one.minutes)
     axes.plot(
         [one.minutes for one in designs if one.kind != SLOT_KIND],
@@ -253,8 +262,8 @@ def _draw_sets(axes: Axes, named: Sequence[Judged], designs: Sequence[Judged], b
     axes.legend(loc="upper right")
 
 
-def _draw_variants(axes: Axes, variants: Sequence[Judged]) -> None:
-    names = [_way_name(one) for one in variants]
+def _draw_variants(axes: Axes, variants: Sequence[EvaluatedSet]) -> None:
+    names = [_variant_name(one) for one in variants]
     places = list(range(len(variants)))[::-1]
     axes.barh(places, [one.vce_um for one in variants], color=PURPLE, height=0.6)
     for place, one in zip(places, variants, strict=True):
@@ -269,9 +278,9 @@ def _draw_variants(axes: Axes, variants: Sequence[Judged]) -> None:
     axes.set_yticks(places, names)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("expected VCE, rigidly aligned / µm")
-    axes.set_title(f"Designs for {OF_VARIANTS:.0%} of {REFERENCE}'s time")
+    axes.set_title(f"Designs for {VARIANT_SHARE:.0%} of {REFERENCE}'s time")
 
 
-def _way_name(one: Judged) -> str:
+def _variant_name(one: EvaluatedSet) -> str:
     tilt = "" if one.theta_deg is None else f", θ {one.theta_deg:.3g}°"
     return f"{one.touches} touches, {one.artefact_balls} balls{tilt}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from agent.studies.monte_carlo import as_stated
+from agent.studies.monte_carlo import with_stated_scales
 from twin.identification import Options
 
 PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False)
@@ -12,7 +12,7 @@ PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False)
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class IdentificationVariant:
     """How to identify, with scales as stated: what closed form and simulation both speak of."""
 
     options: Options
@@ -24,16 +24,16 @@ class Way:
 
     @property
     def title(self) -> str:
-        """The label, saying which way is the published one."""
-        published = Way(PUBLISHED).label == self.label
+        """The label, saying which variant is the published one."""
+        published = IdentificationVariant(PUBLISHED).label == self.label
         return f"{self.label} (published method)" if published else self.label
 
 
-def ways(options: Options) -> tuple[Way, ...]:
-    """The way asked for first, then the published method with the family as prior, then as published; each once."""
+def identification_variants(options: Options) -> tuple[IdentificationVariant, ...]:
+    """The variant asked for first, then the published method with the family as prior, then as published; each once."""
     candidates = (options, replace(PUBLISHED, use_prior=True), PUBLISHED)
-    found: dict[str, Way] = {}
+    found: dict[str, IdentificationVariant] = {}
     for candidate in candidates:
-        way = Way(as_stated(candidate))
-        found.setdefault(way.label, way)
+        variant = IdentificationVariant(with_stated_scales(candidate))
+        found.setdefault(variant.label, variant)
     return tuple(found.values())

@@ -1,4 +1,4 @@
-"""What tilting the balls off the bar's axis is worth: volumetric error left for tilts of 0 to 30 degrees."""
+"""Effect of tilting the balls off the bar's axis: volumetric error left for tilts of 0 to 30 degrees."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from functools import partial
 from matplotlib.figure import Figure
 
 from agent.planning.design.bar_variants import Bar
-from agent.studies.identification_variants import Way, ways
-from agent.studies.procedure_value import Trial, Verdict, Worth
+from agent.studies.identification_variants import IdentificationVariant, identification_variants
+from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
@@ -25,69 +25,73 @@ Verdicts = Sequence[tuple[Verdict, ...]]
 
 def run(case: StudyCase) -> StudyResult:
     """The case's bar with other tilts, in S2 and in S2+S3."""
-    bar, worth, chosen = Bar.of(case.artefact), Worth(case), ways(case.options)
+    bar, evaluator, variants = Bar.of(case.artefact), ProcedureEvaluator(case), identification_variants(case.options)
     places = [(name, tilt) for name in SETS for tilt in TILTS_DEG]
-    trials = [Trial.of(case, bar.with_(tilt_deg=tilt), case.positions(name)) for name, tilt in places]
+    trials = [ProcedureVariant.of(case, bar.with_(tilt_deg=tilt), case.positions(name)) for name, tilt in places]
     checked = [number for number, (_, tilt) in enumerate(places) if tilt in CHECKED_DEG]
-    rows = worth.judged(trials, chosen, checked)
+    rows = evaluator.evaluate(trials, variants, checked)
     by_set = {name: rows[n * len(TILTS_DEG) : (n + 1) * len(TILTS_DEG)] for n, name in enumerate(SETS)}
     return StudyResult(
         name=NAME,
         title="Tilt of the ball holders",
         columns=("set", "tilt_deg", *COLUMNS),
         rows=[
-            (name, tilt, *cells(way.label, trial, verdict))
+            (name, tilt, *cells(variant.label, trial, verdict))
             for (name, tilt), trial, row in zip(places, trials, rows, strict=True)
-            for way, verdict in zip(chosen, row, strict=True)
+            for variant, verdict in zip(variants, row, strict=True)
         ],
-        summary=_summary(chosen, by_set, worth.before),
-        draw=partial(_draw, chosen=chosen, by_set=by_set, before=worth.before),
+        summary=_summary(variants, by_set, evaluator.before),
+        draw=partial(_draw, variants=variants, by_set=by_set, before=evaluator.before),
         size_in=(10.0, 4.4),
     )
 
 
-def saving(rows: Verdicts, way: int) -> float | None:
+def saving(rows: Verdicts, variant: int) -> float | None:
     """Share of the VCE, rigidly aligned, that the largest tilt saves against a straight bar; None if not identified."""
-    straight, tilted = aligned_um(rows[0][way]), aligned_um(rows[-1][way])
+    straight, tilted = aligned_um(rows[0][variant]), aligned_um(rows[-1][variant])
     return None if straight is None or tilted is None else 1.0 - tilted / straight
 
 
-def _summary(chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: VolumetricRms) -> dict[str, object]:
+def _summary(
+    variants: Sequence[IdentificationVariant], by_set: Mapping[str, Verdicts], before: VolumetricRms
+) -> dict[str, object]:
     return {
         "set": " and ".join(SETS),
         "ve_raw_um": before.raw_um,
         "ve_aligned_um": before.aligned_um,
         "saved_by_largest_tilt": {
-            way.label: {name: saving(rows, number) for name, rows in by_set.items()}
-            for number, way in enumerate(chosen)
+            variant.label: {name: saving(rows, number) for name, rows in by_set.items()}
+            for number, variant in enumerate(variants)
         },
         "vce_aligned_um": {
-            way.label: {
+            variant.label: {
                 name: {f"{tilt:g}": aligned_um(rows[TILTS_DEG.index(tilt)][number]) for tilt in CHECKED_DEG}
                 for name, rows in by_set.items()
             }
-            for number, way in enumerate(chosen)
+            for number, variant in enumerate(variants)
         },
         "not_identified": {
-            way.label: [
+            variant.label: [
                 f"{name}, {tilt:g}°"
                 for name, rows in by_set.items()
                 for tilt, row in zip(TILTS_DEG, rows, strict=True)
                 if row[number].expected is None
             ]
-            for number, way in enumerate(chosen)
+            for number, variant in enumerate(variants)
         },
         "worst_deviation_in_standard_errors": worst_deviation([row for rows in by_set.values() for row in rows]),
     }
 
 
-def _draw(figure: Figure, chosen: Sequence[Way], by_set: Mapping[str, Verdicts], before: VolumetricRms) -> None:
+def _draw(
+    figure: Figure, variants: Sequence[IdentificationVariant], by_set: Mapping[str, Verdicts], before: VolumetricRms
+) -> None:
     slots, every = figure.add_gridspec(1, len(by_set)), [row for rows in by_set.values() for row in rows]
     for place, (name, rows) in enumerate(by_set.items()):
         panel = BrokenAxes.add(figure, slots[place], every, before)
-        for number, _ in enumerate(chosen):
+        for number, _ in enumerate(variants):
             panel.draw_curve(TILTS_DEG, [row[number] for row in rows], number)
         panel.draw_before(before)
         panel.label(name, "tilt of the holders θ / °")
-        panel.across(TILTS_DEG[0] - 1.5, TILTS_DEG[-1] + 1.5, TILTS_DEG)
-    draw_legend(figure, [way.title for way in chosen], before)
+        panel.set_abscissa(TILTS_DEG[0] - 1.5, TILTS_DEG[-1] + 1.5, TILTS_DEG)
+    draw_legend(figure, [variant.title for variant in variants], before)

@@ -24,10 +24,10 @@ from twin.artefact.observations import Observations
 from twin.identification import Options, identify
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
-from twin.uncertainty.error_budget import budget_of
-from twin.uncertainty.monte_carlo import draw_truth, errors_before, errors_left, simulated_observations
+from twin.uncertainty.error_budget import error_budget_of_form
+from twin.uncertainty.monte_carlo import compensated_errors, draw_truth, simulated_observations, uncompensated_errors
 from twin.uncertainty.residual_field_form import FieldForm
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 NAME = "monte-carlo"
 UM_PER_MM = 1e3
@@ -35,7 +35,7 @@ COVERAGE_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedMachine:
     """One machine: parameters of the truth (t,) and of the estimate (p,), and how the identification went."""
 
     truth: Array
@@ -45,47 +45,47 @@ class Simulated:
 
 
 @dataclass(frozen=True, eq=False)
-class WholeProcedure:
+class ProcedureTask:
     """Task: the number of a machine → what a procedure makes of it. The same number is the same machine, with the same
-    artefact, in every procedure of the same reality and seed."""
+    artefact, in every procedure of the same assumptions and seed."""
 
     planned: Observations
     artefact: Artefact
     family: Family
-    reality: Reality
+    assumptions: TruthAssumptions
     options: Options
     tool_offset: Array
     seed: int
 
     @classmethod
-    def of(cls, case: StudyCase, planned: Observations, options: Options | None = None) -> WholeProcedure:
+    def of(cls, case: StudyCase, planned: Observations, options: Options | None = None) -> ProcedureTask:
         """Of the case's artefact and machines; by default with the case's options."""
         chosen = options or case.options
         family = case.machine.family
-        return cls(planned, case.artefact, family, case.reality, chosen, case.tool_offset, case.seed)
+        return cls(planned, case.artefact, family, case.assumptions, chosen, case.tool_offset, case.seed)
 
-    def __call__(self, number: int) -> Simulated:
+    def __call__(self, number: int) -> SimulatedMachine:
         rng = generator(self.seed, number)
-        truth = draw_truth(self.reality, rng, self.tool_offset)
-        seen = simulated_observations(self.planned, self.artefact, truth, self.reality, rng)
+        truth = draw_truth(self.assumptions, rng, self.tool_offset)
+        seen = simulated_observations(self.planned, self.artefact, truth, self.assumptions, rng)
         found = identify(self.family.model, seen, self.artefact, self.family, self.options)
-        return Simulated(truth.parameters, found.parameters, found.chi2_normalised, len(found.rejected))
+        return SimulatedMachine(truth.parameters, found.parameters, found.chi2_normalised, len(found.rejected))
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class ErrorSample:
     """Volumetric errors (m,) in mm of m machines, raw and aligned."""
 
     raw_mm: Array
     aligned_mm: Array
 
     @classmethod
-    def before(cls, form: FieldForm, machines: Sequence[Simulated]) -> Spread:
-        return cls(*errors_before(form, _truths(machines)))
+    def uncompensated(cls, form: FieldForm, machines: Sequence[SimulatedMachine]) -> ErrorSample:
+        return cls(*uncompensated_errors(form, _truths(machines)))
 
     @classmethod
-    def left(cls, form: FieldForm, machines: Sequence[Simulated]) -> Spread:
-        return cls(*errors_left(form, _truths(machines), np.array([machine.estimate for machine in machines])))
+    def compensated(cls, form: FieldForm, machines: Sequence[SimulatedMachine]) -> ErrorSample:
+        return cls(*compensated_errors(form, _truths(machines), np.array([machine.estimate for machine in machines])))
 
     @property
     def expected(self) -> VolumetricRms:
@@ -100,15 +100,20 @@ class Spread:
 
 def run(case: StudyCase) -> StudyResult:
     """VE and VCE of `case.machines` machines measured in the case's set."""
-    planned = case.procedure.planned(case.positions()).observations
+    planned = case.procedure.plan(case.positions()).observations
     grid = evaluation_grid(case.machine.model.ranges_mm)
-    form = FieldForm.build(case.machine.model, case.reality, grid, case.tool_offset)
-    stated = as_stated(case.options)
-    closed = budget_of(form, case.machine.family, case.artefact, planned, stated).expected
+    form = FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
+    stated = with_stated_scales(case.options)
+    closed = error_budget_of_form(form, case.machine.family, case.artefact, planned, stated).expected
     numbers = range(case.machines)
-    plain = case.map(WholeProcedure.of(case, planned, stated), numbers, "machines, scales as stated")
-    usual = case.map(WholeProcedure.of(case, planned), numbers, "machines, as a run identifies")
-    found = Comparison(closed, Spread.before(form, plain), Spread.left(form, plain), Spread.left(form, usual))
+    plain = case.map(ProcedureTask.of(case, planned, stated), numbers, "machines, scales as stated")
+    usual = case.map(ProcedureTask.of(case, planned), numbers, "machines, as a run identifies")
+    found = SimulationComparison(
+        closed,
+        ErrorSample.uncompensated(form, plain),
+        ErrorSample.compensated(form, plain),
+        ErrorSample.compensated(form, usual),
+    )
     return StudyResult(
         name=NAME,
         title="Volumetric error of machines measured and identified one by one",
@@ -120,19 +125,19 @@ def run(case: StudyCase) -> StudyResult:
     )
 
 
-def as_stated(options: Options) -> Options:
+def with_stated_scales(options: Options) -> Options:
     """The same with nothing learned but the parameters: an estimate linear in the measurements."""
     return replace(options, estimate_scales=False, outliers="none")
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class SimulationComparison:
     """`closed`: expectation in closed form; the others by simulation, `plain` of what `closed` speaks of."""
 
     closed: VolumetricRms
-    before: Spread
-    plain: Spread
-    usual: Spread
+    before: ErrorSample
+    plain: ErrorSample
+    usual: ErrorSample
 
 
 COLUMNS = (
@@ -148,7 +153,7 @@ COLUMNS = (
 )
 
 
-def _rows(found: Comparison, usual: Sequence[Simulated]) -> list[list[float]]:
+def _rows(found: SimulationComparison, usual: Sequence[SimulatedMachine]) -> list[list[float]]:
     errors = [UM_PER_MM * values for part in (found.before, found.usual, found.plain) for values in _both(part)]
     return [
         [number, *(float(values[number]) for values in errors), machine.chi2_normalised, machine.rejected]
@@ -156,11 +161,13 @@ def _rows(found: Comparison, usual: Sequence[Simulated]) -> list[list[float]]:
     ]
 
 
-def _both(spread: Spread) -> tuple[Array, Array]:
+def _both(spread: ErrorSample) -> tuple[Array, Array]:
     return spread.raw_mm, spread.aligned_mm
 
 
-def _summary(case: StudyCase, found: Comparison, usual: Sequence[Simulated], balls: int) -> dict[str, object]:
+def _summary(
+    case: StudyCase, found: SimulationComparison, usual: Sequence[SimulatedMachine], balls: int
+) -> dict[str, object]:
     return {
         "balls_measured": balls,
         "ve": _figures(found.before),
@@ -183,7 +190,7 @@ def deviation(simulated_mm: float, closed_mm: float, error_mm: float) -> float |
     return (simulated_mm - closed_mm) / error_mm if error_mm > 0.0 else None
 
 
-def _figures(spread: Spread) -> dict[str, object]:
+def _figures(spread: ErrorSample) -> dict[str, object]:
     """Root mean square with its standard error, median and the middle 95 % in µm."""
     expected, error = spread.expected, spread.standard_error
     figures: dict[str, object] = {}
@@ -199,7 +206,7 @@ def _figures(spread: Spread) -> dict[str, object]:
     return figures
 
 
-def _truths(machines: Sequence[Simulated]) -> Array:
+def _truths(machines: Sequence[SimulatedMachine]) -> Array:
     return np.array([machine.truth for machine in machines])
 
 
@@ -210,13 +217,13 @@ def _error_of_root(values_mm: Array) -> float:
     return float(squares.std(ddof=1) / np.sqrt(len(squares)) / (2.0 * np.sqrt(squares.mean())))
 
 
-def _draw(figure: Figure, *, found: Comparison) -> None:
+def _draw(figure: Figure, *, found: SimulationComparison) -> None:
     left, right = figure.subplots(1, 2)
     _draw_distribution(left, found)
     _draw_convergence(right, found)
 
 
-def _draw_distribution(axes: Axes, found: Comparison) -> None:
+def _draw_distribution(axes: Axes, found: SimulationComparison) -> None:
     for spread, colour, label in (
         (found.before, ORANGE, "VE, not compensated"),
         (found.usual, BLUE, "VCE, as a run identifies"),
@@ -231,7 +238,7 @@ def _draw_distribution(axes: Axes, found: Comparison) -> None:
     axes.set_title("Distribution over the machines")
 
 
-def _draw_convergence(axes: Axes, found: Comparison) -> None:
+def _draw_convergence(axes: Axes, found: SimulationComparison) -> None:
     """Root mean square over the first machines, with what it may be off by, and where it should go."""
     squares = (UM_PER_MM * found.plain.aligned_mm) ** 2
     count = np.arange(1, len(squares) + 1)

@@ -1,4 +1,4 @@
-"""What a procedure is worth: the volumetric error it leaves, in closed form and by simulating it on many machines."""
+"""Volumetric error that a procedure leaves, in closed form and by simulating it on many machines."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from agent.studies.identification_variants import Way
-from agent.studies.monte_carlo import Simulated, Spread, WholeProcedure
+from agent.studies.identification_variants import IdentificationVariant
+from agent.studies.monte_carlo import ErrorSample, ProcedureTask, SimulatedMachine
 from agent.studies.study import StudyCase
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
@@ -15,7 +15,7 @@ from twin.artefact.position_set import Position
 from twin.errors import DataError, SingularSet
 from twin.identification import identify
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
-from twin.uncertainty.error_budget import ErrorBudget, budget_of
+from twin.uncertainty.error_budget import ErrorBudget, error_budget_of_form
 from twin.uncertainty.residual_field_form import FieldForm
 
 FEWEST_MACHINES = 2
@@ -23,24 +23,24 @@ FEWEST_MACHINES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class ProcedureVariant:
     """An artefact and what would be measured on it; `planned` None where no position has three balls within reach."""
 
     artefact: Artefact
     planned: Observations | None
 
     @classmethod
-    def of(cls, case: StudyCase, artefact: Artefact, positions: Sequence[Position]) -> Trial:
+    def of(cls, case: StudyCase, artefact: Artefact, positions: Sequence[Position]) -> ProcedureVariant:
         procedure = case.procedure.with_artefact(artefact)
         try:
-            return cls(artefact, procedure.planned(positions).observations)
+            return cls(artefact, procedure.plan(positions).observations)
         except DataError:
             return cls(artefact, None)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of one trial identified in one way: root of the expected mean square VCE in closed form, and the same over
+    """Of one trial identified in one variant: root of the expected mean square VCE in closed form, and the same over
     simulated `machines` with its standard error. None: not identified, or not simulated."""
 
     expected: VolumetricRms | None
@@ -48,7 +48,7 @@ class Verdict:
     standard_error: VolumetricRms | None = None
     machines: int = 0
 
-    def checked(self, spread: Spread | None) -> Verdict:
+    def with_simulation(self, spread: ErrorSample | None) -> Verdict:
         """With what simulated machines say; None: some of them could not be identified."""
         if spread is None:
             return Verdict(None)
@@ -56,7 +56,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, eq=False)
-class Worth:
+class ProcedureEvaluator:
     """Judges trials of a case."""
 
     case: StudyCase
@@ -66,76 +66,88 @@ class Worth:
         """The form of the field left over the published grid; evaluated once for all trials."""
         case = self.case
         grid = evaluation_grid(case.machine.model.ranges_mm)
-        return FieldForm.build(case.machine.model, case.reality, grid, case.tool_offset)
+        return FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
 
     @property
     def before(self) -> VolumetricRms:
         """Root of the expected mean square VE."""
         return self.field.before()
 
-    def budget(self, trial: Trial, way: Way) -> ErrorBudget | None:
+    def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:
         """Closed form; None for what `identify` would refuse."""
         family = self.case.machine.family
         if trial.planned is None:
             return None
         try:
-            identify(family.model, trial.planned, trial.artefact, family, way.options)
+            identify(family.model, trial.planned, trial.artefact, family, variant.options)
         except SingularSet:
             return None
-        return budget_of(self.field, family, trial.artefact, trial.planned, way.options)
+        return error_budget_of_form(self.field, family, trial.artefact, trial.planned, variant.options)
 
-    def judged(
-        self, trials: Sequence[Trial], chosen: Sequence[Way], simulated: Sequence[int]
+    def evaluate(
+        self, trials: Sequence[ProcedureVariant], variants: Sequence[IdentificationVariant], simulated: Sequence[int]
     ) -> list[tuple[Verdict, ...]]:
-        """Verdicts on every trial (rows) in every way; the trials whose numbers are `simulated` are checked by an equal
-        share of the case's machines each, and each by the same ones."""
+        """Return the verdicts on every trial (rows) under every identification variant (columns).
+
+        The trials with the indices `simulated` are also simulated, each on an equal share of the case's machines and
+        all on the same machines.
+        """
         rows = []
         for number, trial in enumerate(trials):
             self.case.progress("closed form", number, len(trials))
-            rows.append([self._expected(trial, way) for way in chosen])
+            rows.append([self._expected(trial, variant) for variant in variants])
         self.case.progress("closed form", len(trials), len(trials))
-        pairs = [(row, way) for row in simulated for way in range(len(chosen)) if rows[row][way].expected is not None]
+        pairs = [
+            (row, variant)
+            for row in simulated
+            for variant in range(len(variants))
+            if rows[row][variant].expected is not None
+        ]
         share = max(self.case.machines // max(len(simulated), 1), FEWEST_MACHINES)
-        for (row, way), spread in zip(pairs, self._spreads(trials, chosen, pairs, share), strict=True):
-            rows[row][way] = rows[row][way].checked(spread)
+        for (row, variant), spread in zip(pairs, self._spreads(trials, variants, pairs, share), strict=True):
+            rows[row][variant] = rows[row][variant].with_simulation(spread)
         return [tuple(row) for row in rows]
 
-    def _expected(self, trial: Trial, way: Way) -> Verdict:
-        budget = self.budget(trial, way)
+    def _expected(self, trial: ProcedureVariant, variant: IdentificationVariant) -> Verdict:
+        budget = self.budget(trial, variant)
         return Verdict(None if budget is None else budget.expected)
 
     def _spreads(
-        self, trials: Sequence[Trial], chosen: Sequence[Way], pairs: Sequence[tuple[int, int]], share: int
-    ) -> list[Spread | None]:
-        """VCE of `share` machines for each pair of trial and way; None where one of them is refused."""
+        self,
+        trials: Sequence[ProcedureVariant],
+        variants: Sequence[IdentificationVariant],
+        pairs: Sequence[tuple[int, int]],
+        share: int,
+    ) -> list[ErrorSample | None]:
+        """VCE of `share` machines for each pair of trial and variant; None where one of them is refused."""
         if not pairs:
             return []
-        tasks = tuple(self.procedure(trials[row], chosen[way]) for row, way in pairs)
+        tasks = tuple(self.procedure(trials[row], variants[variant]) for row, variant in pairs)
         items = [(task, machine) for task in range(len(tasks)) for machine in range(share)]
         found = self.case.map(_Several(tasks), items, "simulated machines")
         return [self._spread(found[start : start + share]) for start in range(0, len(found), share)]
 
-    def _spread(self, found: Sequence[Simulated | None]) -> Spread | None:
+    def _spread(self, found: Sequence[SimulatedMachine | None]) -> ErrorSample | None:
         machines = [machine for machine in found if machine is not None]
-        return Spread.left(self.field, machines) if len(machines) == len(found) else None
+        return ErrorSample.compensated(self.field, machines) if len(machines) == len(found) else None
 
-    def procedure(self, trial: Trial, way: Way) -> WholeProcedure:
+    def procedure(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ProcedureTask:
         """The trial as a task that simulates it on a machine of a number. DataError where it has nothing to measure."""
         if trial.planned is None:
             raise DataError("none of the positions has three balls within reach")
         case = self.case
-        return WholeProcedure(
+        return ProcedureTask(
             planned=trial.planned,
             artefact=trial.artefact,
             family=case.machine.family,
-            reality=case.reality,
-            options=way.options,
+            assumptions=case.assumptions,
+            options=variant.options,
             tool_offset=case.tool_offset,
             seed=case.seed,
         )
 
 
-def identified(procedure: WholeProcedure, machine: int) -> Simulated | None:
+def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedMachine | None:
     """What the procedure makes of a machine; None where it is refused: a set that just identifies the machine it was
     planned for need not identify this one."""
     try:
@@ -148,8 +160,8 @@ def identified(procedure: WholeProcedure, machine: int) -> Simulated | None:
 class _Several:
     """Task: number of a procedure and of a machine → that procedure on that machine."""
 
-    procedures: tuple[WholeProcedure, ...]
+    procedures: tuple[ProcedureTask, ...]
 
-    def __call__(self, item: tuple[int, int]) -> Simulated | None:
+    def __call__(self, item: tuple[int, int]) -> SimulatedMachine | None:
         procedure, machine = item
-        return identified(self.procedures[procedure], machine)
+        return simulate_if_identified(self.procedures[procedure], machine)

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from agent.figures.study_style import SERIES
 from agent.planning.cycle_time import machine_minutes
-from agent.studies.identification_variants import Way, ways
-from agent.studies.procedure_value import Trial, Verdict, Worth
+from agent.studies.identification_variants import IdentificationVariant, identification_variants
+from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.verdict_figure import BrokenAxes, draw_legend, draw_simulated
 from agent.studies.verdict_table import COLUMNS, aligned_um, cells, worst_deviation
@@ -31,41 +31,41 @@ _NAME_OFFSET = (5, 5)
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """A combination of sets: what it measures, how long it takes, and the verdict of each way."""
+    """A combination of sets: what it measures, how long it takes, and the verdict of each variant."""
 
     name: str
-    trial: Trial
+    trial: ProcedureVariant
     minutes: float
     verdicts: tuple[Verdict, ...]
 
 
 def run(case: StudyCase) -> StudyResult:
     """All combinations of the published sets at the stations of the case."""
-    worth, chosen = Worth(case), ways(case.options)
+    evaluator, variants = ProcedureEvaluator(case), identification_variants(case.options)
     sets = [case.positions(expression) for expression in EXPRESSIONS]
-    trials = [Trial.of(case, case.artefact, positions) for positions in sets]
+    trials = [ProcedureVariant.of(case, case.artefact, positions) for positions in sets]
     minutes = [machine_minutes(case.job, positions).total for positions in sets]
-    rows = worth.judged(trials, chosen, range(len(trials)))
+    rows = evaluator.evaluate(trials, variants, range(len(trials)))
     found = [Strategy(*parts) for parts in zip(EXPRESSIONS, trials, minutes, rows, strict=True)]
-    fronts = [front(found, way) for way in range(len(chosen))]
+    fronts = [pareto_front(found, variant) for variant in range(len(variants))]
     return StudyResult(
         name=NAME,
         title="Combinations of position sets against machine time",
         columns=("sets", "machine_minutes", *COLUMNS, "on_pareto_front"),
         rows=[
-            (one.name, one.minutes, *cells(way.label, one.trial, one.verdicts[number]), one.name in fronts[number])
+            (one.name, one.minutes, *cells(variant.label, one.trial, one.verdicts[number]), one.name in fronts[number])
             for one in found
-            for number, way in enumerate(chosen)
+            for number, variant in enumerate(variants)
         ],
-        summary=_summary(found, chosen, fronts, worth.before),
-        draw=partial(_draw, found=found, chosen=chosen, fronts=fronts, before=worth.before),
+        summary=_summary(found, variants, fronts, evaluator.before),
+        draw=partial(_draw, found=found, variants=variants, fronts=fronts, before=evaluator.before),
         size_in=(8.0, 5.6),
     )
 
 
-def front(found: Sequence[Strategy], way: int) -> tuple[str, ...]:
+def pareto_front(found: Sequence[Strategy], variant: int) -> tuple[str, ...]:
     """Names of the combinations that none beats in both machine time and VCE (rigidly aligned), fastest first."""
-    known = [(one.minutes, aligned_um(one.verdicts[way]), one.name) for one in found]
+    known = [(one.minutes, aligned_um(one.verdicts[variant]), one.name) for one in found]
     best, names = float("inf"), []
     for _, value, name in sorted((minutes, value, name) for minutes, value, name in known if value is not None):
         if value < best:
@@ -75,7 +75,10 @@ def front(found: Sequence[Strategy], way: int) -> tuple[str, ...]:
 
 
 def _summary(
-    found: Sequence[Strategy], chosen: Sequence[Way], fronts: Sequence[tuple[str, ...]], before: VolumetricRms
+    found: Sequence[Strategy],
+    variants: Sequence[IdentificationVariant],
+    fronts: Sequence[tuple[str, ...]],
+    before: VolumetricRms,
 ) -> dict[str, object]:
     return {
         "set": "all combinations of " + ", ".join(POSITION_SETS),
@@ -83,14 +86,14 @@ def _summary(
         "ve_aligned_um": before.aligned_um,
         "machine_minutes": {one.name: one.minutes for one in found},
         "vce_aligned_um": {
-            way.label: {one.name: aligned_um(one.verdicts[number]) for one in found}
-            for number, way in enumerate(chosen)
+            variant.label: {one.name: aligned_um(one.verdicts[number]) for one in found}
+            for number, variant in enumerate(variants)
         },
-        "pareto_front": {way.label: list(names) for way, names in zip(chosen, fronts, strict=True)},
+        "pareto_front": {variant.label: list(names) for variant, names in zip(variants, fronts, strict=True)},
         "published_choice": PUBLISHED_CHOICE,
         "not_identified": {
-            way.label: [one.name for one in found if one.verdicts[number].expected is None]
-            for number, way in enumerate(chosen)
+            variant.label: [one.name for one in found if one.verdicts[number].expected is None]
+            for number, variant in enumerate(variants)
         },
         "worst_deviation_in_standard_errors": worst_deviation([one.verdicts for one in found]),
     }
@@ -99,38 +102,38 @@ def _summary(
 def _draw(
     figure: Figure,
     found: Sequence[Strategy],
-    chosen: Sequence[Way],
+    variants: Sequence[IdentificationVariant],
     fronts: Sequence[tuple[str, ...]],
     before: VolumetricRms,
 ) -> None:
     panel = BrokenAxes.add(figure, figure.add_gridspec(1, 1)[0], [one.verdicts for one in found], before)
-    for way, names in enumerate(fronts):
-        _draw_way(panel, found, way, names)
+    for variant, names in enumerate(fronts):
+        _draw_variant(panel, found, variant, names)
     panel.draw_before(before)
-    panel.across(0.0, 1.12 * max(one.minutes for one in found))
+    panel.set_abscissa(0.0, 1.12 * max(one.minutes for one in found))
     panel.label("Combinations of S1, S2, S3; lines: Pareto fronts", "machine time / min")
-    draw_legend(figure, [way.title for way in chosen], before)
+    draw_legend(figure, [variant.title for variant in variants], before)
 
 
-def _draw_way(panel: BrokenAxes, found: Sequence[Strategy], way: int, names: Sequence[str]) -> None:
+def _draw_variant(panel: BrokenAxes, found: Sequence[Strategy], variant: int, names: Sequence[str]) -> None:
     """All combinations as small marks; those of the front large, named and joined."""
     best = sorted((one for one in found if one.name in names), key=lambda one: one.minutes)
-    others = [one for one in found if one.name not in names and aligned_um(one.verdicts[way]) is not None]
-    panel.draw_curve([one.minutes for one in best], [one.verdicts[way] for one in best], way)
+    others = [one for one in found if one.name not in names and aligned_um(one.verdicts[variant]) is not None]
+    panel.draw_curve([one.minutes for one in best], [one.verdicts[variant] for one in best], variant)
     for axes in panel.parts:
         axes.plot(
             [one.minutes for one in others],
-            [aligned_um(one.verdicts[way]) or 0.0 for one in others],
+            [aligned_um(one.verdicts[variant]) or 0.0 for one in others],
             "x",
-            color=SERIES[way],
+            color=SERIES[variant],
             markersize=5,
         )
         for one in others:
-            draw_simulated(axes, [one.minutes], [one.verdicts[way]], SERIES[way])
+            draw_simulated(axes, [one.minutes], [one.verdicts[variant]], SERIES[variant])
     for one in found:
-        value = aligned_um(one.verdicts[way])
+        value = aligned_um(one.verdicts[variant])
         if value is not None:
-            _name(panel.part_of(value), one, value, bold=one.name in names)
+            _name(panel.axes_for(value), one, value, bold=one.name in names)
 
 
 def _name(axes: Axes, one: Strategy, value_um: float, *, bold: bool) -> None:

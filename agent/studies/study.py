@@ -20,7 +20,7 @@ from twin.artefact.position_set import Position, parse_position_set
 from twin.design.procedure import Procedure
 from twin.identification import Options
 from twin.machine.machine_description import MachineDescription
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -61,9 +61,9 @@ class StudyCase:
         return self.job.tool_offset_mm
 
     @property
-    def reality(self) -> Reality:
+    def assumptions(self) -> TruthAssumptions:
         """What procedures meet in this case: machines of the family with the deflection of the machine file."""
-        return Reality.of_case(self.machine)
+        return TruthAssumptions.of_case(self.machine)
 
     def positions(self, expression: str | None = None) -> tuple[Position, ...]:
         """Positions of `S1`, `S1+S3` … or of a position file, at the stations of the case; by default those that the

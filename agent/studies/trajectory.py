@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from agent.figures.study_style import BAND_OPACITY, INK, SERIES
 from agent.planning.design.bar_variants import Bar
-from agent.studies.identification_variants import Way, ways
-from agent.studies.procedure_value import Trial, Worth, identified
+from agent.studies.identification_variants import IdentificationVariant, identification_variants
+from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, simulate_if_identified
 from agent.studies.study import Cell, StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
@@ -28,7 +28,7 @@ STROKES = (":", "--", "-")
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class TrajectoryResult:
     """Along the trajectory, less the rigid motion of the workspace, (n, 3) in µm: the machine M; for each number of
     balls that can be identified the model C and the expected rms of M less C."""
 
@@ -37,19 +37,19 @@ class Followed:
     models_um: dict[int, Array]
     sigma_um: dict[int, Array]
 
-    def left_um(self, count: int) -> float | None:
+    def residual_um(self, count: int) -> float | None:
         """Rms length of M less C over the trajectory; None where there is no C."""
         return _rms(self.machine_um - self.models_um[count]) if count in self.models_um else None
 
-    def expected_um(self, count: int) -> float | None:
+    def expected_residual_um(self, count: int) -> float | None:
         """The same as expected over all machines."""
         return _rms(self.sigma_um[count]) if count in self.sigma_um else None
 
 
 def run(case: StudyCase) -> StudyResult:
     """Machine number 0 of the seed, measured with 3, 5 and 11 balls in the case's set."""
-    way, line = ways(case.options)[0], middle_line(case.machine.model.ranges_mm)
-    followed = follow(case, way, line)
+    variant, line = identification_variants(case.options)[0], middle_line(case.machine.model.ranges_mm)
+    followed = compare_along(case, variant, line)
     where = f"X = {line[0, 0]:g} mm, Y = {line[0, 1]:g} mm"
     return StudyResult(
         name=NAME,
@@ -57,7 +57,7 @@ def run(case: StudyCase) -> StudyResult:
         columns=_columns(),
         rows=_rows(followed),
         summary=_summary(followed, line),
-        draw=partial(_draw, followed=followed, title=f"One machine at {where}, rigidly aligned; {way.title}"),
+        draw=partial(_draw, followed=followed, title=f"One machine at {where}, rigidly aligned; {variant.title}"),
         size_in=(10.0, 4.4),
     )
 
@@ -70,23 +70,23 @@ def middle_line(ranges_mm: Ranges) -> Array:
     return line
 
 
-def follow(case: StudyCase, way: Way, line: Array) -> Followed:
+def compare_along(case: StudyCase, variant: IdentificationVariant, line: Array) -> TrajectoryResult:
     """Machine and models along axis positions `line` (n, 3)."""
-    worth, bar, positions = Worth(case), Bar.of(case.artefact), case.positions()
-    basis, deflection = worth.field.columns_at(line, aligned=True)
-    truth = draw_truth(case.reality, generator(case.seed, 0), case.tool_offset).parameters
+    evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
+    basis, deflection = evaluator.field.columns_at(line, aligned=True)
+    truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters
     models, sigma = {}, {}
     for done, count in enumerate(COUNTS):
         case.progress("numbers of balls", done, len(COUNTS))
-        trial = Trial.of(case, bar.with_(balls=count), positions)
-        budget = worth.budget(trial, way)
-        found = None if budget is None else identified(worth.procedure(trial, way), 0)
+        trial = ProcedureVariant.of(case, bar.with_(balls=count), positions)
+        budget = evaluator.budget(trial, variant)
+        found = None if budget is None else simulate_if_identified(evaluator.procedure(trial, variant), 0)
         if budget is not None and found is not None:
-            models[count] = 1e3 * (basis[:, :, worth.field.own] @ found.estimate)
+            models[count] = 1e3 * (basis[:, :, evaluator.field.model_indices] @ found.estimate)
             sigma[count] = 1e3 * budget.field_uncertainty(line, aligned=True)
     case.progress("numbers of balls", len(COUNTS), len(COUNTS))
-    machine = 1e3 * (basis[:, :, worth.field.true] @ truth + deflection)
-    return Followed(line[:, 2], machine, models, sigma)
+    machine = 1e3 * (basis[:, :, evaluator.field.true_indices] @ truth + deflection)
+    return TrajectoryResult(line[:, 2], machine, models, sigma)
 
 
 def _rms(vectors: Array) -> float:
@@ -101,7 +101,7 @@ def _columns() -> tuple[str, ...]:
     return ("z_mm", *names)
 
 
-def _rows(followed: Followed) -> list[list[Cell]]:
+def _rows(followed: TrajectoryResult) -> list[list[Cell]]:
     parts = [followed.machine_um]
     for count in COUNTS:
         parts += [held.get(count, _nothing(followed)) for held in (followed.models_um, followed.sigma_um)]
@@ -109,23 +109,23 @@ def _rows(followed: Followed) -> list[list[Cell]]:
     return [[None if np.isnan(value) else value for value in row] for row in table.tolist()]
 
 
-def _nothing(followed: Followed) -> Array:
+def _nothing(followed: TrajectoryResult) -> Array:
     return np.full_like(followed.machine_um, np.nan)
 
 
-def _summary(followed: Followed, line: Array) -> dict[str, object]:
+def _summary(followed: TrajectoryResult, line: Array) -> dict[str, object]:
     return {
         "machine_number": 0,
         "x_mm": float(line[0, 0]),
         "y_mm": float(line[0, 1]),
         "rms_before_um": _rms(followed.machine_um),
-        "rms_left_um": {str(count): followed.left_um(count) for count in COUNTS},
-        "rms_left_expected_um": {str(count): followed.expected_um(count) for count in COUNTS},
+        "rms_left_um": {str(count): followed.residual_um(count) for count in COUNTS},
+        "rms_left_expected_um": {str(count): followed.expected_residual_um(count) for count in COUNTS},
         "not_identified": [count for count in COUNTS if count not in followed.models_um],
     }
 
 
-def _draw(figure: Figure, followed: Followed, title: str) -> None:
+def _draw(figure: Figure, followed: TrajectoryResult, title: str) -> None:
     panels = figure.subplots(1, 3, sharey=True)
     for axis, panel in enumerate(panels):
         _draw_direction(panel, followed, axis)
@@ -134,11 +134,11 @@ def _draw(figure: Figure, followed: Followed, title: str) -> None:
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
-def _draw_direction(panel: Axes, followed: Followed, axis: int) -> None:
+def _draw_direction(panel: Axes, followed: TrajectoryResult, axis: int) -> None:
     z_mm = followed.z_mm
     panel.plot(z_mm, followed.machine_um[:, axis], color=INK, linewidth=2.6, label="machine M")
     for series, (count, model) in enumerate(followed.models_um.items()):
-        left = f", {followed.left_um(count):.1f} µm rms left here"
+        left = f", {followed.residual_um(count):.1f} µm rms left here"
         panel.plot(z_mm, model[:, axis], STROKES[series], color=SERIES[series], label=f"model C, {count} balls{left}")
     if COUNTS[-1] in followed.models_um:
         middle, reach = (

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.studies.monte_carlo import Spread, WholeProcedure, as_stated, deviation
+from agent.studies.monte_carlo import ErrorSample, ProcedureTask, deviation, with_stated_scales
 from agent.studies.study import StudyCase, StudyResult
-from agent.studies.uncertainty_figure import Checked, Found, draw
+from agent.studies.uncertainty_figure import InfluenceResult, UncertaintyResult, draw
 from twin.artefact.observations import Observations
 from twin.identification import Options
 from twin.machine.error_model import ErrorModel
@@ -33,10 +33,10 @@ from twin.uncertainty.error_budget import (
     TOUCH_NOISE,
     UNSEEN,
     ErrorBudget,
-    budget_of,
+    error_budget_of_form,
 )
 from twin.uncertainty.residual_field_form import FieldForm
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 NAME = "uncertainty"
 TOGETHER = "all together"
@@ -66,20 +66,20 @@ COLUMNS = (
 def run(case: StudyCase) -> StudyResult:
     """Contributions of the case's set, each simulated alone on `case.machines` machines, and all of them together."""
     trial = _Trial.of(case)
-    reality = day(case)
-    budget = trial.budget(reality)
-    together = trial.simulated(reality, TOGETHER)
+    assumptions = study_assumptions(case)
+    budget = trial.budget(assumptions)
+    together = trial.simulated(assumptions, TOGETHER)
     parts = [
-        Checked(name, budget.contributions[name], None if alone is None else trial.simulated(alone, name))
-        for name, alone in each_alone(reality, case.machine.model).items()
+        InfluenceResult(name, budget.contributions[name], None if alone is None else trial.simulated(alone, name))
+        for name, alone in isolated_influences(assumptions, case.machine.model).items()
     ]
     return StudyResult(
         name=NAME,
         title="Where the error that compensation leaves comes from",
         columns=COLUMNS,
-        rows=[_row(one, budget.expected) for one in (*parts, Checked(TOGETHER, budget.expected, together))],
-        summary=_conditions(reality, trial.planned.size) | _figures(budget, together),
-        draw=partial(draw, found=Found(tuple(parts), budget, together)),
+        rows=[_row(one, budget.expected) for one in (*parts, InfluenceResult(TOGETHER, budget.expected, together))],
+        summary=_conditions(assumptions, trial.planned.size) | _figures(budget, together),
+        draw=partial(draw, found=UncertaintyResult(tuple(parts), budget, together)),
         size_in=(11.0, 7.0),
     )
 
@@ -94,27 +94,31 @@ class _Trial:
 
     @classmethod
     def of(cls, case: StudyCase) -> _Trial:
-        planned = case.procedure.planned(case.positions()).observations
-        return cls(case, planned, replace(as_stated(case.options), temperature_standard_uncertainty_k=THERMOMETER_K))
+        planned = case.procedure.plan(case.positions()).observations
+        return cls(
+            case, planned, replace(with_stated_scales(case.options), temperature_standard_uncertainty_k=THERMOMETER_K)
+        )
 
-    def form(self, reality: Reality) -> FieldForm:
+    def form(self, assumptions: TruthAssumptions) -> FieldForm:
         model = self.case.machine.model
-        return FieldForm.build(model, reality, evaluation_grid(model.ranges_mm), self.case.tool_offset)
+        return FieldForm.build(model, assumptions, evaluation_grid(model.ranges_mm), self.case.tool_offset)
 
-    def budget(self, reality: Reality) -> ErrorBudget:
+    def budget(self, assumptions: TruthAssumptions) -> ErrorBudget:
         case = self.case
-        return budget_of(self.form(reality), case.machine.family, case.artefact, self.planned, self.options)
+        return error_budget_of_form(
+            self.form(assumptions), case.machine.family, case.artefact, self.planned, self.options
+        )
 
-    def simulated(self, reality: Reality, what: str) -> Spread:
-        """VCE of the case's machines, drawn from this reality."""
-        task = replace(WholeProcedure.of(self.case, self.planned, self.options), reality=reality)
-        return Spread.left(self.form(reality), self.case.map(task, range(self.case.machines), what))
+    def simulated(self, assumptions: TruthAssumptions, what: str) -> ErrorSample:
+        """VCE of the case's machines, drawn from this assumptions."""
+        task = replace(ProcedureTask.of(self.case, self.planned, self.options), assumptions=assumptions)
+        return ErrorSample.compensated(self.form(assumptions), self.case.map(task, range(self.case.machines), what))
 
 
-def day(case: StudyCase) -> Reality:
+def study_assumptions(case: StudyCase) -> TruthAssumptions:
     """What the procedures of this study meet."""
-    return Reality(
-        family=richer_family(case.machine),
+    return TruthAssumptions(
+        family=extended_family(case.machine),
         deflection=case.machine.deflection,
         artefact_temperature_c=case.artefact.reference_temperature_c + WARMER_K,
         thermometer_uncertainty_k=THERMOMETER_K,
@@ -122,7 +126,7 @@ def day(case: StudyCase) -> Reality:
     )
 
 
-def richer_family(machine: MachineDescription) -> Family:
+def extended_family(machine: MachineDescription) -> Family:
     """The machine's family continued to higher orders, its amplitudes falling as they do."""
     model = machine.model
     orders = {error: order + ORDERS_BEYOND for error, order in model.orders.items()}
@@ -130,25 +134,27 @@ def richer_family(machine: MachineDescription) -> Family:
     return family_from_amplitudes(richer, machine.amplitudes)
 
 
-def each_alone(reality: Reality, model: ErrorModel) -> Mapping[str, Reality | None]:
-    """Influence → the same reality with nothing but it. None for the mount: where it stands is free in every estimate,
-    so there is nothing to simulate."""
-    family = reality.family
+def isolated_influences(assumptions: TruthAssumptions, model: ErrorModel) -> Mapping[str, TruthAssumptions | None]:
+    """Return, for each influence, the assumptions with every other influence switched off.
+
+    The mount has None: its pose is free in every estimate, so there is nothing to simulate.
+    """
+    family = assumptions.family
     own = np.isin(family.model.names, model.names)
-    nothing = Reality(
+    nothing = TruthAssumptions(
         family=_part(family, np.zeros_like(own)),
         touch_noise=False,
         certificate=False,
         cte=False,
-        artefact_temperature_c=reality.artefact_temperature_c,
+        artefact_temperature_c=assumptions.artefact_temperature_c,
     )
     alone = {
         TOUCH_NOISE: replace(nothing, touch_noise=True),
         CERTIFICATE: replace(nothing, certificate=True),
         CTE: replace(nothing, cte=True),
-        TEMPERATURE: replace(nothing, thermometer_uncertainty_k=reality.thermometer_uncertainty_k),
-        DRIFT: replace(nothing, drift_mm=reality.drift_mm),
-        MISFIT: replace(nothing, family=_part(family, ~own), deflection=reality.deflection),
+        TEMPERATURE: replace(nothing, thermometer_uncertainty_k=assumptions.thermometer_uncertainty_k),
+        DRIFT: replace(nothing, drift_mm=assumptions.drift_mm),
+        MISFIT: replace(nothing, family=_part(family, ~own), deflection=assumptions.deflection),
         UNSEEN: replace(nothing, family=_part(family, own)),
     }
     return {name: alone.get(name) for name in INFLUENCES}
@@ -158,7 +164,7 @@ def _part(family: Family, kept: np.ndarray[Any, np.dtype[np.bool_]]) -> Family:
     return Family(family.model, family.half_widths * kept)
 
 
-def _row(one: Checked, expected: VolumetricRms) -> list[str | float | None]:
+def _row(one: InfluenceResult, expected: VolumetricRms) -> list[str | float | None]:
     share = 100.0 * (one.closed.aligned_mm / expected.aligned_mm) ** 2
     row: list[str | float | None] = [one.name, one.closed.raw_um, one.closed.aligned_um, share]
     if one.simulated is None:
@@ -167,17 +173,17 @@ def _row(one: Checked, expected: VolumetricRms) -> list[str | float | None]:
     return [*row, mean.raw_um, mean.aligned_um, error.raw_um, error.aligned_um]
 
 
-def _conditions(reality: Reality, balls: int) -> dict[str, object]:
+def _conditions(assumptions: TruthAssumptions, balls: int) -> dict[str, object]:
     return {
         "balls_measured": balls,
         "true_orders_beyond_the_model": ORDERS_BEYOND,
-        "artefact_temperature_c": reality.artefact_temperature_c,
-        "thermometer_uncertainty_k": reality.thermometer_uncertainty_k,
-        "drift_um": UM_PER_MM * reality.drift_mm,
+        "artefact_temperature_c": assumptions.artefact_temperature_c,
+        "thermometer_uncertainty_k": assumptions.thermometer_uncertainty_k,
+        "drift_um": UM_PER_MM * assumptions.drift_mm,
     }
 
 
-def _figures(budget: ErrorBudget, together: Spread) -> dict[str, object]:
+def _figures(budget: ErrorBudget, together: ErrorSample) -> dict[str, object]:
     expected, spread, error = budget.expected, together.expected, together.standard_error
     (low, high), median = budget.distribution.limits(), budget.distribution.median
     inside = (together.aligned_mm >= low.aligned_mm) & (together.aligned_mm <= high.aligned_mm)

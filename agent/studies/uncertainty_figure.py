@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.figures.study_style import BLUE, GRID, INK, ORANGE, QUIET, SKY, from_zero
-from agent.studies.monte_carlo import Spread
+from agent.studies.monte_carlo import ErrorSample
 from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
 from twin.machine.motion_uncertainty import motion_uncertainty
 from twin.machine.volumetric import VolumetricRms
@@ -23,24 +23,24 @@ ROTATING = "ABC"
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class InfluenceResult:
     """One influence: its part in closed form, and what simulations with it alone leave. None: not simulated."""
 
     name: str
     closed: VolumetricRms
-    simulated: Spread | None
+    simulated: ErrorSample | None
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class UncertaintyResult:
     """`parts`: one for each influence; `together`: simulated machines that meet all of them."""
 
-    parts: tuple[Checked, ...]
+    parts: tuple[InfluenceResult, ...]
     budget: ErrorBudget
-    together: Spread
+    together: ErrorSample
 
 
-def draw(figure: Figure, found: Found) -> None:
+def draw(figure: Figure, found: UncertaintyResult) -> None:
     rows = figure.add_gridspec(2, 1)
     upper = rows[0].subgridspec(1, 2, width_ratios=(1.0, 1.3))
     lower = rows[1].subgridspec(1, 3, width_ratios=(1.0, 1.0, 1.3))
@@ -50,10 +50,10 @@ def draw(figure: Figure, found: Found) -> None:
     _draw_motions((figure.add_subplot(lower[1]), figure.add_subplot(lower[2])), found.budget)
 
 
-def _draw_contributions(axes: Axes, found: Found) -> None:
+def _draw_contributions(axes: Axes, found: UncertaintyResult) -> None:
     """Largest on top, the whole below; lengths add up as squares do."""
     ordered = sorted(found.parts, key=lambda part: part.closed.aligned_mm)
-    bars = [Checked("all together", found.budget.expected, found.together), *ordered]
+    bars = [InfluenceResult("all together", found.budget.expected, found.together), *ordered]
     places = np.arange(len(bars))
     lengths = np.array([bar.closed.aligned_um for bar in bars])
     axes.barh(places[:1], lengths[:1], color=INK, height=0.62)
@@ -80,7 +80,7 @@ def _draw_contributions(axes: Axes, found: Found) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.14))
 
 
-def _draw_distribution(axes: Axes, found: Found) -> None:
+def _draw_distribution(axes: Axes, found: UncertaintyResult) -> None:
     machines = UM_PER_MM * np.sort(found.together.aligned_mm)
     share = 100.0 * (np.arange(len(machines)) + 1.0) / len(machines)
     axes.step(machines, share, where="post", color=ORANGE, label=f"{len(machines)} simulated")

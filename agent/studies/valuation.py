@@ -12,7 +12,7 @@ from scipy.stats import spearmanr
 
 from agent.figures.study_style import BLUE, INK, ORANGE, from_zero
 from agent.planning.design.set_valuation import valuation_of
-from agent.studies.monte_carlo import Simulated, Spread, WholeProcedure
+from agent.studies.monte_carlo import ErrorSample, ProcedureTask, SimulatedMachine
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.artefact.position_set import Position
@@ -41,18 +41,18 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False)
-class EverySet:
+class SetTask:
     """Task: the number of a set → what its procedure makes of all machines."""
 
-    procedures: Sequence[WholeProcedure]
+    procedures: Sequence[ProcedureTask]
     machines: int
 
-    def __call__(self, number: int) -> list[Simulated]:
+    def __call__(self, number: int) -> list[SimulatedMachine]:
         return [self.procedures[number](machine) for machine in range(self.machines)]
 
 
 @dataclass(frozen=True)
-class Tried:
+class SimulatedSet:
     """One set: its valuation (%) and expected VCE, rms of the simulated VCE with its standard error; aligned."""
 
     name: str
@@ -69,16 +69,16 @@ def run(case: StudyCase) -> StudyResult:
     machines = max(FEWEST_MACHINES, case.machines // MACHINES_SHARE)
     sets = [(name, tuple(case.positions(name))) for name in NAMED]
     sets += [(f"random {number + 1}", chosen) for number, chosen in enumerate(random_sets(case, RANDOM_SETS))]
-    planned = [case.procedure.planned(positions) for _, positions in sets]
-    task = EverySet([WholeProcedure.of(case, one.observations) for one in planned], machines)
+    planned = [case.procedure.plan(positions) for _, positions in sets]
+    task = SetTask([ProcedureTask.of(case, one.observations) for one in planned], machines)
     simulated = case.map(task, range(len(sets)), f"sets, {machines} machines each")
     grid = evaluation_grid(case.machine.model.ranges_mm)
-    form = FieldForm.build(case.machine.model, case.reality, grid, case.tool_offset)
+    form = FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
     tried = [
-        _tried(case, name, one.positions, Spread.left(form, found))
+        _tried(case, name, one.positions, ErrorSample.compensated(form, found))
         for (name, _), one, found in zip(sets, planned, simulated, strict=True)
     ]
-    before = Spread.before(form, simulated[0]).expected.aligned_um
+    before = ErrorSample.uncompensated(form, simulated[0]).expected.aligned_um
     return StudyResult(
         name=NAME,
         title="The valuation of a set against the error that is really left",
@@ -105,15 +105,15 @@ def random_sets(case: StudyCase, count: int) -> list[tuple[Position, ...]]:
 
 def _within_reach(case: StudyCase) -> list[Position]:
     offered = [Position(s, *angles) for s in case.procedure.stations for angles in orientation_grid(GRID_DEG)]
-    reached = list(case.procedure.planned(offered).positions)
+    reached = list(case.procedure.plan(offered).positions)
     if len(reached) < LARGEST:
         raise DataError(f"only {len(reached)} positions are within reach", hint="take another machine or artefact")
     return reached
 
 
-def _tried(case: StudyCase, name: str, positions: Sequence[Position], left: Spread) -> Tried:
+def _tried(case: StudyCase, name: str, positions: Sequence[Position], left: ErrorSample) -> SimulatedSet:
     worth = valuation_of(case.job, positions)
-    return Tried(
+    return SimulatedSet(
         name=name,
         positions=len(positions),
         stations=len({position.station for position in positions}),
@@ -124,7 +124,7 @@ def _tried(case: StudyCase, name: str, positions: Sequence[Position], left: Spre
     )
 
 
-def _summary(tried: Sequence[Tried], before_um: float, machines: int) -> dict[str, object]:
+def _summary(tried: Sequence[SimulatedSet], before_um: float, machines: int) -> dict[str, object]:
     valuations, simulated = [one.valuation for one in tried], [one.simulated_um for one in tried]
     return {
         "set": f"{RANDOM_SETS} random sets and {', '.join(NAMED)}",
@@ -137,7 +137,7 @@ def _summary(tried: Sequence[Tried], before_um: float, machines: int) -> dict[st
     }
 
 
-def _draw(figure: Figure, tried: Sequence[Tried], before_um: float) -> None:
+def _draw(figure: Figure, tried: Sequence[SimulatedSet], before_um: float) -> None:
     axes = figure.subplots()
     named = [one for one in tried if one.name in NAMED]
     for group, colour, marker, label in (

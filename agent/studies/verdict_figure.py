@@ -57,7 +57,7 @@ class BrokenAxes:
     def parts(self) -> tuple[Axes, ...]:
         return (self.lower,) if self.upper is None else (self.lower, self.upper)
 
-    def part_of(self, value_um: float) -> Axes:
+    def axes_for(self, value_um: float) -> Axes:
         """Where a value is seen."""
         return self.lower if self.upper is None or value_um <= self.limit_um else self.upper
 
@@ -81,7 +81,7 @@ class BrokenAxes:
         self.lower.set_xlabel(across)
         self.lower.set_ylabel("VCE, rigidly aligned / µm")
 
-    def across(self, low: float, high: float, ticks: Sequence[float] | None = None) -> None:
+    def set_abscissa(self, low: float, high: float, ticks: Sequence[float] | None = None) -> None:
         """The same abscissa for both parts."""
         for axes in self.parts:
             axes.set_xlim(low, high)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agent.studies.procedure_value import Trial, Verdict
+from agent.studies.procedure_value import ProcedureVariant, Verdict
 from agent.studies.study import Cell
 from twin.machine.volumetric import VolumetricRms
 
@@ -25,7 +25,7 @@ FEWEST_MACHINES = 30
 """With fewer, the standard error is itself a guess."""
 
 
-def cells(label: str, trial: Trial, verdict: Verdict) -> tuple[Cell, ...]:
+def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, ...]:
     """The cells of `COLUMNS`."""
     measured = 0 if trial.planned is None else trial.planned.size
     simulated, error = _both(verdict.simulated), _both(verdict.standard_error)

@@ -42,10 +42,10 @@ class FamilyErrors:
 
 def run(case: StudyCase) -> StudyResult:
     """Distribution over `case.machines` machines, and the map of the one of median volumetric error."""
-    what, family = "volumetric error", case.reality.family
+    what, family = "volumetric error", case.assumptions.family
     case.progress(what, 0, 2)
     grid = evaluation_grid(family.model.ranges_mm)
-    field = FieldForm.build(family.model, case.reality, grid, case.tool_offset)
+    field = FieldForm.build(family.model, case.assumptions, grid, case.tool_offset)
     case.progress(what, 1, 2)
     found = draw_family(family, field.form, case.machines, generator(case.seed, 0))
     planes = median_planes(field, found.parameters[found.typical])

@@ -21,13 +21,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from agent.errors import RunError
-from agent.studies.chunks import Chunk, chunked, run_chunk
+from agent.studies.chunks import Chunk, run_chunk, split_into_chunks
 from drivers.errors import ConfigurationError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-Done = Callable[[int], None]
+OnItemsDone = Callable[[int], None]
 """Is told how many items are done."""
 
 END_S = 5.0
@@ -39,7 +39,7 @@ class Workers(Protocol):
     function of a module, a `functools.partial` of one, or an instance of a dataclass with `__call__`. An item that
     fails ends the work with an error that names it."""
 
-    def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: Done) -> list[Result]: ...
+    def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]: ...
 
 
 def generator(seed: int, *item: int) -> np.random.Generator:
@@ -73,11 +73,11 @@ class LocalWorkers:
             self._pool.shutdown()
             self._pool = None
 
-    def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: Done) -> list[Result]:
+    def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]:
         pickled = pickle.dumps(task)
         if self.processes == 1 or len(items) < 2:
             return _here(pickled, items, done)
-        chunks = chunked(items, self.processes)
+        chunks = split_into_chunks(items, self.processes)
         try:
             return self._in_processes(pickled, chunks, done)
         except BrokenProcessPool:
@@ -88,7 +88,7 @@ class LocalWorkers:
             self._stop()
             raise
 
-    def _in_processes(self, task: bytes, chunks: Sequence[Chunk[Item]], done: Done) -> list[Result]:
+    def _in_processes(self, task: bytes, chunks: Sequence[Chunk[Item]], done: OnItemsDone) -> list[Result]:
         pool = self._started()
         with _without_interrupt():
             futures: dict[Future[list[Result]], int] = {
@@ -124,7 +124,7 @@ class LocalWorkers:
         self._pool = None
 
 
-def _here(task: bytes, items: Sequence[Item], done: Done) -> list[Result]:
+def _here(task: bytes, items: Sequence[Item], done: OnItemsDone) -> list[Result]:
     """In this process, from the same pickled task as everywhere: an array may come out of it laid out otherwise."""
     found: list[Result] = []
     with threadpool_limits(limits=1):

@@ -87,7 +87,7 @@ def with_table(world: World, image: TableImage) -> float:
 
 def found_exactly(world: World, job: Job, rng: np.random.Generator) -> Observations:
     """Ball centres of the whole set as the bare machine would find them, each with the noise of its touches."""
-    planned = job.procedure.planned(job.positions).observations
+    planned = job.procedure.plan(job.positions).observations
     settings = world.scenario.settings
     centres = np.concatenate([_true_balls(world, job, k, planned, rng) for k in np.unique(planned.position)], axis=0)
     touch = settings.trigger.touch_sigma_um / (1e3 * job.rules.probing.touch_sigma_mm)
@@ -106,7 +106,7 @@ def found_exactly(world: World, job: Job, rng: np.random.Generator) -> Observati
 def _true_balls(world: World, job: Job, k: int, planned: Observations, rng: np.random.Generator) -> Array:
     """(m, 3) of one position, the mount somewhere near its place."""
     settings = world.scenario.settings
-    position = job.procedure.planned(job.positions).positions[k]
+    position = job.procedure.plan(job.positions).positions[k]
     place = np.array(settings.stations_mm[position.station - 1])
     place = place + settings.mount_behaviour.place_error_mm * rng.uniform(-1.0, 1.0, 3)
     elevation = math.radians(position.elevation_deg)

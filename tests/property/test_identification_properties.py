@@ -15,7 +15,7 @@ from twin.artefact.observations import Observations
 from twin.artefact.sphere_fit import fit_sphere
 from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.identification import Options, identify
-from twin.identification.poses import Layout, rigid_poses
+from twin.identification.poses import RowLayout, rigid_poses
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation
 from twin.machine.kinematic_chain import parse_chain
@@ -64,7 +64,7 @@ def test_a_rigid_pose_is_found_from_its_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
     turn, shift = Rotation.random(random_state=seed % 1000), rng.uniform(-1000.0, 1000.0, 3)
     found = turn.apply(BAR.balls) + shift
-    poses = rigid_poses(Layout.of(np.zeros(5, dtype=np.int64)), BAR.balls, found)
+    poses = rigid_poses(RowLayout.of(np.zeros(5, dtype=np.int64)), BAR.balls, found)
     assert np.abs(poses.rotation[0] - turn.as_matrix()).max() < 1e-9
     assert np.abs(poses.translation[0] - shift).max() < 1e-6
 

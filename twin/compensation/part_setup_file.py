@@ -8,12 +8,12 @@ from pydantic import Field
 
 from twin.compensation.gcode.setup import NO_OFFSET, PartSetup, Triple
 from twin.errors import FormatError
-from twin.formats.toml_reading import Strict, read_toml
+from twin.formats.toml_reading import StrictModel, read_toml
 
 System = Literal["G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"]
 
 
-class PartSetupFile(Strict):
+class PartSetupFile(StrictModel):
     """Axis positions (machine coordinates) and lengths in mm. Tools by the number of H."""
 
     work_offsets_mm: dict[System, Triple] = Field(default_factory=dict)

@@ -17,9 +17,9 @@ from pydantic import Field
 from twin.arrays import Array
 from twin.compensation.table import Anchor, CompensationTable
 from twin.errors import DataError, FormatError, ModelError
-from twin.formats.csv_reading import Row, read_rows
+from twin.formats.csv_reading import CsvRow, read_rows
 from twin.formats.json_reading import read_json
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 from twin.machine.kinematic_chain import AXES
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um")
@@ -29,19 +29,19 @@ Triple = tuple[float, float, float]
 Letter = Literal["X", "Y", "Z"]
 
 
-class AnchorSection(Strict):
+class AnchorSection(StrictModel):
     point_mm: Triple
     primary: Letter
     secondary: Letter
 
 
-class GridSection(Strict):
+class GridSection(StrictModel):
     x_mm: tuple[float, ...] = Field(min_length=2)
     y_mm: tuple[float, ...] = Field(min_length=2)
     z_mm: tuple[float, ...] = Field(min_length=2)
 
 
-class SideFile(Strict):
+class SideFile(StrictModel):
     """`extrapolated_nodes`: places of the nodes outside the measured region, counted in the order of the CSV from 0."""
 
     format: Literal["volcal compensation table 1"]
@@ -120,21 +120,21 @@ def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> A
     count = 0
     for row in read_rows(text, source, COLUMNS):
         if count == len(values):
-            raise row.fail(f"more lines than the {len(values)} nodes of the grid", "x_mm")
+            raise row.error(f"more lines than the {len(values)} nodes of the grid", "x_mm")
         _check_place(row, nodes, np.unravel_index(count, shape))
-        values[count] = [1e-3 * row.real(name) for name in COLUMNS[3:]]
+        values[count] = [1e-3 * row.parse_float(name) for name in COLUMNS[3:]]
         count += 1
     if count < len(values):
         raise FormatError(f"{count} lines where the grid has {len(values)} nodes", file=source)
     return values.reshape(*shape, 3)
 
 
-def _check_place(row: Row, nodes: tuple[Array, Array, Array], place: tuple[np.intp, ...]) -> None:
+def _check_place(row: CsvRow, nodes: tuple[Array, Array, Array], place: tuple[np.intp, ...]) -> None:
     for axis, column in enumerate(COLUMNS[:3]):
-        expected, found = float(nodes[axis][place[axis]]), row.real(column)
+        expected, found = float(nodes[axis][place[axis]]), row.parse_float(column)
         if abs(found - expected) > 1e-6:
             message = f"{AXES[axis]} {found:g} where the grid has {expected:g}"
-            raise row.fail(message, column, hint="Lines run over the full grid, x slowest, z fastest")
+            raise row.error(message, column, hint="Lines run over the full grid, x slowest, z fastest")
 
 
 def _mask(

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.design.criterion import Criterion
-from twin.design.procedure import Planned, Procedure
+from twin.design.procedure import PlannedMeasurement, Procedure
 from twin.errors import DataError
 from twin.identification.centres import CentreEquations
-from twin.identification.normal import Precision, Scales
+from twin.identification.normal import PriorPrecision, Scales
 from twin.identification.options import Options
-from twin.identification.problem import Problem, build_problem
+from twin.identification.problem import IdentificationProblem, build_problem
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms
 
@@ -27,7 +27,7 @@ _SEEN = 1e-13  # of the largest information of a position: what is below it the 
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class CandidatePositions:
     """N positions in the order of station, azimuth, elevation, tool.
 
     `balls` (N,) within reach of each; `factors` (N, r, P) W of each, WᵀW its information about the shared unknowns z
@@ -75,27 +75,27 @@ def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
     return tuple(product(azimuths, elevations))
 
 
-def candidates_of(
+def build_candidates(
     procedure: Procedure,
     positions: Sequence[Position],
     family: Family,
     options: Options,
     grid: ArrayLike,
     tool_offset: ArrayLike,
-) -> Candidates:
+) -> CandidatePositions:
     """What each of `positions` tells; those with fewer than three balls within reach are left out, doubles count once.
 
     `grid` (n, 3) mm and `tool_offset` (3,): where and for which tool the error field is to become small. Formulation
     and scales of `options` do not matter: ball centres, and noise, prior and misfit as stated. DataError where nothing
     is within reach.
     """
-    planned = procedure.planned(sorted(set(positions), key=_order))
+    planned = procedure.plan(sorted(set(positions), key=_order))
     problem = build_problem(family, planned.observations, procedure.artefact, options)
-    return Candidates(
+    return CandidatePositions(
         positions=planned.positions,
         balls=_balls(planned),
         factors=_factors(problem),
-        precision=Precision(problem.blocks, problem.known).matrix(Scales()),
+        precision=PriorPrecision(problem.blocks, problem.known).matrix(Scales()),
         form=Criterion.build(problem.unknowns, grid, tool_offset),
     )
 
@@ -104,11 +104,11 @@ def _order(position: Position) -> tuple[int, float, float, str]:
     return position.station, position.azimuth_deg, position.elevation_deg, position.tool or ""
 
 
-def _balls(planned: Planned) -> Indices:
+def _balls(planned: PlannedMeasurement) -> Indices:
     return np.bincount(planned.observations.position, minlength=len(planned.positions))
 
 
-def _factors(problem: Problem) -> Array:
+def _factors(problem: IdentificationProblem) -> Array:
     """(N, r, P): the rows of each position turned so that the six that its pose has taken fall away."""
     size = problem.blocks.size
     rows = CentreEquations.build(problem, unit_weights=False).projected(size)

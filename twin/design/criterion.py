@@ -27,7 +27,7 @@ class Criterion:
 
     raw: Array
     aligned: Array
-    beside: float = 0.0
+    unresolved_mm2: float = 0.0
 
     @classmethod
     def build(cls, unknowns: Unknowns, axis_positions: ArrayLike, tool_offset: ArrayLike) -> Criterion:
@@ -48,14 +48,14 @@ class Criterion:
             motion += rigid.T @ rigid
         aligned = gram - shared.T @ np.linalg.lstsq(motion, shared, rcond=1e-12)[0]
         return cls(
-            raw=fields.spread(gram / len(grid)),
-            aligned=fields.spread(0.5 * (aligned + aligned.T) / len(grid)),
-            beside=fields.beside,
+            raw=fields.embed(gram / len(grid)),
+            aligned=fields.embed(0.5 * (aligned + aligned.T) / len(grid)),
+            unresolved_mm2=fields.unresolved_mm2,
         )
 
     def expected(self, covariance: Array) -> VolumetricRms:
         """Root of the expected mean squares for a covariance (P, P)."""
-        raw, aligned = (float(np.vdot(form, covariance)) + self.beside for form in (self.raw, self.aligned))
+        raw, aligned = (float(np.vdot(form, covariance)) + self.unresolved_mm2 for form in (self.raw, self.aligned))
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 
 
@@ -67,14 +67,14 @@ class _Fields:
     offset: Array
 
     @property
-    def places(self) -> Indices:
+    def indices(self) -> Indices:
         blocks = self.unknowns.blocks
         every = np.arange(blocks.size)
         return np.concatenate((every[blocks.parameters], every[blocks.misfit]))
 
     @property
     def size(self) -> int:
-        return len(self.places)
+        return len(self.indices)
 
     @property
     def degrees(self) -> tuple[int, int, int]:
@@ -87,7 +87,7 @@ class _Fields:
         return x, y, z
 
     @property
-    def beside(self) -> float:
+    def unresolved_mm2(self) -> float:
         """mm², three directions, scales as stated."""
         modes = self.unknowns.modes
         return 0.0 if modes is None else 3.0 * self.unknowns.misfit_mm**2 * float(modes.left_out.sum())
@@ -102,8 +102,8 @@ class _Fields:
         at_hand = basis if (self.offset == unknowns.modes.tool_offset).all() else None
         return np.concatenate((fields, unknowns.misfit_mm * unknowns.modes.at(points, at_hand)), axis=2)
 
-    def spread(self, form: Array) -> Array:
+    def embed(self, form: Array) -> Array:
         """(P, P) from (size, size)."""
         full = np.zeros((self.unknowns.blocks.size,) * 2)
-        full[np.ix_(self.places, self.places)] = form
+        full[np.ix_(self.indices, self.indices)] = form
         return full

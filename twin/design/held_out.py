@@ -13,12 +13,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin.arrays import Array
-from twin.design.candidates import Candidates
+from twin.design.candidates import CandidatePositions
 from twin.errors import DataError
 
 
-def most_telling(
-    candidates: Candidates, chosen: Sequence[int], groups: Sequence[Sequence[int]], count: int
+def most_informative_groups(
+    candidates: CandidatePositions, chosen: Sequence[int], groups: Sequence[Sequence[int]], count: int
 ) -> list[list[int]]:
     """The best `count` of `groups` (indices measured together, such as one orientation at all stations), one after the
     other. Groups that share a position with `chosen` are left out. DataError where too few are left."""

@@ -26,7 +26,7 @@ from twin.machine.volumetric import QuadraticForm
 
 
 @dataclass(frozen=True, eq=False)
-class Viewpoint:
+class EvaluatedTool:
     """A tool whose field over a grid is looked at. `measured`: the set is measured with it."""
 
     name: str
@@ -51,7 +51,7 @@ class UnseenField:
 
 
 @dataclass(frozen=True, eq=False)
-class Visibility:
+class Identifiability:
     """Rank, null directions and conditioning of the measurements alone; standard deviations (p,) of the parameters
     before and after in mm or rad; the unseen field at each viewpoint."""
 
@@ -79,12 +79,12 @@ class Visibility:
         return float(np.sqrt(np.mean([at.blind_mm**2 for at in self.fields])))
 
 
-def visibility(estimate: Estimate, viewpoints: Sequence[Viewpoint]) -> Visibility:
+def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedTool]) -> Identifiability:
     """What the measurements behind `estimate` see. Its values do not matter, only where the balls were.
 
     Holds for full weights with the family as prior: then the covariance of the estimate is that of the posterior.
     """
-    return Visibility(
+    return Identifiability(
         model=estimate.model,
         rank=estimate.rank,
         null_directions=estimate.null_directions,
@@ -112,7 +112,7 @@ def blind_covariance(information: Array, prior_scale: Array) -> Array:
     return np.asarray(hidden @ hidden.T)
 
 
-def _unseen_fields(estimate: Estimate, viewpoints: Sequence[Viewpoint]) -> tuple[UnseenField, ...]:
+def _unseen_fields(estimate: Estimate, viewpoints: Sequence[EvaluatedTool]) -> tuple[UnseenField, ...]:
     prior = np.diag(estimate.prior_scale**2)
     unseen = unseen_covariance(estimate.covariance, estimate.prior_scale)
     blind = blind_covariance(estimate.information, estimate.prior_scale)

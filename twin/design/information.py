@@ -22,7 +22,7 @@ from twin.design.candidates import Indices
 
 
 @dataclass(frozen=True, eq=False)
-class Knowledge:
+class InformationState:
     """`factors` (n, r, P) of the candidates looked at; `form` Q and `covariance` C (P, P); `spread` W C Wᵀ and `weight`
     W C Q C Wᵀ (n, r, r); `value` trace(Q C) mm²."""
 
@@ -34,7 +34,7 @@ class Knowledge:
     value: float
 
     @classmethod
-    def start(cls, factors: Array, form: Array, covariance: Array) -> Knowledge:
+    def initial(cls, factors: Array, form: Array, covariance: Array) -> InformationState:
         carried = factors @ covariance
         return cls(
             factors=factors,
@@ -45,10 +45,10 @@ class Knowledge:
             value=float(np.vdot(form, covariance)),
         )
 
-    def of(self, looked_at: Indices) -> Knowledge:
+    def restricted_to(self, candidates: Indices) -> InformationState:
         """The same, looking only at some of the candidates."""
         return replace(
-            self, factors=self.factors[looked_at], spread=self.spread[looked_at], weight=self.weight[looked_at]
+            self, factors=self.factors[candidates], spread=self.spread[candidates], weight=self.weight[candidates]
         )
 
     def gains(self) -> Array:
@@ -59,15 +59,15 @@ class Knowledge:
         """(m,) mm² by which doing without each of the `measured` ones raises the value."""
         return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
 
-    def measured(self, factor: Array) -> Knowledge:
+    def after_adding(self, factor: Array) -> InformationState:
         """After measuring a position of `factor` (r, P)."""
         return self._changed(factor, -1.0)
 
-    def unmeasured(self, factor: Array) -> Knowledge:
+    def after_removing(self, factor: Array) -> InformationState:
         """Before a position of `factor` (r, P) that is part of what was measured."""
         return self._changed(factor, 1.0)
 
-    def _changed(self, factor: Array, sign: float) -> Knowledge:
+    def _changed(self, factor: Array, sign: float) -> InformationState:
         """C + sign U Uᵀ with U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ."""
         carried = factor @ self.covariance
         root, _ = dpotrf(np.eye(len(factor)) - sign * (carried @ factor.T), lower=1)

@@ -11,7 +11,7 @@ from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.collision.bodies import ProbeGeometry
 from twin.collision.measuring_layout import MeasuringLayout
-from twin.design.procedure import Planned, Procedure
+from twin.design.procedure import PlannedMeasurement, Procedure
 from twin.identification import Estimate, Options, identify
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import AXES
@@ -43,30 +43,30 @@ class SetUp:
             return int(offset.argmax())
         return AXES.index(self.model.chain.axes[0])
 
-    def planned(self) -> Planned:
+    def plan(self) -> PlannedMeasurement:
         """The balls that will be measured. DataError where none is within reach."""
-        return self.procedure.planned(self.positions)
+        return self.procedure.plan(self.positions)
 
     def estimate(self) -> Estimate:
         """What will be known, from where the balls will be: the covariance of the night to come.
 
         Raises DataError where nothing is within reach, SingularSet for a set that cannot determine anything.
         """
-        return identify(self.model, self.planned().observations, self.procedure.artefact, self.family, self.options)
+        return identify(self.model, self.plan().observations, self.procedure.artefact, self.family, self.options)
 
     def first_positions(self) -> tuple[Position, ...]:
         """The positions that the first tool measures."""
         return tuple(p for p in self.positions if p.tool in (None, self.first_tool))
 
-    def adding(self, positions: Iterable[Position]) -> SetUp:
+    def with_positions(self, positions: Iterable[Position]) -> SetUp:
         """The same and further positions."""
         return replace(self, positions=(*self.positions, *positions))
 
-    def adding_tool(self, name: str, tool_offset: Array) -> SetUp:
+    def with_tool(self, name: str, tool_offset: Array) -> SetUp:
         """The same, and what the first tool measures once more with another tool; every position is placed anew."""
         layouts = {**self.procedure.layouts, name: layout_for(self.procedure.layout(), tool_offset, self.tool_axis)}
         procedure = replace(self.procedure, layouts=layouts)
-        return replace(self, procedure=procedure).adding(replace(p, tool=name) for p in self.first_positions())
+        return replace(self, procedure=procedure).with_positions(replace(p, tool=name) for p in self.first_positions())
 
 
 def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:

@@ -13,7 +13,7 @@ from twin.errors import DataError
 
 
 @dataclass(frozen=True, eq=False)
-class Prices:
+class MeasuringCosts:
     """`minutes` (N,) of measuring each candidate where the mount stands already; `stations` (N,) where each is;
     `carry_minutes` of bringing the mount to another station; `standing_at`: where it stands before, None for nowhere.
 
@@ -36,16 +36,16 @@ class Prices:
         carries = {int(self.stations[index]) for index in chosen} - {self.standing_at}
         return float(self.minutes[list(chosen)].sum()) + self.carry_minutes * len(carries)
 
-    def adding(self, chosen: Sequence[int]) -> Array:
+    def marginal(self, chosen: Sequence[int]) -> Array:
         """(N,) minutes that each candidate costs beside the chosen ones."""
         here = [*{int(self.stations[index]) for index in chosen}, self.standing_at or 0]
         return np.asarray(self.minutes + self.carry_minutes * ~np.isin(self.stations, here))
 
-    def pairs(self) -> Array:
+    def cheapest_pairs(self) -> Array:
         """(N,) minutes of each candidate with the partner that is cheapest beside it."""
         cheapest = np.empty(len(self.minutes))
         for index in range(len(cheapest)):
-            beside = self.adding([index])
+            beside = self.marginal([index])
             beside[index] = np.inf
             cheapest[index] = self.total([index]) + beside.min()
         return cheapest

@@ -16,14 +16,14 @@ from twin.artefact.position_set import Position
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.errors import DataError
 
-Numbers = NDArray[np.intp]
+IndexArray = NDArray[np.intp]
 
 FEWEST_BALLS = 3
 """A position with fewer says nothing: its pose takes six unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class PlannedMeasurement:
     """`observations`: ball centres as a machine without errors would find them; `observations.position` counts into
     `positions`. `left_out`: positions with fewer than three balls within reach; `unreachable_balls` of all positions.
     """
@@ -72,7 +72,7 @@ class Procedure:
         """The same with ball centres of another covariance (3, 3)."""
         return replace(self, covariance_mm2=covariance_mm2)
 
-    def balls_of(self, position: Position) -> tuple[Numbers, Array]:
+    def balls_of(self, position: Position) -> tuple[IndexArray, Array]:
         """Numbers (m,), as observations count, and nominal axis positions (m, 3) mm of the balls that a position can
         measure."""
         layout = self.layout(position.tool)
@@ -80,10 +80,10 @@ class Procedure:
         balls = np.flatnonzero(layout.reachable(position, nominal))
         return balls + layout.first_ball(position.station), nominal[balls]
 
-    def planned(self, positions: Sequence[Position]) -> Planned:
+    def plan(self, positions: Sequence[Position]) -> PlannedMeasurement:
         """What `positions` would measure. DataError where nothing is within reach."""
         used: list[Position] = []
-        found: list[tuple[Numbers, Array]] = []
+        found: list[tuple[IndexArray, Array]] = []
         left_out: list[Position] = []
         unreachable = 0
         for position in positions:
@@ -99,9 +99,9 @@ class Procedure:
                 f"none of {len(positions)} positions has three balls within reach",
                 hint="check stations, mount, tool offset and travel, or choose other orientations",
             )
-        return Planned(self._observations(used, found), tuple(used), tuple(left_out), unreachable)
+        return PlannedMeasurement(self._observations(used, found), tuple(used), tuple(left_out), unreachable)
 
-    def _observations(self, positions: list[Position], found: list[tuple[Numbers, Array]]) -> Observations:
+    def _observations(self, positions: list[Position], found: list[tuple[IndexArray, Array]]) -> Observations:
         names = list(self.layouts)
         counts = [len(balls) for balls, _ in found]
         total = sum(counts)

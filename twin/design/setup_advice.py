@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from twin.design.setup_trials import Gain, Trial
-from twin.identification.observability import listed
+from twin.design.setup_trials import SetUpTrial, TrialGain
+from twin.identification.observability import join_names
 from twin.machine.kinematic_chain import AXES
 
 UM_PER_MM = 1e3
@@ -11,7 +11,7 @@ _MOST_NAMES = 6
 _NOTHING_UM = 0.005
 
 
-def proposal(trial: Trial) -> str:
+def describe_trial(trial: SetUpTrial) -> str:
     """What is to be done: `the positions again with a stylus 100 mm aside along -Z`."""
     tool = trial.tool
     if tool is not None and tool.lateral:
@@ -22,7 +22,7 @@ def proposal(trial: Trial) -> str:
     return f"the positions of {trial.added} as well" if trial.added else "the same positions once more"
 
 
-def effect(gain: Gain) -> str:
+def describe_gain(gain: TrialGain) -> str:
     """What it brings: `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24 positions more`.
 
     The figures are rms over all tools that are looked at.
@@ -38,13 +38,13 @@ def _change(before_mm: float, after_mm: float) -> str:
     return f"{UM_PER_MM * before_mm:.2f} to {UM_PER_MM * after_mm:.2f} µm"
 
 
-def _parameters(gain: Gain) -> str:
+def _parameters(gain: TrialGain) -> str:
     if gain.rank == 0:
         return "no parameter more"
     count = "1 more parameter" if gain.rank == 1 else f"{gain.rank} more parameters"
     if not gain.shown:
         return count
-    names = listed(gain.shown) if len(gain.shown) <= _MOST_NAMES else f"{len(gain.shown)} errors"
+    names = join_names(gain.shown) if len(gain.shown) <= _MOST_NAMES else f"{len(gain.shown)} errors"
     return f"{count}, {names} no longer hidden"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.artefact.position_set import POSITION_SETS, Position
-from twin.design.identifiability import Viewpoint, Visibility, visibility
+from twin.design.identifiability import EvaluatedTool, Identifiability, assess_identifiability
 from twin.design.measurement_setup import SetUp, shortest_reach_mm
 from twin.machine.kinematic_chain import AXES
 from twin.machine.volumetric import QuadraticForm
@@ -20,7 +20,7 @@ _SAME_TOOL_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class OtherTool:
+class TrialTool:
     """A tool that is not there: `offset` (3,) mm, `by_mm` longer than the first one, or `by_mm` aside along `axis`."""
 
     offset: Array
@@ -36,12 +36,12 @@ class OtherTool:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class SetUpTrial:
     """A set-up with something added: what the first tool measures again with `tool`, the positions of a set (`added`
     its name), or neither: the same positions once more."""
 
     set_up: SetUp
-    tool: OtherTool | None = None
+    tool: TrialTool | None = None
     added: str = ""
 
     @property
@@ -53,12 +53,12 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class Gain:
+class TrialGain:
     """What a trial sees with `positions` more that have balls within reach, against what the set-up itself sees."""
 
-    trial: Trial
-    before: Visibility
-    after: Visibility
+    trial: SetUpTrial
+    before: Identifiability
+    after: Identifiability
     positions: int
 
     @property
@@ -78,7 +78,7 @@ class Gain:
         return self.before.unseen_mm - self.after.unseen_mm
 
 
-def other_tools(set_up: SetUp) -> tuple[OtherTool, ...]:
+def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
     """Lengths and lateral styli worth a look; no probe shorter than its stem and body, none that is there already."""
     axis = set_up.tool_axis
     lengths = [_other(set_up, axis, by_mm, lateral=False) for by_mm in LENGTHS_MM]
@@ -94,54 +94,54 @@ def other_tools(set_up: SetUp) -> tuple[OtherTool, ...]:
     )
 
 
-def viewpoints(set_up: SetUp, grid: Array) -> tuple[Viewpoint, ...]:
+def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
     """Where to look from: the tools of the set-up, the longest other one, and a lateral stylus for each direction."""
     used = {position.tool or set_up.first_tool for position in set_up.positions}
     own = [(name, layout.tool_offset_mm, name in used) for name, layout in set_up.procedure.layouts.items()]
-    others: dict[int, OtherTool] = {}
+    others: dict[int, TrialTool] = {}
     for tool in other_tools(set_up):
         others.setdefault(tool.axis, tool)
     every = [*own, *((tool.name, tool.offset, False) for tool in others.values())]
     model = set_up.model
-    return tuple(Viewpoint(name, QuadraticForm.build(model, grid, offset), used) for name, offset, used in every)
+    return tuple(EvaluatedTool(name, QuadraticForm.build(model, grid, offset), used) for name, offset, used in every)
 
 
-def trials(set_up: SetUp) -> Iterator[Trial]:
+def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
     """Everything that is worth a try."""
     for tool in other_tools(set_up):
-        yield Trial(set_up.adding_tool(tool.name, tool.offset), tool=tool)
+        yield SetUpTrial(set_up.with_tool(tool.name, tool.offset), tool=tool)
     for name in POSITION_SETS:
         further = _further(set_up, name)
         if further:
-            yield Trial(set_up.adding(further), added=name)
-    yield Trial(set_up.adding(set_up.positions))
+            yield SetUpTrial(set_up.with_positions(further), added=name)
+    yield SetUpTrial(set_up.with_positions(set_up.positions))
 
 
-def gains(set_up: SetUp, before: Visibility, views: Sequence[Viewpoint]) -> tuple[Gain, ...]:
+def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[EvaluatedTool]) -> tuple[TrialGain, ...]:
     """What each trial brings, the most of the unseen field first; those that reach no further ball are left out.
 
     `before`: what the set-up itself sees at `views`.
     """
-    measured = len(set_up.planned().positions)
+    measured = len(set_up.plan().positions)
     found = []
-    for trial in trials(set_up):
-        more = len(trial.set_up.planned().positions) - measured
+    for trial in possible_trials(set_up):
+        more = len(trial.set_up.plan().positions) - measured
         if more > 0:
-            found.append(Gain(trial, before, visibility(trial.set_up.estimate(), views), more))
+            found.append(TrialGain(trial, before, assess_identifiability(trial.set_up.estimate(), views), more))
     return tuple(sorted(found, key=lambda gain: -gain.unseen_removed_mm))
 
 
-def _hidden(seen: Visibility) -> tuple[str, ...]:
+def _hidden(seen: Identifiability) -> tuple[str, ...]:
     """What takes part in a null direction, in the model's order: EBY for EBY[1], EBY[2], …"""
     names = {name for direction in seen.null_directions for name in direction.loadings}
     return tuple(dict.fromkeys(p.error for p in seen.model.parameters if p.name in names))
 
 
-def _other(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> OtherTool:
+def _other(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> TrialTool:
     offset = set_up.procedure.layout().tool_offset_mm.copy()
     backwards = not lateral and offset[axis] < 0.0
     offset[axis] += -by_mm if backwards else by_mm
-    return OtherTool(offset, by_mm, axis, lateral)
+    return TrialTool(offset, by_mm, axis, lateral)
 
 
 def _further(set_up: SetUp, name: str) -> tuple[Position, ...]:

@@ -12,9 +12,9 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.design.criterion import Criterion
 from twin.identification.centres import CentreEquations
-from twin.identification.normal import Posterior, Precision, Scales
+from twin.identification.normal import Posterior, PriorPrecision, Scales
 from twin.identification.options import Options
-from twin.identification.problem import Problem, build_problem
+from twin.identification.problem import IdentificationProblem, build_problem
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms
 
@@ -48,8 +48,8 @@ def valuation(
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))
 
 
-def _covariances(problem: Problem) -> tuple[Array, Array]:
-    precision = Precision(problem.blocks, problem.known)
+def _covariances(problem: IdentificationProblem) -> tuple[Array, Array]:
+    precision = PriorPrecision(problem.blocks, problem.known)
     matrix = CentreEquations.build(problem, unit_weights=False).matrix
     nothing = np.zeros_like(matrix)
     return (

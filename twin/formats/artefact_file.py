@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from twin.arrays import Array
 from twin.artefact.artefact import REFERENCE_TEMPERATURE_C, Artefact, bar_balls
 from twin.errors import DataError, FormatError
-from twin.formats.toml_reading import Strict, read_toml
+from twin.formats.toml_reading import StrictModel, read_toml
 
 ReadText = Callable[[str], str]
 """Gives the text of a file named in another one; the caller knows what relative paths are relative to."""
@@ -25,7 +25,7 @@ ReadText = Callable[[str], str]
 Coordinates = tuple[float, float, float]
 
 
-class BarSection(Strict):
+class BarSection(StrictModel):
     """Equally pitched balls on a straight bar; see `twin.artefact.artefact.bar_balls`."""
 
     balls: Annotated[int, Field(ge=2, le=99)]
@@ -34,7 +34,7 @@ class BarSection(Strict):
     holder_length_mm: Annotated[float, Field(ge=0.0)] = 0.0
 
 
-class ArtefactDocument(Strict):
+class ArtefactDocument(StrictModel):
     """Keys of an artefact file. Uncertainties are standard uncertainties (k = 1)."""
 
     name: Annotated[str, Field(min_length=1)]

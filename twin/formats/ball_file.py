@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.errors import FormatError, TwinError
-from twin.formats.csv_reading import Row, read_rows
+from twin.formats.csv_reading import CsvRow, read_rows
 
 COLUMNS = (
     "position",
@@ -56,9 +56,9 @@ def parse_balls(
     if not rows:
         raise FormatError("no ball follows the header", file=source)
     names = list(tools)
-    numbers = [row.whole("position", 0) for row in rows]
+    numbers = [row.parse_int("position", 0) for row in rows]
     tool = [_tool(row, names) for row in rows]
-    ball = [row.whole("ball", 0) for row in rows]
+    ball = [row.parse_int("ball", 0) for row in rows]
     _refuse_duplicates(rows, numbers, tool, ball)
     positions = _positions(rows, numbers)
     place = {number: index for index, number in enumerate(positions)}
@@ -68,9 +68,9 @@ def parse_balls(
         position=np.array([place[number] for number in numbers]),
         ball=np.array(ball),
         tool=np.array(tool),
-        axis_positions=np.array([[row.real(name) for name in ("x_mm", "y_mm", "z_mm")] for row in rows]),
+        axis_positions=np.array([[row.parse_float(name) for name in ("x_mm", "y_mm", "z_mm")] for row in rows]),
         covariance=sigma_mm[:, None, None] ** 2 * np.eye(3),
-        temperature_c=np.array([row.real("temperature_c", default_temperature_c) for row in rows]),
+        temperature_c=np.array([row.parse_float("temperature_c", default_temperature_c) for row in rows]),
         elevation_rad=np.radians(elevations),
         tool_offsets=np.array([tools[name] for name in names], dtype=np.float64),
     )
@@ -93,47 +93,47 @@ def format_balls(observations: Observations, positions: Sequence[Position], tool
     return "\n".join(lines) + "\n"
 
 
-def _tool(row: Row, names: list[str]) -> int:
+def _tool(row: CsvRow, names: list[str]) -> int:
     name = row.cells["tool"]
     if name not in names:
-        raise row.fail(f"unknown tool '{name}'", "tool", hint=f"The machine file knows {', '.join(names)}")
+        raise row.error(f"unknown tool '{name}'", "tool", hint=f"The machine file knows {', '.join(names)}")
     return names.index(name)
 
 
-def _sigma_um(row: Row, empty: float) -> float:
-    sigma = row.real("sigma_um", empty)
+def _sigma_um(row: CsvRow, empty: float) -> float:
+    sigma = row.parse_float("sigma_um", empty)
     if not sigma > 0.0:
-        raise row.fail(f"a standard uncertainty must be positive, not {sigma:g}", "sigma_um")
+        raise row.error(f"a standard uncertainty must be positive, not {sigma:g}", "sigma_um")
     return sigma
 
 
-def _refuse_duplicates(rows: list[Row], numbers: list[int], tool: list[int], ball: list[int]) -> None:
+def _refuse_duplicates(rows: list[CsvRow], numbers: list[int], tool: list[int], ball: list[int]) -> None:
     seen: dict[tuple[int, int, int], int] = {}
     for row, key in zip(rows, zip(numbers, tool, ball, strict=True), strict=True):
         first = seen.setdefault(key, row.number)
         if first != row.number:
             message = f"ball {key[2]} of position {key[0]} was already given in row {first}"
-            raise row.fail(message, "ball", hint="Keep one centre per position, tool and ball")
+            raise row.error(message, "ball", hint="Keep one centre per position, tool and ball")
 
 
-def _positions(rows: list[Row], numbers: list[int]) -> dict[int, Position]:
+def _positions(rows: list[CsvRow], numbers: list[int]) -> dict[int, Position]:
     """What the file says of each position, by its number there; all rows of a position must agree."""
-    found: dict[int, tuple[Row, Position]] = {}
+    found: dict[int, tuple[CsvRow, Position]] = {}
     for row, number in zip(rows, numbers, strict=True):
         position = _position(row)
         first, said = found.setdefault(number, (row, position))
         for column in ("station", "azimuth_deg", "elevation_deg"):
             if not math.isclose(getattr(position, column), getattr(said, column), abs_tol=1e-9):
                 message = f"position {number} has another {column} than in row {first.number}"
-                raise row.fail(message, column, hint="One position is one placement of the artefact")
+                raise row.error(message, column, hint="One position is one placement of the artefact")
     return {number: found[number][1] for number in sorted(found)}
 
 
-def _position(row: Row) -> Position:
-    station = row.whole("station", 1)
+def _position(row: CsvRow) -> Position:
+    station = row.parse_int("station", 1)
     try:
-        return Position(station, row.real("azimuth_deg"), row.real("elevation_deg"))
+        return Position(station, row.parse_float("azimuth_deg"), row.parse_float("elevation_deg"))
     except FormatError:
         raise
     except TwinError as error:
-        raise row.fail(error.message, "azimuth_deg", hint=error.hint) from None
+        raise row.error(error.message, "azimuth_deg", hint=error.hint) from None

@@ -11,17 +11,17 @@ from twin.errors import FormatError
 
 
 @dataclass(frozen=True)
-class Row:
+class CsvRow:
     """One line of a CSV file: `number` of the line, `cells` by column name."""
 
     source: str
     number: int
     cells: dict[str, str]
 
-    def fail(self, message: str, column: str, hint: str = "") -> FormatError:
+    def error(self, message: str, column: str, hint: str = "") -> FormatError:
         return FormatError(message, hint=hint, file=self.source, row=self.number, column=column)
 
-    def real(self, column: str, empty: float | None = None) -> float:
+    def parse_float(self, column: str, empty: float | None = None) -> float:
         """Finite number; `empty` stands for an empty cell where that is allowed."""
         text = self.cells[column]
         if not text and empty is not None:
@@ -29,23 +29,23 @@ class Row:
         try:
             value = float(text)
         except ValueError:
-            raise self.fail(f"'{text}' is no number" if text else "the cell is empty", column) from None
+            raise self.error(f"'{text}' is no number" if text else "the cell is empty", column) from None
         if not math.isfinite(value):
-            raise self.fail(f"'{text}' is not finite", column)
+            raise self.error(f"'{text}' is not finite", column)
         return value
 
-    def whole(self, column: str, at_least: int) -> int:
+    def parse_int(self, column: str, at_least: int) -> int:
         text = self.cells[column]
         try:
             value = int(text)
         except ValueError:
-            raise self.fail(f"'{text}' is no whole number", column) from None
+            raise self.error(f"'{text}' is no whole number", column) from None
         if value < at_least:
-            raise self.fail(f"{value} is less than {at_least}", column)
+            raise self.error(f"{value} is less than {at_least}", column)
         return value
 
 
-def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[Row]:
+def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[CsvRow]:
     """Rows of a CSV text whose header names exactly `columns`, in any order; blank lines are passed over."""
     lines = csv.reader(text.removeprefix("\ufeff").splitlines())
     header = [name.strip() for name in next(lines, [])]
@@ -57,7 +57,7 @@ def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[Row]:
             message = f"{len(cells)} values where the header names {len(header)}"
             raise FormatError(message, file=source, row=lines.line_num)
         named = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
-        yield Row(source, lines.line_num, named)
+        yield CsvRow(source, lines.line_num, named)
 
 
 def _check_header(header: list[str], source: str, columns: Sequence[str]) -> None:

@@ -17,8 +17,8 @@ from twin.arrays import Array
 from twin.errors import FormatError, TwinError
 from twin.formats.json_reading import read_json
 from twin.formats.prior_section import CarriedOverSection, carried_over_document, read_moments, read_unknowns
-from twin.formats.toml_reading import Strict
-from twin.identification import CarriedOver, Estimate, Scales
+from twin.formats.toml_reading import StrictModel
+from twin.identification import CarriedOverPrior, Estimate, Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -31,14 +31,14 @@ Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
 
-class ModelSection(Strict):
+class EstimatedModelSection(StrictModel):
     chain: str
     ranges_mm: tuple[Pair, Pair, Pair]
     orders: dict[str, int]
     cross_effect: tuple[str, ...]
 
 
-class ParameterSection(Strict):
+class ParameterSection(StrictModel):
     """`value` and `standard_uncertainty` in `unit`; Legendre coefficients on the axis range normalised to [-1, 1]."""
 
     name: str
@@ -47,13 +47,13 @@ class ParameterSection(Strict):
     unit: Literal["mm", "rad"]
 
 
-class NullSection(Strict):
+class NullDirectionSection(StrictModel):
     text: str
     changes_field: bool
     loadings: dict[str, float]
 
 
-class ScalesSection(Strict):
+class ScalesSection(StrictModel):
     noise: float
     prior: float
     mixed: float
@@ -62,13 +62,13 @@ class ScalesSection(Strict):
     waves_z: float
 
 
-class RejectedSection(Strict):
+class RejectedBallSection(StrictModel):
     position: int
     ball: int
     tool: int
 
 
-class OrderSection(Strict):
+class OrderSection(StrictModel):
     """`relative_log_evidence`: 0 for the likeliest of the orders compared."""
 
     order: int
@@ -77,24 +77,24 @@ class OrderSection(Strict):
     scales: ScalesSection
 
 
-class EstimateFile(Strict):
+class EstimateFile(StrictModel):
     format: Literal["volcal estimate 2"]
     provenance: dict[str, str]
     formulation: Literal["centres", "distances"]
-    model: ModelSection
+    model: EstimatedModelSection
     tool_offsets_mm: tuple[Triple, ...]
     parameters: tuple[ParameterSection, ...]
     covariance: tuple[tuple[float, ...], ...]
     rank: int
     conditioning: float
     null_summary: tuple[str, ...]
-    null_directions: tuple[NullSection, ...]
+    null_directions: tuple[NullDirectionSection, ...]
     chi2_normalised: float
     degrees_of_freedom: float
     scales: ScalesSection
     scales_at_bounds: tuple[str, ...]
     order_evidence: tuple[OrderSection, ...]
-    rejected: tuple[RejectedSection, ...]
+    rejected: tuple[RejectedBallSection, ...]
     carried_over: CarriedOverSection
 
 
@@ -111,9 +111,9 @@ class StoredEstimate:
     z_covariance: Array
     document: EstimateFile
 
-    def carried_over(self) -> CarriedOver:
+    def carried_over(self) -> CarriedOverPrior:
         """As `Estimate.carried_over`; DataError for a covariance that is singular."""
-        return CarriedOver(self.unknowns, self.z, self.z_covariance, Scales(**self.document.scales.model_dump()))
+        return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, Scales(**self.document.scales.model_dump()))
 
 
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:

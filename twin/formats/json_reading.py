@@ -6,9 +6,9 @@ import json
 from typing import TypeVar
 
 from twin.errors import FormatError
-from twin.formats.toml_reading import Strict, validated
+from twin.formats.toml_reading import StrictModel, validate_document
 
-Section = TypeVar("Section", bound=Strict)
+Section = TypeVar("Section", bound=StrictModel)
 
 
 def read_json(text: str, source: str, kind: type[Section]) -> Section:
@@ -19,7 +19,7 @@ def read_json(text: str, source: str, kind: type[Section]) -> Section:
         raise FormatError(f"this is not valid JSON: {error}", file=source) from None
     if not isinstance(document, dict):
         raise FormatError("the document is no object in braces", file=source)
-    return validated(document, source, kind)
+    return validate_document(document, source, kind)
 
 
 def _refuse_constant(name: str) -> float:

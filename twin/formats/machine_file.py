@@ -10,7 +10,7 @@ from pydantic import Field
 
 from twin.errors import FormatError, TwinError
 from twin.formats.deflection_file import parse_deflection
-from twin.formats.toml_reading import Strict, read_toml
+from twin.formats.toml_reading import StrictModel, read_toml
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import CROSS_TERMS, DEFAULT_CROSS_EFFECT, ERROR_MOTIONS, ErrorModel, Ranges
 from twin.machine.kinematic_chain import AXES, parse_chain
@@ -26,7 +26,7 @@ HalfWidths = Annotated[tuple[NotNegative, ...], Field(min_length=1)] | NotNegati
 CrossTerm = Literal["b0", "b1", "b2", "c0", "c1"]
 
 
-class AxisSection(Strict):
+class AxisSection(StrictModel):
     """`range_mm`: where the error model is valid; `travel_mm`: soft limits, the same where left out."""
 
     range_mm: tuple[float, float]
@@ -36,17 +36,17 @@ class AxisSection(Strict):
     acceleration_mm_per_s2: Positive
 
 
-class AxesSection(Strict):
+class AxesSection(StrictModel):
     X: AxisSection
     Y: AxisSection
     Z: AxisSection
 
 
-class ToolSection(Strict):
+class ToolSection(StrictModel):
     offset_mm: tuple[float, float, float]
 
 
-class FamilySection(Strict):
+class FamilySection(StrictModel):
     """Half-widths per kind of error; per Legendre order where a list, lowest order of that kind first.
 
     The defaults are the amplitudes of the case study.
@@ -61,7 +61,7 @@ class FamilySection(Strict):
     decay: Annotated[float, Field(ge=0.0, le=1.0)] = DEFAULT_DECAY
 
 
-class ModelSection(Strict):
+class ModelSection(StrictModel):
     """`order`: one for all, or a table per error motion (those left out have order 5)."""
 
     order: Order | dict[str, Order] = DEFAULT_ORDER
@@ -69,13 +69,13 @@ class ModelSection(Strict):
     family: FamilySection = FamilySection()
 
 
-class DeflectionSection(Strict):
+class DeflectionSection(StrictModel):
     """`grid`: CSV file, its path relative to the machine file."""
 
     grid: Annotated[str, Field(min_length=1)]
 
 
-class MachineSection(Strict):
+class MachineSection(StrictModel):
     """The whole machine file."""
 
     name: Annotated[str, Field(min_length=1)]

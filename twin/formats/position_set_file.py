@@ -10,20 +10,20 @@ from collections.abc import Iterable
 
 from twin.artefact.position_set import Position
 from twin.errors import DataError, FormatError
-from twin.formats.toml_reading import Strict, read_toml
+from twin.formats.toml_reading import StrictModel, read_toml
 
 COLUMNS = ("station", "azimuth_deg", "elevation_deg")
 TOOL = "tool"
 
 
-class _Listed(Strict):
+class _Listed(StrictModel):
     station: int
     azimuth_deg: float
     elevation_deg: float
     tool: str | None = None
 
 
-class _PositionDocument(Strict):
+class _PositionDocument(StrictModel):
     positions: list[_Listed]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.errors import FormatError
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 from twin.identification.misfit import MISFIT_KINDS, MisfitModes
 from twin.identification.unknowns import ArtefactErrors, Unknowns
 from twin.machine.error_model import ErrorModel
@@ -23,7 +23,7 @@ Triple = tuple[float, float, float]
 KEY = "carried_over"
 
 
-class ArtefactSection(Strict):
+class ArtefactSection(StrictModel):
     """Which artefact, and the factor of its certificate's covariance (3N rows, mm)."""
 
     balls_mm: tuple[Triple, ...]
@@ -33,7 +33,7 @@ class ArtefactSection(Strict):
     thermometer_standard_uncertainty_k: float
 
 
-class MisfitSection(Strict):
+class MisfitSection(StrictModel):
     """The fields beside the model; see `twin.identification.misfit`."""
 
     rms_mm: float
@@ -46,7 +46,7 @@ class MisfitSection(Strict):
     left_out: Row
 
 
-class CarriedOverSection(Strict):
+class CarriedOverSection(StrictModel):
     """`mean` of all unknowns in units of their prior, and the lower triangle of their `covariance`, row by row."""
 
     scale: Row

@@ -14,7 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from twin.errors import FormatError
 
 
-class Strict(BaseModel):
+class StrictModel(BaseModel):
     """Base of everything read from a file: unknown keys, NaN and infinity are errors; values are frozen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -27,7 +27,7 @@ _UNION_LABEL = re.compile(r"(float|int|bool|str|constrained-\w+)$|.*\[")
 Section = TypeVar("Section", bound=BaseModel)
 
 
-def refuse_unknown(kind: type) -> BeforeValidator:
+def forbid_unknown_keys(kind: type) -> BeforeValidator:
     """For a field that is a frozen value of the mathematics: Pydantic reads one but lets unknown keys of it pass."""
     known = {field.name for field in dataclasses.fields(kind)}
 
@@ -47,10 +47,10 @@ def read_toml(text: str, source: str, kind: type[Section]) -> Section:
     except tomllib.TOMLDecodeError as error:
         hint = "Text stands in quotes, a list in brackets, a section name in brackets on its own line"
         raise FormatError(f"this is not valid TOML: {error}", hint=hint, file=source) from None
-    return validated(document, source, kind)
+    return validate_document(document, source, kind)
 
 
-def validated(document: dict[str, Any], source: str, kind: type[Section]) -> Section:
+def validate_document(document: dict[str, Any], source: str, kind: type[Section]) -> Section:
     """Value of `kind` from a parsed document; FormatError with file, key path and hint otherwise."""
     try:
         return kind.model_validate(document)
@@ -63,12 +63,12 @@ def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dic
 
     For documents that an earlier version of this program has stored; a file written by a person is refused instead.
     """
-    former = kind.former_keys if issubclass(kind, Strict) else {}
+    former = kind.former_keys if issubclass(kind, StrictModel) else {}
     current = {former.get(key, key): value for key, value in document.items()}
     for key, value in current.items():
         field = kind.model_fields.get(key)
         section = _model_inside(field.annotation) if field else None
-        if section is not None and isinstance(value, Mapping) and issubclass(section, Strict):
+        if section is not None and isinstance(value, Mapping) and issubclass(section, StrictModel):
             current[key] = with_current_keys(value, section)
     return current
 
@@ -103,7 +103,7 @@ def _in_words(
     name = str(location[-1]) if location else ""
     if problem == "extra_forbidden":
         section = _section_at(kind, location[:-1])
-        if section is not None and issubclass(section, Strict) and name in section.former_keys:
+        if section is not None and issubclass(section, StrictModel) and name in section.former_keys:
             return (
                 f"key '{name}' has been renamed",
                 f"Write '{section.former_keys[name]}' instead; its meaning is the same",

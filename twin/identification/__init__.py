@@ -1,6 +1,6 @@
 """Identification of the compensation model C from ball centres."""
 
-from twin.identification.drift import DriftFound, DriftPrior, MachineDrift
+from twin.identification.drift import DriftEstimate, DriftPrior, MachineDrift
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.evidence import OrderEvidence
 from twin.identification.identify import identify
@@ -8,12 +8,12 @@ from twin.identification.normal import Scales
 from twin.identification.observability import NullDirection
 from twin.identification.options import Options
 from twin.identification.order import identify_by_evidence
-from twin.identification.predicted import FieldKnowledge, field_uncertainty, left_covariance, predicted_vce
-from twin.identification.prior_from_estimate import CarriedOver, process_noise
+from twin.identification.predicted import FieldKnowledge, field_uncertainty, predicted_vce, residual_covariance
+from twin.identification.prior_from_estimate import CarriedOverPrior, process_noise
 
 __all__ = [
-    "CarriedOver",
-    "DriftFound",
+    "CarriedOverPrior",
+    "DriftEstimate",
     "DriftPrior",
     "Estimate",
     "FieldKnowledge",
@@ -26,7 +26,7 @@ __all__ = [
     "field_uncertainty",
     "identify",
     "identify_by_evidence",
-    "left_covariance",
     "predicted_vce",
     "process_noise",
+    "residual_covariance",
 ]

@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.identification.evidence import SCALE_PRIORS, free_scales, scaled_blocks
-from twin.identification.normal import Posterior, Precision, Scales
+from twin.identification.normal import Posterior, PriorPrecision, Scales
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,20 +29,22 @@ class Alternative:
 
 
 def alternatives(
-    matrix: Array, precision: Precision, posterior: Posterior, z: Array, scales: Scales, rows: int
+    matrix: Array, precision: PriorPrecision, posterior: Posterior, z: Array, scales: Scales, rows: int
 ) -> tuple[Alternative, ...]:
     """Of equal weight, for the normal `matrix` (P, P) of `rows` equations and the posterior and its mean z (P,) at the
     likeliest `scales`."""
     free = np.array(free_scales(precision))
     spread = np.zeros((int(free.sum()), len(free)))
     spread[:, free] = np.linalg.cholesky(_log_covariance(precision, posterior, scales, rows)[np.ix_(free, free)]).T
-    weighted = posterior.times(z) - precision.pull
+    weighted = posterior.times(z) - precision.information_vector
     right = weighted * scales.noise**2
     found = []
     for shift in _simplex(len(spread)) @ spread:
         other = _shifted(scales, shift)
         there = Posterior.of(matrix, precision, other)
-        found.append(Alternative(other, there.solve(right / other.noise**2 + precision.pull), there.covariance))
+        found.append(
+            Alternative(other, there.solve(right / other.noise**2 + precision.information_vector), there.covariance)
+        )
     return tuple(found)
 
 
@@ -55,7 +57,7 @@ def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
     return mean, covariance / len(found)
 
 
-def _log_covariance(precision: Precision, posterior: Posterior, scales: Scales, rows: int) -> Array:
+def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Scales, rows: int) -> Array:
     """(6, 6) of the log scales; those that are not free have their prior's."""
     prior = precision.matrix(scales)
     kept = posterior.covariance @ prior  # the part of each unknown that is prior; what is left of 1 has been measured

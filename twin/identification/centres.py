@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.identification.poses import PoseProjector, Poses, weighted
-from twin.identification.problem import Problem, Sides
+from twin.identification.problem import IdentificationProblem, Sides
 
 _LINEAR_MM = 1e-6  # increments below it have no second order (1e-15 mm), and the first is projected out anyhow
 _POSITIONS = 16  # whitened at a time: few enough to stay in the cache, enough to fill a matrix product
@@ -27,7 +27,7 @@ class CentreEquations:
     pages of memory cost more than the products.
     """
 
-    problem: Problem
+    problem: IdentificationProblem
     whitening: Array
     weight: Array
     projector: PoseProjector
@@ -36,7 +36,7 @@ class CentreEquations:
     rows: int
 
     @classmethod
-    def build(cls, problem: Problem, unit_weights: bool) -> CentreEquations:
+    def build(cls, problem: IdentificationProblem, unit_weights: bool) -> CentreEquations:
         layout = problem.layout
         whitening = _whitening(problem.observations.covariance, unit_weights)
         weight = layout.pad(whitening)

@@ -17,7 +17,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.errors import SingularSet
 from twin.identification.poses import Poses
-from twin.identification.problem import Problem, Sides, tool_points
+from twin.identification.problem import IdentificationProblem, Sides, tool_points
 
 _DEPENDENT = 1e-8  # eigenvalue of the distances' correlation below which a combination tells nothing of its own
 
@@ -38,7 +38,7 @@ class PositionPairs:
 class DistanceEquations:
     """`white` (M, P) whitened equations of all distances; `noise` their covariance, one (r, r) per position."""
 
-    problem: Problem
+    problem: IdentificationProblem
     pairs: tuple[PositionPairs, ...]
     white: Array
     noise: tuple[Array, ...]
@@ -46,7 +46,7 @@ class DistanceEquations:
     rows: int
 
     @classmethod
-    def build(cls, problem: Problem, unit_weights: bool) -> DistanceEquations:
+    def build(cls, problem: IdentificationProblem, unit_weights: bool) -> DistanceEquations:
         points = tool_points(problem.observations)
         unit = _unit_deviation(problem) if unit_weights else None
         pairs, white, noise = [], [], []
@@ -90,7 +90,7 @@ class DistanceEquations:
 
 
 def _position(
-    problem: Problem, points: Array, ends: tuple[int, int], design: Array, unit: float | None
+    problem: IdentificationProblem, points: Array, ends: tuple[int, int], design: Array, unit: float | None
 ) -> tuple[PositionPairs, Array, Array]:
     """Pairs, whitened rows and their noise covariance for sorted rows from ... to and their design (m, 3, P)."""
     start, end = ends
@@ -116,7 +116,7 @@ def _whitening(covariance: Array) -> Array:
     return np.asarray((vectors[:, used] / np.sqrt(values[used])).T)
 
 
-def _unit_deviation(problem: Problem) -> float:
+def _unit_deviation(problem: IdentificationProblem) -> float:
     """One standard deviation for all distances: that of the difference of two typical coordinates."""
     variances = np.einsum("nii->n", problem.observations.covariance) / 3.0
     return float(np.sqrt(2.0 * np.median(variances)))

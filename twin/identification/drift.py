@@ -49,25 +49,25 @@ class MachineDrift:
     do: scales and tip in the first alone."""
 
     names: tuple[str, ...]
-    places: tuple[int, ...]
+    parameter_indices: tuple[int, ...]
     deviations: Array
     tip_mm_per_k: float
-    ways: int
+    regressor_count: int
 
     @classmethod
     def of(
-        cls, model: ErrorModel, prior: DriftPrior, ways: int, free: np.ndarray[Any, np.dtype[np.bool_]]
+        cls, model: ErrorModel, prior: DriftPrior, regressor_count: int, free: np.ndarray[Any, np.dtype[np.bool_]]
     ) -> MachineDrift:
         """`free` (p,) bool: parameters that are not held at zero."""
         drifting = [(place, one) for place, one in enumerate(model.parameters) if _drifts(one) and free[place]]
         deviations = [_per_k(prior, one) * _lever_mm(model, one) for _, one in drifting]
         names, places = tuple(one.name for _, one in drifting), tuple(place for place, _ in drifting)
-        return cls(names, places, np.array(deviations), prior.tip_mm_per_k, ways)
+        return cls(names, places, np.array(deviations), prior.tip_mm_per_k, regressor_count)
 
     @property
     def forms(self) -> int:
         """Parameters that drift, and the three directions of the tip."""
-        return len(self.places) + 3
+        return len(self.parameter_indices) + 3
 
     @property
     def bending(self) -> list[int]:
@@ -76,18 +76,18 @@ class MachineDrift:
 
     @property
     def size(self) -> int:
-        return self.forms + (self.ways - 1) * len(self.bending)
+        return self.forms + (self.regressor_count - 1) * len(self.bending)
 
     def columns(self, basis: Array, course: Array) -> Array:
         """(n, 3, size) mm per unit: `basis` (n, 3, p) of the model at the rows, `course` (n, ways) K."""
         forms = np.empty((len(basis), 3, self.forms))
-        forms[:, :, :-3] = basis[:, :, self.places] * self.deviations
+        forms[:, :, :-3] = basis[:, :, self.parameter_indices] * self.deviations
         forms[:, :, -3:] = self.tip_mm_per_k * np.eye(3)
         bending = forms[:, :, self.bending]
-        further = [course[:, way, None, None] * bending for way in range(1, self.ways)]
+        further = [course[:, way, None, None] * bending for way in range(1, self.regressor_count)]
         return np.concatenate((course[:, 0, None, None] * forms, *further), axis=2)
 
-    def lever(self, course: Array) -> Array:
+    def change_matrix(self, course: Array) -> Array:
         """(f + 3, size) `change` by z."""
         units = np.diag(np.append(self.deviations, np.full(3, self.tip_mm_per_k)))
         further = [share * units[:, self.bending] for share in course[1:].tolist()]
@@ -95,11 +95,11 @@ class MachineDrift:
 
     def change(self, z: Array, course: Array) -> Array:
         """(f + 3,) by how much parameters and tip are off, for unknowns z (size,), where the course is (ways,) K."""
-        return np.asarray(self.lever(course) @ z)
+        return np.asarray(self.change_matrix(course) @ z)
 
 
 @dataclass(frozen=True, eq=False)
-class DriftFound:
+class DriftEstimate:
     """What a set says of the drift: z (size,) of `drift` with its covariance."""
 
     drift: MachineDrift
@@ -110,8 +110,8 @@ class DriftFound:
         """By name (``EXX[1]``, ``tip X``): mm or rad by which the field is off where the course is (ways,) K, and its
         standard uncertainty."""
         values = self.drift.change(self.z, course)
-        lever = self.drift.lever(course)
-        doubts = np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", lever, self.covariance, lever), 0.0))
+        matrix = self.drift.change_matrix(course)
+        doubts = np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", matrix, self.covariance, matrix), 0.0))
         names = (*self.drift.names, *(f"tip {axis}" for axis in AXES))
         return dict(zip(names, zip(values.tolist(), doubts.tolist(), strict=True), strict=True))
 

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 
 from twin.arrays import Array
 from twin.identification.alternatives import Alternative
-from twin.identification.drift import DriftFound
-from twin.identification.evidence import OrderEvidence, at_bounds
+from twin.identification.drift import DriftEstimate
+from twin.identification.evidence import OrderEvidence, scales_at_bounds
 from twin.identification.misfit import MisfitModes
 from twin.identification.normal import Scales
 from twin.identification.observability import NullDirection, Observability, observability, summary
 from twin.identification.options import Formulation
-from twin.identification.prior_from_estimate import CarriedOver
+from twin.identification.prior_from_estimate import CarriedOverPrior
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ErrorModel
 
@@ -72,14 +72,14 @@ class Estimate:
     z_covariance: Array = field(repr=False)
     alternatives: tuple[Alternative, ...] = field(default=(), repr=False)
     order_evidence: tuple[OrderEvidence, ...] = ()
-    drift: DriftFound | None = field(default=None, repr=False)
+    drift: DriftEstimate | None = field(default=None, repr=False)
 
-    def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOver:
+    def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
         """What it knows, as the prior of a later estimate.
 
         `process_noise` (p,) standard deviations (mm or rad) by which each parameter may have changed in a night.
         """
-        known = CarriedOver(self.unknowns, self.z, self.z_covariance, self.scales)
+        known = CarriedOverPrior(self.unknowns, self.z, self.z_covariance, self.scales)
         return known if process_noise is None else known.after(process_noise, nights)
 
     @property
@@ -90,7 +90,7 @@ class Estimate:
     @property
     def scales_at_bounds(self) -> tuple[str, ...]:
         """In words, which scale ran into its bounds: there the stated uncertainty is a guess."""
-        return at_bounds(self.scales)
+        return scales_at_bounds(self.scales)
 
     @property
     def standard_uncertainty(self) -> Array:

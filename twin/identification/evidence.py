@@ -19,8 +19,8 @@ from scipy.optimize import minimize
 
 from twin.arrays import Array
 from twin.identification.misfit import MISFIT_KINDS
-from twin.identification.normal import Normal, Posterior, Precision, Scales
-from twin.identification.unknowns import Blocks
+from twin.identification.normal import NormalEquations, Posterior, PriorPrecision, Scales
+from twin.identification.unknowns import UnknownBlocks
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 _ACCURACY = 1e-3  # gradient per equation: leaves a log scale right to about 0.01, far below what any set can tell
 
 
-def likely_scales(normal: Normal, precision: Precision, start: Scales) -> Scales:
+def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
     """Scales at the maximum of the marginal likelihood times their own priors."""
     free = free_scales(precision)
     log_start: Logs = np.log(start.values)[free]
@@ -79,13 +79,13 @@ def likely_scales(normal: Normal, precision: Precision, start: Scales) -> Scales
     return _scales(np.asarray(found.x), free, start)
 
 
-def log_evidence(normal: Normal, precision: Precision, scales: Scales) -> float:
+def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> float:
     """Log marginal likelihood times the priors of the scales, but for what only the rows and their covariances say."""
     logs = np.log(scales.values)[free_scales(precision)]
     return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
 
 
-def at_bounds(scales: Scales) -> tuple[str, ...]:
+def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
     """In words, which scale stands at its lower or upper bound."""
     found = []
     for name, value, prior in zip(_NAMES, scales.values, SCALE_PRIORS, strict=True):
@@ -95,13 +95,13 @@ def at_bounds(scales: Scales) -> tuple[str, ...]:
     return tuple(found)
 
 
-def free_scales(precision: Precision) -> list[bool]:
+def free_scales(precision: PriorPrecision) -> list[bool]:
     """Which of noise, prior and kinds of misfit: what is known from before has its scale already."""
-    found = [True, *(precision.takes(block) for block in scaled_blocks(precision.blocks))]
+    found = [True, *(precision.has_free_scale(block) for block in scaled_blocks(precision.blocks))]
     return found + [False] * (len(SCALE_PRIORS) - len(found))
 
 
-def scaled_blocks(blocks: Blocks) -> tuple[slice, ...]:
+def scaled_blocks(blocks: UnknownBlocks) -> tuple[slice, ...]:
     """Blocks that have a scale, in the order of `Scales.values`."""
     return blocks.parameters, *blocks.kinds
 
@@ -112,7 +112,7 @@ def _scales(logs: Array, free: list[bool], others: Scales) -> Scales:
     return Scales(*values.tolist())
 
 
-def _cost(normal: Normal, precision: Precision, others: Scales) -> Callable[[Logs], tuple[float, Array]]:
+def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) -> Callable[[Logs], tuple[float, Array]]:
     free = free_scales(precision)
     deviations = np.array([prior.log_deviation for prior in SCALE_PRIORS])[free]
 
@@ -125,11 +125,11 @@ def _cost(normal: Normal, precision: Precision, others: Scales) -> Callable[[Log
     return cost
 
 
-def negative_log_likelihood(normal: Normal, precision: Precision, scales: Scales) -> tuple[float, Array]:
+def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:
     """Twice the negative log marginal likelihood, but for a constant, and its derivatives by the log scales (6,)."""
     blocks, variance = precision.blocks, scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
-    right = normal.right / variance + precision.pull
+    right = normal.right / variance + precision.information_vector
     z = posterior.solve(right)
     prior = precision.matrix(scales) if precision.known is not None else None
     weighted_z = prior @ z if prior is not None else precision.diagonal(scales) * z
@@ -142,19 +142,19 @@ def negative_log_likelihood(normal: Normal, precision: Precision, scales: Scales
     gradient = np.zeros(len(SCALE_PRIORS))
     gradient[0] = noise
     for place, block in enumerate(scaled_blocks(blocks), start=1):
-        gradient[place] = 2.0 * _pull(block, taken, weighted_z, z)
+        gradient[place] = 2.0 * _log_scale_derivative(block, taken, weighted_z, z)
     return value, gradient
 
 
-def _pull(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
+def _log_scale_derivative(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
     """Derivative by ln of the variance scale of a block: unknowns - trace of their share - weighted square."""
     size = block.stop - block.start
     return float(size - taken[block].sum() - weighted_z[block] @ z[block])
 
 
-def _log_determinant(precision: Precision, scales: Scales) -> float:
+def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
     """ln det of the prior precision, but for the constant part of what is known."""
     diagonal = np.log(precision.diagonal(scales))
     if precision.known is not None:
-        diagonal[precision.known.taken] = 0.0
+        diagonal[precision.known.members] = 0.0
     return float(diagonal.sum())

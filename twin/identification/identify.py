@@ -13,14 +13,14 @@ from twin.artefact.observations import Observations
 from twin.errors import DataError, SingularSet
 from twin.identification.alternatives import Alternative
 from twin.identification.distances import DistanceEquations
-from twin.identification.drift import DriftFound
+from twin.identification.drift import DriftEstimate
 from twin.identification.estimate import Estimate, Misfit
 from twin.identification.misfit import MisfitModes
 from twin.identification.options import Options
 from twin.identification.outliers import contradicting_rows
 from twin.identification.poses import Poses, rigid_poses
-from twin.identification.problem import Problem, build_problem
-from twin.identification.solution import Solution, over_scales, solve
+from twin.identification.problem import IdentificationProblem, build_problem
+from twin.identification.solution import Solution, average_over_scales, solve
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_population import Family
 
@@ -31,11 +31,11 @@ Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True, eq=False)
-class _Settled:
+class _RowSelection:
     """A solution and which rows of the whole problem it rests on."""
 
-    problem: Problem
-    kept: Mask
+    problem: IdentificationProblem
+    accepted: Mask
     solution: Solution | None
 
 
@@ -55,26 +55,26 @@ def identify(
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     _check_set(observations)
     whole = build_problem(family, observations, artefact, options)
-    return _estimate(whole, _settled(whole, options), options)
+    return _estimate(whole, _select_rows(whole, options), options)
 
 
-def kept_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
+def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
     """(n,) which rows `identify` would keep."""
     _check_set(observations)
     whole = build_problem(family, observations, artefact, options)
-    kept = np.empty(observations.size, dtype=bool)
-    kept[whole.layout.order] = _settled(whole, options).kept
-    return kept
+    accepted = np.empty(observations.size, dtype=bool)
+    accepted[whole.layout.order] = _select_rows(whole, options).accepted
+    return accepted
 
 
-def identify_kept(
-    family: Family, observations: Observations, artefact: Artefact, options: Options, kept: Mask
+def identify_accepted(
+    family: Family, observations: Observations, artefact: Artefact, options: Options, accepted: Mask
 ) -> Estimate:
-    """`identify` with the rows `kept` (n,) and no other; those left out count as rejected."""
+    """`identify` with the rows `accepted` (n,) and no other; those left out count as rejected."""
     whole = build_problem(family, observations, artefact, options)
-    chosen = kept[whole.layout.order]
-    problem = whole if chosen.all() else whole.without(chosen)
-    return _estimate(whole, _Settled(problem, chosen, None), options)
+    chosen = accepted[whole.layout.order]
+    problem = whole if chosen.all() else whole.with_rows(chosen)
+    return _estimate(whole, _RowSelection(problem, chosen, None), options)
 
 
 def _check_set(observations: Observations) -> None:
@@ -93,55 +93,55 @@ def _check_set(observations: Observations) -> None:
         )
 
 
-def _settled(whole: Problem, options: Options) -> _Settled:
+def _select_rows(whole: IdentificationProblem, options: Options) -> _RowSelection:
     if options.outliers == "none":
-        return _Settled(whole, np.ones(whole.observations.size, dtype=bool), None)
+        return _RowSelection(whole, np.ones(whole.observations.size, dtype=bool), None)
     return _without_outliers(whole, options)
 
 
-def _without_outliers(whole: Problem, options: Options) -> _Settled:
+def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSelection:
     """Reject and refit, always on ball centres with the prior, until no ball contradicts the rest."""
     screening = replace(options, formulation="centres", weights="full", use_prior=True)
-    kept = np.ones(whole.observations.size, dtype=bool)
+    accepted = np.ones(whole.observations.size, dtype=bool)
     problem = whole
     while True:
         solution = solve(problem, screening, "centres")
         worst = contradicting_rows(solution, options.false_alarm)
         if worst.size == 0:
             same = options.formulation == "centres" and options.weights == "full" and options.use_prior
-            return _Settled(problem, kept, solution if same else None)
-        kept = kept.copy()
-        kept[np.flatnonzero(kept)[worst]] = False
-        _refuse_chaos(kept)
-        problem = whole.without(kept)
+            return _RowSelection(problem, accepted, solution if same else None)
+        accepted = accepted.copy()
+        accepted[np.flatnonzero(accepted)[worst]] = False
+        _check_rejected_share(accepted)
+        problem = whole.with_rows(accepted)
         _check_set(problem.observations)
 
 
-def _refuse_chaos(kept: Mask) -> None:
-    rejected = int((~kept).sum())
-    if rejected > _MOST_REJECTED * kept.size:
+def _check_rejected_share(accepted: Mask) -> None:
+    rejected = int((~accepted).sum())
+    if rejected > _MOST_REJECTED * accepted.size:
         raise DataError(
-            f"{rejected} of {kept.size} ball centres contradict the rest",
+            f"{rejected} of {accepted.size} ball centres contradict the rest",
             hint="check artefact file, ball numbers, tool offset and units before measuring again",
         )
 
 
-def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
-    solution = over_scales(settled.solution or solve(settled.problem, options, options.formulation))
+def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: Options) -> Estimate:
+    solution = average_over_scales(selection.solution or solve(selection.problem, options, options.formulation))
     block, unknowns = whole.blocks.parameters, whole.unknowns
     state = _state(whole, options)
     z, covariance = _in_state(state, solution.z, solution.covariance)
     seen = whole.observations
-    dropped = np.flatnonzero(~settled.kept)
+    dropped = np.flatnonzero(~selection.accepted)
     named = [(int(seen.position[row]), int(seen.ball[row]), int(seen.tool[row])) for row in dropped]
     return Estimate(
         model=unknowns.model,
         formulation=options.formulation,
         parameters=unknowns.parameters(z),
         covariance=unknowns.physical_covariance(covariance[block, block]),
-        residuals_mm=_residuals(whole, settled, solution),
+        residuals_mm=_residuals(whole, selection, solution),
         chi2_normalised=solution.chi2,
-        degrees_of_freedom=solution.freedom,
+        degrees_of_freedom=solution.degrees_of_freedom,
         rejected=tuple(named),
         scales=solution.scales,
         tool_offsets=seen.used_tool_offsets,
@@ -157,16 +157,18 @@ def _estimate(whole: Problem, settled: _Settled, options: Options) -> Estimate:
     )
 
 
-def _state(whole: Problem, options: Options) -> Array | None:
+def _state(whole: IdentificationProblem, options: Options) -> Array | None:
     """(Q, P) from all unknowns at the beginning to the lasting ones in the state for which the estimate is to hold;
     None where nothing drifted."""
     drift, blocks, scale = whole.unknowns.drift, whole.blocks, whole.unknowns.scale
     if drift is None:
         return None
     state = np.eye(blocks.drift.start, blocks.size)
-    if options.holds_at is not None:
-        places = list(drift.places)
-        state[places, blocks.drift] = drift.lever(options.holds_at)[: len(places)] / scale[places][:, None]
+    if options.state_regressors is not None:
+        places = list(drift.parameter_indices)
+        state[places, blocks.drift] = (
+            drift.change_matrix(options.state_regressors)[: len(places)] / scale[places][:, None]
+        )
     return state
 
 
@@ -176,12 +178,12 @@ def _in_state(state: Array | None, z: Array, covariance: Array) -> tuple[Array, 
     return state @ z, state @ covariance @ state.T
 
 
-def _drift(whole: Problem, solution: Solution) -> DriftFound | None:
+def _drift(whole: IdentificationProblem, solution: Solution) -> DriftEstimate | None:
     drift, block = whole.unknowns.drift, whole.blocks.drift
-    return None if drift is None else DriftFound(drift, solution.z[block], solution.covariance[block, block])
+    return None if drift is None else DriftEstimate(drift, solution.z[block], solution.covariance[block, block])
 
 
-def _misfit(whole: Problem, solution: Solution, z: Array, covariance: Array) -> Misfit | None:
+def _misfit(whole: IdentificationProblem, solution: Solution, z: Array, covariance: Array) -> Misfit | None:
     unknowns = whole.unknowns
     if unknowns.modes is None:
         return None
@@ -203,22 +205,22 @@ def _unresolved(misfit_mm: float, modes: MisfitModes, solution: Solution) -> flo
     return float(misfit_mm**2 * (modes.left_out @ squares))
 
 
-def _residuals(whole: Problem, settled: _Settled, solution: Solution) -> Array:
+def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution: Solution) -> Array:
     """(n, 3) mm in the order of the observations given; each position at its pose of the solution."""
-    kept, poses = settled.kept, solution.poses
-    left, local = solution.sides if kept.all() else whole.sides(solution.z)
+    accepted, poses = selection.accepted, solution.poses
+    left, local = solution.sides if accepted.all() else whole.sides(solution.z)
     if isinstance(solution.equations, DistanceEquations):
-        poses = rigid_poses(settled.problem.layout, local[kept], left[kept])
-    if not kept.all():
-        poses = _spread(poses, whole, kept)
+        poses = rigid_poses(selection.problem.layout, local[accepted], left[accepted])
+    if not accepted.all():
+        poses = _spread(poses, whole, accepted)
     residuals = np.empty_like(left)
     residuals[whole.layout.order] = left - poses.place(whole.layout, local)
     return residuals
 
 
-def _spread(poses: Poses, whole: Problem, kept: Mask) -> Poses:
-    """Poses of all positions; one of which no row is kept takes that of a neighbour."""
+def _spread(poses: Poses, whole: IdentificationProblem, accepted: Mask) -> Poses:
+    """Poses of all positions; one of which no row is accepted takes that of a neighbour."""
     position = whole.observations.position
-    place = np.searchsorted(np.unique(position[kept]), np.unique(position))
+    place = np.searchsorted(np.unique(position[accepted]), np.unique(position))
     place = np.minimum(place, len(poses.rotation) - 1)
     return Poses(poses.rotation[place], poses.translation[place])

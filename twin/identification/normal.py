@@ -14,11 +14,11 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtri
 from twin.arrays import Array
 from twin.errors import SingularSet
 from twin.identification.misfit import MISFIT_KINDS
-from twin.identification.unknowns import Blocks
+from twin.identification.unknowns import UnknownBlocks
 
 
 @dataclass(frozen=True, eq=False)
-class Normal:
+class NormalEquations:
     """Σ|A z - y|² over `rows` independent equations of unit noise: AᵀA (P, P), Aᵀy (P,), |y|²."""
 
     matrix: Array
@@ -60,38 +60,41 @@ class Scales:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """Joint prior of some of the unknowns: their `precision` (P, P) and its product with their mean `pull` (P,), both
-    zero outside of `taken` (P,) bool. Scales do not act on it."""
+class JointPrior:
+    """Joint Gaussian prior of some of the unknowns; scales do not apply to it.
 
-    taken: np.ndarray[Any, np.dtype[np.bool_]]
+    `members` (P,) bool selects these unknowns; `precision` (P, P) and `information_vector` (P,), precision times prior
+    mean, are zero for all others.
+    """
+
+    members: np.ndarray[Any, np.dtype[np.bool_]]
     precision: Array
-    pull: Array
+    information_vector: Array
 
     @classmethod
-    def held(cls, blocks: Blocks, precision: Array) -> Known:
+    def at_zero(cls, blocks: UnknownBlocks, precision: Array) -> JointPrior:
         """Parameters at zero with a given precision (p, p)."""
-        taken, full = np.zeros(blocks.size, dtype=bool), np.zeros((blocks.size, blocks.size))
-        taken[blocks.parameters] = True
+        members, full = np.zeros(blocks.size, dtype=bool), np.zeros((blocks.size, blocks.size))
+        members[blocks.parameters] = True
         full[blocks.parameters, blocks.parameters] = precision
-        return cls(taken, full, np.zeros(blocks.size))
+        return cls(members, full, np.zeros(blocks.size))
 
 
 @dataclass(frozen=True, eq=False)
-class Precision:
+class PriorPrecision:
     """Prior precision of z at scale 1: what is `known`, and the unit matrix with mean zero for all else."""
 
-    blocks: Blocks
-    known: Known | None = None
+    blocks: UnknownBlocks
+    known: JointPrior | None = None
 
-    def takes(self, block: slice) -> bool:
+    def has_free_scale(self, block: slice) -> bool:
         """Whether a block is there and none of it is known, so that its scale is free."""
-        return block.stop > block.start and (self.known is None or not self.known.taken[block].any())
+        return block.stop > block.start and (self.known is None or not self.known.members[block].any())
 
     @property
-    def pull(self) -> Array:
+    def information_vector(self) -> Array:
         """(P,) precision times prior mean."""
-        return np.zeros(self.blocks.size) if self.known is None else self.known.pull
+        return np.zeros(self.blocks.size) if self.known is None else self.known.information_vector
 
     def matrix(self, scales: Scales) -> Array:
         """(P, P)."""
@@ -104,7 +107,7 @@ class Precision:
         diagonal = self.diagonal(scales)
         if self.known is not None:
             matrix += self.known.precision
-            diagonal[self.known.taken] = 0.0
+            diagonal[self.known.members] = 0.0
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
@@ -127,7 +130,7 @@ class Posterior:
     factor: Array
 
     @classmethod
-    def of(cls, matrix: Array, precision: Precision, scales: Scales) -> Posterior:
+    def of(cls, matrix: Array, precision: PriorPrecision, scales: Scales) -> Posterior:
         weighted = matrix * scales.noise**-2
         precision.add_to(weighted, scales)
         factor, wrong = dpotrf(weighted.T, lower=1, clean=1, overwrite_a=1)  # its transpose is Fortran-ordered

@@ -59,14 +59,14 @@ def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, al
 
 
 def observability(
-    model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, seer: str = "by this set"
+    model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, observer: str = "by this set"
 ) -> Observability:
     """Rank and named null space of an information matrix (p, p) in units of `scale` (p,)."""
     values, vectors = np.linalg.eigh(information)
     open_ = values <= _NULL * max(float(values[-1]), 1e-300)
     used = values[~open_]
     conditioning = float(np.sqrt(used[-1] / used[0])) if used.size else float("inf")
-    directions = _directions(model, vectors[:, open_], scale, tool_offsets, seer)
+    directions = _directions(model, vectors[:, open_], scale, tool_offsets, observer)
     return Observability(int(used.size), directions, conditioning)
 
 
@@ -104,13 +104,13 @@ def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
     return tuple(_group_text(members) for members in groups.values())
 
 
-def listed(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """`EXX`, `EXX and EYY`, `EXX, EYY and EZZ`."""
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def _directions(
-    model: ErrorModel, null: Array, scale: Array, tool_offsets: Array, seer: str
+    model: ErrorModel, null: Array, scale: Array, tool_offsets: Array, observer: str
 ) -> tuple[NullDirection, ...]:
     if null.shape[1] == 0:
         return ()
@@ -122,8 +122,8 @@ def _directions(
         changes = bool(direction @ form @ direction > _FIELD_NULL * largest) and bool(scale[pivot] > 0.0)
         names = [model.names[part] for part in parts]
         loadings = {model.names[part]: float(direction[part] * scale[part]) for part in parts}
-        how = _circumstance(tool_offsets, seer, changes) if scale[pivot] > 0.0 else FIXED
-        found.append((pivot, NullDirection(_text(names, how), loadings, changes, how)))
+        circumstance = _circumstance(tool_offsets, observer, changes) if scale[pivot] > 0.0 else FIXED
+        found.append((pivot, NullDirection(_text(names, circumstance), loadings, changes, circumstance)))
     return tuple(direction for _, direction in sorted(found, key=lambda pair: pair[0]))
 
 
@@ -151,9 +151,9 @@ def _sparse_basis(null: Array) -> list[tuple[int, Array]]:
     return list(zip(pivots, rows, strict=True))
 
 
-def _circumstance(tool_offsets: Array, seer: str, changes: bool) -> str:
+def _circumstance(tool_offsets: Array, observer: str, changes: bool) -> str:
     if changes:
-        return seer
+        return observer
     if len(tool_offsets) > 1:
         return f"with these {len(tool_offsets)} tools"
     along = np.flatnonzero(tool_offsets[0])
@@ -162,13 +162,13 @@ def _circumstance(tool_offsets: Array, seer: str, changes: bool) -> str:
     return "with one tool offset"
 
 
-def _text(names: list[str], how: str) -> str:
+def _text(names: list[str], circumstance: str) -> str:
     if len(names) == 1:
-        return f"{names[0]}: not seen {how}"
+        return f"{names[0]}: not seen {circumstance}"
     if len(names) > 1 + _MANY_PARTNERS:
         leading = ", ".join(names[1 : 1 + _MANY_PARTNERS])
-        return f"{names[0]} mixed with {len(names) - 1} others, most of all {leading}: not told apart {how}"
-    return f"{names[0]} merges with {listed(names[1:])}: not told apart {how}"
+        return f"{names[0]} mixed with {len(names) - 1} others, most of all {leading}: not told apart {circumstance}"
+    return f"{names[0]} merges with {join_names(names[1:])}: not told apart {circumstance}"
 
 
 def _group_text(members: list[NullDirection]) -> str:

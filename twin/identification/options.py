@@ -8,7 +8,7 @@ from typing import Literal
 from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification.drift import DriftPrior
-from twin.identification.prior_from_estimate import CarriedOver
+from twin.identification.prior_from_estimate import CarriedOverPrior
 
 Formulation = Literal["centres", "distances"]
 Weights = Literal["full", "unit"]
@@ -30,14 +30,14 @@ class Options:
     `misfit_mm`: prior rms, over the workspace, of what the model cannot represent; 0 switches it off. What is carried
     over keeps its own.
     `temperature_standard_uncertainty_k`: of the artefact's thermometer, common to all rows.
-    `drift`: what a machine may do that changes along the observations' course; None: it does not change. `holds_at`
-    (w,) K: the course of the state for which the estimate is to hold; None: where it is zero.
+    `drift`: prior of a drift along the thermal regressors of the observations; None if the machine does not drift.
+    `state_regressors` (w,) K: thermal regressors of the state that the estimate describes; None for all zero.
     """
 
     formulation: Formulation = "centres"
     use_prior: bool = True
     prior_standard_deviation: Array | None = None
-    carried_over: CarriedOver | None = None
+    carried_over: CarriedOverPrior | None = None
     weights: Weights = "full"
     estimate_scales: bool = True
     outliers: OutlierPolicy = "reject"
@@ -45,7 +45,7 @@ class Options:
     misfit_mm: float = 0.001
     temperature_standard_uncertainty_k: float = 0.0
     drift: DriftPrior | None = None
-    holds_at: Array | None = None
+    state_regressors: Array | None = None
 
     def __post_init__(self) -> None:
         _check_word("formulation", self.formulation, ("centres", "distances"))

@@ -19,11 +19,11 @@ from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.identification.estimate import Estimate
 from twin.identification.evidence import OrderEvidence
-from twin.identification.identify import identify_kept, kept_rows
+from twin.identification.identify import accepted_rows, identify_accepted
 from twin.identification.normal import Scales
 from twin.identification.options import Options
 from twin.identification.problem import build_problem
-from twin.identification.solution import evidence_of
+from twin.identification.solution import log_evidence_and_scales
 from twin.machine.machine_population import Family
 
 ORDERS = tuple(range(3, 10))
@@ -49,16 +49,16 @@ def identify_by_evidence(
     if not candidates:
         raise DataError("no order to compare")
     judged = replace(options, formulation="centres", weights="full")
-    kept = kept_rows(family_of(max(candidates)), observations, artefact, judged)
-    seen = observations.where(kept)
+    accepted = accepted_rows(family_of(max(candidates)), observations, artefact, judged)
+    seen = observations.where(accepted)
     evidence = {
-        order: evidence_of(build_problem(family_of(order), seen, artefact, judged), judged)
+        order: log_evidence_and_scales(build_problem(family_of(order), seen, artefact, judged), judged)
         for order in sorted(candidates)
     }
     table = _judged(evidence)
     chosen = next(entry.order for entry in table if entry.chosen)
     return replace(
-        identify_kept(family_of(chosen), observations, artefact, options, kept),
+        identify_accepted(family_of(chosen), observations, artefact, options, accepted),
         order_evidence=table,
     )
 

@@ -28,7 +28,7 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
     """Sorted rows to be rejected now: of each position at most the worst one beyond the limit."""
     square = studentised_squares(solution)
-    limit = 3.0 * float(fdtri(3.0, solution.freedom, 1.0 - false_alarm / len(square)))
+    limit = 3.0 * float(fdtri(3.0, solution.degrees_of_freedom, 1.0 - false_alarm / len(square)))
     limit = max(limit, _COMPARABLE * float(square.max()))
     layout = solution.equations.problem.layout
     worst = layout.pad(square).argmax(axis=1) + np.concatenate(([0], np.cumsum(layout.counts)[:-1]))

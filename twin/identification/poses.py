@@ -16,7 +16,7 @@ _UNSEEN = 1e-10  # eigenvalue of the scaled 6x6 normal equations below which an 
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class RowLayout:
     """Rows sorted by position and laid out as (positions, width) with empty places at the end of short ones.
 
     `order` (n,) brings the given rows into position order; `counts` (K,) balls of each position.
@@ -26,7 +26,7 @@ class Layout:
     counts: np.ndarray[Any, np.dtype[np.int64]]
 
     @classmethod
-    def of(cls, position: np.ndarray[Any, np.dtype[np.int64]]) -> Layout:
+    def of(cls, position: np.ndarray[Any, np.dtype[np.int64]]) -> RowLayout:
         order = np.argsort(position, kind="stable")
         return cls(order, np.unique(position, return_counts=True)[1])
 
@@ -80,7 +80,7 @@ class Poses:
     rotation: Array
     translation: Array
 
-    def place(self, layout: Layout, local: Array) -> Array:
+    def place(self, layout: RowLayout, local: Array) -> Array:
         """Workpiece coordinates (n, 3) of artefact points (n, 3), rows sorted by position."""
         turned = layout.pad(local) @ self.rotation.transpose(0, 2, 1)
         turned += self.translation[:, None, :]
@@ -103,7 +103,7 @@ class PoseArms:
     length: Array
 
     @classmethod
-    def of(cls, layout: Layout, local: Array) -> PoseArms:
+    def of(cls, layout: RowLayout, local: Array) -> PoseArms:
         padded = layout.pad(local)
         middle = padded.sum(axis=1) / layout.counts[:, None]
         offset = (padded - middle[:, None, :]) * layout.present[:, :, None]
@@ -111,7 +111,7 @@ class PoseArms:
         return cls(middle, np.where(length > 0.0, length, 1.0))
 
 
-def rigid_poses(layout: Layout, local: Array, found: Array) -> Poses:
+def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
     """Best rigid pose of each position by Kabsch's method: artefact points (n, 3) onto found points (n, 3).
 
     Where the balls of a position stand in one line their roll is not seen: the roll of the mount is taken, which
@@ -143,7 +143,7 @@ class PoseProjector:
     seen: int
 
     @classmethod
-    def of(cls, layout: Layout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
+    def of(cls, layout: RowLayout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
         """`weight` (K, width, 3, 3): W of each place, WᵀW the inverse covariance, zero in the empty ones."""
         lever = (layout.pad(local) - arms.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
         lever /= arms.length[:, None, None]

@@ -39,7 +39,7 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
-    beside = 3.0 * unresolved(estimate)
+    beside = 3.0 * unresolved_variance(estimate)
     raw, left = (float(np.vdot(form, moments)) + beside for form in field_forms(estimate, grid, offset))
     return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(left, 0.0))))
 
@@ -61,15 +61,15 @@ def field_uncertainty(
         chunk = at[start : start + _CHUNK]
         field = field_columns(estimate, chunk, offset) - motions(chunk) @ carried
         squares[start : start + _CHUNK] = np.einsum("nip,nip->ni", field @ moments, field)
-    return np.sqrt(np.maximum(squares, 0.0) + unresolved(estimate))
+    return np.sqrt(np.maximum(squares, 0.0) + unresolved_variance(estimate))
 
 
-def left_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
+def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
     """Expected outer product (3n, 3n) mm² of machine less model at axis positions (n, 3), point by point x, y, z."""
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
     columns = field_columns(estimate, grid, offset).reshape(-1, len(moments))
-    return np.asarray(columns @ moments @ columns.T) + unresolved(estimate) * np.eye(len(columns))
+    return np.asarray(columns @ moments @ columns.T) + unresolved_variance(estimate) * np.eye(len(columns))
 
 
 def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:
@@ -135,7 +135,7 @@ def _second_moments(estimate: FieldKnowledge) -> Array:
     return np.block([[estimate.covariance, misfit.cross_covariance], [misfit.cross_covariance.T, expected]])
 
 
-def unresolved(estimate: FieldKnowledge) -> float:
+def unresolved_variance(estimate: FieldKnowledge) -> float:
     """Variance (mm²), per direction and without correlation, of what is too short in space for the misfit's modes."""
     return 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2
 

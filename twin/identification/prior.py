@@ -31,7 +31,7 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
     old = carried.unknowns
     if old.model != family.model:
         raise DataError("the estimate carried over belongs to another model", hint="identify the model that it is of")
-    if old.artefact.belong_to(artefact):
+    if old.artefact.matches(artefact):
         thermometer = old.artefact.thermometer_standard_uncertainty_k
         thermometer = thermometer or options.temperature_standard_uncertainty_k
         errors = replace(old.artefact, thermometer_standard_uncertainty_k=thermometer)
@@ -41,10 +41,10 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
 
 
 def _drift(family: Family, seen: Observations, options: Options, scale: Array) -> MachineDrift | None:
-    ways = seen.thermal_regressors.shape[1]
-    if options.drift is None or ways == 0:
+    regressor_count = seen.thermal_regressors.shape[1]
+    if options.drift is None or regressor_count == 0:
         return None
-    return MachineDrift.of(family.model, options.drift, ways, scale > 0.0)
+    return MachineDrift.of(family.model, options.drift, regressor_count, scale > 0.0)
 
 
 def _scale(family: Family, options: Options) -> Array:

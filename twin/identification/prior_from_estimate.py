@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dpotrf
 
 from twin.arrays import Array, as_vector
 from twin.errors import DataError
-from twin.identification.normal import Known, Scales
+from twin.identification.normal import JointPrior, Scales
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
@@ -26,7 +26,7 @@ _WALK_GRID = (20, 10, 10)
 
 
 @dataclass(frozen=True, eq=False)
-class CarriedOver:
+class CarriedOverPrior:
     """Mean (P,) and covariance (P, P) of z, whose units `unknowns` states; `scales` led to them.
 
     Raises DataError, naming the unknown, for a covariance that is singular or no covariance.
@@ -57,7 +57,7 @@ class CarriedOver:
             )
         object.__setattr__(self, "covariance", covariance)
 
-    def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOver:
+    def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOverPrior:
         """Some nights later: each parameter has walked by `process_noise` (p,) standard deviations (mm or rad) a night.
 
         A parameter that the family holds at zero (no unit) stays there.
@@ -86,20 +86,20 @@ def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Ar
     return np.asarray(deviation * (field_mm / whole)) if whole > 0.0 else np.zeros_like(deviation)
 
 
-def known_to(unknowns: Unknowns, carried: CarriedOver) -> Known:
+def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior:
     """What is carried over to the unknowns of another night; what these have beside it keeps its own prior."""
     pairs = list(_shared(carried.unknowns, unknowns))
     there, here = (
         np.concatenate([np.arange(part.start, part.stop) for part in parts]) for parts in zip(*pairs, strict=True)
     )
     size = unknowns.blocks.size
-    taken, precision, pull = np.zeros(size, dtype=bool), np.zeros((size, size)), np.zeros(size)
+    taken, precision, information_vector = np.zeros(size, dtype=bool), np.zeros((size, size)), np.zeros(size)
     inverse = np.linalg.inv(carried.covariance[np.ix_(there, there)])
     inverse = 0.5 * (inverse + inverse.T)
     taken[here] = True
     precision[np.ix_(here, here)] = inverse
-    pull[here] = inverse @ carried.mean[there]
-    return Known(taken, precision, pull)
+    information_vector[here] = inverse @ carried.mean[there]
+    return JointPrior(taken, precision, information_vector)
 
 
 def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
@@ -108,9 +108,9 @@ def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
     yield before.parameters, now.parameters
     if old.artefact.certificate is new.artefact.certificate:
         yield before.certificate, now.certificate
-        for place, name in enumerate(new.artefact.strains):
-            if name in old.artefact.strains:
-                at = before.strain.start + old.artefact.strains.index(name)
+        for place, name in enumerate(new.artefact.strain_names):
+            if name in old.artefact.strain_names:
+                at = before.strain.start + old.artefact.strain_names.index(name)
                 yield slice(at, at + 1), slice(now.strain.start + place, now.strain.start + place + 1)
     if old.modes is not None and old.modes is new.modes:
         yield before.misfit, now.misfit

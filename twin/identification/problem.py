@@ -5,7 +5,7 @@ For row i of position k, with ball b and tool offset t,
     X_i + t + d(X_i; E) + misfit(X_i) + drift(X_i, i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
 
 and every unknown but the poses is a vector z of unit-normal prior: parameters E, certificate errors δb, thermal strain
-δs (CTE and thermometer), misfit modes, drift of the machine. Rows are kept sorted by position.
+δs (CTE and thermometer), misfit modes, drift of the machine. Rows are accepted sorted by position.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError
-from twin.identification.normal import Known
+from twin.identification.normal import JointPrior
 from twin.identification.options import Options
-from twin.identification.poses import Layout, PoseArms, Poses, rigid_poses
+from twin.identification.poses import PoseArms, Poses, RowLayout, rigid_poses
 from twin.identification.prior import unknowns_of
-from twin.identification.prior_from_estimate import known_to
-from twin.identification.unknowns import ArtefactErrors, Blocks, Unknowns
+from twin.identification.prior_from_estimate import joint_prior_for
+from twin.identification.unknowns import ArtefactErrors, UnknownBlocks, Unknowns
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.machine_population import Family
 
@@ -50,7 +50,7 @@ class Nuisance:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class IdentificationProblem:
     """Everything that does not change while the poses and z are improved. Rows (n) sorted by position.
 
     `local` (n, 3) mm: nominal artefact points at the rows' temperature and elevation; `design` (K, width, 3, P):
@@ -59,11 +59,11 @@ class Problem:
     """
 
     unknowns: Unknowns
-    known: Known | None
+    known: JointPrior | None
     nuisance: Nuisance
-    blocks: Blocks
+    blocks: UnknownBlocks
     observations: Observations
-    layout: Layout
+    layout: RowLayout
     local: Array
     arms: PoseArms
     poses: Poses
@@ -103,13 +103,13 @@ class Problem:
             deviation[rows] = exact_deviation(self.unknowns.model, seen.axis_positions[rows], offset, parameters)
         return deviation
 
-    def without(self, kept: np.ndarray[Any, Any]) -> Problem:
-        """The problem with only the rows that `kept` (n,) bool selects."""
-        layout = Layout.of(self.observations.position[kept])
-        local = self.local[kept]
-        seen = self.observations.where(kept)
-        nuisance = replace(self.nuisance, strain_rows=self.nuisance.strain_rows[kept])
-        used = np.unique(self.observations.position, return_inverse=True)[1][kept]
+    def with_rows(self, accepted: np.ndarray[Any, Any]) -> IdentificationProblem:
+        """The problem with only the rows that `accepted` (n,) bool selects."""
+        layout = RowLayout.of(self.observations.position[accepted])
+        local = self.local[accepted]
+        seen = self.observations.where(accepted)
+        nuisance = replace(self.nuisance, strain_rows=self.nuisance.strain_rows[accepted])
+        used = np.unique(self.observations.position, return_inverse=True)[1][accepted]
         alive = np.unique(used)
         poses = Poses(self.poses.rotation[alive], self.poses.translation[alive])
         return replace(
@@ -120,17 +120,19 @@ class Problem:
             arms=PoseArms.of(layout, local),
             nuisance=nuisance,
             poses=poses,
-            design=_laid_out(layout, self.layout.unpad(self.design)[kept]),
+            design=_laid_out(layout, self.layout.unpad(self.design)[accepted]),
         )
 
 
-def build_problem(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Problem:
+def build_problem(
+    family: Family, observations: Observations, artefact: Artefact, options: Options
+) -> IdentificationProblem:
     """Problem at the rigid poses of the measured points.
 
     DataError for a ball that the artefact does not have and for a prior that cannot be used.
     """
     _check_balls(observations, artefact)
-    layout = Layout.of(observations.position)
+    layout = RowLayout.of(observations.position)
     seen = observations if _is_sorted(layout.order) else observations.where(layout.order)
     local = _artefact_points(artefact, seen)
     poses = rigid_poses(layout, local, tool_points(seen))
@@ -138,9 +140,9 @@ def build_problem(family: Family, observations: Observations, artefact: Artefact
     warmer_k = seen.temperature_c - artefact.reference_temperature_c
     nuisance = Nuisance(unknowns.artefact, unknowns.artefact.strain_rows(warmer_k))
     design = _design(unknowns, nuisance, seen, layout, poses)
-    return Problem(
+    return IdentificationProblem(
         unknowns=unknowns,
-        known=None if options.carried_over is None else known_to(unknowns, options.carried_over),
+        known=None if options.carried_over is None else joint_prior_for(unknowns, options.carried_over),
         nuisance=nuisance,
         blocks=unknowns.blocks,
         observations=seen,
@@ -154,10 +156,10 @@ def build_problem(family: Family, observations: Observations, artefact: Artefact
 
 def _only(z: Array, *blocks: slice) -> Array:
     """z (P,) with zero outside the blocks."""
-    kept = np.zeros_like(z)
+    accepted = np.zeros_like(z)
     for block in blocks:
-        kept[block] = z[block]
-    return kept
+        accepted[block] = z[block]
+    return accepted
 
 
 def tool_points(observations: Observations) -> Array:
@@ -197,13 +199,13 @@ def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.nda
     return [(int(tool), np.flatnonzero(tools == tool)) for tool in np.unique(tools)]
 
 
-def _laid_out(layout: Layout, rows: Array) -> Array:
+def _laid_out(layout: RowLayout, rows: Array) -> Array:
     """(K, width, ...) from sorted rows (n, ...); an empty place repeats another row of its position."""
     laid = rows if layout.full else rows.take(layout.source, axis=0)
     return laid.reshape(layout.positions, layout.width, *rows.shape[1:])
 
 
-def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: Layout, poses: Poses) -> Array:
+def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: RowLayout, poses: Poses) -> Array:
     """(K·width, 3, P)."""
     source, blocks = layout.source, unknowns.blocks
     at, tool = seen.axis_positions[source], seen.tool[source]
@@ -235,7 +237,7 @@ def _fill_field(
 
 
 def _fill_artefact(
-    design: Array, blocks: Blocks, nuisance: Nuisance, source: Rows, ball: Rows, rotation: Array
+    design: Array, blocks: UnknownBlocks, nuisance: Nuisance, source: Rows, ball: Rows, rotation: Array
 ) -> None:
     errors = nuisance.errors
     certificate = errors.certificate.reshape(len(errors.balls), 3, -1)

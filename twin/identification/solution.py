@@ -11,13 +11,13 @@ from twin.errors import SingularSet
 from twin.identification.alternatives import Alternative, alternatives, mean_and_covariance
 from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
-from twin.identification.evidence import likely_scales, log_evidence
-from twin.identification.normal import Known, Normal, Posterior, Precision, Scales
+from twin.identification.evidence import log_evidence, most_likely_scales
+from twin.identification.normal import JointPrior, NormalEquations, Posterior, PriorPrecision, Scales
 from twin.identification.observability import null_space, observability, summary
 from twin.identification.options import Formulation, Options
 from twin.identification.poses import Poses
-from twin.identification.problem import Problem, Sides
-from twin.identification.unknowns import Blocks
+from twin.identification.problem import IdentificationProblem, Sides
+from twin.identification.unknowns import UnknownBlocks
 
 _MAX_STEPS = 8
 _CONVERGED = 1e-3  # of a prior standard deviation; a step leaves less than 1e-3 of itself to the next one
@@ -34,7 +34,7 @@ class Solution:
     """
 
     equations: Equations
-    precision: Precision
+    precision: PriorPrecision
     scales: Scales
     posterior: Posterior
     covariance: Array
@@ -42,12 +42,12 @@ class Solution:
     poses: Poses
     sides: Sides
     chi2: float
-    freedom: float
-    free: bool = False
+    degrees_of_freedom: float
+    scales_estimated: bool = False
     alternatives: tuple[Alternative, ...] = ()
 
 
-def solve(problem: Problem, options: Options, formulation: Formulation) -> Solution:
+def solve(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
     """Maximum a posteriori solution; SingularSet where the prior is off and the set leaves part of the field open."""
     if options.weights == "unit":
         return _solve_plain(problem, options, formulation)
@@ -56,52 +56,54 @@ def solve(problem: Problem, options: Options, formulation: Formulation) -> Solut
     start, poses, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
     scales = _start_scales(options)
     if options.estimate_scales:
-        scales = likely_scales(start, precision, scales)
+        scales = most_likely_scales(start, precision, scales)
     posterior = Posterior.of(equations.matrix, precision, scales)
-    gain = _Gain(posterior, scales.noise**2, precision.pull)
+    gain = _Gain(posterior, scales.noise**2, precision.information_vector)
     z, normal, poses, sides = _iterate(equations, gain, start, poses)
     covariance = posterior.covariance
     taken = float(np.vdot(covariance, equations.matrix)) / scales.noise**2
-    freedom = max(equations.rows - taken, 1.0)
-    chi2 = normal.misfit_square(z) / freedom
+    degrees_of_freedom = max(equations.rows - taken, 1.0)
+    chi2 = normal.misfit_square(z) / degrees_of_freedom
     free = options.estimate_scales
-    return Solution(equations, precision, scales, posterior, covariance, z, poses, sides, chi2, freedom, free)
+    return Solution(
+        equations, precision, scales, posterior, covariance, z, poses, sides, chi2, degrees_of_freedom, free
+    )
 
 
-def over_scales(solution: Solution) -> Solution:
+def average_over_scales(solution: Solution) -> Solution:
     """The solution with z and covariance over all scales that the measurements allow, instead of the likeliest only."""
-    if not solution.free:
+    if not solution.scales_estimated:
         return solution
     equations, scales = solution.equations, solution.scales
     found = alternatives(equations.matrix, solution.precision, solution.posterior, solution.z, scales, equations.rows)
     z, covariance = mean_and_covariance(found)
     normal, poses, sides = _normal(equations, z, solution.poses)
-    chi2 = normal.misfit_square(z) / solution.freedom
+    chi2 = normal.misfit_square(z) / solution.degrees_of_freedom
     return replace(solution, z=z, covariance=covariance, poses=poses, sides=sides, chi2=chi2, alternatives=found)
 
 
-def evidence_of(problem: Problem, options: Options) -> tuple[float, Scales]:
+def log_evidence_and_scales(problem: IdentificationProblem, options: Options) -> tuple[float, Scales]:
     """Log evidence of ball centres with full weights, but for what only the rows say, and the likeliest scales."""
     equations = _equations(problem, "centres", unit_weights=False)
     normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
     precision = _precision(problem, equations.matrix, options)
     scales = _start_scales(options)
     if options.estimate_scales:
-        scales = likely_scales(normal, precision, scales)
+        scales = most_likely_scales(normal, precision, scales)
     return log_evidence(normal, precision, scales), scales
 
 
-def _equations(problem: Problem, formulation: Formulation, unit_weights: bool) -> Equations:
+def _equations(problem: IdentificationProblem, formulation: Formulation, unit_weights: bool) -> Equations:
     if formulation == "centres":
         return CentreEquations.build(problem, unit_weights)
     return DistanceEquations.build(problem, unit_weights)
 
 
-def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[Normal, Poses, Sides]:
+def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[NormalEquations, Poses, Sides]:
     """Normal equations with the exact residuals at z, the poses that fit best there, and both sides there."""
     sides = equations.problem.sides(z)
     right, square, poses = equations.right_side(z, sides, poses)
-    return Normal(equations.matrix, right, square, equations.rows), poses, sides
+    return NormalEquations(equations.matrix, right, square, equations.rows), poses, sides
 
 
 def _start_scales(options: Options) -> Scales:
@@ -116,13 +118,15 @@ class _Gain:
 
     posterior: Posterior
     variance: float
-    pull: Array
+    information_vector: Array
 
-    def of(self, normal: Normal) -> Array:
-        return self.posterior.solve(normal.right / self.variance + self.pull)
+    def of(self, normal: NormalEquations) -> Array:
+        return self.posterior.solve(normal.right / self.variance + self.information_vector)
 
 
-def _iterate(equations: Equations, gain: _Gain, normal: Normal, poses: Poses) -> tuple[Array, Normal, Poses, Sides]:
+def _iterate(
+    equations: Equations, gain: _Gain, normal: NormalEquations, poses: Poses
+) -> tuple[Array, NormalEquations, Poses, Sides]:
     """Gauss-Newton: exact residuals, one factorisation; the field is linear to nanometres, so two steps do.
 
     The sides at the last z are those of the step before, carried on by the design: a step below `_CONVERGED` leaves
@@ -140,17 +144,17 @@ def _iterate(equations: Equations, gain: _Gain, normal: Normal, poses: Poses) ->
     )
 
 
-def _precision(problem: Problem, matrix: Array, options: Options) -> Precision:
+def _precision(problem: IdentificationProblem, matrix: Array, options: Options) -> PriorPrecision:
     """Unit prior; with the prior off, only directions that the measurements leave open are held at zero."""
     if options.use_prior:
-        return Precision(problem.blocks, problem.known)
+        return PriorPrecision(problem.blocks, problem.known)
     block = problem.blocks.parameters
     if options.formulation == "centres" and options.weights == "full":
         _refuse_open_field(problem, matrix[block, block])
-    return Precision(problem.blocks, Known.held(problem.blocks, _held(matrix[block, block])))
+    return PriorPrecision(problem.blocks, JointPrior.at_zero(problem.blocks, _null_projector(matrix[block, block])))
 
 
-def _refuse_open_field(problem: Problem, information: Array) -> None:
+def _refuse_open_field(problem: IdentificationProblem, information: Array) -> None:
     tools = problem.observations.used_tool_offsets
     seen = observability(problem.unknowns.model, information, problem.unknowns.scale, tools)
     unseen = [direction for direction in seen.null_directions if direction.changes_field]
@@ -161,14 +165,16 @@ def _refuse_open_field(problem: Problem, information: Array) -> None:
         )
 
 
-def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -> Solution:
+def _solve_plain(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
     """The published weighting: all equations alike, no nuisance. Its covariance is that of the estimator under the full
     model (sandwich), so that what it is worth is still told honestly."""
     equations = _equations(problem, formulation, unit_weights=True)
     block, size = problem.blocks.parameters, problem.blocks.size
     information = equations.matrix[block, block]
-    alone = Blocks.of(block.stop, 0, 0)
-    precision = Precision(alone, None if options.use_prior else Known.held(alone, _held(information)))
+    alone = UnknownBlocks.of(block.stop, 0, 0)
+    precision = PriorPrecision(
+        alone, None if options.use_prior else JointPrior.at_zero(alone, _null_projector(information))
+    )
     posterior = Posterior.of(information, precision, Scales())
     z, poses = np.zeros(size), problem.poses
     for _ in range(_MAX_STEPS):
@@ -180,18 +186,18 @@ def _solve_plain(problem: Problem, options: Options, formulation: Formulation) -
             break
     covariance, expected = _sandwich(equations, posterior, problem)
     taken = float((posterior.covariance * information).sum())
-    freedom = max(equations.rows - taken, 1.0)
+    degrees_of_freedom = max(equations.rows - taken, 1.0)
     chi2 = normal.misfit_square(z) / expected
     sides = problem.sides(z)
-    return Solution(equations, precision, Scales(), posterior, covariance, z, poses, sides, chi2, freedom)
+    return Solution(equations, precision, Scales(), posterior, covariance, z, poses, sides, chi2, degrees_of_freedom)
 
 
-def _held(information: Array) -> Array:
+def _null_projector(information: Array) -> Array:
     open_ = null_space(information)
     return np.asarray(open_ @ open_.T)
 
 
-def _sandwich(equations: Equations, posterior: Posterior, problem: Problem) -> tuple[Array, float]:
+def _sandwich(equations: Equations, posterior: Posterior, problem: IdentificationProblem) -> tuple[Array, float]:
     """Covariance (P, P) of truth less estimate for the gain H⁻¹ Aᵀ, and the expected square of the residuals, where the
     truth follows the prior, the noise its stated covariance and the nuisance the full model."""
     blocks = problem.blocks

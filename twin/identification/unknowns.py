@@ -20,7 +20,7 @@ Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
+class UnknownBlocks:
     """Where each kind of unknown stands in z; `kinds`: within the misfit, one after the other; the drift comes last."""
 
     parameters: slice
@@ -31,7 +31,9 @@ class Blocks:
     drifting: int = 0
 
     @classmethod
-    def of(cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = (), drift: int = 0) -> Blocks:
+    def of(
+        cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = (), drift: int = 0
+    ) -> UnknownBlocks:
         """One after the other, of these sizes; of the misfit those of its kinds."""
         ends = np.cumsum([parameters, certificate, strain, *misfit]).tolist()
         first, second, third, *kinds = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
@@ -61,7 +63,7 @@ class ArtefactErrors:
     thermometer_standard_uncertainty_k: float
 
     @property
-    def strains(self) -> tuple[str, ...]:
+    def strain_names(self) -> tuple[str, ...]:
         """Thermal unknowns in their order."""
         doubts = (
             ("cte", self.cte_standard_uncertainty_per_k),
@@ -75,10 +77,10 @@ class ArtefactErrors:
             "cte": self.cte_standard_uncertainty_per_k * warmer_k,
             "thermometer": np.full(len(warmer_k), self.cte_per_k * self.thermometer_standard_uncertainty_k),
         }
-        chosen = [columns[name] for name in self.strains]
+        chosen = [columns[name] for name in self.strain_names]
         return np.stack(chosen, axis=1) if chosen else np.zeros((len(warmer_k), 0))
 
-    def belong_to(self, artefact: Artefact) -> bool:
+    def matches(self, artefact: Artefact) -> bool:
         """Whether the artefact and its certificate are the same."""
         if self.balls.shape != artefact.balls.shape or not np.array_equal(self.balls, artefact.balls):
             return False
@@ -103,11 +105,11 @@ class Unknowns:
     drift: MachineDrift | None = None
 
     @property
-    def blocks(self) -> Blocks:
+    def blocks(self) -> UnknownBlocks:
         misfit = () if self.modes is None else self.modes.sizes
         drift = 0 if self.drift is None else self.drift.size
-        certificate, strains = self.artefact.certificate.shape[1], len(self.artefact.strains)
-        return Blocks.of(self.model.size, certificate, strains, misfit, drift)
+        certificate, strains = self.artefact.certificate.shape[1], len(self.artefact.strain_names)
+        return UnknownBlocks.of(self.model.size, certificate, strains, misfit, drift)
 
     def name(self, index: int) -> str:
         """For people: `EXX[1]`, `certificate 3`, `strain cte`, `misfit 12`."""
@@ -117,7 +119,7 @@ class Unknowns:
         if index < blocks.strain.start:
             return f"certificate {index - blocks.certificate.start}"
         if index < blocks.misfit.start:
-            return f"strain {self.artefact.strains[index - blocks.strain.start]}"
+            return f"strain {self.artefact.strain_names[index - blocks.strain.start]}"
         if index < blocks.drift.start:
             return f"misfit {index - blocks.misfit.start}"
         return f"drift {index - blocks.drift.start}"

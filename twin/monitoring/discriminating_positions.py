@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Array
-from twin.design.candidates import Candidates
+from twin.design.candidates import CandidatePositions
 from twin.identification.unknowns import Unknowns
 from twin.monitoring.step_detection import ERRORS
 
@@ -48,7 +48,11 @@ class JumpQuestions:
 
 
 def rank_discriminating_positions(
-    candidates: Candidates, measured: list[int], questions: JumpQuestions, allowed: NDArray[np.bool_], minutes: Array
+    candidates: CandidatePositions,
+    measured: list[int],
+    questions: JumpQuestions,
+    allowed: NDArray[np.bool_],
+    minutes: Array,
 ) -> Iterator[int]:
     """Candidates by falling worth per minute, each given those before it and those `measured`; `allowed` (N,) may be
     chosen, each once. What is answered already counts little: the sum of ln(1 + noncentrality) grows most."""
@@ -64,7 +68,7 @@ def rank_discriminating_positions(
         told = told + each[best]
 
 
-def _answered(candidates: Candidates, measured: list[int], questions: JumpQuestions) -> Array:
+def _answered(candidates: CandidatePositions, measured: list[int], questions: JumpQuestions) -> Array:
     """(q,) by the positions `measured`, one after the other."""
     told = np.zeros(len(questions.weights))
     for number, index in enumerate(measured):

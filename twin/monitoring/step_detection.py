@@ -26,10 +26,10 @@ from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification.centres import CentreEquations
-from twin.identification.normal import Normal, Precision
+from twin.identification.normal import NormalEquations, PriorPrecision
 from twin.identification.options import Options
-from twin.identification.prior_from_estimate import CarriedOver
-from twin.identification.problem import Problem, build_problem
+from twin.identification.prior_from_estimate import CarriedOverPrior
+from twin.identification.problem import IdentificationProblem, build_problem
 from twin.identification.unknowns import Unknowns
 from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS
 from twin.machine.legendre import legendre_values
@@ -157,7 +157,7 @@ class Innovation:
         )
 
 
-def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOver) -> Innovation:
+def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
     """`observations` against what is `known` (process noise of the time since included). The touch noise has the scale
     that was found with what is known.
 
@@ -165,10 +165,10 @@ def innovation(family: Family, observations: Observations, artefact: Artefact, k
     """
     options = Options(carried_over=known, outliers="none", estimate_scales=False)
     problem = build_problem(family, observations, artefact, options)
-    precision = Precision(problem.blocks, problem.known)
+    precision = PriorPrecision(problem.blocks, problem.known)
     before = precision.matrix(known.scales)
     factor = cho_factor(before, lower=True)
-    mean, covariance = cho_solve(factor, precision.pull), cho_solve(factor, np.eye(len(before)))
+    mean, covariance = cho_solve(factor, precision.information_vector), cho_solve(factor, np.eye(len(before)))
     normal = _normal(problem, mean)
     variance = known.scales.noise**2
     right = (normal.right - normal.matrix @ mean) / variance
@@ -186,10 +186,10 @@ def innovation(family: Family, observations: Observations, artefact: Artefact, k
     )
 
 
-def _normal(problem: Problem, mean: Array) -> Normal:
+def _normal(problem: IdentificationProblem, mean: Array) -> NormalEquations:
     """Normal equations with the exact residuals at the mean."""
     equations = CentreEquations.build(problem, unit_weights=False)
     sides, poses = problem.sides(mean), problem.poses
     for _ in range(_EXACT_STEPS):
         right, square, poses = equations.right_side(mean, sides, poses)
-    return Normal(equations.matrix, right, square, equations.rows)
+    return NormalEquations(equations.matrix, right, square, equations.rows)

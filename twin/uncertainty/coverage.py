@@ -18,8 +18,8 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.identification import Estimate, Options
 from twin.identification.poses import rigid_poses
-from twin.identification.predicted import field_columns, unresolved
-from twin.identification.problem import Problem, build_problem
+from twin.identification.predicted import field_columns, unresolved_variance
+from twin.identification.problem import IdentificationProblem, build_problem
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_population import Family
 from twin.machine.rigid_motion import rigid_fields
@@ -32,21 +32,21 @@ _RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
-class Share:
+class ObservedCoverage:
     """How many of the comparisons of all machines were held, and the standard error of that from machine to machine."""
 
     observed: float
     standard_error: float
 
 
-def share_held(levels: Sequence[Array], nominal: float, rng: np.random.Generator) -> Share:
+def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Generator) -> ObservedCoverage:
     """Coverage at a nominal level; `levels`: of each machine its comparisons (m,). The standard error is that of
     machines drawn again with replacement (bootstrap), since the comparisons of one machine go together."""
     held = np.array([np.count_nonzero(one <= nominal) for one in levels], dtype=np.float64)
     counts = np.array([np.size(one) for one in levels], dtype=np.float64)
     drawn = rng.multinomial(len(levels), np.full(len(levels), 1.0 / len(levels)), size=_RESAMPLES)
     again = (drawn @ held) / (drawn @ counts)
-    return Share(float(held.sum() / counts.sum()), float(again.std()))
+    return ObservedCoverage(float(held.sum() / counts.sum()), float(again.std()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,19 +73,19 @@ class FieldError:
         motions = np.linalg.qr(_motions(axis_positions + offset))[0]
         columns = columns - motions @ (motions.T @ columns)
         whole = columns @ covariance @ columns.T
-        whole += unresolved(estimate) * (np.eye(len(columns)) - motions @ motions.T)
+        whole += unresolved_variance(estimate) * (np.eye(len(columns)) - motions @ motions.T)
         return cls(expected - motions @ (motions.T @ expected), whole)
 
     def pointwise_levels(self) -> Array:
         """(3n,) of each component at each point by itself."""
-        return two_sided(self.error / np.sqrt(np.diagonal(self.covariance)))
+        return two_sided_level(self.error / np.sqrt(np.diagonal(self.covariance)))
 
     def joint_level(self) -> float:
         """Of all components at all points together."""
         return joint_level(self.error, self.covariance)
 
 
-def two_sided(standardised: Array) -> Array:
+def two_sided_level(standardised: Array) -> Array:
     """Level of the symmetric interval that just reaches each of (n,) standard normal variables."""
     return np.asarray(2.0 * ndtr(np.abs(standardised)) - 1.0)
 
@@ -105,7 +105,7 @@ def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) ->
     """
     sigma = estimate.standard_uncertainty
     known = sigma < share_of_prior * estimate.scales.prior * estimate.prior_scale
-    return two_sided((truth - estimate.parameters)[known] / sigma[known])
+    return two_sided_level((truth - estimate.parameters)[known] / sigma[known])
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def volumetric_comparisons(
     left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
     stated = volumetric_distributions(estimate, grid, offset)
     found = []
-    for field, distribution in ((true, stated.before), (left, stated.left)):
+    for field, distribution in ((true, stated.ve), (left, stated.vce)):
         rms_mm = volumetric_error(grid + offset, field).aligned_mm
         below = distribution.aligned.at_most(rms_mm**2)
         found.append(VolumetricComparison(rms_mm, distribution.expected.aligned_mm, abs(2.0 * below - 1.0)))
@@ -144,7 +144,7 @@ def held_out_levels(
     return np.array([_held_out_level(estimate, problem, residuals, k) for k in range(problem.layout.positions)])
 
 
-def _held_out_level(estimate: Estimate, problem: Problem, residuals: Array, place: int) -> float:
+def _held_out_level(estimate: Estimate, problem: IdentificationProblem, residuals: Array, place: int) -> float:
     layout = problem.layout
     rows = np.flatnonzero(layout.index == place)
     design = problem.design[place, : len(rows)].reshape(3 * len(rows), -1)

@@ -21,15 +21,15 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError
 from twin.identification.options import Options
-from twin.identification.problem import Problem, build_problem
+from twin.identification.problem import IdentificationProblem, build_problem
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.linear_estimator import LinearEstimator
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution
-from twin.uncertainty.residual_field_form import FieldForm, deflected
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.residual_field_form import FieldForm, clamped_deflection
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 from twin.uncertainty.volumetric_distribution import VolumetricDistribution
 
 TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE = "touch noise", "certificate", "CTE", "temperature"
@@ -85,7 +85,7 @@ class ErrorBudget:
     def parameter_uncertainty(self) -> Array:
         """(p,) root mean square of true less identified parameters of the model identified, in mm or rad."""
         squares = np.maximum(np.diagonal(self.total) + self.bias**2, 0.0)
-        return np.asarray(np.sqrt(squares[self.field.own]))
+        return np.asarray(np.sqrt(squares[self.field.model_indices]))
 
     def field_uncertainty(self, axis_positions: ArrayLike, aligned: bool = False) -> Array:
         """Expected root mean square (n, 3) mm of the field left at axis positions (n, 3), per direction.
@@ -103,26 +103,28 @@ def error_budget(
     artefact: Artefact,
     observations: Observations,
     options: Options,
-    reality: Reality,
+    assumptions: TruthAssumptions,
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> ErrorBudget:
-    """Expected error of identifying `model` from planned `observations` of `artefact` on the machines of `reality`.
+    """Expected error of identifying `model` from planned `observations` of `artefact` on the machines of `assumptions`.
 
     `family`: the prior; `grid` (n, 3), `tool_offset` (3,): where the error counts. Scales stay at 1 and no ball is
-    rejected, whatever `options` say. To judge many sets build the `FieldForm` once and use `budget_of`.
+    rejected, whatever `options` say. To judge many sets build the `FieldForm` once and use `error_budget_of_form`.
     """
-    return budget_of(FieldForm.build(model, reality, grid, tool_offset), family, artefact, observations, options)
+    return error_budget_of_form(
+        FieldForm.build(model, assumptions, grid, tool_offset), family, artefact, observations, options
+    )
 
 
-def budget_of(
+def error_budget_of_form(
     field: FieldForm, family: Family, artefact: Artefact, observations: Observations, options: Options
 ) -> ErrorBudget:
     """Expected error on a field form that is at hand. DataError where the prior is that of another model."""
     if family.model != field.model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
-    reality = field.reality
-    warm = np.full(observations.size, reality.artefact_temperature_c)
+    assumptions = field.assumptions
+    warm = np.full(observations.size, assumptions.artefact_temperature_c)
     problem = build_problem(family, replace(observations, temperature_c=warm), artefact, options)
     influences = _influences(problem, field, artefact)
     estimator = LinearEstimator.of(problem, options, np.concatenate(list(influences.values()), axis=2))
@@ -131,42 +133,42 @@ def budget_of(
     moments = {name: _moments(field, -answers[name]) for name in (CTE, TEMPERATURE, DRIFT)}
     machines = _machines_left(field, answers["machines"])
     none = np.zeros((field.size, field.size))
-    certificate = _moments(field, estimator.certificate) if reality.certificate else none
+    certificate = _moments(field, estimator.certificate) if assumptions.certificate else none
     moments |= {
-        TOUCH_NOISE: _embedded(field, estimator.noise) if reality.touch_noise else none,
+        TOUCH_NOISE: _embedded(field, estimator.noise) if assumptions.touch_noise else none,
         CERTIFICATE: certificate,
         MOUNT: none,
-        MISFIT: machines[:, field.beyond] @ machines[:, field.beyond].T,
-        UNSEEN: machines[:, ~field.beyond] @ machines[:, ~field.beyond].T,
+        MISFIT: machines[:, field.unmodelled] @ machines[:, field.unmodelled].T,
+        UNSEEN: machines[:, ~field.unmodelled] @ machines[:, ~field.unmodelled].T,
     }
     bias = np.zeros(field.size)
-    bias[field.own] = -answers["deflection"].sum(axis=1)
+    bias[field.model_indices] = -answers["deflection"].sum(axis=1)
     return ErrorBudget(field, {name: moments[name] for name in INFLUENCES}, bias)
 
 
-def _influences(problem: Problem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:
+def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:
     """Fields (n, 3, x) mm at the rows, each column of one standard deviation (the deflection as it is)."""
-    seen, reality = problem.observations, field.reality
+    seen, assumptions = problem.observations, field.assumptions
     stretched = problem.layout.unpad(problem.layout.pad(artefact.balls[seen.ball]) @ _turned(problem))[:, :, None]
-    warmer_k = reality.artefact_temperature_c - artefact.reference_temperature_c
-    doubt = artefact.cte_standard_uncertainty_per_k * warmer_k if reality.cte else 0.0
+    warmer_k = assumptions.artefact_temperature_c - artefact.reference_temperature_c
+    doubt = artefact.cte_standard_uncertainty_per_k * warmer_k if assumptions.cte else 0.0
     return {
         "machines": _machines(field, seen),
-        "deflection": _deflection(reality, seen),
+        "deflection": _deflection(assumptions, seen),
         CTE: stretched * doubt,
-        TEMPERATURE: stretched * (artefact.cte_per_k * reality.thermometer_uncertainty_k),
-        DRIFT: _drift(problem, reality.drift_mm),
+        TEMPERATURE: stretched * (artefact.cte_per_k * assumptions.thermometer_uncertainty_k),
+        DRIFT: _drift(problem, assumptions.drift_mm),
     }
 
 
-def _turned(problem: Problem) -> Array:
+def _turned(problem: IdentificationProblem) -> Array:
     """(K, 3, 3) to turn artefact points (K, width, 3) from the right."""
     return problem.poses.rotation.transpose(0, 2, 1)
 
 
 def _machines(field: FieldForm, seen: Observations) -> Array:
     """(n, 3, t) of one standard deviation of each parameter of the true family."""
-    family = field.reality.family
+    family = field.assumptions.family
     scale = family.prior_standard_deviation
     fields = np.empty((seen.size, 3, family.model.size))
     for tool in np.unique(seen.tool):
@@ -176,13 +178,13 @@ def _machines(field: FieldForm, seen: Observations) -> Array:
     return fields
 
 
-def _deflection(reality: Reality, seen: Observations) -> Array:
-    if reality.deflection is None:
+def _deflection(assumptions: TruthAssumptions, seen: Observations) -> Array:
+    if assumptions.deflection is None:
         return np.zeros((seen.size, 3, 0))
-    return deflected(reality.deflection, seen.axis_positions)[:, :, None]
+    return clamped_deflection(assumptions.deflection, seen.axis_positions)[:, :, None]
 
 
-def _drift(problem: Problem, drift_mm: float) -> Array:
+def _drift(problem: IdentificationProblem, drift_mm: float) -> Array:
     """(n, 3, 3K): each position drifts by itself, linearly over its balls in the order of the rows."""
     layout = problem.layout
     if drift_mm == 0.0:
@@ -196,9 +198,9 @@ def _drift(problem: Problem, drift_mm: float) -> Array:
 
 def _machines_left(field: FieldForm, answers: Array) -> Array:
     """(u, t) parameters left of one standard deviation of each parameter of the true family: true less identified."""
-    left = np.zeros((field.size, len(field.true)))
-    left[field.true, np.arange(len(field.true))] = field.reality.family.prior_standard_deviation
-    left[field.own] -= answers
+    left = np.zeros((field.size, len(field.true_indices)))
+    left[field.true_indices, np.arange(len(field.true_indices))] = field.assumptions.family.prior_standard_deviation
+    left[field.model_indices] -= answers
     return left
 
 
@@ -209,7 +211,7 @@ def _moments(field: FieldForm, columns: Array) -> Array:
 def _embedded(field: FieldForm, covariance: Array) -> Array:
     """(u, u) from second moments (p, p) of the identified parameters."""
     moments = np.zeros((field.size, field.size))
-    moments[np.ix_(field.own, field.own)] = covariance
+    moments[np.ix_(field.model_indices, field.model_indices)] = covariance
     return moments
 
 

@@ -14,11 +14,11 @@ from twin.arrays import Array
 from twin.errors import DataError
 from twin.identification.centres import CentreEquations
 from twin.identification.distances import DistanceEquations
-from twin.identification.normal import Known, Posterior, Precision, Scales
+from twin.identification.normal import JointPrior, Posterior, PriorPrecision, Scales
 from twin.identification.observability import null_space
 from twin.identification.options import Options
-from twin.identification.problem import Problem
-from twin.identification.unknowns import Blocks
+from twin.identification.problem import IdentificationProblem
+from twin.identification.unknowns import UnknownBlocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class LinearEstimator:
     noise: Array
 
     @classmethod
-    def of(cls, problem: Problem, options: Options, influences: Array) -> LinearEstimator:
+    def of(cls, problem: IdentificationProblem, options: Options, influences: Array) -> LinearEstimator:
         """`influences` (n, 3, x) mm: fields added to the tool points, rows as in `problem.observations`.
 
         DataError for an estimate carried over: its mean has been measured, and belongs to one machine only.
@@ -61,7 +61,7 @@ class LinearEstimator:
         )
 
 
-def _with(problem: Problem, influences: Array) -> Problem:
+def _with(problem: IdentificationProblem, influences: Array) -> IdentificationProblem:
     """The problem with the influences as further columns of its design, so that its equations make products of all."""
     laid = problem.layout.pad(influences)
     blocks = problem.blocks
@@ -69,17 +69,17 @@ def _with(problem: Problem, influences: Array) -> Problem:
     return replace(problem, design=np.concatenate((problem.design, laid), axis=3), blocks=longer)
 
 
-def _equations(problem: Problem, options: Options) -> CentreEquations | DistanceEquations:
+def _equations(problem: IdentificationProblem, options: Options) -> CentreEquations | DistanceEquations:
     if options.formulation == "centres":
         return CentreEquations.build(problem, options.weights == "unit")
     return DistanceEquations.build(problem, options.weights == "unit")
 
 
-def _posterior(matrix: Array, blocks: Blocks, options: Options) -> Posterior:
+def _posterior(matrix: Array, blocks: UnknownBlocks, options: Options) -> Posterior:
     """Prior off: only what the measurements leave open is held at zero."""
     if options.weights == "unit":
-        blocks = Blocks.of(blocks.parameters.stop, 0, 0)
+        blocks = UnknownBlocks.of(blocks.parameters.stop, 0, 0)
     if options.use_prior:
-        return Posterior.of(matrix, Precision(blocks), Scales())
+        return Posterior.of(matrix, PriorPrecision(blocks), Scales())
     open_ = null_space(matrix[blocks.parameters, blocks.parameters])
-    return Posterior.of(matrix, Precision(blocks, Known.held(blocks, open_ @ open_.T)), Scales())
+    return Posterior.of(matrix, PriorPrecision(blocks, JointPrior.at_zero(blocks, open_ @ open_.T)), Scales())

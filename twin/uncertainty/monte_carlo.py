@@ -20,72 +20,78 @@ from twin.identification.estimate import Estimate
 from twin.machine.true_machine import TrueMachine
 from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.residual_field_form import FieldForm
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
-Numbers = np.ndarray[Any, np.dtype[np.int64]]
+IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 
 _STEPS = 3
 """Of the fixed point: each leaves less than 1e-4 of what the one before left, of 0.1 mm at first."""
 
 
-def draw_truth(reality: Reality, rng: np.random.Generator, tool_offset: ArrayLike) -> TrueMachine:
+def draw_truth(assumptions: TruthAssumptions, rng: np.random.Generator, tool_offset: ArrayLike) -> TrueMachine:
     """One machine of the family, with the deflection that acts on all."""
-    family = reality.family
+    family = assumptions.family
     offset = np.asarray(tool_offset, dtype=np.float64)
-    return TrueMachine(family.model, family.draw(rng, 1)[0], offset, reality.deflection)
+    return TrueMachine(family.model, family.draw(rng, 1)[0], offset, assumptions.deflection)
 
 
 def simulated_observations(
-    planned: Observations, artefact: Artefact, truth: TrueMachine, reality: Reality, rng: np.random.Generator
+    planned: Observations,
+    artefact: Artefact,
+    truth: TrueMachine,
+    assumptions: TruthAssumptions,
+    rng: np.random.Generator,
 ) -> Observations:
     """What `truth` would measure where a machine without errors would find the balls of `planned`, row by row.
 
     `artefact` is what its certificate says. Each kind of chance is drawn whether it is switched on or not, so that
     switching one off leaves the others as they are.
     """
-    real, shift_k = _real_artefact(artefact, reality, rng)
-    change = _moved_balls(planned, artefact, real, reality.artefact_temperature_c)
+    real, shift_k = _real_artefact(artefact, assumptions, rng)
+    change = _moved_balls(planned, artefact, real, assumptions.artefact_temperature_c)
     found = _found(planned, truth, planned.axis_positions + change)
-    found += _drift(planned.position, reality.drift_mm, rng)
+    found += _drift(planned.position, assumptions.drift_mm, rng)
     touches = _touch_noise(planned.covariance, rng)
-    if reality.touch_noise:
+    if assumptions.touch_noise:
         found += touches
-    shown_c = np.full(planned.size, reality.artefact_temperature_c + shift_k)
+    shown_c = np.full(planned.size, assumptions.artefact_temperature_c + shift_k)
     return replace(planned, axis_positions=found, temperature_c=shown_c)
 
 
-def errors_before(form: FieldForm, truths: Array) -> tuple[Array, Array]:
+def uncompensated_errors(form: FieldForm, truths: Array) -> tuple[Array, Array]:
     """VE of machines with parameters (m, t) of the true family, raw and aligned (m,) in mm."""
-    return form.form.values(_spread(form, truths, form.true))
+    return form.form.values(_spread(form, truths, form.true_indices))
 
 
-def errors_left(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array, Array]:
+def compensated_errors(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array, Array]:
     """VCE of machines (m, t) compensated by estimates (m, p), raw and aligned (m,) in mm."""
-    return form.form.values(_spread(form, truths, form.true) - _spread(form, estimates, form.own))
+    return form.form.values(_spread(form, truths, form.true_indices) - _spread(form, estimates, form.model_indices))
 
 
 def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> VolumetricRms:
     """Volumetric error that `truth` is left with under the compensation of `estimate`."""
-    raw, aligned = errors_left(form, truth.parameters[None, :], estimate.parameters[None, :])
+    raw, aligned = compensated_errors(form, truth.parameters[None, :], estimate.parameters[None, :])
     return VolumetricRms(float(raw[0]), float(aligned[0]))
 
 
-def _spread(form: FieldForm, parameters: Array, places: Numbers) -> Array:
+def _spread(form: FieldForm, parameters: Array, places: IndexArray) -> Array:
     """(m, u) parameters of the joint model."""
     vectors = np.zeros((len(parameters), form.size))
     vectors[:, places] = parameters
     return vectors
 
 
-def _real_artefact(artefact: Artefact, reality: Reality, rng: np.random.Generator) -> tuple[Artefact, float]:
+def _real_artefact(
+    artefact: Artefact, assumptions: TruthAssumptions, rng: np.random.Generator
+) -> tuple[Artefact, float]:
     """The artefact as it is, and by how much its thermometer shows too much (K)."""
     off_mm = _factor(artefact.covariance) @ rng.standard_normal(3 * artefact.count)
     off_per_k = artefact.cte_standard_uncertainty_per_k * rng.standard_normal()
-    shift_k = reality.thermometer_uncertainty_k * rng.standard_normal()
+    shift_k = assumptions.thermometer_uncertainty_k * rng.standard_normal()
     real = replace(
         artefact,
-        balls=artefact.balls + reality.certificate * off_mm.reshape(-1, 3),
-        cte_per_k=artefact.cte_per_k + reality.cte * off_per_k,
+        balls=artefact.balls + assumptions.certificate * off_mm.reshape(-1, 3),
+        cte_per_k=artefact.cte_per_k + assumptions.cte * off_per_k,
     )
     return real, float(shift_k)
 
@@ -123,7 +129,7 @@ def _matrices(*rows: tuple[Array, Array, Array]) -> Array:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def _about_middle(points: Array, position: Numbers) -> Array:
+def _about_middle(points: Array, position: IndexArray) -> Array:
     """Points (n, 3) less the mean of those of the same position."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     sums = np.column_stack([np.bincount(group, points[:, axis]) for axis in range(3)])
@@ -143,14 +149,14 @@ def _found(planned: Observations, truth: TrueMachine, wanted: Array) -> Array:
     return found
 
 
-def _drift(position: Numbers, drift_mm: float, rng: np.random.Generator) -> Array:
+def _drift(position: IndexArray, drift_mm: float, rng: np.random.Generator) -> Array:
     """(n, 3) mm: at each position linearly from nothing at its first ball to a drawn vector at its last one."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     ends = drift_mm * rng.standard_normal((len(counts), 3))
-    return np.asarray(course_share(position)[:, None] * ends[group])
+    return np.asarray(position_progress(position)[:, None] * ends[group])
 
 
-def course_share(position: Numbers) -> Array:
+def position_progress(position: IndexArray) -> Array:
     """(n,) how far each row is on its way from the first (0) to the last row (1) of its position."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     order = np.argsort(group, kind="stable")

@@ -16,7 +16,7 @@ from twin.machine.error_model import Ranges
 from twin.machine.machine_description import MachineDescription
 from twin.machine.true_machine import TrueMachine
 from twin.uncertainty.monte_carlo import simulated_observations
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 TRUE_ORDER = 7
 AS_MODELLED = "as modelled"
@@ -36,43 +36,45 @@ _DRAWN: Mapping[str, MakeDeflection] = {
     "portal": deflection_forms.portal_deflection,
     "thermal": deflection_forms.thermal_deflection,
 }
-FORMS = ("none", "beams", *_DRAWN)
+DEFLECTION_FORMS = ("none", "beams", *_DRAWN)
 """Of deflection; `beams` is that of the machine file, drawn in size."""
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class RandomMachine:
     """A machine and the day on which it is measured; `noise`: true over stated touch noise."""
 
     form: str
     truth: TrueMachine
-    reality: Reality
+    assumptions: TruthAssumptions
     noise: float
 
     def measured(self, planned: Observations, artefacts: Artefact, rng: np.random.Generator) -> Observations:
         """What it would measure of `planned`, with the covariance that is stated, not the true one."""
         true = replace(planned, covariance=self.noise**2 * planned.covariance)
-        seen = simulated_observations(true, artefacts, self.truth, self.reality, rng)
+        seen = simulated_observations(true, artefacts, self.truth, self.assumptions, rng)
         return replace(seen, covariance=planned.covariance)
 
 
-def make(description: MachineDescription, tool_offset: Array, form: str, rng: np.random.Generator) -> Made:
-    """Draw a machine with a deflection of one of `FORMS`, or one that is as modelled."""
+def draw_random_machine(
+    description: MachineDescription, tool_offset: Array, form: str, rng: np.random.Generator
+) -> RandomMachine:
+    """Draw a machine with a deflection of one of `DEFLECTION_FORMS`, or one that is as modelled."""
     if form == AS_MODELLED:
-        reality = Reality.as_modelled(description)
+        assumptions = TruthAssumptions.as_modelled(description)
         parameters = description.family.prior_standard_deviation * rng.standard_normal(description.model.size)
-        return Made(form, TrueMachine(description.model, parameters, tool_offset, None), reality, 1.0)
+        return RandomMachine(form, TrueMachine(description.model, parameters, tool_offset, None), assumptions, 1.0)
     richer = description.with_order(TRUE_ORDER)
     parameters = rng.uniform(*_AMPLITUDE) * richer.family.draw(rng, 1)[0]
     truth = TrueMachine(richer.model, parameters, tool_offset, _deflection(description, form, rng))
-    reality = Reality(
+    assumptions = TruthAssumptions(
         richer.family,
         truth.deflection,
         artefact_temperature_c=rng.uniform(*_TEMPERATURE_C),
         thermometer_uncertainty_k=THERMOMETER_UNCERTAINTY_K,
         drift_mm=_DRIFT_MM,
     )
-    return Made(form, truth, reality, float(np.exp(rng.uniform(*np.log(_NOISE)))))
+    return RandomMachine(form, truth, assumptions, float(np.exp(rng.uniform(*np.log(_NOISE)))))
 
 
 def _deflection(description: MachineDescription, form: str, rng: np.random.Generator) -> DeflectionGrid | None:

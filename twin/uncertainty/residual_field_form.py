@@ -2,7 +2,7 @@
 
 True machines may have other Legendre orders and cross-effect terms than the model identified. Both are embedded in the
 model that has the parameters of either, so that what is left is linear in one parameter vector and the grid is
-evaluated once for a model, a reality and a tool.
+evaluated once for a model, a assumptions and a tool.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from twin.machine.error_model import CROSS_TERMS, ERROR_MOTIONS, ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import QuadraticForm, VolumetricRms
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 _CHUNK = 2000  # grid points whose basis is held at a time
 
-Places = np.ndarray[Any, np.dtype[np.int64]]
+IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,20 +34,22 @@ class FieldForm:
     the parameters of the identified model and those of the true family stand in it."""
 
     model: ErrorModel
-    reality: Reality
+    assumptions: TruthAssumptions
     form: QuadraticForm
-    own: Places
-    true: Places
+    model_indices: IndexArray
+    true_indices: IndexArray
 
     @classmethod
-    def build(cls, model: ErrorModel, reality: Reality, grid: ArrayLike, tool_offset: ArrayLike) -> FieldForm:
+    def build(
+        cls, model: ErrorModel, assumptions: TruthAssumptions, grid: ArrayLike, tool_offset: ArrayLike
+    ) -> FieldForm:
         """For grid positions (n, 3) and tool offset (3,) mm. ModelError where the two models do not belong together."""
-        truth = reality.family.model
+        truth = assumptions.family.model
         joint = joint_model(model, truth)
         form = QuadraticForm.build(joint, grid, tool_offset)
-        if reality.deflection is not None:
-            form = form.with_field(deflected(reality.deflection, form.axis_positions))
-        return cls(model, reality, form, _places(model, joint), _places(truth, joint))
+        if assumptions.deflection is not None:
+            form = form.with_field(clamped_deflection(assumptions.deflection, form.axis_positions))
+        return cls(model, assumptions, form, _indices(model, joint), _indices(truth, joint))
 
     @property
     def size(self) -> int:
@@ -55,9 +57,9 @@ class FieldForm:
         return self.form.model.size
 
     @property
-    def beyond(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    def unmodelled(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(t,) which parameters of the true family the identified model does not have."""
-        return ~np.isin(self.true, self.own)
+        return ~np.isin(self.true_indices, self.model_indices)
 
     def mean_square(self, moments: Array) -> tuple[float, float]:
         """Mean square (raw, aligned) in mm² of a field whose parameters have these second moments (u, u)."""
@@ -103,14 +105,14 @@ class FieldForm:
         return rigid_fields(points, grid.mean(axis=0), size_mm)
 
     def _fixed_at(self, points: Array) -> Array:
-        deflection = self.reality.deflection
-        return np.zeros_like(points) if deflection is None else deflected(deflection, points)
+        deflection = self.assumptions.deflection
+        return np.zeros_like(points) if deflection is None else clamped_deflection(deflection, points)
 
     @property
     def family_moments(self) -> Array:
         """(u, u) second moments of the true machines' parameters."""
         variances = np.zeros(self.size)
-        variances[self.true] = self.reality.family.prior_standard_deviation**2
+        variances[self.true_indices] = self.assumptions.family.prior_standard_deviation**2
         return np.diag(variances)
 
     def before(self) -> VolumetricRms:
@@ -130,11 +132,11 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
     return ErrorModel(one.chain, one.ranges_mm, orders, terms)
 
 
-def deflected(deflection: DeflectionGrid, axis_positions: Array) -> Array:
+def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:
     """Deflection (n, 3) mm; a position that lies outside the grid has that of the border, as a true machine's does."""
     lower, upper = (np.array([nodes[end] for nodes in deflection.nodes]) for end in (0, -1))
     return deflection.at(np.clip(axis_positions, lower, upper))
 
 
-def _places(part: ErrorModel, whole: ErrorModel) -> Places:
+def _indices(part: ErrorModel, whole: ErrorModel) -> IndexArray:
     return np.array([whole.index(name) for name in part.names], dtype=np.int64)

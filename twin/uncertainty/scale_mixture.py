@@ -13,7 +13,7 @@ from twin.uncertainty.quadratic_distribution import covariance_factor
 
 
 @dataclass(frozen=True, eq=False)
-class Supposition:
+class MixtureComponent:
     """`mean` (m,) and `covariance` (m, m) of the parameters (mm or rad) and of the misfit's coefficients;
     `unresolved_mm2`: variance, per direction, of what is too short in space for the misfit's modes."""
 
@@ -27,7 +27,7 @@ class Supposition:
         return covariance_factor(self.covariance)
 
 
-def suppositions(estimate: Estimate) -> tuple[Supposition, ...]:
+def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
     """Of equal weight; a single one where the scales were given."""
     if not estimate.alternatives:
         return (_as_stated(estimate),)
@@ -37,7 +37,7 @@ def suppositions(estimate: Estimate) -> tuple[Supposition, ...]:
     units = np.concatenate((unknowns.scale, np.ones(len(places) - len(unknowns.scale))))
     left_out = np.zeros(4) if unknowns.modes is None else unknowns.misfit_mm**2 * unknowns.modes.left_out
     return tuple(
-        Supposition(
+        MixtureComponent(
             mean=units * one.z[places],
             covariance=one.covariance[np.ix_(places, places)] * np.multiply.outer(units, units),
             unresolved_mm2=float(left_out @ np.square(one.scales.kinds)),
@@ -46,12 +46,12 @@ def suppositions(estimate: Estimate) -> tuple[Supposition, ...]:
     )
 
 
-def _as_stated(estimate: Estimate) -> Supposition:
+def _as_stated(estimate: Estimate) -> MixtureComponent:
     misfit = estimate.misfit
     if misfit is None:
-        return Supposition(estimate.parameters, estimate.covariance, 0.0)
+        return MixtureComponent(estimate.parameters, estimate.covariance, 0.0)
     cross = misfit.cross_covariance
-    return Supposition(
+    return MixtureComponent(
         np.concatenate((estimate.parameters, misfit.coefficients)),
         np.block([[estimate.covariance, cross], [cross.T, misfit.covariance]]),
         misfit.unresolved_mm2,

@@ -15,7 +15,7 @@ from twin.machine.machine_population import Family
 
 
 @dataclass(frozen=True, eq=False)
-class Reality:
+class TruthAssumptions:
     """`family`: of the true machines; its Legendre order may be above that of the model identified. `deflection`: acts
     on all of them. `touch_noise`, `certificate`, `cte`: whether these differ from what is stated, within the stated
     uncertainty (covariance of a centre; the artefact's covariance; its CTE's standard uncertainty).
@@ -40,11 +40,11 @@ class Reality:
                 raise DataError(f"{name} must not be negative, not {getattr(self, name)}")
 
     @classmethod
-    def as_modelled(cls, machine: MachineDescription) -> Reality:
+    def as_modelled(cls, machine: MachineDescription) -> TruthAssumptions:
         """Machines that the model can represent, nothing beside it but touch noise and certificate."""
         return cls(machine.family)
 
     @classmethod
-    def of_case(cls, machine: MachineDescription) -> Reality:
+    def of_case(cls, machine: MachineDescription) -> TruthAssumptions:
         """Machines of the family with the deflection of the machine file."""
         return cls(machine.family, machine.deflection)

@@ -14,7 +14,7 @@ from twin.identification.predicted import field_forms
 from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 from twin.uncertainty.quadratic_mixture import QuadraticMixture
-from twin.uncertainty.scale_mixture import Supposition, suppositions
+from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class VolumetricDistribution:
 class VolumetricDistributions:
     """`before`: VE of the machine as it is; `left`: VCE, machine less compensation model."""
 
-    before: VolumetricDistribution
-    left: VolumetricDistribution
+    ve: VolumetricDistribution
+    vce: VolumetricDistribution
 
 
 def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
@@ -62,16 +62,16 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
     written = np.zeros(_size(estimate))
     written[: estimate.model.size] = estimate.parameters
     forms = field_forms(estimate, grid, offset)
-    likely = suppositions(estimate)
+    likely = mixture_components(estimate)
     parts = [[_both(form, one, written) for one in likely] for form in forms]
-    before, left = (
+    ve, vce = (
         VolumetricDistribution(*(QuadraticMixture(tuple(pair[which] for pair in pairs)) for pairs in parts))
         for which in (0, 1)
     )
-    return VolumetricDistributions(before, left)
+    return VolumetricDistributions(ve, vce)
 
 
-def _both(form: Array, one: Supposition, written: Array) -> tuple[QuadraticDistribution, ...]:
+def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[QuadraticDistribution, ...]:
     """Mean squares of the machine and of what is left of it once `written` is compensated."""
     means = (one.mean, one.mean - written)
     return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)

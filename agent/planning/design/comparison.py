@@ -9,7 +9,7 @@ from agent.planning.design.design_problem import Setting
 from agent.planning.design.design_result import Designed, Say, designed
 from agent.planning.design.variants import Variant
 from drivers.errors import UserError
-from twin.design.goals import Goal, Target
+from twin.design.goals import Goal, TargetErrorGoal
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,4 +51,4 @@ def compared(variants: Sequence[Variant], goal: Goal, grid_deg: float, *, verify
 
 def _rank(found: Designed, goal: Goal) -> tuple[float, float]:
     vce, minutes = found.valuation.after.aligned_mm, found.minutes
-    return (minutes, vce) if isinstance(goal, Target) else (vce, minutes)
+    return (minutes, vce) if isinstance(goal, TargetErrorGoal) else (vce, minutes)

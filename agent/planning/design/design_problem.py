@@ -12,10 +12,10 @@ from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.feasibility import Vetting
 from agent.planning.job import Job
 from twin.artefact.position_set import Position
-from twin.design.candidates import Candidates, candidates_of, orientation_grid
-from twin.design.measuring_cost import Prices
+from twin.design.candidates import CandidatePositions, build_candidates, orientation_grid
+from twin.design.measuring_cost import MeasuringCosts
 from twin.design.procedure import Procedure
-from twin.design.search import Search
+from twin.design.search import ExchangeSearch
 from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
 
@@ -57,27 +57,29 @@ class Setting:
         return self.vettings[name]
 
     @cached_property
-    def candidates(self) -> Candidates:
+    def candidates(self) -> CandidatePositions:
         """What each position of the grid tells of the field. TwinError where none is within reach."""
         job = self.job
         grid = evaluation_grid(job.machine.model.ranges_mm)
         offered = [position for position in self._offered() if position not in self.refused]
-        return candidates_of(self.procedure, offered, job.machine.family, self.options, grid, job.tool_offset_mm)
+        return build_candidates(self.procedure, offered, job.machine.family, self.options, grid, job.tool_offset_mm)
 
     @cached_property
-    def search(self) -> Search:
+    def search(self) -> ExchangeSearch:
         candidates = self.candidates
-        return Search(candidates, self.prices(candidates), lambda index: self.passes(candidates.positions[index]))
+        return ExchangeSearch(
+            candidates, self.prices(candidates), lambda index: self.passes(candidates.positions[index])
+        )
 
     def passes(self, position: Position) -> bool:
         """Whether nothing is hit on the way through a position."""
         return not self.vetting(position).hit(position)
 
-    def prices(self, candidates: Candidates) -> Prices:
+    def prices(self, candidates: CandidatePositions) -> MeasuringCosts:
         tools = list(self.jobs)
         minutes = np.array([self.vetting(position).minutes(position) for position in candidates.positions])
         codes = [_TOOL_STRIDE * (tools.index(p.tool) if p.tool else 0) + p.station for p in candidates.positions]
-        return Prices(
+        return MeasuringCosts(
             minutes=minutes,
             stations=np.array(codes),
             carry_minutes=self.job.settings.timing.relocation_minutes,

@@ -14,10 +14,10 @@ from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position
-from twin.design.candidates import Candidates
-from twin.design.goals import Goal, Slot
-from twin.design.held_out import most_telling
-from twin.design.search import Search
+from twin.design.candidates import CandidatePositions
+from twin.design.goals import Goal, TimeSlotGoal
+from twin.design.held_out import most_informative_groups
+from twin.design.search import ExchangeSearch
 from twin.design.valuation import Valuation
 
 Say = Callable[[str], None]
@@ -88,22 +88,22 @@ def designed(setting: Setting, goal: Goal, *, verify: bool, with_preflight: bool
     )
 
 
-def _within(setting: Setting, search: Search, goal: Goal) -> tuple[int, ...]:
+def _within(setting: Setting, search: ExchangeSearch, goal: Goal) -> tuple[int, ...]:
     """The search sums the minutes of its positions; a slot must hold for the plan as a whole, so it is drawn in."""
     asked = goal
     while True:
         with translated(InputError):
-            chosen = goal.reached(search)
-        if not isinstance(goal, Slot) or not isinstance(asked, Slot):
+            chosen = goal.select(search)
+        if not isinstance(goal, TimeSlotGoal) or not isinstance(asked, TimeSlotGoal):
             return chosen
         positions = setting.in_order([search.candidates.positions[index] for index in chosen])
         over = setting.minutes(positions) - asked.minutes
         if over <= 0.0:
             return chosen
-        goal = Slot(goal.minutes - _MARGIN * over - _LITTLE_MIN)
+        goal = TimeSlotGoal(goal.minutes - _MARGIN * over - _LITTLE_MIN)
 
 
-def _held_out(setting: Setting, candidates: Candidates, chosen: Sequence[int]) -> tuple[Position, ...]:
+def _held_out(setting: Setting, candidates: CandidatePositions, chosen: Sequence[int]) -> tuple[Position, ...]:
     """As many orientations as the settings hold out, each at every station of the verification."""
     job = setting.job
     groups: dict[tuple[float, float], list[int]] = {}
@@ -113,7 +113,7 @@ def _held_out(setting: Setting, candidates: Candidates, chosen: Sequence[int]) -
     whole = [group for group in groups.values() if len(group) == len(job.verified_stations)]
     count = len(job.settings.verification.positions_deg)
     with translated(InputError, key="--verify-set"):
-        telling = most_telling(candidates, chosen, whole, count)
+        telling = most_informative_groups(candidates, chosen, whole, count)
     return tuple(candidates.positions[index] for group in telling for index in group)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.design.goals import FEWEST_POSITIONS
-from twin.design.search import Search, Selection
+from twin.design.search import ExchangeSearch, Selection
 
 FURTHEST = 24
 """Positions up to which a front goes at least."""
@@ -28,15 +28,15 @@ class FrontPoint:
     design: bool
 
 
-def front_of(search: Search, chosen: Sequence[int], minutes: float) -> tuple[FrontPoint, ...]:
+def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> tuple[FrontPoint, ...]:
     """Sets grown by gain per minute, and the design (`chosen`, priced `minutes`), by rising minutes."""
     candidates = search.candidates
     before = candidates.vce([]).aligned_um
     furthest = max(FURTHEST, len(chosen))
     start = Selection.of(candidates)
-    grown = search.grown(start, lambda taken: np.full(candidates.count, len(taken) < furthest), per_minute=True)
+    grown = search.grow(start, lambda taken: np.full(candidates.count, len(taken) < furthest), per_minute=True)
     points = [
-        (len(one.chosen), search.prices.total(one.chosen), 1e3 * float(np.sqrt(one.value)), False)
+        (len(one.chosen), search.costs.total(one.chosen), 1e3 * float(np.sqrt(one.value)), False)
         for one in grown
         if len(one.chosen) >= FEWEST_POSITIONS
     ]

@@ -22,7 +22,7 @@ def valuation_of(job: Job, positions: Sequence[Position]) -> Valuation:
         return valuation(
             job.machine.family,
             job.artefact,
-            job.procedure.planned(positions).observations,
+            job.procedure.plan(positions).observations,
             Options(estimate_scales=False, outliers="none"),
             evaluation_grid(job.machine.model.ranges_mm),
             job.tool_offset_mm,

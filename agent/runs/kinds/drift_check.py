@@ -18,7 +18,7 @@ from agent.runs.change_since_reference import known_tonight
 from agent.runs.reference_state import LastAccepted
 from twin.arrays import Array
 from twin.artefact.held_out_check import held_out_residuals, held_out_test
-from twin.identification import CarriedOver, Estimate
+from twin.identification import CarriedOverPrior, Estimate
 from twin.machine.machine_population import Family
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
@@ -49,7 +49,7 @@ class Judge:
     nights: float
 
     @cached_property
-    def known(self) -> CarriedOver:
+    def known(self) -> CarriedOverPrior:
         """What is known before tonight."""
         return known_tonight(self.job, self.last, self.nights)
 

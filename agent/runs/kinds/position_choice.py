@@ -14,11 +14,11 @@ from agent.planning.design.feasibility import Vetting
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
-from twin.design.candidates import candidates_of, orientation_grid
-from twin.design.measuring_cost import Prices
+from twin.design.candidates import build_candidates, orientation_grid
+from twin.design.measuring_cost import MeasuringCosts
 from twin.design.procedure import FEWEST_BALLS
-from twin.design.search import Search, Selection
-from twin.identification import CarriedOver, Options
+from twin.design.search import ExchangeSearch, Selection
+from twin.identification import CarriedOverPrior, Options
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.discriminating_positions import JumpQuestions, rank_discriminating_positions
 from twin.monitoring.step_detection import SuspectedJump
@@ -48,7 +48,7 @@ class Chooser:
 
     def best(
         self,
-        known: CarriedOver,
+        known: CarriedOverPrior,
         *,
         most: int,
         minutes: float = np.inf,
@@ -60,22 +60,27 @@ class Chooser:
         offered = [position for position in self._offered() if position not in left_out]
         search, places = self._search(known, [*measured, *offered])
         first = Selection.of(search.candidates, places[: len(measured)])
-        paid = search.prices.total(first.chosen)
+        paid = search.costs.total(first.chosen)
 
         def room(chosen: Sequence[int]) -> np.ndarray:
-            fits = search.prices.total(chosen) - paid + search.prices.adding(chosen) <= minutes
+            fits = search.costs.total(chosen) - paid + search.costs.marginal(chosen) <= minutes
             return np.asarray(fits & (len(chosen) - len(first.chosen) < most))
 
-        for selection in search.grown(first, room, per_minute=True):
+        for selection in search.grow(first, room, per_minute=True):
             yield search.candidates.positions[selection.chosen[-1]]
 
-    def noticing(self, known: CarriedOver, count: int, measured: Sequence[Position]) -> tuple[Position, ...]:
+    def noticing(self, known: CarriedOverPrior, count: int, measured: Sequence[Position]) -> tuple[Position, ...]:
         """The `count` that show most surely whether any error has jumped, beside those `measured` anyway."""
         telling = self._telling(known, JumpQuestions.any_jump(known.unknowns), measured)
         return tuple(islice(telling, count))
 
     def telling_apart(
-        self, known: CarriedOver, suspects: Sequence[SuspectedJump], *, minutes: float, measured: Sequence[Position]
+        self,
+        known: CarriedOverPrior,
+        suspects: Sequence[SuspectedJump],
+        *,
+        minutes: float,
+        measured: Sequence[Position],
     ) -> tuple[Position, ...]:
         """Those that show which of the `suspects` it is, as many as fit into the `minutes`; none that is `measured`."""
         names, scale = known.unknowns.model.names, known.unknowns.scale
@@ -91,31 +96,31 @@ class Chooser:
         return tuple(found)
 
     def _telling(
-        self, known: CarriedOver, questions: JumpQuestions, measured: Sequence[Position]
+        self, known: CarriedOverPrior, questions: JumpQuestions, measured: Sequence[Position]
     ) -> Iterator[Position]:
         search, places = self._search(known, [*measured, *self._offered()])
         candidates, done = search.candidates, places[: len(measured)]
         allowed = np.ones(candidates.count, dtype=bool)
         allowed[done] = False
-        for index in rank_discriminating_positions(candidates, done, questions, allowed, search.prices.minutes):
-            if search.passes(index):
+        for index in rank_discriminating_positions(candidates, done, questions, allowed, search.costs.minutes):
+            if search.is_measurable(index):
                 yield candidates.positions[index]
 
-    def _search(self, known: CarriedOver, positions: Sequence[Position]) -> tuple[Search, list[int]]:
+    def _search(self, known: CarriedOverPrior, positions: Sequence[Position]) -> tuple[ExchangeSearch, list[int]]:
         """With the place of each of the `positions` among the candidates."""
         job = self.job
         machine = job.machine.with_model(known.unknowns.model)
         options = Options(carried_over=known, estimate_scales=False, outliers="none")
         grid = evaluation_grid(machine.model.ranges_mm)
         with translated(ConfigurationError, key="stations.places_mm"):
-            candidates = candidates_of(job.procedure, positions, machine.family, options, grid, job.tool_offset_mm)
+            candidates = build_candidates(job.procedure, positions, machine.family, options, grid, job.tool_offset_mm)
         place = {position: index for index, position in enumerate(candidates.positions)}
-        prices = Prices(
+        prices = MeasuringCosts(
             minutes=np.array([self.vetting.minutes(position) for position in candidates.positions]),
             stations=np.array([position.station for position in candidates.positions]),
             standing_at=self.station,
         )
-        clear = Search(candidates, prices, lambda index: not self.vetting.hit(candidates.positions[index]))
+        clear = ExchangeSearch(candidates, prices, lambda index: not self.vetting.hit(candidates.positions[index]))
         return clear, [place[position] for position in positions if position in place]
 
     def _offered(self) -> list[Position]:

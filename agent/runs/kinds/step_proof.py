@@ -21,7 +21,7 @@ from agent.results.observations import no_correction, observations_of
 from agent.results.run_outcome import Proof
 from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals, held_out_test
 from twin.artefact.observations import Observations
-from twin.identification import left_covariance
+from twin.identification import residual_covariance
 
 UM_PER_MM = 1e3
 _COVERAGE = 3.0
@@ -35,7 +35,7 @@ def prove_step(job: Job, finding: Finding, before: Sequence[MeasuredBall], after
     with translated(MeasurementFault):
         observed = observations_of(after, job.tool_offset_mm, finding.table.at)
         result, former = _left(job, after), _left(job, before)
-        covariance = left_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm)
+        covariance = residual_covariance(finding.estimate, observed.axis_positions, job.tool_offset_mm)
         expected = held_out_test(observed, result, job.artefact, covariance)
     doubts = [_doubt(one, observed, finding.estimate.scales.noise) for one in (former, result)]
     worse = result.rms_mm**2 - former.rms_mm**2 > _COVERAGE * math.hypot(*doubts)

@@ -10,7 +10,7 @@ from agent.planning.cycle_time import machine_minutes
 from agent.planning.job import Job
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
-from twin.design.candidates import Candidates, candidates_of
+from twin.design.candidates import CandidatePositions, build_candidates
 from twin.design.valuation import Valuation
 from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
@@ -38,7 +38,7 @@ def worth_of(job: Job) -> Document:
     """µm, rigidly aligned: what is to be expected of the machine's family before and after the set, and `lost_um` for
     each position: by how much the latter would grow without it."""
     with translated(ConfigurationError, key="procedure.position_set"):
-        candidates = candidates_of(
+        candidates = build_candidates(
             job.procedure,
             job.positions,
             job.machine.family,
@@ -62,7 +62,7 @@ def worth_of(job: Job) -> Document:
     }
 
 
-def _position(candidates: Candidates, index: int, after_um: float) -> Document:
+def _position(candidates: CandidatePositions, index: int, after_um: float) -> Document:
     others = [other for other in range(candidates.count) if other != index]
     return {
         **_place(candidates.positions[index]),

@@ -17,7 +17,7 @@ from agent.studies.study import StudyCase, StudyResult
 from agent.studies.study_files import write_result
 from agent.studies.workers import LocalWorkers
 from twin.identification import Options
-from twin.uncertainty.random_machines import FORMS
+from twin.uncertainty.random_machines import DEFLECTION_FORMS
 
 MACHINES = 30
 
@@ -81,10 +81,10 @@ def test_the_files_hold_every_machine_and_form(tmp_path: Path) -> None:
     with paths["csv"].open() as text:
         rows = list(csv.DictReader(text))
     assert list(rows[0]) == list(COLUMNS)
-    assert {row["form"] for row in rows} == {*FORMS, AS_MODELLED}
+    assert {row["form"] for row in rows} == {*DEFLECTION_FORMS, AS_MODELLED}
     assert sum(row["estimate"] == ORDER_BY_EVIDENCE for row in rows) == MACHINES
     said = json.loads(paths["json"].read_text())
-    assert set(said[ORDER_OF_FILE]["by_form"]) == set(FORMS)
+    assert set(said[ORDER_OF_FILE]["by_form"]) == set(DEFLECTION_FORMS)
     assert paths["png"].stat().st_size > 10000
 
 

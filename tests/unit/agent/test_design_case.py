@@ -20,9 +20,9 @@ from agent.planning.preflight import run_preflight
 from agent.probing.run_plan import position_key
 from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position, parse_position_set
-from twin.design.candidates import Candidates, candidates_of
-from twin.design.goals import Positions, Slot
-from twin.design.search import Search
+from twin.design.candidates import CandidatePositions, build_candidates
+from twin.design.goals import PositionCountGoal, TimeSlotGoal
+from twin.design.search import ExchangeSearch
 from twin.design.valuation import valuation
 from twin.identification import Options, identify, predicted_vce
 from twin.machine.volumetric import evaluation_grid
@@ -36,25 +36,25 @@ def case() -> Job:
     return load_case(CASE_STUDY)
 
 
-def candidates(positions: tuple[Position, ...]) -> Candidates:
+def candidates(positions: tuple[Position, ...]) -> CandidatePositions:
     job = case()
     grid = evaluation_grid(job.machine.model.ranges_mm, COARSE)
-    return candidates_of(job.procedure, positions, job.machine.family, AS_STATED, grid, job.tool_offset_mm)
+    return build_candidates(job.procedure, positions, job.machine.family, AS_STATED, grid, job.tool_offset_mm)
 
 
 @cache
-def of_s1_and_s3() -> Candidates:
+def of_s1_and_s3() -> CandidatePositions:
     return candidates(parse_position_set("S1+S3", 4))
 
 
-def searching(setting: Setting, offered: Candidates) -> Search:
-    return Search(offered, setting.prices(offered))
+def searching(setting: Setting, offered: CandidatePositions) -> ExchangeSearch:
+    return ExchangeSearch(offered, setting.prices(offered))
 
 
 def predicted(positions: tuple[Position, ...]) -> tuple[float, float]:
     """Predicted VCE of a real identification of what the set would measure."""
     job = case()
-    seen = job.procedure.planned(positions).observations
+    seen = job.procedure.plan(positions).observations
     estimate = identify(job.machine.model, seen, job.artefact, job.machine.family, AS_STATED)
     vce = predicted_vce(estimate, evaluation_grid(job.machine.model.ranges_mm, COARSE), job.tool_offset_mm)
     return vce.raw_mm, vce.aligned_mm
@@ -71,7 +71,7 @@ def test_the_criterion_is_the_predicted_vce_of_an_identification_of_the_set(chos
 def test_the_value_carried_along_through_a_search_is_that_of_the_identification():
     setting = Setting({case().settings.tool: case()}, 90.0)
     offered = of_s1_and_s3()
-    chosen = Positions(6).reached(searching(setting, offered))
+    chosen = PositionCountGoal(6).select(searching(setting, offered))
     raw, aligned = predicted(tuple(offered.positions[index] for index in chosen))
     assert offered.vce(chosen).aligned_mm == pytest.approx(aligned, rel=1e-9)
     assert offered.vce(chosen).raw_mm == pytest.approx(raw, rel=1e-9)
@@ -80,9 +80,9 @@ def test_the_value_carried_along_through_a_search_is_that_of_the_identification(
 def test_the_search_finds_the_best_pair_of_real_positions():
     offered = candidates(parse_position_set("S1+S3", 4)[:10])
     job = case()
-    search = replace(searching(Setting({job.settings.tool: job}, 90.0), offered), worthwhile=0.0)
+    search = replace(searching(Setting({job.settings.tool: job}, 90.0), offered), min_improvement=0.0)
     best = min(combinations(range(offered.count), 2), key=lambda pair: offered.vce(pair).aligned_mm)
-    assert set(Positions(2).reached(search)) == set(best)
+    assert set(PositionCountGoal(2).select(search)) == set(best)
 
 
 def test_the_order_of_the_candidates_does_not_matter():
@@ -95,7 +95,7 @@ def test_the_order_of_the_candidates_does_not_matter():
 
 def test_the_valuation_is_one_less_the_share_of_the_error_that_stays():
     job, offered = case(), of_s1_and_s3()
-    seen = job.procedure.planned(offered.positions).observations
+    seen = job.procedure.plan(offered.positions).observations
     grid = evaluation_grid(job.machine.model.ranges_mm, COARSE)
     worth = valuation(job.machine.family, job.artefact, seen, AS_STATED, grid, job.tool_offset_mm)
     _, aligned = predicted(offered.positions)
@@ -139,13 +139,15 @@ def test_a_slot_holds_for_the_plan_as_a_whole_and_carries_cost_time():
     settings = case().settings
     timing = settings.timing.model_copy(update={"relocation_minutes": 4.0})
     job = replace(case(), settings=settings.model_copy(update={"timing": timing}))
-    found = designed(Setting({"probe": job}, 45.0), Slot(22.0), verify=True, with_preflight=False, say=lambda _: None)
+    found = designed(
+        Setting({"probe": job}, 45.0), TimeSlotGoal(22.0), verify=True, with_preflight=False, say=lambda _: None
+    )
     assert found.minutes == pytest.approx(machine_minutes(job, found.positions).total)
     assert found.minutes <= 22.0
     stations = [position.station for position in found.positions]
     assert stations == sorted(stations)
     free = designed(
-        Setting({"probe": case()}, 45.0), Slot(22.0), verify=False, with_preflight=False, say=lambda _: None
+        Setting({"probe": case()}, 45.0), TimeSlotGoal(22.0), verify=False, with_preflight=False, say=lambda _: None
     )
     assert len(set(stations)) <= len({position.station for position in free.positions})
     assert free.valuation.percent > found.valuation.percent > 0.0
@@ -171,7 +173,7 @@ def test_what_a_preflight_refuses_is_left_out_and_the_search_goes_on(monkeypatch
 
     monkeypatch.setattr("agent.planning.design.design_result.run_preflight", refusing_once)
     found = designed(
-        Setting({"probe": case()}, 90.0), Positions(3), verify=False, with_preflight=True, say=lambda _: None
+        Setting({"probe": case()}, 90.0), PositionCountGoal(3), verify=False, with_preflight=True, say=lambda _: None
     )
     assert len(seen) == 2
     assert found.preflight_passed
@@ -217,4 +219,6 @@ def test_variants_that_cannot_be_are_refused(tmp_path, more, message):
 
 def test_an_unreachable_goal_is_the_users_error():
     with pytest.raises(InputError, match="shortest two take"):
-        designed(Setting({"probe": case()}, 90.0), Slot(1.0), verify=False, with_preflight=False, say=lambda _: None)
+        designed(
+            Setting({"probe": case()}, 90.0), TimeSlotGoal(1.0), verify=False, with_preflight=False, say=lambda _: None
+        )

@@ -15,7 +15,7 @@ from service_house import outcome
 from agent.cli.main import LazyGroup, main
 from agent.execution.states import RunState
 from agent.settings.schema import Settings
-from twin.formats.toml_reading import Strict
+from twin.formats.toml_reading import StrictModel
 
 ROOT = Path(__file__).resolve().parents[3]
 REFERENCE = ROOT / "docs" / "reference"
@@ -112,7 +112,7 @@ def test_settings_page_lists_every_renamed_key() -> None:
     declared = {
         (f"{name}.{former}", f"{name}.{present}")
         for name, field in Settings.model_fields.items()
-        if isinstance(field.annotation, type) and issubclass(field.annotation, Strict)
+        if isinstance(field.annotation, type) and issubclass(field.annotation, StrictModel)
         for former, present in field.annotation.former_keys.items()
     }
     assert documented == declared

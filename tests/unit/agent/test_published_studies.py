@@ -18,8 +18,8 @@ from agent.planning.cycle_time import machine_minutes
 from agent.planning.design.bar_variants import Bar
 from agent.planning.job import Job
 from agent.studies import ball_count, misalignment, strategy, trajectory, volumetric_error
-from agent.studies.identification_variants import PUBLISHED, ways
-from agent.studies.procedure_value import Trial, Verdict, Worth
+from agent.studies.identification_variants import PUBLISHED, identification_variants
+from agent.studies.procedure_value import ProcedureEvaluator, ProcedureVariant, Verdict
 from agent.studies.study import StudyCase
 from agent.studies.study_files import document, format_rows, write_result
 from agent.studies.verdict_table import worst_deviation
@@ -57,7 +57,7 @@ def case(stations: int | None = 2, **changes: object) -> StudyCase:
 
 def true_field(made: StudyCase, parameters: Array, points: Array) -> Array:
     """Exact deviation of a machine with deflection (n, 3) mm."""
-    deflection = made.reality.deflection
+    deflection = made.assumptions.deflection
     assert deflection is not None
     return exact_deviation(made.machine.model, points, made.tool_offset, parameters) + deflection.at(points)
 
@@ -86,7 +86,7 @@ class TestVolumetricError:
     def test_each_machine_has_the_error_of_the_exact_model_on_the_grid(self) -> None:
         made = case()
         grid = evaluation_grid(made.machine.model.ranges_mm)
-        form = FieldForm.build(made.machine.model, made.reality, grid, made.tool_offset).form
+        form = FieldForm.build(made.machine.model, made.assumptions, grid, made.tool_offset).form
         found = volumetric_error.draw_family(made.machine.family, form, 3, generator(made.seed, 0))
         for number, parameters in enumerate(found.parameters):
             field = true_field(made, parameters, grid)
@@ -98,7 +98,7 @@ class TestVolumetricError:
         made = case()
         grid = evaluation_grid(made.machine.model.ranges_mm)
         parameters = made.machine.family.draw(generator(1), 1)[0]
-        field = FieldForm.build(made.machine.model, made.reality, grid, made.tool_offset)
+        field = FieldForm.build(made.machine.model, made.assumptions, grid, made.tool_offset)
         raw, aligned = volumetric_error.median_planes(field, parameters)
         for row, column in ((0, 0), (17, 5), (80, 26)):
             point = np.array([[raw.x_mm[row], raw.y_mm[column], 800.0]])
@@ -151,32 +151,35 @@ class TestBar:
 
 class TestWays:
     def test_the_way_asked_for_stands_before_the_published_one(self) -> None:
-        assert [way.label for way in ways(Options())] == [
+        assert [variant.label for variant in identification_variants(Options())] == [
             "centres, full weights, prior",
             "distances, unit weights, prior",
             "distances, unit weights, no prior",
         ]
 
     def test_none_stands_twice(self) -> None:
-        assert [way.label for way in ways(PUBLISHED)] == [
+        assert [variant.label for variant in identification_variants(PUBLISHED)] == [
             "distances, unit weights, no prior",
             "distances, unit weights, prior",
         ]
 
     def test_all_are_those_of_the_closed_form(self) -> None:
-        assert all(not way.options.estimate_scales and way.options.outliers == "none" for way in ways(Options()))
+        assert all(
+            not variant.options.estimate_scales and variant.options.outliers == "none"
+            for variant in identification_variants(Options())
+        )
 
 
 class TestWorth:
     def test_the_simulated_error_is_that_of_the_exact_machines_on_the_grid(self) -> None:
         made = case(machines=2)
-        trial = Trial.of(made, Bar.of(made.artefact).with_(balls=5), made.positions("S3"))
-        worth, chosen = Worth(made), ways(made.options)[:1]
-        ((found,),) = worth.judged([trial], chosen, [0])
+        trial = ProcedureVariant.of(made, Bar.of(made.artefact).with_(balls=5), made.positions("S3"))
+        evaluator, variants = ProcedureEvaluator(made), identification_variants(made.options)[:1]
+        ((found,),) = evaluator.evaluate([trial], variants, [0])
         grid, squares = evaluation_grid(made.machine.model.ranges_mm), []
         for number in range(2):
-            truth = draw_truth(made.reality, generator(made.seed, number), made.tool_offset)
-            estimate = worth.procedure(trial, chosen[0])(number).estimate
+            truth = draw_truth(made.assumptions, generator(made.seed, number), made.tool_offset)
+            estimate = evaluator.procedure(trial, variants[0])(number).estimate
             left = truth.deviation(grid) - exact_deviation(made.machine.model, grid, made.tool_offset, estimate)
             squares.append(rms_um(left) ** 2)
         assert found.simulated is not None
@@ -185,8 +188,8 @@ class TestWorth:
     def test_closed_form_and_simulation_agree(self) -> None:
         made = case(machines=160)
         bar = Bar.of(made.artefact)
-        trials = [Trial.of(made, bar.with_(balls=balls), made.positions("S3")) for balls in (5, 6)]
-        rows = Worth(made).judged(trials, ways(made.options)[:2], [0, 1])
+        trials = [ProcedureVariant.of(made, bar.with_(balls=balls), made.positions("S3")) for balls in (5, 6)]
+        rows = ProcedureEvaluator(made).evaluate(trials, identification_variants(made.options)[:2], [0, 1])
         deviation = worst_deviation(rows)
         assert deviation is not None and deviation < 3.5
         for found in (found for row in rows for found in row):
@@ -195,17 +198,17 @@ class TestWorth:
 
     def test_only_what_is_asked_for_is_simulated(self) -> None:
         made = case()
-        trials = [Trial.of(made, made.artefact, made.positions(name)) for name in ("S1", "S3")]
-        (first,), (second,) = Worth(made).judged(trials, ways(made.options)[:1], [1])
+        trials = [ProcedureVariant.of(made, made.artefact, made.positions(name)) for name in ("S1", "S3")]
+        (first,), (second,) = ProcedureEvaluator(made).evaluate(trials, identification_variants(made.options)[:1], [1])
         assert first.expected is not None and first.simulated is None
         assert second.simulated is not None
 
     def test_an_artefact_out_of_reach_identifies_nothing(self) -> None:
         made = case()
         long = ball_bar("long", balls=3, length_mm=9000.0, tilt_rad=0.2, holder_length_mm=60.0, ball_diameter_mm=25.0)
-        trial = Trial.of(made, long, made.positions("S1"))
+        trial = ProcedureVariant.of(made, long, made.positions("S1"))
         assert trial.planned is None
-        ((found,),) = Worth(made).judged([trial], ways(made.options)[:1], [0])
+        ((found,),) = ProcedureEvaluator(made).evaluate([trial], identification_variants(made.options)[:1], [0])
         assert found == Verdict(None)
 
 
@@ -220,11 +223,11 @@ class TestBallCount:
 
     def test_seven_balls_are_enough_as_published(self) -> None:
         made = case(stations=None)
-        bar, way = Bar.of(made.artefact), ways(made.options)[0]
-        trials = [Trial.of(made, bar.with_(balls=balls), made.positions()) for balls in ball_count.COUNTS]
-        worth = Worth(made)
-        verdicts = tuple(row[0] for row in worth.judged(trials, [way], []))
-        curve = ball_count.Curve(way, verdicts, ball_count.gain_shares(verdicts, worth.before))
+        bar, variant = Bar.of(made.artefact), identification_variants(made.options)[0]
+        trials = [ProcedureVariant.of(made, bar.with_(balls=balls), made.positions()) for balls in ball_count.COUNTS]
+        evaluator = ProcedureEvaluator(made)
+        verdicts = tuple(row[0] for row in evaluator.evaluate(trials, [variant], []))
+        curve = ball_count.Curve(variant, verdicts, ball_count.gain_shares(verdicts, evaluator.before))
         assert curve.fewest == ball_count.PUBLISHED_BALLS
 
     def test_the_study_has_a_row_for_each_count_and_way(self, tmp_path: Path) -> None:
@@ -236,11 +239,11 @@ class TestBallCount:
 class TestMisalignment:
     def test_tilt_helps_s2_and_hardly_s2_with_s3(self) -> None:
         made = case(stations=None)
-        bar, way = Bar.of(made.artefact), ways(made.options)[:1]
+        bar, variant = Bar.of(made.artefact), identification_variants(made.options)[:1]
         saved = {}
         for name in misalignment.SETS:
-            trials = [Trial.of(made, bar.with_(tilt_deg=tilt), made.positions(name)) for tilt in (0.0, 30.0)]
-            saved[name] = misalignment.saving(Worth(made).judged(trials, way, []), 0)
+            trials = [ProcedureVariant.of(made, bar.with_(tilt_deg=tilt), made.positions(name)) for tilt in (0.0, 30.0)]
+            saved[name] = misalignment.saving(ProcedureEvaluator(made).evaluate(trials, variant, []), 0)
         assert saved["S2"] == pytest.approx(0.25, abs=0.05)
         assert saved["S2+S3"] == pytest.approx(0.0, abs=0.02)
 
@@ -261,14 +264,14 @@ class TestMisalignment:
 
 
 def strategies(points: list[tuple[float, float | None]]) -> list[strategy.Strategy]:
-    nothing = Trial(job().artefact, None)
+    nothing = ProcedureVariant(job().artefact, None)
     return [strategy.Strategy(str(n), nothing, minutes, (verdict(value),)) for n, (minutes, value) in enumerate(points)]
 
 
 class TestStrategy:
     @given(st.lists(st.tuples(st.integers(1, 9), st.one_of(st.none(), st.integers(1, 9))), max_size=9))
     def test_the_front_is_what_none_beats(self, points: list[tuple[float, float | None]]) -> None:
-        names = strategy.front(strategies(points), 0)
+        names = strategy.pareto_front(strategies(points), 0)
         for number, (minutes, value) in enumerate(points):
             beaten = value is None or any(
                 other is not None and m <= minutes and other <= value and (m < minutes or other < value)
@@ -289,12 +292,12 @@ class TestStrategy:
 
     def test_sets_that_identify_nothing_leave_a_gap(self, tmp_path: Path) -> None:
         result = strategy.run(case(stations=1, options=Options(use_prior=False)))
-        way = "centres, full weights, no prior"
-        unknown = document(result)["not_identified"][way]  # type: ignore[index]
+        variant = "centres, full weights, no prior"
+        unknown = document(result)["not_identified"][variant]  # type: ignore[index]
         assert "S1" in unknown
         rows = list(csv.DictReader(format_rows(result).splitlines()))
         for row in rows:
-            if row["identification"] == way:
+            if row["identification"] == variant:
                 assert (row["vce_raw_um"] == "") == (row["sets"] in unknown)
         assert write_result(result, tmp_path)["png"].stat().st_size > 0
 
@@ -303,13 +306,13 @@ class TestTrajectory:
     def test_the_machine_is_the_exact_one_less_its_rigid_motion(self) -> None:
         made = case()
         line = trajectory.middle_line(made.machine.model.ranges_mm)
-        followed = trajectory.follow(made, ways(made.options)[0], line)
+        followed = trajectory.compare_along(made, identification_variants(made.options)[0], line)
         grid = evaluation_grid(made.machine.model.ranges_mm)
-        truth = draw_truth(made.reality, generator(made.seed, 0), made.tool_offset)
+        truth = draw_truth(made.assumptions, generator(made.seed, 0), made.tool_offset)
         wanted = less_rigid(made, truth.deviation(grid), grid, truth.deviation(line), line)
         assert np.abs(followed.machine_um - 1e3 * wanted).max() < 5 * NANOMETRE_UM
         lengths = [math.dist(*pair) ** 2 for pair in zip(followed.machine_um, followed.models_um[5], strict=True)]
-        assert followed.left_um(5) == pytest.approx(math.sqrt(sum(lengths) / len(lengths)))
+        assert followed.residual_um(5) == pytest.approx(math.sqrt(sum(lengths) / len(lengths)))
 
     def test_more_balls_are_expected_to_follow_better(self) -> None:
         expected = document(trajectory.run(case(stations=None)))["rms_left_expected_um"]

@@ -16,7 +16,7 @@ from agent.settings.schema import Settings, parse_settings
 from drivers.registry import check_options
 from simulators.scenario import read_scenario
 from twin.errors import FormatError
-from twin.formats.toml_reading import Strict, validated
+from twin.formats.toml_reading import StrictModel, validate_document
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 READERS = {
@@ -76,17 +76,17 @@ def test_every_former_key_is_refused_with_its_new_name_and_none_is_in_use() -> N
     renamed = [
         (name, former, now)
         for name, field in Settings.model_fields.items()
-        if isinstance(field.annotation, type) and issubclass(field.annotation, Strict)
+        if isinstance(field.annotation, type) and issubclass(field.annotation, StrictModel)
         for former, now in field.annotation.former_keys.items()
         if former not in field.annotation.model_fields and now in field.annotation.model_fields
     ]
     assert len(renamed) == sum(
         len(field.annotation.former_keys)
         for field in Settings.model_fields.values()
-        if isinstance(field.annotation, type) and issubclass(field.annotation, Strict)
+        if isinstance(field.annotation, type) and issubclass(field.annotation, StrictModel)
     )
     document = tomllib.loads((CONFIG / "case-study.toml").read_text())
     for section, former, now in renamed:
         wrong = {**document, section: {**document.get(section, {}), former: 1}}
         with pytest.raises(FormatError, match=f"'{former}' has been renamed.*{section}.{former}.*Write '{now}'"):
-            validated(wrong, "volcal.toml", Settings)
+            validate_document(wrong, "volcal.toml", Settings)

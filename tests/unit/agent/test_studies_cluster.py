@@ -154,6 +154,6 @@ class TestBadEnds:
                 process.communicate()
 
     def test_other_software_there_is_refused(self, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(cluster, "software_here", lambda: {"scipy": "0.1"})
+        monkeypatch.setattr(cluster, "local_software", lambda: {"scipy": "0.1"})
         with DaskWorkers(address) as workers, pytest.raises(ConfigurationError, match=r"scipy .*, this computer 0.1"):
             workers.map(study_tasks.squared, range(3), ignore)

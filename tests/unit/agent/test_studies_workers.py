@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.errors import RunError
-from agent.studies.chunks import Chunk, chunked, run_chunk_alike, software_here
+from agent.studies.chunks import Chunk, local_software, run_chunk_on_cluster, split_into_chunks
 from agent.studies.workers import LocalWorkers, generator
 from drivers.errors import ConfigurationError, InputError, VolcalError
 
@@ -29,16 +29,16 @@ def sums() -> study_tasks.Sums:
 class TestChunks:
     @given(st.integers(0, 3000), st.integers(1, 80))
     def test_they_hold_every_item_once_and_in_order(self, count: int, workers: int) -> None:
-        chunks = chunked(range(count), workers)
+        chunks = split_into_chunks(range(count), workers)
         assert [item for chunk in chunks for item in chunk.items] == list(range(count))
         assert [chunk.first for chunk in chunks] == [chunk.items[0] for chunk in chunks]
         assert all(len(chunk.items) <= 32 for chunk in chunks)
         assert len({len(chunk.items) for chunk in chunks[:-1]}) <= 1
 
     def test_other_software_is_refused_before_anything_is_computed(self) -> None:
-        other = {**software_here(), "numpy": "1.0"}
+        other = {**local_software(), "numpy": "1.0"}
         with pytest.raises(ConfigurationError, match=r"numpy [\d.]+, this computer 1\.0"):
-            run_chunk_alike(b"never read", Chunk(0, [1]), other)
+            run_chunk_on_cluster(b"never read", Chunk(0, [1]), other)
 
     def test_a_failing_item_is_named_by_number_and_content(self) -> None:
         with pytest.raises(VolcalError, match=r"failed: TypeError: .*\(item 7: 'S3'\)"):

@@ -14,7 +14,7 @@ import pytest
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.study_files import write_result
-from agent.studies.uncertainty import COLUMNS, TOGETHER, day, each_alone, richer_family, run
+from agent.studies.uncertainty import COLUMNS, TOGETHER, extended_family, isolated_influences, run, study_assumptions
 from agent.studies.workers import LocalWorkers
 from twin.identification import Options
 from twin.uncertainty.error_budget import INFLUENCES
@@ -67,21 +67,23 @@ def test_each_simulation_agrees_with_its_closed_form(name: str) -> None:
 
 def test_nothing_is_simulated_twice_and_nothing_is_left_out() -> None:
     one = case()
-    whole = day(one)
-    alone = [reality for reality in each_alone(whole, one.machine.model).values() if reality is not None]
+    whole = study_assumptions(one)
+    alone = [
+        assumptions for assumptions in isolated_influences(whole, one.machine.model).values() if assumptions is not None
+    ]
     assert len(alone) == len(INFLUENCES) - 1
-    variances = np.sum([reality.family.half_widths for reality in alone], axis=0)
+    variances = np.sum([assumptions.family.half_widths for assumptions in alone], axis=0)
     assert variances == pytest.approx(whole.family.half_widths)
-    assert sum(reality.deflection is not None for reality in alone) == 1
+    assert sum(assumptions.deflection is not None for assumptions in alone) == 1
     for switch in ("touch_noise", "certificate", "cte"):
-        assert sum(getattr(reality, switch) for reality in alone) == 1
-    assert sum(reality.drift_mm for reality in alone) == whole.drift_mm
-    assert sum(reality.thermometer_uncertainty_k for reality in alone) == whole.thermometer_uncertainty_k
+        assert sum(getattr(assumptions, switch) for assumptions in alone) == 1
+    assert sum(assumptions.drift_mm for assumptions in alone) == whole.drift_mm
+    assert sum(assumptions.thermometer_uncertainty_k for assumptions in alone) == whole.thermometer_uncertainty_k
 
 
 def test_the_true_machines_are_the_family_with_higher_orders_beside() -> None:
     machine = case().machine
-    family = richer_family(machine)
+    family = extended_family(machine)
     widths = dict(zip(family.model.names, family.half_widths, strict=True))
     own = dict(zip(machine.model.names, machine.family.half_widths, strict=True))
     assert {name: widths[name] for name in own} == pytest.approx(own)

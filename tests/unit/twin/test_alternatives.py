@@ -7,10 +7,10 @@ import pytest
 
 from twin.identification.alternatives import Alternative, alternatives, mean_and_covariance
 from twin.identification.evidence import SCALE_PRIORS
-from twin.identification.normal import Posterior, Precision, Scales
-from twin.identification.unknowns import Blocks
+from twin.identification.normal import Posterior, PriorPrecision, Scales
+from twin.identification.unknowns import UnknownBlocks
 
-BLOCKS = Blocks.of(5, 2, 0, (4, 3, 3, 3))
+BLOCKS = UnknownBlocks.of(5, 2, 0, (4, 3, 3, 3))
 SCALES = Scales(1.3, 0.8, 0.7, 1.4, 0.9, 1.1)
 ROWS = 70
 
@@ -19,7 +19,7 @@ def set_up(seed: int) -> tuple[np.ndarray, np.ndarray, tuple[Alternative, ...]]:
     rng = np.random.default_rng(seed)
     design = rng.normal(size=(ROWS, BLOCKS.size))
     y = design @ rng.normal(size=BLOCKS.size) + SCALES.noise * rng.normal(size=ROWS)
-    matrix, precision = design.T @ design, Precision(BLOCKS)
+    matrix, precision = design.T @ design, PriorPrecision(BLOCKS)
     posterior = Posterior.of(matrix, precision, SCALES)
     z = posterior.solve(design.T @ y / SCALES.noise**2)
     return design, y, alternatives(matrix, precision, posterior, z, SCALES, ROWS)
@@ -70,7 +70,7 @@ def test_together_they_are_wider_than_their_mean_by_how_they_differ() -> None:
 
 def test_scales_stay_within_their_bounds() -> None:
     design = np.random.default_rng(5).normal(size=(ROWS, BLOCKS.size)) * 1e-4  # says nothing
-    matrix, precision = design.T @ design, Precision(BLOCKS)
+    matrix, precision = design.T @ design, PriorPrecision(BLOCKS)
     scales = Scales(1.0, 2.9, 9.5, 0.11, 1.0, 1.0)
     posterior = Posterior.of(matrix, precision, scales)
     for one in alternatives(matrix, precision, posterior, np.zeros(BLOCKS.size), scales, ROWS):

@@ -8,28 +8,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin.artefact.position_set import Position
-from twin.design.candidates import Candidates, orientation_grid
+from twin.design.candidates import CandidatePositions, orientation_grid
 from twin.design.criterion import Criterion
-from twin.design.goals import Positions, Slot, Target
-from twin.design.held_out import most_telling
-from twin.design.information import Knowledge
-from twin.design.measuring_cost import Prices
-from twin.design.search import Search, Selection
+from twin.design.goals import PositionCountGoal, TargetErrorGoal, TimeSlotGoal
+from twin.design.held_out import most_informative_groups
+from twin.design.information import InformationState
+from twin.design.measuring_cost import MeasuringCosts
+from twin.design.search import ExchangeSearch, Selection
 from twin.errors import DataError
 
 
-def made_up(seed: int, count: int = 9, rank: int = 2, size: int = 6) -> Candidates:
+def made_up(seed: int, count: int = 9, rank: int = 2, size: int = 6) -> CandidatePositions:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(size, size))
     form = root @ root.T
     positions = tuple(Position(1 + index % 3, float(index), 0.0) for index in range(count))
     precision = np.diag(rng.uniform(0.5, 2.0, size))
-    return Candidates(
+    return CandidatePositions(
         positions, np.full(count, 3), rng.normal(size=(count, rank, size)), precision, Criterion(form, form)
     )
 
 
-def plain_value(candidates: Candidates, chosen) -> float:
+def plain_value(candidates: CandidatePositions, chosen) -> float:
     """trace(Q C), C by inverting the sum of what every position tells."""
     precision = candidates.precision.copy()
     for index in chosen:
@@ -37,33 +37,33 @@ def plain_value(candidates: Candidates, chosen) -> float:
     return float(np.trace(candidates.form.aligned @ np.linalg.inv(precision)))
 
 
-def searching(candidates: Candidates, **more) -> Search:
+def searching(candidates: CandidatePositions, **more) -> ExchangeSearch:
     stations = np.array([position.station for position in candidates.positions])
-    prices = Prices(np.linspace(1.0, 2.0, candidates.count), stations, more.pop("carry_minutes", 0.0))
-    return Search(candidates, prices, worthwhile=0.0, **more)
+    prices = MeasuringCosts(np.linspace(1.0, 2.0, candidates.count), stations, more.pop("carry_minutes", 0.0))
+    return ExchangeSearch(candidates, prices, min_improvement=0.0, **more)
 
 
 def test_gains_and_losses_are_those_of_a_plain_evaluation():
     candidates = made_up(1)
-    knowledge = Knowledge.start(candidates.factors, candidates.form.aligned, candidates.covariance([]))
+    information = InformationState.initial(candidates.factors, candidates.form.aligned, candidates.covariance([]))
     chosen: list[int] = []
     for index in (4, 0, 7):
         here = plain_value(candidates, chosen)
         plain = [here - plain_value(candidates, [*chosen, other]) for other in range(candidates.count)]
-        np.testing.assert_allclose(knowledge.gains(), plain, rtol=1e-9)
-        knowledge = knowledge.measured(candidates.factors[index])
+        np.testing.assert_allclose(information.gains(), plain, rtol=1e-9)
+        information = information.after_adding(candidates.factors[index])
         chosen.append(index)
-    losses = [plain_value(candidates, [o for o in chosen if o != index]) - knowledge.value for index in chosen]
-    np.testing.assert_allclose(knowledge.losses(np.array(chosen)), losses, rtol=1e-9)
+    losses = [plain_value(candidates, [o for o in chosen if o != index]) - information.value for index in chosen]
+    np.testing.assert_allclose(information.losses(np.array(chosen)), losses, rtol=1e-9)
 
 
 def test_a_position_taken_back_leaves_what_was_known_before():
     candidates = made_up(2)
     selection = Selection.of(candidates, (1, 5))
-    again = selection.having(3).without(3)
+    again = selection.with_added(3).with_removed(3)
     assert again.chosen == selection.chosen
-    np.testing.assert_allclose(again.knowledge.covariance, selection.knowledge.covariance, atol=1e-12)
-    np.testing.assert_allclose(again.knowledge.weight, selection.knowledge.weight, atol=1e-11)
+    np.testing.assert_allclose(again.information.covariance, selection.information.covariance, atol=1e-12)
+    np.testing.assert_allclose(again.information.weight, selection.information.weight, atol=1e-11)
     assert selection.value == pytest.approx(plain_value(candidates, (1, 5)), rel=1e-12)
 
 
@@ -71,7 +71,7 @@ def test_a_position_taken_back_leaves_what_was_known_before():
 def test_the_search_comes_near_the_best_of_all_subsets(seed: int):
     candidates = made_up(seed)
     best = min(plain_value(candidates, chosen) for chosen in combinations(range(candidates.count), 3))
-    found = plain_value(candidates, Positions(3).reached(searching(candidates)))
+    found = plain_value(candidates, PositionCountGoal(3).select(searching(candidates)))
     assert best * (1.0 - 1e-12) <= found <= 1.06 * best  # one exchange at a time ends where no single one helps
 
 
@@ -80,7 +80,7 @@ def test_the_search_mostly_finds_the_very_best():
     for seed in range(12):
         candidates = made_up(seed)
         best = min(combinations(range(candidates.count), 3), key=lambda chosen: plain_value(candidates, chosen))
-        hits += set(best) == set(Positions(3).reached(searching(candidates)))
+        hits += set(best) == set(PositionCountGoal(3).select(searching(candidates)))
     assert hits >= 9
 
 
@@ -88,7 +88,7 @@ def test_the_search_mostly_finds_the_very_best():
 def test_no_position_ever_does_harm(seed: int, order: list[int]):
     selection = Selection.of(made_up(seed))
     for index in order:
-        further = selection.having(index)
+        further = selection.with_added(index)
         assert further.value <= selection.value * (1.0 + 1e-12)
         selection = further
 
@@ -96,38 +96,38 @@ def test_no_position_ever_does_harm(seed: int, order: list[int]):
 def test_a_slot_holds_and_no_position_that_fits_is_left_out():
     candidates = made_up(3)
     search = searching(candidates, carry_minutes=1.5)
-    chosen = Slot(8.0).reached(search)
+    chosen = TimeSlotGoal(8.0).select(search)
     assert len(set(chosen)) == len(chosen) >= 2
-    assert search.prices.total(chosen) <= 8.0
+    assert search.costs.total(chosen) <= 8.0
     rest = [index for index in range(candidates.count) if index not in chosen]
-    assert all(search.prices.total([*chosen, index]) > 8.0 for index in rest)
+    assert all(search.costs.total([*chosen, index]) > 8.0 for index in rest)
 
 
 def test_a_slot_is_used_nearly_as_well_as_by_the_best_of_all_sets():
     candidates = made_up(4, count=8)
     search = searching(candidates, carry_minutes=0.5)
     fitting = [
-        chosen for size in range(2, 9) for chosen in combinations(range(8), size) if search.prices.total(chosen) <= 6.0
+        chosen for size in range(2, 9) for chosen in combinations(range(8), size) if search.costs.total(chosen) <= 6.0
     ]
     best = min(plain_value(candidates, chosen) for chosen in fitting)
-    assert plain_value(candidates, Slot(6.0).reached(search)) <= 1.05 * best
+    assert plain_value(candidates, TimeSlotGoal(6.0).select(search)) <= 1.05 * best
 
 
 def test_the_price_of_a_set_counts_one_carry_for_each_station_but_where_the_mount_stands():
-    prices = Prices(np.array([1.0, 2.0, 4.0]), np.array([1, 2, 2]), carry_minutes=10.0, standing_at=1)
+    prices = MeasuringCosts(np.array([1.0, 2.0, 4.0]), np.array([1, 2, 2]), carry_minutes=10.0, standing_at=1)
     assert prices.total([0]) == 1.0
     assert prices.total([1, 2]) == 16.0
     assert prices.total([0, 1, 2]) == 17.0
-    assert prices.adding([1]).tolist() == [1.0, 2.0, 4.0]
-    assert prices.adding([]).tolist() == [1.0, 12.0, 14.0]
-    assert prices.pairs().tolist() == [13.0, 13.0, 15.0]
+    assert prices.marginal([1]).tolist() == [1.0, 2.0, 4.0]
+    assert prices.marginal([]).tolist() == [1.0, 12.0, 14.0]
+    assert prices.cheapest_pairs().tolist() == [13.0, 13.0, 15.0]
 
 
 def test_a_target_is_reached_and_nothing_can_be_spared():
     candidates = made_up(5)
     search = searching(candidates)
-    wanted_mm = float(np.sqrt(plain_value(candidates, Positions(5).reached(search))))
-    chosen = Target(wanted_mm).reached(search)
+    wanted_mm = float(np.sqrt(plain_value(candidates, PositionCountGoal(5).select(search))))
+    chosen = TargetErrorGoal(wanted_mm).select(search)
     assert np.sqrt(plain_value(candidates, chosen)) <= wanted_mm * (1.0 + 1e-9)
     for index in chosen:
         rest = [other for other in chosen if other != index]
@@ -138,25 +138,25 @@ def test_goals_that_cannot_be_reached_say_what_can():
     candidates = made_up(6)
     search = searching(candidates)
     with pytest.raises(DataError, match="cannot tell machine from artefact"):
-        Positions(1)
+        PositionCountGoal(1)
     with pytest.raises(DataError, match="only 9 positions"):
-        Positions(10).reached(search)
+        PositionCountGoal(10).select(search)
     with pytest.raises(DataError, match=r"shortest two take 2\.1 min"):
-        Slot(2.0).reached(search)
+        TimeSlotGoal(2.0).select(search)
     floor_um = 1e3 * np.sqrt(plain_value(candidates, range(9)))
     with pytest.raises(DataError, match=f"{floor_um:.2f} µm are left"):
-        Target(0.999e-3 * floor_um).reached(search)
+        TargetErrorGoal(0.999e-3 * floor_um).select(search)
 
 
 def test_what_does_not_pass_is_never_chosen():
     candidates = made_up(7)
-    free = Positions(4).reached(searching(candidates))
+    free = PositionCountGoal(4).select(searching(candidates))
     barred = set(free[:2])
-    chosen = Positions(4).reached(searching(candidates, passes=lambda index: index not in barred))
+    chosen = PositionCountGoal(4).select(searching(candidates, is_measurable=lambda index: index not in barred))
     assert not barred & set(chosen)
     assert plain_value(candidates, chosen) >= plain_value(candidates, free)
     with pytest.raises(DataError, match="only 1 positions"):
-        Positions(2).reached(searching(candidates, passes=lambda index: index == 3))
+        PositionCountGoal(2).select(searching(candidates, is_measurable=lambda index: index == 3))
 
 
 def test_held_out_groups_are_those_that_would_have_told_most():
@@ -167,9 +167,9 @@ def test_held_out_groups_are_those_that_would_have_told_most():
     first = min(allowed, key=lambda group: plain_value(candidates, [*chosen, *group]))
     rest = [group for group in allowed if group != first]
     second = min(rest, key=lambda group: plain_value(candidates, [*chosen, *first, *group]))
-    assert most_telling(candidates, chosen, groups, 2) == [first, second]
+    assert most_informative_groups(candidates, chosen, groups, 2) == [first, second]
     with pytest.raises(DataError, match="4 orientations are to be held out, 3 are left"):
-        most_telling(candidates, chosen, groups, 4)
+        most_informative_groups(candidates, chosen, groups, 4)
 
 
 @pytest.mark.parametrize("step", [0.0, -15.0, 7.0, 100.0, 60.0, float("nan")])

@@ -57,7 +57,7 @@ def test_the_estimate_is_that_of_the_machine_as_it_stands_at_the_end() -> None:
     truth = FAMILY.draw(rng, 1)[0]
     seen = warmed(truth, rng)
     blind = replace(seen.where(np.arange(seen.size)), thermal_regressors=np.zeros((seen.size, 0)))
-    options = replace(PLAIN, drift=DriftPrior(), holds_at=seen.thermal_regressors[-1])
+    options = replace(PLAIN, drift=DriftPrior(), state_regressors=seen.thermal_regressors[-1])
     found = identify(MODEL, seen, BAR, FAMILY, options)
     unaware = identify(MODEL, blind, BAR, FAMILY, PLAIN)
     assert left_um(found.parameters, truth, 3.0) < 4.0
@@ -73,7 +73,9 @@ def test_the_estimate_is_that_of_the_machine_as_it_stands_at_the_end() -> None:
 def test_what_is_kept_of_an_estimate_knows_nothing_of_the_drift() -> None:
     rng = np.random.default_rng(2)
     seen = warmed(FAMILY.draw(rng, 1)[0], rng)
-    found = identify(MODEL, seen, BAR, FAMILY, replace(PLAIN, drift=DriftPrior(), holds_at=seen.thermal_regressors[-1]))
+    found = identify(
+        MODEL, seen, BAR, FAMILY, replace(PLAIN, drift=DriftPrior(), state_regressors=seen.thermal_regressors[-1])
+    )
     assert found.unknowns.drift is None
     assert found.z.shape == (found.unknowns.blocks.size,)
     assert found.parameters == pytest.approx(found.unknowns.parameters(found.z))
@@ -103,7 +105,7 @@ def test_stated_uncertainty_of_the_drifted_parameters_holds() -> None:
         truth = FAMILY.prior_standard_deviation * rng.standard_normal(MODEL.size)
         still = measured("S3", 3, BAR, lambda at, tool, t=truth: exact_deviation(MODEL, at, tool, t), rng)
         course = np.linspace(0.0, 2.0, still.size)[:, None]
-        options = replace(PLAIN, drift=prior, holds_at=course[-1])
+        options = replace(PLAIN, drift=prior, state_regressors=course[-1])
         found = identify(MODEL, replace(still, thermal_regressors=course), BAR, FAMILY, options)
         assert found.drift is not None
         drift = found.drift.drift
@@ -113,7 +115,7 @@ def test_stated_uncertainty_of_the_drifted_parameters_holds() -> None:
         moved = replace(still, axis_positions=still.axis_positions - shift, thermal_regressors=course)
         found = identify(MODEL, moved, BAR, FAMILY, options)
         late = truth.copy()
-        late[list(drift.places)] += drift.change(drawn, course[-1])[: len(drift.places)]
+        late[list(drift.parameter_indices)] += drift.change(drawn, course[-1])[: len(drift.parameter_indices)]
         field = deviation_basis(MODEL, GRID, TOOL)
         error = field.reshape(-1, MODEL.size) @ (late - found.parameters)
         stated = np.einsum("nip,pq,niq->", field, found.covariance, field)

@@ -18,9 +18,9 @@ from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_population import Family
 from twin.machine.motion_uncertainty import motion_uncertainty
 from twin.machine.volumetric import evaluation_grid
-from twin.uncertainty.error_budget import INFLUENCES, ErrorBudget, budget_of, error_budget
+from twin.uncertainty.error_budget import INFLUENCES, ErrorBudget, error_budget, error_budget_of_form
 from twin.uncertainty.residual_field_form import FieldForm
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 GRID = evaluation_grid(RANGES, (7, 5, 5))
 DEFLECTION = cantilever_deflection(*CASE_STUDY_NODES)
@@ -30,8 +30,8 @@ PUBLISHED = replace(FIXED, formulation="distances", weights="unit", use_prior=Fa
 FAMILIES = {order: case_study(order)[1] for order in (3, 4, 5, 7)}
 TRUE_FAMILY = FAMILIES[7]
 NOBODY = Family(TRUE_FAMILY.model, np.zeros(TRUE_FAMILY.model.size))
-NOTHING = Reality(NOBODY, touch_noise=False, certificate=False, cte=False)
-EVERYTHING = Reality(
+NOTHING = TruthAssumptions(NOBODY, touch_noise=False, certificate=False, cte=False)
+EVERYTHING = TruthAssumptions(
     TRUE_FAMILY, DEFLECTION, artefact_temperature_c=26.0, thermometer_uncertainty_k=0.3, drift_mm=1.5e-3
 )
 MILD = replace(EVERYTHING, artefact_temperature_c=22.0, thermometer_uncertainty_k=0.1)
@@ -67,43 +67,43 @@ def planned(case: Case) -> Observations:
     return replace(seen, covariance=np.tile(COVARIANCE, (seen.size, 1, 1)))
 
 
-def closed(case: Case, reality: Reality) -> ErrorBudget:
+def closed(case: Case, assumptions: TruthAssumptions) -> ErrorBudget:
     family = case.family
-    return error_budget(family.model, family, certified(), planned(case), case.options, reality, GRID, TOOL)
+    return error_budget(family.model, family, certified(), planned(case), case.options, assumptions, GRID, TOOL)
 
 
-def night(case: Case, reality: Reality, rng: np.random.Generator) -> tuple[float, float]:
+def night(case: Case, assumptions: TruthAssumptions, rng: np.random.Generator) -> tuple[float, float]:
     """Mean square VCE, raw and aligned, of one machine after one simulated procedure."""
-    parameters = reality.family.draw(rng, 1)[0]
+    parameters = assumptions.family.draw(rng, 1)[0]
 
     def truth(at: np.ndarray, tool: np.ndarray) -> np.ndarray:
-        bent = 0.0 if reality.deflection is None else reality.deflection.at(np.clip(at, *np.array(RANGES).T))
-        return exact_deviation(reality.family.model, at, tool, parameters) + bent
+        bent = 0.0 if assumptions.deflection is None else assumptions.deflection.at(np.clip(at, *np.array(RANGES).T))
+        return exact_deviation(assumptions.family.model, at, tool, parameters) + bent
 
-    seen = simulated(case, reality, truth, rng)
+    seen = simulated(case, assumptions, truth, rng)
     estimate = identify(case.family.model, seen, certified(), case.family, case.options)
     left = truth(GRID, TOOL) - exact_deviation(case.family.model, GRID, TOOL, estimate.parameters)
     return mean_square(left), mean_square(without_rigid_motion(left))
 
 
-def simulated(case: Case, reality: Reality, truth, rng: np.random.Generator) -> Observations:
+def simulated(case: Case, assumptions: TruthAssumptions, truth, rng: np.random.Generator) -> Observations:
     stated = certified()
-    slip = rng.normal(0.0, 0.8e-3, stated.balls.shape) * reality.certificate
-    cte = stated.cte_per_k + rng.normal(0.0, stated.cte_standard_uncertainty_per_k) * reality.cte
+    slip = rng.normal(0.0, 0.8e-3, stated.balls.shape) * assumptions.certificate
+    cte = stated.cte_per_k + rng.normal(0.0, stated.cte_standard_uncertainty_per_k) * assumptions.cte
     real = replace(stated, balls=stated.balls + slip, cte_per_k=cte)
-    real_c = reality.artefact_temperature_c + rng.normal(0.0, 1.0) * reality.thermometer_uncertainty_k
+    real_c = assumptions.artefact_temperature_c + rng.normal(0.0, 1.0) * assumptions.thermometer_uncertainty_k
     seen = measured(case.expression, 3, real, without_errors, rng, sigma_mm=0.0, temperature_c=real_c)
     nominal = seen.axis_positions
     found = nominal - truth(nominal - truth(nominal, TOOL), TOOL)
-    found += rng.normal(0.0, np.sqrt(np.diagonal(COVARIANCE)), (seen.size, 3)) * reality.touch_noise
+    found += rng.normal(0.0, np.sqrt(np.diagonal(COVARIANCE)), (seen.size, 3)) * assumptions.touch_noise
     for position in np.unique(seen.position):
         rows = np.flatnonzero(seen.position == position)
-        found[rows] += np.linspace(0.0, 1.0, len(rows))[:, None] * rng.normal(0.0, reality.drift_mm, 3)
+        found[rows] += np.linspace(0.0, 1.0, len(rows))[:, None] * rng.normal(0.0, assumptions.drift_mm, 3)
     return replace(
         seen,
         axis_positions=found,
         covariance=np.tile(COVARIANCE, (seen.size, 1, 1)),
-        temperature_c=np.full(seen.size, reality.artefact_temperature_c),
+        temperature_c=np.full(seen.size, assumptions.artefact_temperature_c),
     )
 
 
@@ -121,11 +121,11 @@ def without_rigid_motion(field: np.ndarray) -> np.ndarray:
     return field - (flat @ np.linalg.lstsq(flat, field.reshape(-1), rcond=None)[0]).reshape(-1, 3)
 
 
-def agree(case: Case, reality: Reality, nights: int, seed: int = 1) -> np.ndarray:
+def agree(case: Case, assumptions: TruthAssumptions, nights: int, seed: int = 1) -> np.ndarray:
     """Within three standard deviations of the mean of the simulated squares."""
     children = np.random.SeedSequence(seed).spawn(nights)
-    squares = np.array([night(case, reality, np.random.default_rng(child)) for child in children])
-    expected = closed(case, reality).expected
+    squares = np.array([night(case, assumptions, np.random.default_rng(child)) for child in children])
+    expected = closed(case, assumptions).expected
     for found, wanted in zip(squares.T, (expected.raw_mm**2, expected.aligned_mm**2), strict=True):
         doubt = found.std(ddof=1) / np.sqrt(nights)
         assert abs(found.mean() - wanted) < 3.0 * doubt, (found.mean() / wanted, doubt / wanted)
@@ -187,8 +187,8 @@ def test_each_contribution_is_what_it_is_alone(name: str) -> None:
 def test_a_contribution_is_the_same_in_company() -> None:
     whole = closed(CENTRES, EVERYTHING).contributions
     assert tuple(whole) == INFLUENCES
-    for name, reality in ALONE.items():
-        warm = replace(reality, artefact_temperature_c=26.0)
+    for name, assumptions in ALONE.items():
+        warm = replace(assumptions, artefact_temperature_c=26.0)
         alone = closed(CENTRES, warm).contributions[name]
         assert whole[name].raw_mm == pytest.approx(alone.raw_mm, rel=1e-9)
         assert whole[name].aligned_mm == pytest.approx(alone.aligned_mm, rel=1e-9)
@@ -204,9 +204,9 @@ def test_squares_add_up() -> None:
 
 def test_a_fixed_deflection_is_a_bias_and_not_a_spread() -> None:
     """One noiseless identification says it all, and to nanometres."""
-    reality = replace(NOTHING, deflection=DEFLECTION)
-    raw, aligned = night(CENTRES, reality, np.random.default_rng(0))
-    expected = closed(CENTRES, reality).expected
+    assumptions = replace(NOTHING, deflection=DEFLECTION)
+    raw, aligned = night(CENTRES, assumptions, np.random.default_rng(0))
+    expected = closed(CENTRES, assumptions).expected
     assert np.sqrt(raw) == pytest.approx(expected.raw_mm, abs=5e-6)
     assert np.sqrt(aligned) == pytest.approx(expected.aligned_mm, abs=5e-6)
 
@@ -231,14 +231,14 @@ def test_the_map_holds_what_the_expected_error_says() -> None:
 
 
 def test_parameters_are_as_uncertain_as_simulated() -> None:
-    reality = replace(EVERYTHING, drift_mm=0.0)
+    assumptions = replace(EVERYTHING, drift_mm=0.0)
     squares = []
     for child in np.random.SeedSequence(5).spawn(60):
         rng = np.random.default_rng(child)
-        parameters = reality.family.draw(rng, 1)[0]
+        parameters = assumptions.family.draw(rng, 1)[0]
         seen = simulated(
             CENTRES,
-            reality,
+            assumptions,
             lambda at, tool, p=parameters: (
                 exact_deviation(TRUE_FAMILY.model, at, tool, p) + DEFLECTION.at(np.clip(at, *np.array(RANGES).T))
             ),
@@ -248,7 +248,7 @@ def test_parameters_are_as_uncertain_as_simulated() -> None:
         truth = dict(zip(TRUE_FAMILY.model.names, parameters, strict=True))
         own = np.array([truth[name] for name in OWN_NAMES])
         squares.append((own - estimate.parameters) ** 2)
-    ratio = np.mean(squares, axis=0) / closed(CENTRES, reality).parameter_uncertainty() ** 2
+    ratio = np.mean(squares, axis=0) / closed(CENTRES, assumptions).parameter_uncertainty() ** 2
     assert ratio.mean() == pytest.approx(1.0, abs=0.06)
     assert (np.abs(ratio - 1.0) < 5.0 * np.sqrt(2.0 / 60.0)).all()
 
@@ -299,12 +299,12 @@ def test_with_two_tools_each_parameter_is_left_as_one_identification_leaves_it(n
 
 def test_the_day_makes_the_artefact_as_warm_as_reality_says() -> None:
     """Temperatures of the planned rows are those of the plan, not of the day."""
-    reality = replace(NOTHING, cte=True, artefact_temperature_c=26.0)
+    assumptions = replace(NOTHING, cte=True, artefact_temperature_c=26.0)
     seen = planned(CENTRES)
     family = CENTRES.family
-    form = FieldForm.build(family.model, reality, GRID, TOOL)
-    cold = budget_of(form, family, certified(), seen, FIXED)
-    hot = budget_of(form, family, certified(), replace(seen, temperature_c=np.full(seen.size, 26.0)), FIXED)
+    form = FieldForm.build(family.model, assumptions, GRID, TOOL)
+    cold = error_budget_of_form(form, family, certified(), seen, FIXED)
+    hot = error_budget_of_form(form, family, certified(), replace(seen, temperature_c=np.full(seen.size, 26.0)), FIXED)
     assert cold.expected == hot.expected
     assert cold.expected.raw_mm > 0.0
 
@@ -312,9 +312,9 @@ def test_the_day_makes_the_artefact_as_warm_as_reality_says() -> None:
 def test_machines_of_another_chain_are_refused() -> None:
     model, family = case_study(5)
     other = replace(model, ranges_mm=((0.0, 3000.0), *RANGES[1:]))
-    reality = Reality(Family(other, family.half_widths))
+    assumptions = TruthAssumptions(Family(other, family.half_widths))
     with pytest.raises(ModelError, match="axis ranges"):
-        FieldForm.build(model, reality, GRID, TOOL)
+        FieldForm.build(model, assumptions, GRID, TOOL)
 
 
 def test_an_estimate_carried_over_is_refused() -> None:

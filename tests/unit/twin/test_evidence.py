@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from twin.identification.evidence import likely_scales, negative_log_likelihood
-from twin.identification.normal import Known, Normal, Precision, Scales
-from twin.identification.unknowns import Blocks
+from twin.identification.evidence import most_likely_scales, negative_log_likelihood
+from twin.identification.normal import JointPrior, NormalEquations, PriorPrecision, Scales
+from twin.identification.unknowns import UnknownBlocks
 
-BLOCKS = Blocks.of(4, 2, 0, (2, 1))
+BLOCKS = UnknownBlocks.of(4, 2, 0, (2, 1))
 
 
-def equations(seed: int, rows: int = 60, truth: Scales | None = None) -> tuple[np.ndarray, np.ndarray, Normal]:
+def equations(seed: int, rows: int = 60, truth: Scales | None = None) -> tuple[np.ndarray, np.ndarray, NormalEquations]:
     rng = np.random.default_rng(seed)
     truth = truth or Scales()
     design = rng.normal(size=(rows, 9))
     deviations = np.array([truth.prior] * 4 + [1.0] * 2 + [truth.mixed] * 2 + [truth.waves_x])
     y = design @ (rng.normal(size=9) * deviations) + truth.noise * rng.normal(size=rows)
-    return design, y, Normal(design.T @ design, design.T @ y, float(y @ y), rows)
+    return design, y, NormalEquations(design.T @ design, design.T @ y, float(y @ y), rows)
 
 
 def test_differences_of_the_likelihood_are_those_of_the_dense_density() -> None:
@@ -31,7 +31,7 @@ def test_differences_of_the_likelihood_are_those_of_the_dense_density() -> None:
         return -2.0 * float(multivariate_normal.logpdf(y, np.zeros(len(y)), covariance))
 
     one, other = Scales(1.3, 0.7, 1.9, 0.6), Scales(0.8, 1.2, 0.4, 1.5)
-    ours = [negative_log_likelihood(normal, Precision(BLOCKS), scales)[0] for scales in (one, other)]
+    ours = [negative_log_likelihood(normal, PriorPrecision(BLOCKS), scales)[0] for scales in (one, other)]
     assert ours[0] - ours[1] == pytest.approx(dense(one) - dense(other), rel=1e-9)
 
 
@@ -41,10 +41,10 @@ def test_with_a_known_mean_and_covariance_too() -> None:
     mixing = np.random.default_rng(6).normal(size=(7, 7))
     mean, covariance = np.linspace(-1.0, 1.0, 7), mixing @ mixing.T + np.eye(7)
     taken = np.array([True] * 4 + [False] * 2 + [True] * 3)
-    inverse, pull = np.zeros((9, 9)), np.zeros(9)
+    inverse, information_vector = np.zeros((9, 9)), np.zeros(9)
     inverse[np.ix_(taken, taken)] = np.linalg.inv(covariance)
-    pull[taken] = np.linalg.solve(covariance, mean)
-    precision = Precision(BLOCKS, Known(taken, inverse, pull))
+    information_vector[taken] = np.linalg.solve(covariance, mean)
+    precision = PriorPrecision(BLOCKS, JointPrior(taken, inverse, information_vector))
 
     def dense(noise: float) -> float:
         spread = np.eye(9)
@@ -57,14 +57,14 @@ def test_with_a_known_mean_and_covariance_too() -> None:
     gradient = negative_log_likelihood(normal, precision, Scales(1.3))[1][0]
     up, down = (negative_log_likelihood(normal, precision, Scales(1.3 * np.exp(s)))[0] for s in (1e-5, -1e-5))
     assert gradient == pytest.approx((up - down) / 2e-5, rel=1e-5)
-    found = likely_scales(normal, precision, Scales(1.0, 2.0, 3.0))
+    found = most_likely_scales(normal, precision, Scales(1.0, 2.0, 3.0))
     assert (found.prior, found.mixed) == (2.0, 3.0)
 
 
 @pytest.mark.parametrize("given", [None, np.diag([1.0, 2.0, 3.0, 4.0]) + 0.3])
 def test_gradient_is_that_of_differences(given: np.ndarray | None) -> None:
     _, _, normal = equations(2)
-    precision = Precision(BLOCKS, None if given is None else Known.held(BLOCKS, given))
+    precision = PriorPrecision(BLOCKS, None if given is None else JointPrior.at_zero(BLOCKS, given))
     at = np.log([1.3, 1.0 if given is not None else 0.7, 1.9, 0.6])
     gradient = negative_log_likelihood(normal, precision, Scales(*np.exp(at)))[1]
     for k in range(4) if given is None else (0, 2, 3):
@@ -78,8 +78,8 @@ def test_gradient_is_that_of_differences(given: np.ndarray | None) -> None:
 
 def test_scales_come_back_and_stay_within_bounds() -> None:
     _, _, normal = equations(3, rows=4000, truth=Scales(noise=2.5))
-    found = likely_scales(normal, Precision(BLOCKS), Scales())
+    found = most_likely_scales(normal, PriorPrecision(BLOCKS), Scales())
     assert found.noise == pytest.approx(2.5, rel=0.05)
     _, _, silent = equations(4, truth=Scales(1e-6, 1e-6, 1e-6))
-    floor = likely_scales(silent, Precision(BLOCKS), Scales())
+    floor = most_likely_scales(silent, PriorPrecision(BLOCKS), Scales())
     assert (floor.noise, floor.mixed) == pytest.approx((0.3, 0.3), abs=0.25)

@@ -15,7 +15,7 @@ from measured_set import TOOL, bar, case_study, measured
 from twin.artefact.artefact import Artefact
 from twin.artefact.observations import Observations
 from twin.errors import DataError
-from twin.identification import CarriedOver, Estimate, Options, Scales, identify, process_noise
+from twin.identification import CarriedOverPrior, Estimate, Options, Scales, identify, process_noise
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
@@ -206,7 +206,7 @@ class TestWhatCannotBeCarried:
     )
     def test_no_covariance(self, row: int, column: int, value: float, words: str, unknown: str) -> None:
         with pytest.raises(DataError, match=words) as caught:
-            CarriedOver(self.known.unknowns, self.known.mean, self.changed(row, column, value), Scales())
+            CarriedOverPrior(self.known.unknowns, self.known.mean, self.changed(row, column, value), Scales())
         assert caught.value.where["unknown"] == unknown
 
     def test_a_singular_covariance_names_where_it_becomes_so(self) -> None:
@@ -215,12 +215,12 @@ class TestWhatCannotBeCarried:
         covariance[MODEL.size + 4], covariance[:, MODEL.size + 4] = covariance[1], covariance[:, 1]
         covariance[MODEL.size + 4, MODEL.size + 4] = covariance[1, 1] * (1.0 - 1e-12)
         with pytest.raises(DataError) as caught:
-            CarriedOver(self.known.unknowns, self.known.mean, covariance, Scales())
+            CarriedOverPrior(self.known.unknowns, self.known.mean, covariance, Scales())
         assert caught.value.where["unknown"] == "certificate 4"
 
     def test_the_wrong_size(self) -> None:
         with pytest.raises(DataError, match="finite"):
-            CarriedOver(self.known.unknowns, self.known.mean, np.eye(3), Scales())
+            CarriedOverPrior(self.known.unknowns, self.known.mean, np.eye(3), Scales())
 
     def test_to_another_model(self) -> None:
         model, family = case_study(4)

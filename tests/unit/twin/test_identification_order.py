@@ -16,7 +16,7 @@ from twin.identification import Options, identify, identify_by_evidence
 from twin.identification.evidence import SCALE_PRIORS
 from twin.identification.misfit import misfit_modes
 from twin.identification.problem import build_problem
-from twin.identification.solution import evidence_of
+from twin.identification.solution import log_evidence_and_scales
 from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.machine_population import Family, family_from_amplitudes
 
@@ -70,7 +70,7 @@ def test_evidence_of_orders_differs_as_the_dense_densities_do() -> None:
     ours, dense = [], []
     for order in (2, 4, 6):
         problem = build_problem(family_of(order), seen, ARTEFACT, Options())
-        evidence, scales = evidence_of(problem, Options())
+        evidence, scales = log_evidence_and_scales(problem, Options())
         ours.append(evidence)
         dense.append(dense_log_evidence(order, seen, scales.values))
     assert np.ptp(dense) > 3.0

@@ -80,9 +80,7 @@ def layout(own: dict[int, Artefact], around: bool = True) -> MeasuringLayout:
 
 def test_a_procedure_counts_the_balls_of_the_second_artefact_on() -> None:
     own = {1: BAR, 2: other()}
-    planned = Procedure({"probe": layout(own)}, np.eye(3) * 1e-6).planned(
-        [Position(1, 0.0, 0.0), Position(2, 0.0, 0.0)]
-    )
+    planned = Procedure({"probe": layout(own)}, np.eye(3) * 1e-6).plan([Position(1, 0.0, 0.0), Position(2, 0.0, 0.0)])
     seen = planned.observations
     assert seen.ball.tolist() == [*range(5), *range(5, 10)]
     moved = seen.axis_positions[5:] - seen.axis_positions[:5] - [1100.0, 0.0, 0.0]

@@ -34,7 +34,7 @@ PROCEDURE = Procedure({"probe": LAYOUT, "longer": LONGER}, np.eye(3) * 1e-6)
 
 
 def test_balls_of_a_level_bar_stand_where_a_ruler_puts_them() -> None:
-    planned = PROCEDURE.planned([Position(1, 0.0, 0.0)])
+    planned = PROCEDURE.plan([Position(1, 0.0, 0.0)])
     x = [500.0, 750.0, 1000.0, 1250.0, 1500.0]
     # from the foot 120 mm of shaft and 60 mm of holder towards the ram, less the tool
     expected = [(at, 1000.0 - 120.0 - 60.0 - 250.0, 750.0) for at in x]
@@ -43,32 +43,32 @@ def test_balls_of_a_level_bar_stand_where_a_ruler_puts_them() -> None:
 
 def test_balls_beyond_the_travel_are_left_out_and_counted() -> None:
     near_the_end = dataclasses.replace(LAYOUT, locations_mm={1: np.array([260.0, 1000.0, 750.0])})
-    planned = Procedure({"probe": near_the_end}, np.eye(3)).planned([Position(1, 0.0, 0.0)])
+    planned = Procedure({"probe": near_the_end}, np.eye(3)).plan([Position(1, 0.0, 0.0)])
     assert planned.observations.ball.tolist() == [1, 2, 3, 4]
     assert planned.unreachable_balls == 1
 
 
 def test_a_bar_across_the_travel_of_y_is_left_out() -> None:
     both = [Position(1, 90.0, 0.0), Position(1, 45.0, 0.0)]
-    planned = PROCEDURE.planned(both)
+    planned = PROCEDURE.plan(both)
     assert planned.left_out == (both[0],)
     assert planned.positions == (both[1],)
     with pytest.raises(DataError, match="none of 1 positions"):
-        PROCEDURE.planned(both[:1])
+        PROCEDURE.plan(both[:1])
 
 
 def test_each_position_is_measured_with_its_tool() -> None:
-    planned = PROCEDURE.planned([Position(1, 0.0, 0.0), Position(1, 0.0, 0.0, "longer")])
+    planned = PROCEDURE.plan([Position(1, 0.0, 0.0), Position(1, 0.0, 0.0, "longer")])
     seen = planned.observations
     assert seen.tool.tolist() == [0] * 5 + [1] * 5
     np.testing.assert_allclose(seen.axis_positions[:5] - seen.axis_positions[5:], np.tile([0.0, 200.0, 0.0], (5, 1)))
     with pytest.raises(DataError, match="'lateral' is not part of the procedure"):
-        PROCEDURE.planned([Position(1, 0.0, 0.0, "lateral")])
+        PROCEDURE.plan([Position(1, 0.0, 0.0, "lateral")])
 
 
 def test_an_unknown_station_is_named() -> None:
     with pytest.raises(DataError, match="station 7 has no place"):
-        PROCEDURE.planned([Position(7, 0.0, 0.0)])
+        PROCEDURE.plan([Position(7, 0.0, 0.0)])
 
 
 def test_covariance_of_a_centre_is_that_of_plain_least_squares() -> None:

@@ -214,7 +214,7 @@ def test_distributions_of_ve_and_vce_against_drawn_machines(misfit_mm: float) ->
     estimate = with_one_scale(estimated(misfit_mm))
     found = volumetric_distributions(estimate, GRID, TOOL)
     machines, left = drawn_fields(estimate, np.random.default_rng(3), 4000)
-    for fields, distribution in ((machines, found.before), (left, found.left)):
+    for fields, distribution in ((machines, found.ve), (left, found.vce)):
         low, high = distribution.limits(0.95)
         for drawn, one in ((fields, "raw_mm"), (aligned(fields), "aligned_mm")):
             rms = np.sqrt((drawn**2).sum(axis=1) / len(GRID))
@@ -225,7 +225,7 @@ def test_distributions_of_ve_and_vce_against_drawn_machines(misfit_mm: float) ->
 
 def test_the_mean_square_is_that_of_the_prediction() -> None:
     estimate = estimated(0.001)
-    expected = volumetric_distributions(estimate, GRID, TOOL).left.expected
+    expected = volumetric_distributions(estimate, GRID, TOOL).vce.expected
     predicted = predicted_vce(estimate, GRID, TOOL)
     assert expected.raw_mm == pytest.approx(predicted.raw_mm, rel=1e-6)
     assert expected.aligned_mm == pytest.approx(predicted.aligned_mm, rel=1e-6)
@@ -234,7 +234,7 @@ def test_the_mean_square_is_that_of_the_prediction() -> None:
 def test_points_that_are_no_grid_do_as_well() -> None:
     estimate = estimated(0.001)
     scattered = np.random.default_rng(1).uniform(*np.array(RANGES).T, (60, 3))
-    expected = volumetric_distributions(estimate, scattered, TOOL).left.expected
+    expected = volumetric_distributions(estimate, scattered, TOOL).vce.expected
     assert expected.aligned_mm == pytest.approx(predicted_vce(estimate, scattered, TOOL).aligned_mm, rel=1e-6)
 
 

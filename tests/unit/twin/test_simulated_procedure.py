@@ -13,7 +13,7 @@ from twin.artefact.artefact import Artefact, ball_bar
 from twin.artefact.position_set import MountGeometry, Position, mount_pose
 from twin.collision.bodies import ProbeGeometry
 from twin.collision.measuring_layout import MeasuringLayout
-from twin.design.procedure import Planned, Procedure
+from twin.design.procedure import PlannedMeasurement, Procedure
 from twin.errors import ModelError
 from twin.identification import Options, identify
 from twin.machine.deflection import DeflectionGrid, cantilever_deflection
@@ -24,15 +24,15 @@ from twin.machine.machine_population import family_from_amplitudes
 from twin.machine.true_machine import TrueMachine
 from twin.machine.volumetric import align_rigidly, evaluation_grid
 from twin.uncertainty.monte_carlo import (
-    course_share,
+    compensated_errors,
     draw_truth,
-    errors_before,
-    errors_left,
+    position_progress,
     simulated_observations,
     true_vce,
+    uncompensated_errors,
 )
 from twin.uncertainty.residual_field_form import FieldForm
-from twin.uncertainty.truth_assumptions import Reality
+from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 CHAINS = ("tool-Y-Z-X-bed-workpiece", "tool-Z-bed-Y-X-workpiece")
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
@@ -63,7 +63,7 @@ def bar(tilt_deg: float = 15.0, **changes: float) -> Artefact:
     )
 
 
-def planned_for(artefact: Artefact, orientations: tuple[tuple[float, float], ...] = ORIENTATIONS) -> Planned:
+def planned_for(artefact: Artefact, orientations: tuple[tuple[float, float], ...] = ORIENTATIONS) -> PlannedMeasurement:
     layout = MeasuringLayout(
         artefact=artefact,
         mount=MOUNT,
@@ -77,7 +77,7 @@ def planned_for(artefact: Artefact, orientations: tuple[tuple[float, float], ...
     )
     covariance = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, -0.5], [0.0, -0.5, 1.0]]) * 1e-7
     positions = [Position(station, *pair) for station in (1, 2) for pair in orientations]
-    return Procedure({"probe": layout}, covariance).planned(positions)
+    return Procedure({"probe": layout}, covariance).plan(positions)
 
 
 def model(order: int = 5, chain: str = CHAINS[0]) -> ErrorModel:
@@ -88,17 +88,17 @@ def deflection() -> DeflectionGrid:
     return cantilever_deflection(*(np.linspace(low, high, 7) for low, high in RANGES))
 
 
-def quiet(order: int = 5, chain: str = CHAINS[0], **changes: object) -> Reality:
+def quiet(order: int = 5, chain: str = CHAINS[0], **changes: object) -> TruthAssumptions:
     """Machines with nothing else beside them."""
     family = family_from_amplitudes(model(order, chain), AMPLITUDES)
     silent = {"touch_noise": False, "certificate": False, "cte": False}
-    return Reality(family, **{**silent, **changes})  # type: ignore[arg-type]
+    return TruthAssumptions(family, **{**silent, **changes})  # type: ignore[arg-type]
 
 
-def perfect(**changes: object) -> Reality:
+def perfect(**changes: object) -> TruthAssumptions:
     family = family_from_amplitudes(model(), {})
     silent = {"touch_noise": False, "certificate": False, "cte": False}
-    return Reality(family, **{**silent, **changes})  # type: ignore[arg-type]
+    return TruthAssumptions(family, **{**silent, **changes})  # type: ignore[arg-type]
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -107,9 +107,9 @@ def rng(seed: int = 1) -> np.random.Generator:
 
 class TestTruth:
     def test_it_is_drawn_evenly_between_the_half_widths_of_the_family(self) -> None:
-        reality, source = quiet(7), rng()
-        drawn = np.array([draw_truth(reality, source, TOOL).parameters for _ in range(4000)])
-        widths = reality.family.half_widths
+        assumptions, source = quiet(7), rng()
+        drawn = np.array([draw_truth(assumptions, source, TOOL).parameters for _ in range(4000)])
+        widths = assumptions.family.half_widths
         used = widths > 0.0
         assert (np.abs(drawn) <= widths).all()
         share = drawn[:, used] / widths[used]
@@ -129,10 +129,10 @@ class TestWhereBallsAreFound:
         """X + t + d(X) = ball, d by a loop over 4x4 matrices written from the documentation."""
         artefact = bar()
         plan = planned_for(artefact).observations
-        reality = quiet(7, chain)
-        truth = draw_truth(reality, rng(), TOOL)
-        seen = simulated_observations(plan, artefact, truth, reality, rng(2))
-        named = dict(zip(reality.family.model.names, truth.parameters.tolist(), strict=True))
+        assumptions = quiet(7, chain)
+        truth = draw_truth(assumptions, rng(), TOOL)
+        seen = simulated_observations(plan, artefact, truth, assumptions, rng(2))
+        named = dict(zip(assumptions.family.model.names, truth.parameters.tolist(), strict=True))
         off = np.array(deviations(chain, RANGES, seen.axis_positions, TOOL, named))
         assert np.abs(off).max() > 5e-3
         assert np.abs(seen.axis_positions + off - plan.axis_positions).max() < 1e-9
@@ -142,12 +142,12 @@ class TestWhereBallsAreFound:
         plan = planned_for(artefact).observations
         longer = TOOL + np.array([0.0, 0.0, 120.0])
         both = replace(plan, tool=(plan.position % 2), tool_offsets=np.array([TOOL, longer]))
-        reality = quiet(deflection=deflection())
-        truth = draw_truth(reality, rng(), TOOL)
-        seen = simulated_observations(both, artefact, truth, reality, rng(2))
+        assumptions = quiet(deflection=deflection())
+        truth = draw_truth(assumptions, rng(), TOOL)
+        seen = simulated_observations(both, artefact, truth, assumptions, rng(2))
         for tool, offset in enumerate((TOOL, longer)):
             at = seen.axis_positions[both.tool == tool]
-            off = exact_deviation(reality.family.model, at, offset, truth.parameters) + deflection().at(at)
+            off = exact_deviation(assumptions.family.model, at, offset, truth.parameters) + deflection().at(at)
             assert np.abs(at + off - plan.axis_positions[both.tool == tool]).max() < 1e-9
 
     @pytest.mark.parametrize("tilt_deg", [0.0, 15.0])
@@ -186,12 +186,12 @@ class TestChance:
 
     RUNS = 700
 
-    def found(self, reality: Reality, artefact: Artefact | None = None) -> np.ndarray:
+    def found(self, assumptions: TruthAssumptions, artefact: Artefact | None = None) -> np.ndarray:
         """(runs, n, 3) found less planned."""
         artefact = artefact or bar()
         plan = planned_for(artefact, ((0.0, 0.0), (45.0, 0.0))).observations
         truth, source = TrueMachine(None, np.zeros(0), TOOL, None), rng(3)
-        runs = [simulated_observations(plan, artefact, truth, reality, source) for _ in range(self.RUNS)]
+        runs = [simulated_observations(plan, artefact, truth, assumptions, source) for _ in range(self.RUNS)]
         return np.array([run.axis_positions for run in runs]) - plan.axis_positions
 
     def test_touches_have_the_stated_covariance(self) -> None:
@@ -218,7 +218,7 @@ class TestChance:
     def test_drift_grows_linearly_to_the_last_ball_of_each_position(self) -> None:
         found = self.found(perfect(drift_mm=2e-3))
         plan = planned_for(bar(), ((0.0, 0.0), (45.0, 0.0))).observations
-        share = course_share(plan.position)
+        share = position_progress(plan.position)
         assert share[plan.position == 0].tolist() == pytest.approx([k / 6.0 for k in range(7)])
         ends = found[:, share == 1.0]
         assert np.abs(ends.std(axis=0) / 2e-3 - 1.0).max() < 0.12
@@ -230,7 +230,7 @@ class TestChance:
         assert np.abs(apart).max() < 5.0 / math.sqrt(self.RUNS)
 
     def test_rows_of_a_position_need_not_stand_together(self) -> None:
-        assert course_share(np.array([4, 1, 4, 1, 4, 2])).tolist() == [0.0, 0.0, 0.5, 1.0, 1.0, 0.0]
+        assert position_progress(np.array([4, 1, 4, 1, 4, 2])).tolist() == [0.0, 0.0, 0.5, 1.0, 1.0, 0.0]
 
     def test_the_coefficient_of_expansion_is_off_by_its_uncertainty(self) -> None:
         found = self.found(perfect(cte=True, artefact_temperature_c=30.0), bar())
@@ -243,11 +243,11 @@ class TestChance:
     def test_the_thermometer_is_off_by_the_same_for_a_whole_run(self) -> None:
         artefact = bar()
         plan = planned_for(artefact).observations
-        reality = perfect(thermometer_uncertainty_k=0.2, artefact_temperature_c=22.0)
+        assumptions = perfect(thermometer_uncertainty_k=0.2, artefact_temperature_c=22.0)
         truth, source = TrueMachine(None, np.zeros(0), TOOL, None), rng(5)
         shown = []
         for _ in range(500):
-            seen = simulated_observations(plan, artefact, truth, reality, source)
+            seen = simulated_observations(plan, artefact, truth, assumptions, source)
             assert np.ptp(seen.temperature_c) == 0.0
             shown.append(seen.temperature_c[0])
         assert np.mean(shown) == pytest.approx(22.0, abs=0.03)
@@ -259,8 +259,8 @@ class TestChance:
         full = quiet(touch_noise=True, certificate=True, cte=True, drift_mm=1e-3, thermometer_uncertainty_k=0.1)
         truth = draw_truth(full, rng(), TOOL)
 
-        def found(reality: Reality) -> np.ndarray:
-            return simulated_observations(plan, artefact, truth, reality, rng(7)).axis_positions
+        def found(assumptions: TruthAssumptions) -> np.ndarray:
+            return simulated_observations(plan, artefact, truth, assumptions, rng(7)).axis_positions
 
         touches = found(full) - found(replace(full, touch_noise=False))
         alone = replace(full, certificate=False, cte=False, drift_mm=0.0)
@@ -273,15 +273,15 @@ class TestWhatIsLeft:
 
     @pytest.mark.parametrize("chain", CHAINS)
     def test_it_is_the_exact_field_less_the_compensation_to_nanometres(self, chain: str) -> None:
-        reality = quiet(7, chain, deflection=deflection())
+        assumptions = quiet(7, chain, deflection=deflection())
         own = model(5, chain)
         grid = evaluation_grid(RANGES, (9, 6, 7))
-        form = FieldForm.build(own, reality, grid, TOOL)
+        form = FieldForm.build(own, assumptions, grid, TOOL)
         source = rng(11)
-        truths = [draw_truth(reality, source, TOOL) for _ in range(5)]
+        truths = [draw_truth(assumptions, source, TOOL) for _ in range(5)]
         estimates = family_from_amplitudes(own, AMPLITUDES).draw(source, 5)
-        left = errors_left(form, np.array([truth.parameters for truth in truths]), estimates)
-        before = errors_before(form, np.array([truth.parameters for truth in truths]))
+        left = compensated_errors(form, np.array([truth.parameters for truth in truths]), estimates)
+        before = uncompensated_errors(form, np.array([truth.parameters for truth in truths]))
         for number, (truth, estimate) in enumerate(zip(truths, estimates, strict=True)):
             bare = truth.deviation(grid)
             field = bare - exact_deviation(own, grid, TOOL, estimate)
@@ -293,14 +293,14 @@ class TestWhatIsLeft:
     def test_an_identified_machine_is_better_than_it_was(self) -> None:
         artefact = bar()
         plan = planned_for(artefact).observations
-        reality = quiet(7, touch_noise=True, certificate=True, deflection=deflection())
+        assumptions = quiet(7, touch_noise=True, certificate=True, deflection=deflection())
         family = family_from_amplitudes(model(5), AMPLITUDES)
-        form = FieldForm.build(family.model, reality, evaluation_grid(RANGES, (9, 6, 7)), TOOL)
+        form = FieldForm.build(family.model, assumptions, evaluation_grid(RANGES, (9, 6, 7)), TOOL)
         source = rng(13)
-        truth = draw_truth(reality, source, TOOL)
-        seen = simulated_observations(plan, artefact, truth, reality, source)
+        truth = draw_truth(assumptions, source, TOOL)
+        seen = simulated_observations(plan, artefact, truth, assumptions, source)
         left = true_vce(identify(family.model, seen, artefact, family, Options()), truth, form)
-        assert left.aligned_mm < 0.7 * errors_before(form, truth.parameters[None, :])[1][0]
+        assert left.aligned_mm < 0.7 * uncompensated_errors(form, truth.parameters[None, :])[1][0]
 
     def test_machines_of_other_ranges_are_refused(self) -> None:
         narrow = ErrorModel.uniform(parse_chain(CHAINS[0]), ((0.0, 3000.0), *RANGES[1:]), 5)

@@ -4,15 +4,15 @@ from typing import ClassVar
 import pytest
 
 from twin.errors import FormatError
-from twin.formats.toml_reading import Strict, key_path, read_toml, with_current_keys
+from twin.formats.toml_reading import StrictModel, key_path, read_toml, with_current_keys
 
 
-class Inner(Strict):
+class Inner(StrictModel):
     size_mm: float
     span_mm: tuple[float, float] = (0.0, 1.0)
 
 
-class Outer(Strict):
+class Outer(StrictModel):
     name: str
     inner: dict[str, Inner]
     amounts: float | tuple[float, ...] = 1.0
@@ -59,13 +59,13 @@ def test_key_path():
     assert key_path(("axes", "X", "range_mm", 0)) == "axes.X.range_mm[0]"
 
 
-class Renamed(Strict):
+class Renamed(StrictModel):
     former_keys: ClassVar[Mapping[str, str]] = {"largest": "maximum"}
 
     maximum: float = 1.0
 
 
-class Holder(Strict):
+class Holder(StrictModel):
     former_keys: ClassVar[Mapping[str, str]] = {"old_section": "section"}
 
     section: Renamed = Renamed()

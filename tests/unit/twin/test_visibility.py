@@ -13,11 +13,11 @@ from measured_set import RANGES, TOOL, bar, case_study
 from twin.artefact.position_set import MountGeometry, Position, parse_position_set, station_locations
 from twin.collision.bodies import ProbeGeometry
 from twin.collision.measuring_layout import MeasuringLayout
-from twin.design.identifiability import Viewpoint, Visibility, visibility
+from twin.design.identifiability import EvaluatedTool, Identifiability, assess_identifiability
 from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
 from twin.design.procedure import Procedure
-from twin.design.setup_advice import effect, proposal
-from twin.design.setup_trials import Gain, gains, other_tools, viewpoints
+from twin.design.setup_advice import describe_gain, describe_trial
+from twin.design.setup_trials import TrialGain, evaluated_tools, other_tools, trial_gains
 from twin.identification import Estimate, identify
 from twin.identification.observability import field_observability
 from twin.machine.deviation_basis import linear_deviation
@@ -54,9 +54,9 @@ def set_up(expression: str = "S3", order: int = 4, sigma_mm: float = 1e-3, **opt
     return SetUp(model, family, procedure, parse_position_set(expression, 3), dataclasses.replace(AS_STATED, **options))
 
 
-def seen_by(one: SetUp, tools: tuple[np.ndarray, ...] = (TOOL, LONGER, LATERAL)) -> Visibility:
-    views = [Viewpoint(str(k), QuadraticForm.build(one.model, GRID, tool), k == 0) for k, tool in enumerate(tools)]
-    return visibility(one.estimate(), views)
+def seen_by(one: SetUp, tools: tuple[np.ndarray, ...] = (TOOL, LONGER, LATERAL)) -> Identifiability:
+    views = [EvaluatedTool(str(k), QuadraticForm.build(one.model, GRID, tool), k == 0) for k, tool in enumerate(tools)]
+    return assess_identifiability(one.estimate(), views)
 
 
 class TestRank:
@@ -149,11 +149,11 @@ class TestUnseenField:
 
 
 @cache
-def advice() -> tuple[SetUp, Visibility, tuple[Gain, ...]]:
+def advice() -> tuple[SetUp, Identifiability, tuple[TrialGain, ...]]:
     one = set_up("S3", order=3)
-    views = viewpoints(one, GRID)
-    before = visibility(one.estimate(), views)
-    return one, before, gains(one, before, views)
+    views = evaluated_tools(one, GRID)
+    before = assess_identifiability(one.estimate(), views)
+    return one, before, trial_gains(one, before, views)
 
 
 class TestAdvice:
@@ -185,7 +185,7 @@ class TestAdvice:
         layouts = {"probe": layout(), "second": layout(LONGER)}
         both = [Position(p.station, p.azimuth_deg, p.elevation_deg, tool) for tool in layouts for p in one.positions]
         whole = SetUp(one.model, one.family, Procedure(layouts, one.procedure.covariance_mm2), tuple(both), one.options)
-        again = visibility(whole.estimate(), viewpoints(one, GRID))
+        again = assess_identifiability(whole.estimate(), evaluated_tools(one, GRID))
         assert longer.after.rank == again.rank == before.rank + longer.rank
         assert longer.rank > 0
         for field, other in zip(longer.after.fields, again.fields, strict=True):
@@ -193,7 +193,7 @@ class TestAdvice:
 
     def test_says_what_to_do_and_what_it_brings(self) -> None:
         _, _, found = advice()
-        said = {proposal(gain.trial): effect(gain) for gain in found}
+        said = {describe_trial(gain.trial): describe_gain(gain) for gain in found}
         sideways = said["the positions again with a stylus 100 mm aside along -X"]
         assert "EBY" in sideways
         assert "EBZ" in sideways
@@ -218,7 +218,7 @@ class TestAdvice:
         one, _, _ = advice()
         two = one.adding_tool("second", np.array([0.0, 350.0, 0.0]))
         assert "100 mm longer" not in {tool.name for tool in other_tools(two)}
-        assert [view.measured for view in viewpoints(two, GRID)][:2] == [True, True]
+        assert [view.measured for view in evaluated_tools(two, GRID)][:2] == [True, True]
 
     def test_a_tool_along_minus_z_is_lengthened_downwards(self) -> None:
         one, _, _ = advice()
@@ -235,7 +235,7 @@ def lateral_names() -> set[str]:
 
 def identified(one: SetUp, truth: np.ndarray) -> Estimate:
     """From the places where the machine with the errors `truth` (p,) would find the balls of the plan."""
-    planned = one.planned().observations
+    planned = one.plan().observations
     at = planned.axis_positions.copy()
     for _ in range(3):
         at = planned.axis_positions - exact_deviation(one.model, at, TOOL, truth)
