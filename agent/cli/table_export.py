@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
+from click.decorators import FC
 from rich.console import Console
 from rich.table import Table
 
@@ -19,26 +19,20 @@ from agent.files import write_all_atomically
 from agent.results.controller_export import Material, Request, Result, export_table, table_in_files
 from agent.results.table_image import table_of
 from drivers.errors import InputError
-from twin.compensation.controllers.export_format import ExportOptions
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.format_options import (
+    ExportOptions,
+    FormatOption,
+    OneOf,
+    PositiveNumber,
+    Switch,
+    Text,
+    WholeNumber,
+)
+from twin.compensation.controllers.registry import FORMATS, all_options, formats_with
 from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import format_side_file, format_table
 
 PATH = click.Path(path_type=Path)
-_KNOWN_BY: Mapping[str, tuple[str, ...]] = {
-    "reference_mm": ("linuxcnc-comp", "siemens-lec", "siemens-cec", "heidenhain-com", "fanuc-pitch", "fanuc-3d"),
-    "axis_names": ("siemens-lec", "siemens-cec", "heidenhain-com"),
-    "encoder": ("siemens-lec",),
-    "first_table": ("siemens-cec",),
-    "most_tables": ("siemens-cec",),
-    "products": ("siemens-cec",),
-    "detection_unit_um": ("fanuc-pitch", "fanuc-3d"),
-    "magnification": ("fanuc-pitch", "fanuc-3d"),
-    "bank_letter": ("heidenhain-com",),
-}
-"""Which formats know an option; the others are refused, so that nobody believes it was heeded."""
-
-_OPTION = {"axis_names": "--axes", "most_tables": "--tables", "products": "--no-products", "bank_letter": "--cma-bank"}
 
 
 def _points(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int, int, int] | None:
@@ -51,23 +45,39 @@ def _points(_: click.Context, __: click.Parameter, text: str | None) -> tuple[in
     return x, y, z
 
 
-def _place(_: click.Context, __: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
-    if text is None:
-        return None
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise click.BadParameter("write three positions in mm, such as 0,650,0") from None
-    return x, y, z
+def _click_option(option: FormatOption[object]) -> Callable[[FC], FC]:
+    """Return the command line's option for an option that formats declare; None if it is not given."""
+    flag = "--" + option.key.replace("_", "-")
+    match option.domain:
+        case WholeNumber(minimum, maximum):
+            return click.option(flag, option.key, type=click.IntRange(minimum, maximum), help=option.help)
+        case PositiveNumber():
+            return click.option(flag, option.key, type=click.FloatRange(min=0.0, min_open=True), help=option.help)
+        case OneOf(words):
+            return click.option(flag, option.key, type=click.Choice(words), help=option.help)
+        case Switch():
+            return click.option(flag, option.key, flag_value=True, default=None, type=bool, help=option.help)
+        case Text(form, parse):
+            return click.option(flag, option.key, metavar=form, callback=_parsed(parse), help=option.help)
 
 
-def _names(_: click.Context, __: click.Parameter, text: str | None) -> tuple[str, str, str] | None:
-    if text is None:
-        return None
-    names = tuple(part.strip() for part in text.split(","))
-    if len(set(names)) != 3 or len(names) != 3 or not all(name.isidentifier() for name in names):
-        raise click.BadParameter("write three different names of letters and digits for X, Y and Z, such as X1,Y1,Z1")
-    return names[0], names[1], names[2]
+def _parsed(parse: Callable[[str], Any]) -> Callable[[click.Context, click.Parameter, str | None], Any]:
+    """Return a callback that parses the text; the ValueError of `parse` becomes the error of the option."""
+
+    def callback(_: click.Context, __: click.Parameter, text: str | None) -> Any:
+        try:
+            return None if text is None else parse(text)
+        except ValueError as error:
+            raise click.BadParameter(str(error)) from None
+
+    return callback
+
+
+def options_of_formats(command: FC) -> FC:
+    """Every option that a format declares, in the order of the formats."""
+    for option in reversed(all_options()):
+        command = _click_option(option)(command)
+    return command
 
 
 @click.command("export")
@@ -75,20 +85,12 @@ def _names(_: click.Context, __: click.Parameter, text: str | None) -> tuple[str
 @click.option("--bank", type=int, help="Bank of the controller; the active one when not said.")
 @click.option("--table", "table_path", type=PATH, help="Instead of a bank: folder of a run, or a table's CSV file.")
 @click.option("--estimate", type=PATH, help="Estimate of the table [default: estimate.json beside it].")
-@click.option("--format", "format_name", type=click.Choice(list(WRITERS)), help="In the words of this controller.")
+@click.option("--format", "format_name", type=click.Choice(list(FORMATS)), help="In the words of this controller.")
 @click.option("--out", type=PATH, required=True, help="Folder to write; without --format the CSV file to write.")
 @click.option("--points", metavar="NXxNYxNZ", callback=_points, help="Evenly spaced points instead of the table's.")
-@click.option("--reference-mm", metavar="X,Y,Z", callback=_place, help="Reference point [default: the anchor].")
 @click.option("--largest-um", type=click.FloatRange(min=0.0, min_open=True), default=1000.0, show_default=True)
 @click.option("--opposite-sign", is_flag=True, help="Every value with the other sign than documented.")
-@click.option("--axes", "axis_names", metavar="X1,Y1,Z1", callback=_names, help="Names of X, Y, Z in the controller.")
-@click.option("--encoder", type=click.IntRange(0, 1), help="Siemens LEC: measuring system, 0 or 1.")
-@click.option("--first-table", type=click.IntRange(min=0), help="Siemens CEC: index of the first table.")
-@click.option("--tables", "most_tables", type=click.IntRange(min=1), help="Siemens CEC: so many at most [default: 62].")
-@click.option("--no-products", "products", flag_value=False, default=None, type=bool, help="Siemens CEC: no factors.")
-@click.option("--detection-unit-um", type=click.FloatRange(min=0.0, min_open=True), help="Fanuc: [default: 1].")
-@click.option("--magnification", type=click.IntRange(1, 100), help="Fanuc: [default: the smallest that fits].")
-@click.option("--cma-bank", "bank_letter", type=click.Choice(["A", "B"]), help="HEIDENHAIN: active line [default: A].")
+@options_of_formats
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @reported
 def export(
@@ -103,7 +105,7 @@ def export(
     largest_um: float,
     opposite_sign: bool,
     as_json: bool,
-    **of_controllers: Any,
+    **format_options: Any,
 ) -> None:
     """A table of a bank or of a run: as neutral CSV with its side file, or with --format for a controller.
 
@@ -112,7 +114,7 @@ def export(
     """
     if table_path is not None and bank is not None:
         raise click.UsageError("--table and --bank name two tables: give one of them")
-    chosen = _chosen(format_name, of_controllers)
+    chosen = _chosen(format_name, format_options)
     material = _from_bank(config, bank, estimate) if table_path is None else table_in_files(table_path, estimate)
     if format_name is None:
         if points or opposite_sign or as_json:
@@ -120,7 +122,7 @@ def export(
         _write_neutral(material.table, out)
         click.echo(f"{material.origin} → {out}")
         return
-    choices = ExportOptions(opposite_sign=opposite_sign, **chosen)
+    choices = ExportOptions(chosen, opposite_sign)
     result = export_table(material, Request(format_name, out, points, largest_um, choices))
     if as_json:
         click.echo(json.dumps(result.as_json()))
@@ -129,15 +131,14 @@ def export(
 
 
 def _chosen(format_name: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Those options that were given, as `ExportOptions` calls them."""
-    chosen = {name: value for name, value in given.items() if value is not None}
-    for name in chosen:
-        if format_name not in _KNOWN_BY[name]:
-            option = _OPTION.get(name, "--" + name.replace("_", "-"))
-            raise click.UsageError(f"{option} is of the formats {', '.join(_KNOWN_BY[name])}")
-    if "bank_letter" in chosen:
-        chosen["bank"] = chosen.pop("bank_letter")
-    return {field.name: chosen[field.name] for field in fields(ExportOptions) if field.name in chosen}
+    """Return the format options that were given. Raises UsageError for one that the format does not read, because it
+    would be ignored."""
+    chosen = {key: value for key, value in given.items() if value is not None}
+    for key in chosen:
+        if format_name not in formats_with(key):
+            formats = ", ".join(formats_with(key))
+            raise click.UsageError(f"--{key.replace('_', '-')} is an option of the formats {formats}")
+    return chosen
 
 
 def _from_bank(config: Path, bank: int | None, estimate: Path | None) -> Material:

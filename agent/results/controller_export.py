@@ -14,7 +14,8 @@ import numpy as np
 from agent.files import read_text, translated, write_all_atomically
 from drivers.errors import InputError
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, TableEstimate
+from twin.compensation.controllers.export_format import ControllerExport, ExportSource, TableEstimate
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.grids import Shape, require_small_corrections, resample_table
 from twin.compensation.controllers.loss import (
     CompensationLoss,
@@ -22,7 +23,7 @@ from twin.compensation.controllers.loss import (
     largest_correction,
     require_same_machine,
 )
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.registry import FORMATS
 from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import checksum, format_table, parse_table
 from twin.formats.estimate_file import parse_estimate
@@ -114,7 +115,7 @@ def export_table(material: Material, request: Request) -> Result:
         require_small_corrections(whole.table, 1e-3 * request.largest_um)
         require_same_machine(whole, material.resolution_mm)
         table = whole.table if request.points is None else resample_table(whole.table, request.points)
-        exported = WRITERS[request.format](ExportSource(table, whole.estimate), request.choices)
+        exported = FORMATS[request.format].export(ExportSource(table, whole.estimate), request.choices)
         found, check = compensation_loss(whole, exported.correction), largest_correction(table, exported.correction)
     result = Result(request, material, exported, found, check, checksum(format_table(material.table)))
     write_all_atomically(request.out, _contents(result))

@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.compensation.controllers.export_format import ExportOptions, ExportSource, TableEstimate
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.export_format import ExportSource, TableEstimate
+from twin.compensation.controllers.format_options import ExportOptions
+from twin.compensation.controllers.registry import FORMATS
 from twin.compensation.table import Anchor, CompensationTable, build_table
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -50,16 +51,16 @@ def of_error_motions() -> ExportSource:
     return ExportSource(table, TableEstimate(model, parameters, np.zeros((model.size, model.size))))
 
 
-@pytest.mark.parametrize("name", sorted(WRITERS))
+@pytest.mark.parametrize("name", sorted(FORMATS))
 def test_the_files_are_those_written_by_hand(name: str) -> None:
     source = of_error_motions() if name == "isg-volcomp" else by_hand()
-    found = dict(WRITERS[name](source, ExportOptions()).files)
+    found = dict(FORMATS[name].export(source, ExportOptions()).files)
     found.pop("table.json", None)
     assert found == {path.name: path.read_text(encoding="utf-8") for path in (HERE / name).iterdir()}
 
 
 def test_the_side_file_of_a_table_for_part_programs() -> None:
-    files = WRITERS["gcode-csv"](by_hand(), ExportOptions()).files
+    files = FORMATS["gcode-csv"].export(by_hand(), ExportOptions()).files
     side = json.loads(files["table.json"])
     assert side["grid"] == {key: [0.0, 100.0, 200.0] for key in ("x_mm", "y_mm", "z_mm")}
     assert side["crc32"] == f"{zlib.crc32(files['table.csv'].encode()):08x}"
@@ -77,7 +78,7 @@ def test_the_example_of_a_parameter_manual() -> None:
     corrections[..., 0] = 1e-3 * np.array(amounts)[:, None, None]
     marks = np.zeros((18, 2, 2), dtype=bool)
     table = CompensationTable(x, ends, ends, corrections, np.zeros(3), Anchor(np.zeros(3)), marks)
-    files = WRITERS["fanuc-pitch"](ExportSource(table), ExportOptions()).files
+    files = FORMATS["fanuc-pitch"].export(ExportSource(table), ExportOptions()).files
     reference, first = (int(files["parameters.txt"].splitlines()[row].split("A1P")[1].split("A")[0]) for row in (1, 2))
     assert reference - first == 40 - 33
     data = dict(line[1:].split("P") for line in files["pitch-error.txt"].splitlines()[1:-1])

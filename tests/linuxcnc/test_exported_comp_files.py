@@ -10,7 +10,8 @@ from compensation_rig import built, machine, running, why_not
 from needing import needing
 
 from twin.compensation.controllers import linuxcnc_comp
-from twin.compensation.controllers.export_format import ExportOptions, ExportSource
+from twin.compensation.controllers.export_format import ExportSource
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import exact_deviation

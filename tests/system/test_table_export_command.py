@@ -18,7 +18,7 @@ from agent.cli import table_export
 from agent.cli.main import main
 from agent.results.table_image import image_of
 from drivers.roles import Activation, StoreLimits
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.registry import FORMATS
 from twin.compensation.table_file import parse_table
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
@@ -43,7 +43,7 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, HiddenMa
     return folder / "run", machine
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", FORMATS)
 def test_every_format_from_the_folder_of_a_run(name: str, identified: tuple, tmp_path: Path) -> None:
     run, _ = identified
     done = export(run, tmp_path / "out", name, "--json")
@@ -153,10 +153,10 @@ class TestWrongInput:
     @pytest.mark.parametrize(
         ("more", "text"),
         [
-            (["--encoder", "1"], "--encoder is of the formats siemens-lec"),
-            (["--no-products"], "--no-products is of the formats siemens-cec"),
-            (["--reference-mm", "0,0,0"], "--reference-mm is of the formats linuxcnc-comp"),
-            (["--axes", "A,B,C"], "--axes is of the formats"),
+            (["--encoder", "1"], "--encoder is an option of the formats siemens-lec"),
+            (["--no-products"], "--no-products is an option of the formats siemens-cec"),
+            (["--reference-mm", "0,0,0"], "--reference-mm is an option of the formats linuxcnc-comp"),
+            (["--axes", "A,B,C"], "--axes is an option of the formats"),
             (["--axes", "X,X,Z"], "three different names"),
             (["--points", "41"], "points along X, Y and Z"),
             (["--reference-mm", "0,0"], "three positions"),

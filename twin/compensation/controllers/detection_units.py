@@ -8,11 +8,16 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import ExportOptions
+from twin.compensation.controllers.format_options import ExportOptions, FormatOption, PositiveNumber, WholeNumber
 from twin.errors import DataError
 
 LARGEST_MAGNIFICATION = 100
 CountArray = np.ndarray[Any, np.dtype[np.int64]]
+
+DETECTION_UNIT_UM = FormatOption("detection_unit_um", PositiveNumber(), 1.0, "Fanuc: [default: 1].")
+MAGNIFICATION = FormatOption[int | None](
+    "magnification", WholeNumber(1, LARGEST_MAGNIFICATION), None, "Fanuc: [default: the smallest that fits]."
+)
 
 
 @dataclass(frozen=True)
@@ -49,11 +54,11 @@ def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, 
 
     `increments`: what is written are differences of the counts along (n,). DataError where none does.
     """
-    asked = choices.magnification
+    asked = choices[MAGNIFICATION]
     tried = range(1, LARGEST_MAGNIFICATION + 1) if asked is None else [asked]
     largest = 0
     for magnification in tried:
-        unit = CountUnit(choices.detection_unit_um, magnification)
+        unit = CountUnit(choices[DETECTION_UNIT_UM], magnification)
         numbers = [unit.counts(one) for one in values_mm]
         if increments:
             numbers = [np.diff(one) for one in numbers]

@@ -11,8 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.compensation.controllers.detection_units import CountArray, CountUnit, format_reference, smallest_unit
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, Facts
+from twin.compensation.controllers.detection_units import (
+    DETECTION_UNIT_UM,
+    MAGNIFICATION,
+    CountArray,
+    CountUnit,
+    format_reference,
+    smallest_unit,
+)
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource, Facts
+from twin.compensation.controllers.format_options import REFERENCE_MM, ExportOptions
 from twin.compensation.controllers.grids import even_steps, reference_nodes, reference_point, require_points
 from twin.compensation.table import CompensationTable
 from twin.machine.kinematic_chain import AXES
@@ -29,7 +37,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")
     steps = even_steps(table)
-    reference = reference_point(table, choices.reference_mm)
+    reference = reference_point(table, choices[REFERENCE_MM])
     places = reference_nodes(table, reference)
     wanted = table.corrections - table.at(reference[None, :])[0]
     unit = smallest_unit([wanted], choices, LARGEST_COUNT, increments=False)
@@ -67,3 +75,6 @@ def _parameters(
     for name, values in rows.items():
         lines += [f"N{_FIRST_PARAMETER[name] + axis}P{value}" for axis, value in enumerate(values)]
     return "\n".join([*lines, "%"]) + "\n"
+
+
+FORMAT = ExportFormat("fanuc-3d", export, (REFERENCE_MM, DETECTION_UNIT_UM, MAGNIFICATION))

@@ -12,8 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.detection_units import CountArray, CountUnit, format_reference, smallest_unit
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, Facts
+from twin.compensation.controllers.detection_units import (
+    DETECTION_UNIT_UM,
+    MAGNIFICATION,
+    CountArray,
+    CountUnit,
+    format_reference,
+    smallest_unit,
+)
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource, Facts
+from twin.compensation.controllers.format_options import REFERENCE_MM, ExportOptions
 from twin.compensation.controllers.grids import even_steps, reference_nodes, reference_point, require_points
 from twin.compensation.controllers.reduction import own_axis_profiles, sum_of_own_axis_profiles
 from twin.machine.kinematic_chain import AXES
@@ -33,7 +41,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")
     steps = even_steps(table)
-    reference = reference_point(table, choices.reference_mm)
+    reference = reference_point(table, choices[REFERENCE_MM])
     places = reference_nodes(table, reference)
     profiles = list(own_axis_profiles(table, reference))
     unit = smallest_unit([one.values for one in profiles], choices, LARGEST_INCREMENT, increments=True)
@@ -80,3 +88,6 @@ def _parameters(
         for number, values in rows.items()
     ]
     return "\n".join(["%", *lines, "%"]) + "\n"
+
+
+FORMAT = ExportFormat("fanuc-pitch", export, (REFERENCE_MM, DETECTION_UNIT_UM, MAGNIFICATION))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.table_file import format_side_file, format_table
 
 
@@ -15,3 +16,6 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     return ControllerExport(
         files, source.table.at, ("nothing: a controller without tables is corrected as the table says",)
     )
+
+
+FORMAT = ExportFormat("gcode-csv", export)

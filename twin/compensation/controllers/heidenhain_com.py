@@ -7,10 +7,16 @@ control moves against it. One line of the .CMA table is active: two lines are tw
 
 from __future__ import annotations
 
-from typing import Literal
-
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, Names
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
+from twin.compensation.controllers.format_options import (
+    AXIS_NAMES,
+    REFERENCE_MM,
+    ExportOptions,
+    FormatOption,
+    Names,
+    OneOf,
+)
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
 from twin.compensation.controllers.reduction import (
     Profile,
@@ -29,27 +35,29 @@ LOST = (
     "steps of 0.1 µm",
 )
 
+ACTIVE_BANK = FormatOption("cma_bank", OneOf(("A", "B")), "A", "HEIDENHAIN: active line [default: A].")
+
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """Three `.COM` files of the bank asked for, and `CONFIG.CMA` with that bank active."""
-    table, names = source.table, choices.names(USUAL_NAMES)
+    table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a .COM table")
     even_steps(table)
-    wanted = cross_axis_profiles(table, reference_point(table, choices.reference_mm))
+    wanted = cross_axis_profiles(table, reference_point(table, choices[REFERENCE_MM]))
     written = tuple(tuple(round_profile(one, _DECIMALS) for one in row) for row in wanted)
     files = {
-        f"{_stem(choices.bank, name)}.COM": _com(_stem(choices.bank, name), row, names, choices.sign)
+        f"{_stem(choices[ACTIVE_BANK], name)}.COM": _com(_stem(choices[ACTIVE_BANK], name), row, names, choices.sign)
         for name, row in zip(names, written, strict=True)
     }
-    files["CONFIG.CMA"] = _cma(names, choices.bank)
+    files["CONFIG.CMA"] = _cma(names, choices[ACTIVE_BANK])
 
     def correction(axis_positions: Array) -> Array:
         return sum_of_cross_axis_profiles(written, axis_positions)
 
-    return ControllerExport(files, correction, LOST, {"bank": choices.bank})
+    return ControllerExport(files, correction, LOST, {"bank": choices[ACTIVE_BANK]})
 
 
-def _stem(bank: Literal["A", "B"], name: str) -> str:
+def _stem(bank: str, name: str) -> str:
     return f"VOLCAL{bank}_{name}"
 
 
@@ -71,3 +79,6 @@ def _cma(names: Names, active: str) -> str:
 
 def _line(number: str, *cells: str) -> str:
     return (number.ljust(_NUMBER) + "".join(cell.ljust(_CELL) for cell in cells)).rstrip()
+
+
+FORMAT = ExportFormat("heidenhain-com", export, (REFERENCE_MM, AXIS_NAMES, ACTIVE_BANK))

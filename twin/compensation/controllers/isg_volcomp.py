@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, TableEstimate
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource, TableEstimate
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.loss import rigid_difference
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
@@ -178,3 +179,6 @@ def _list_file(model: ErrorModel) -> str:
     return "# axis numbers (X, Y, Z) as in the channel; path as on the controller\n" + "".join(
         f"{name:<24} {value}\n" for name, value in rows
     )
+
+
+FORMAT = ExportFormat("isg-volcomp", export)

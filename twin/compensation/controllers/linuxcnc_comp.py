@@ -8,7 +8,8 @@ a word at the first row that is not three numbers, so there is neither header no
 from __future__ import annotations
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
+from twin.compensation.controllers.format_options import REFERENCE_MM, ExportOptions
 from twin.compensation.controllers.grids import reference_point, require_points
 from twin.compensation.controllers.reduction import Profile, own_axis_profiles, round_profile, sum_of_own_axis_profiles
 from twin.machine.kinematic_chain import AXES
@@ -27,7 +28,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     table = source.table
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a COMP_FILE")
     profiles = [
-        round_profile(one, _DECIMALS) for one in own_axis_profiles(table, reference_point(table, choices.reference_mm))
+        round_profile(one, _DECIMALS) for one in own_axis_profiles(table, reference_point(table, choices[REFERENCE_MM]))
     ]
     files = {f"{letter.lower()}.comp": _rows(one, choices.sign) for letter, one in zip(AXES, profiles, strict=True)}
     files["ini-lines.txt"] = "".join(
@@ -48,3 +49,6 @@ def _rows(profile: Profile, sign: int) -> str:
         position = f"{nominal - sign * value:.{_DECIMALS}f}"
         lines.append(f"{nominal:.6f} {position} {position}")
     return "\n".join(lines) + "\n"
+
+
+FORMAT = ExportFormat("linuxcnc-comp", export, (REFERENCE_MM,))

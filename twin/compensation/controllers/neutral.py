@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
+from twin.compensation.controllers.format_options import ExportOptions
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um", "extrapolated")
 
@@ -25,3 +26,6 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
         lines.append(f"{place}," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in values) + f",{int(mark)}")
     facts = {f"tool_offset_{letter}_mm": float(v) for letter, v in zip("xyz", table.tool_offset, strict=True)}
     return ControllerExport({"compensation.csv": "\n".join(lines) + "\n"}, table.at, ("nothing",), facts)
+
+
+FORMAT = ExportFormat("neutral", export)

@@ -15,16 +15,30 @@ from twin.compensation.controllers import (
     siemens_cec,
     siemens_lec,
 )
-from twin.compensation.controllers.export_format import FormatWriter
+from twin.compensation.controllers.export_format import ExportFormat
+from twin.compensation.controllers.format_options import FormatOption
 
-WRITERS: Mapping[str, FormatWriter] = {
-    "linuxcnc-comp": linuxcnc_comp.export,
-    "siemens-lec": siemens_lec.export,
-    "siemens-cec": siemens_cec.export,
-    "isg-volcomp": isg_volcomp.export,
-    "fanuc-pitch": fanuc_pitch.export,
-    "fanuc-3d": fanuc_3d.export,
-    "heidenhain-com": heidenhain_com.export,
-    "gcode-csv": gcode_csv.export,
-    "neutral": neutral.export,
+FORMATS: Mapping[str, ExportFormat] = {
+    one.name: one
+    for one in (
+        linuxcnc_comp.FORMAT,
+        siemens_lec.FORMAT,
+        siemens_cec.FORMAT,
+        isg_volcomp.FORMAT,
+        fanuc_pitch.FORMAT,
+        fanuc_3d.FORMAT,
+        heidenhain_com.FORMAT,
+        gcode_csv.FORMAT,
+        neutral.FORMAT,
+    )
 }
+
+
+def all_options() -> tuple[FormatOption[object], ...]:
+    """Return every option that a format declares, each once, in the order of the formats."""
+    return tuple({option.key: option for one in FORMATS.values() for option in one.options}.values())
+
+
+def formats_with(key: str) -> tuple[str, ...]:
+    """Return the names of the formats that read the option `key`."""
+    return tuple(name for name, one in FORMATS.items() if any(option.key == key for option in one.options))

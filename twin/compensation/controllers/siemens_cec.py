@@ -11,7 +11,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, Names
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
+from twin.compensation.controllers.format_options import (
+    AXIS_NAMES,
+    REFERENCE_MM,
+    ExportOptions,
+    FormatOption,
+    Names,
+    Switch,
+    WholeNumber,
+)
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
 from twin.compensation.controllers.reduction import (
     Profile,
@@ -29,16 +38,20 @@ _FACTOR_DECIMALS = 9
 
 LOST = ("what depends on all three axes at once, and what is worth less than 0.02 µm or found no table",)
 
+FIRST_TABLE = FormatOption("first_table", WholeNumber(0), 0, "Siemens CEC: index of the first table.")
+MOST_TABLES = FormatOption("tables", WholeNumber(1), 62, "Siemens CEC: so many at most [default: 62].")
+NO_PRODUCTS = FormatOption("no_products", Switch(), False, "Siemens CEC: no factors.")
+
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """One INI file with all tables, and a part program that enables those that act by themselves."""
-    table, names = source.table, choices.names(USUAL_NAMES)
+    table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD18342")
-    if choices.most_tables < 1:
+    if choices[MOST_TABLES] < 1:
         raise DataError("no table is allowed", hint="Say with --tables how many the controller has")
     steps = even_steps(table)
-    reference = reference_point(table, choices.reference_mm)
-    chosen = select_terms(table, choices.most_tables, reference, products=choices.products)
+    reference = reference_point(table, choices[REFERENCE_MM])
+    chosen = select_terms(table, choices[MOST_TABLES], reference, products=not choices[NO_PRODUCTS])
     kept = tuple(_as_written(one) for one in chosen)
     if not kept:
         raise DataError("the table corrects less than this format would carry", hint="There is nothing to compensate")
@@ -48,7 +61,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
 
     used = sum(term.tables for term in kept)
     facts = {"tables": used, "MD18342_at_least": max(table.corrections.shape[:3]), "written": _written(kept)}
-    files = {"NC_CEC.INI": _ini(kept, names, steps, choices), "CEC_ENABLE.SPF": _enabling(kept, choices.first_table)}
+    files = {"NC_CEC.INI": _ini(kept, names, steps, choices), "CEC_ENABLE.SPF": _enabling(kept, choices[FIRST_TABLE])}
     return ControllerExport(files, correction, LOST, facts)
 
 
@@ -67,7 +80,7 @@ def _written(kept: tuple[Term, ...]) -> str:
 
 def _ini(kept: tuple[Term, ...], names: Names, steps: tuple[float, float, float], choices: ExportOptions) -> str:
     lines = ["%_N_NC_CEC_INI", "CHANDATA(1)", "; load with MD32710 $MA_CEC_ENABLE=0 for every output axis"]
-    index = choices.first_table
+    index = choices[FIRST_TABLE]
     for term in kept:
         multiplier = index + 2 if term.factor is not None else 0
         signed = replace(term.profile, values=-choices.sign * term.profile.values + 0.0)
@@ -111,3 +124,6 @@ def _enabling(kept: tuple[Term, ...], first: int) -> str:
             lines.append(f"$SN_CEC_TABLE_ENABLE[{index}]=0 ; a factor only")
             index += 1
     return "\n".join([*lines, "M17"]) + "\n"
+
+
+FORMAT = ExportFormat("siemens-cec", export, (REFERENCE_MM, AXIS_NAMES, FIRST_TABLE, MOST_TABLES, NO_PRODUCTS))

@@ -8,7 +8,14 @@ MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS says how ma
 from __future__ import annotations
 
 from twin.arrays import Array
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
+from twin.compensation.controllers.export_format import ControllerExport, ExportFormat, ExportSource
+from twin.compensation.controllers.format_options import (
+    AXIS_NAMES,
+    REFERENCE_MM,
+    ExportOptions,
+    FormatOption,
+    WholeNumber,
+)
 from twin.compensation.controllers.grids import even_steps, reference_point, require_points
 from twin.compensation.controllers.reduction import Profile, own_axis_profiles, round_profile, sum_of_own_axis_profiles
 from twin.machine.kinematic_chain import AXES
@@ -19,14 +26,16 @@ DECIMALS = 6
 
 LOST = ("straightness, squareness and rotation: an axis is corrected by its own position only",)
 
+ENCODER = FormatOption("encoder", WholeNumber(0, 1), 0, "Siemens LEC: measuring system, 0 or 1.")
+
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     """An INI file for each axis."""
-    table, names = source.table, choices.names(USUAL_NAMES)
+    table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD38000")
     steps = even_steps(table)
     profiles = [
-        round_profile(one, DECIMALS) for one in own_axis_profiles(table, reference_point(table, choices.reference_mm))
+        round_profile(one, DECIMALS) for one in own_axis_profiles(table, reference_point(table, choices[REFERENCE_MM]))
     ]
     files = {
         f"{name}_EEC.INI": _ini(name, profile, step, choices)
@@ -41,7 +50,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
 
 
 def _ini(name: str, profile: Profile, step: float, choices: ExportOptions) -> str:
-    encoder = choices.encoder
+    encoder = choices[ENCODER]
     lines = [
         f"%_N_{name}_EEC_INI",
         "CHANDATA(1)",
@@ -64,3 +73,6 @@ def number(value: float) -> str:
     """A position with as many digits as it needs, and a point, so that it is read as REAL."""
     text = f"{value:.12g}"
     return text if "." in text or "e" in text else f"{text}.0"
+
+
+FORMAT = ExportFormat("siemens-lec", export, (REFERENCE_MM, AXIS_NAMES, ENCODER))

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from estimated_machine import TOOL, known, machine_with, source_of
 
-from twin.compensation.controllers.export_format import ExportOptions, ExportSource, TableEstimate
+from twin.compensation.controllers.export_format import ExportSource, TableEstimate
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.grids import require_small_corrections, resample_table
 from twin.compensation.controllers.loss import require_same_machine
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.registry import FORMATS
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
 
@@ -20,7 +21,7 @@ EVEN = ("siemens-lec", "siemens-cec", "heidenhain-com", "fanuc-pitch", "fanuc-3d
 
 def refused(name: str, source: ExportSource, **choices: object) -> DataError:
     with pytest.raises(DataError) as caught:
-        WRITERS[name](source, ExportOptions(**choices))
+        FORMATS[name].export(source, ExportOptions(choices))
     assert caught.value.hint
     return caught.value
 
@@ -47,7 +48,7 @@ def test_too_many_points_name_a_grid_that_fits(name: str, points: tuple[int, int
     assert f"--points {fitting}" in str(error)
     assert error.where["axis"] == "X"
     x, y, z = (int(n) for n in fitting.split("x"))
-    WRITERS[name](alone(resample_table(known(1).table, (x, y, z))), ExportOptions(detection_unit_um=0.5))
+    FORMATS[name].export(alone(resample_table(known(1).table, (x, y, z))), ExportOptions({"detection_unit_um": 0.5}))
 
 
 @pytest.mark.parametrize("name", EVEN)
@@ -59,7 +60,7 @@ def test_an_uneven_grid_names_axis_and_line_and_an_even_one_can_be_asked_for(nam
     error = refused(name, alone(uneven))
     assert error.where == {"axis": "Y", "row": str(2 + 3 * 16)}
     assert "--points" in error.hint
-    WRITERS[name](alone(resample_table(uneven, (21, 14, 16))), ExportOptions())
+    FORMATS[name].export(alone(resample_table(uneven, (21, 14, 16))), ExportOptions())
 
 
 @pytest.mark.parametrize("name", ["linuxcnc-comp", "isg-volcomp", "gcode-csv", "neutral"])
@@ -68,7 +69,7 @@ def test_an_uneven_grid_is_no_harm_to_the_others(name: str) -> None:
     x = np.delete(source.table.x, [3, 4, 9])
     corrections = np.delete(source.table.corrections, [3, 4, 9], axis=0)
     marks = np.delete(source.table.extrapolated, [3, 4, 9], axis=0)
-    WRITERS[name](
+    FORMATS[name].export(
         replace(source, table=replace(source.table, x=x, corrections=corrections, extrapolated=marks)), ExportOptions()
     )
 
@@ -128,11 +129,11 @@ def test_intervals_are_whole_detection_units(name: str) -> None:
 
 def test_the_smallest_magnification_that_fits_is_chosen_and_a_smaller_one_refused() -> None:
     steep = source_of(machine_with().estimate.model, 12.0 * known(1).estimate.parameters)
-    found = WRITERS["fanuc-pitch"](alone(steep.table), ExportOptions()).facts["magnification"]
+    found = FORMATS["fanuc-pitch"].export(alone(steep.table), ExportOptions()).facts["magnification"]
     assert found > 1
     error = refused("fanuc-pitch", alone(steep.table), magnification=found - 1)
     assert "beyond ±7" in error.message
-    WRITERS["fanuc-pitch"](alone(steep.table), ExportOptions(magnification=found + 1))
+    FORMATS["fanuc-pitch"].export(alone(steep.table), ExportOptions({"magnification": found + 1}))
 
 
 def test_no_magnification_fits() -> None:
@@ -143,7 +144,7 @@ def test_no_magnification_fits() -> None:
 def test_a_table_that_corrects_nothing_has_no_cross_tables() -> None:
     nothing = replace(thin(), corrections=np.zeros((21, 14, 16, 3)))
     assert "nothing to compensate" in str(refused("siemens-cec", alone(nothing)))
-    assert "--tables" in str(refused("siemens-cec", alone(thin()), most_tables=0))
+    assert "--tables" in str(refused("siemens-cec", alone(thin()), tables=0))
 
 
 @pytest.mark.parametrize("points", [(1, 14, 16), (0, 2, 2), (5, -1, 3)])
@@ -165,9 +166,9 @@ def test_resampling_reads_the_table_as_a_controller_does_and_passes_on_what_is_e
 
 def test_axes_are_called_as_the_controller_calls_them() -> None:
     source = alone(thin())
-    lec = WRITERS["siemens-lec"](source, ExportOptions(axis_names=("AX1", "AX2", "AX4"), encoder=1))
+    lec = FORMATS["siemens-lec"].export(source, ExportOptions({"axes": ("AX1", "AX2", "AX4"), "encoder": 1}))
     assert sorted(lec.files) == ["AX1_EEC.INI", "AX2_EEC.INI", "AX4_EEC.INI"]
     assert "$AA_ENC_COMP_MAX[1,AX4]=1500.0" in lec.files["AX4_EEC.INI"]
-    cec = WRITERS["siemens-cec"](source, ExportOptions(axis_names=("AX1", "AX2", "AX4"))).files["NC_CEC.INI"]
+    cec = FORMATS["siemens-cec"].export(source, ExportOptions({"axes": ("AX1", "AX2", "AX4")})).files["NC_CEC.INI"]
     assert "=(AX4)" in cec
     assert "=(Z1)" not in cec

@@ -9,8 +9,9 @@ from estimated_machine import source_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.export_format import ControllerExport, ExportSource
+from twin.compensation.controllers.format_options import ExportOptions
+from twin.compensation.controllers.registry import FORMATS
 from twin.compensation.table import Anchor, CompensationTable
 from twin.machine.error_model import ErrorModel
 from twin.machine.kinematic_chain import parse_chain
@@ -43,12 +44,12 @@ def points_in(table: CompensationTable) -> np.ndarray:
     return np.random.default_rng(5).uniform(low - 20.0, high + 20.0, (25, 3))
 
 
-@pytest.mark.parametrize("name", sorted(set(WRITERS) - {"isg-volcomp"}))
+@pytest.mark.parametrize("name", sorted(set(FORMATS) - {"isg-volcomp"}))
 @settings(max_examples=12, deadline=None)
 @given(tables())
 def test_a_controller_adds_what_is_said(name: str, drawn: tuple) -> None:
     table, reference = drawn
-    one: ControllerExport = WRITERS[name](ExportSource(table), ExportOptions(reference_mm=reference))
+    one: ControllerExport = FORMATS[name].export(ExportSource(table), ExportOptions({"reference_mm": reference}))
     fanuc = name.startswith("fanuc")
     rule = RULES[name](one.files, reference) if fanuc else RULES[name](one.files)
     at = points_in(table) if name != "fanuc-pitch" else np.array(np.meshgrid(*table.nodes)).reshape(3, -1).T
@@ -68,6 +69,6 @@ def test_error_motions_are_read_back_for_every_chain(chain: str, seed: int, corn
     source = source_of(model, size * rng.uniform(-1.0, 1.0, model.size), tool=rng.uniform(-300.0, 300.0, 3))
     table = source.table
     assert table.anchor.point_mm == pytest.approx([-300.0, 0.0, -600.0])
-    rule = RULES["isg-volcomp"](WRITERS["isg-volcomp"](source, ExportOptions()).files)
+    rule = RULES["isg-volcomp"](FORMATS["isg-volcomp"].export(source, ExportOptions()).files)
     nodes = np.array(np.meshgrid(*table.nodes, indexing="ij")).reshape(3, -1).T[corner::31]
     assert rule(nodes) == pytest.approx(table.at(nodes), abs=2e-5)

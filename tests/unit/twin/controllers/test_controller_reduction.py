@@ -10,7 +10,8 @@ from estimated_machine import RANGES, TOOL, known, left_of_estimate_um, machine_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.compensation.controllers.export_format import ExportOptions, ExportSource
+from twin.compensation.controllers.export_format import ExportSource
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.loss import compensation_loss
 from twin.compensation.controllers.reduction import (
     cross_axis_profiles,
@@ -19,7 +20,7 @@ from twin.compensation.controllers.reduction import (
     sum_of_cross_axis_profiles,
     sum_of_terms,
 )
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.registry import FORMATS
 from twin.compensation.table import Anchor, CompensationTable
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
@@ -41,7 +42,7 @@ def random_table(seed: int, shape: tuple[int, int, int] = (5, 4, 3)) -> Compensa
 
 
 def kept(name: str, source: ExportSource, **choices: object) -> float:
-    return compensation_loss(source, WRITERS[name](source, ExportOptions(**choices)).correction).retained_share
+    return compensation_loss(source, FORMATS[name].export(source, ExportOptions(choices)).correction).retained_share
 
 
 @settings(max_examples=20, deadline=None)
@@ -127,17 +128,17 @@ def test_straightness_and_squareness_are_kept_by_cross_tables_and_rotation_is_no
 def test_the_cross_effect_is_carried_by_multiplied_tables_and_by_a_second_argument() -> None:
     """y z² of column and ram: one product is enough; without products most of it is lost."""
     source = machine_with(CROSS_b1=-12e-3, CROSS_b2=12e-3)
-    assert kept("siemens-cec", source, most_tables=4) > 0.97
+    assert kept("siemens-cec", source, tables=4) > 0.97
     assert kept("heidenhain-com", source) < 0.8
     assert kept("isg-volcomp", source) > 0.999
-    rows = WRITERS["isg-volcomp"](source, ExportOptions()).files["volcomp.csv"].split("\n#\n")[-1].splitlines()
+    rows = FORMATS["isg-volcomp"].export(source, ExportOptions()).files["volcomp.csv"].split("\n#\n")[-1].splitlines()
     assert rows[1] == "Y Z EYZ EAZ"
     assert len(rows) == 2 + 14 * 16
 
 
 def test_ve_is_that_of_the_estimated_machine_whatever_the_table_can_say() -> None:
     source = known(1)
-    one = WRITERS["heidenhain-com"](source, ExportOptions())
+    one = FORMATS["heidenhain-com"].export(source, ExportOptions())
     found = compensation_loss(source, one.correction)
     grid = evaluation_grid(RANGES, (60, 20, 20))
     for value, added in (
@@ -153,7 +154,7 @@ def test_ve_is_that_of_the_estimated_machine_whatever_the_table_can_say() -> Non
 def test_without_an_estimate_the_table_is_the_machine() -> None:
     whole = known(1)
     alone = ExportSource(whole.table)
-    correction = WRITERS["heidenhain-com"](alone, ExportOptions()).correction
+    correction = FORMATS["heidenhain-com"].export(alone, ExportOptions()).correction
     found, by_estimate = compensation_loss(alone, correction), compensation_loss(whole, correction)
     assert not found.estimated
     assert found.unknown_mm is None
@@ -163,7 +164,7 @@ def test_without_an_estimate_the_table_is_the_machine() -> None:
 
 
 def test_fewer_tables_keep_less() -> None:
-    shares = [kept("siemens-cec", known(1), most_tables=count) for count in (2, 5, 9, 15, 62)]
+    shares = [kept("siemens-cec", known(1), tables=count) for count in (2, 5, 9, 15, 62)]
     assert shares == sorted(shares)
     assert shares[0] < 0.7
     assert shares[-1] > 0.97
@@ -172,7 +173,7 @@ def test_fewer_tables_keep_less() -> None:
 def test_without_products_cross_tables_are_what_a_heidenhain_control_has() -> None:
     """But for its steps of 0.1 µm, and what is worth less than a table."""
     source = known(1)
-    one = WRITERS["siemens-cec"](source, ExportOptions(products=False))
+    one = FORMATS["siemens-cec"].export(source, ExportOptions({"no_products": True}))
     assert "MULT_BY_TABLE[0]=0" in one.files["NC_CEC.INI"]
     assert one.facts["tables"] <= 9
-    assert kept("siemens-cec", source, products=False) == pytest.approx(kept("heidenhain-com", source), abs=0.01)
+    assert kept("siemens-cec", source, no_products=True) == pytest.approx(kept("heidenhain-com", source), abs=0.01)

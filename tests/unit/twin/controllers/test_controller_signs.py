@@ -11,10 +11,11 @@ import pytest
 from controller_rules import RULES
 from estimated_machine import GRID, known, left_of_estimate_um, left_um, moving_table, truth
 
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource
+from twin.compensation.controllers.export_format import ControllerExport, ExportSource
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.grids import resample_table
 from twin.compensation.controllers.loss import largest_correction
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.registry import FORMATS
 
 SEEDS = (1, 2, 3)
 THINNED = {"fanuc-3d": (21, 14, 16)}
@@ -23,13 +24,13 @@ REMOVED = {**dict.fromkeys(OWN_AXIS_ONLY, 0.0), "heidenhain-com": 0.3}
 """Least share of the true VE that must go; of the others at least half."""
 
 
-def exported(name: str, source: ExportSource, **choices: object) -> ControllerExport:
+def exported(name: str, source: ExportSource, *, opposite_sign: bool = False, **choices: object) -> ControllerExport:
     table = resample_table(source.table, THINNED[name]) if name in THINNED else source.table
-    return WRITERS[name](ExportSource(table, source.estimate), ExportOptions(**choices))
+    return FORMATS[name].export(ExportSource(table, source.estimate), ExportOptions(choices, opposite_sign))
 
 
 def test_every_format_has_a_rule() -> None:
-    assert set(RULES) == set(WRITERS)
+    assert set(RULES) == set(FORMATS)
 
 
 @pytest.mark.parametrize("name", RULES)
@@ -76,14 +77,14 @@ def test_nothing_is_added_at_the_reference_point(name: str) -> None:
 
 
 def test_a_controller_counts_its_tables_from_where_it_is_told() -> None:
-    one = exported("siemens-cec", known(1), first_table=10, most_tables=12)
+    one = exported("siemens-cec", known(1), first_table=10, tables=12)
     assert "$AN_CEC_MIN[10]" in one.files["NC_CEC.INI"]
     assert "$AN_CEC_MIN[9]" not in one.files["NC_CEC.INI"]
     assert np.abs(RULES["siemens-cec"](one.files)(GRID) - one.correction(GRID)).max() < 5e-6
 
 
 def test_the_second_bank_of_a_heidenhain_control_is_the_active_line() -> None:
-    one = exported("heidenhain-com", known(1), bank="B")
+    one = exported("heidenhain-com", known(1), cma_bank="B")
     assert sorted(one.files) == ["CONFIG.CMA", "VOLCALB_X.COM", "VOLCALB_Y.COM", "VOLCALB_Z.COM"]
     assert np.abs(RULES["heidenhain-com"](one.files)(GRID) - one.correction(GRID)).max() < 5e-6
 

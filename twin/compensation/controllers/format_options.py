@@ -1,0 +1,101 @@
+"""Options of the formats: each format declares those that it reads, and a user interface offers what is declared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+Value = TypeVar("Value")
+Triple = tuple[float, float, float]
+Names = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class WholeNumber:
+    """Integers from `minimum` to `maximum`; None: no upper bound."""
+
+    minimum: int
+    maximum: int | None = None
+
+
+@dataclass(frozen=True)
+class PositiveNumber:
+    """Numbers greater than zero."""
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of a few words."""
+
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Switch:
+    """True if the option is set."""
+
+
+@dataclass(frozen=True)
+class Text:
+    """Text of the form `form`, for example `X,Y,Z`. `parse` returns its value; ValueError says how to write it."""
+
+    form: str
+    parse: Callable[[str], Any]
+
+
+Domain = WholeNumber | PositiveNumber | OneOf | Switch | Text
+
+
+@dataclass(frozen=True)
+class FormatOption(Generic[Value]):
+    """One option. `key` names it in `ExportOptions` and, with hyphens, on a command line; `default` if not set."""
+
+    key: str
+    domain: Domain
+    default: Value
+    help: str
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Values that a user set, by the keys of the options; `choices[OPTION]` is the value or the option's default.
+
+    `opposite_sign`: write every value with the other sign than documented, for a controller that was found to count
+    the other way.
+    """
+
+    values: Mapping[str, Any] = field(default_factory=dict)
+    opposite_sign: bool = False
+
+    def __getitem__(self, option: FormatOption[Value]) -> Value:
+        value: Value = self.values.get(option.key, option.default)
+        return value
+
+    @property
+    def sign(self) -> int:
+        return -1 if self.opposite_sign else 1
+
+
+def _triple(text: str) -> Triple:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError("write three positions in mm, such as 0,650,0") from None
+    return x, y, z
+
+
+def _names(text: str) -> Names:
+    names = tuple(part.strip() for part in text.split(","))
+    if len(set(names)) != 3 or len(names) != 3 or not all(name.isidentifier() for name in names):
+        raise ValueError("write three different names of letters and digits for X, Y and Z, such as X1,Y1,Z1")
+    return names[0], names[1], names[2]
+
+
+REFERENCE_MM = FormatOption[Triple | None](
+    "reference_mm", Text("X,Y,Z", _triple), None, "Reference point [default: the anchor]."
+)
+"""Machine position of the reference point; None: the table's anchor."""
+
+AXIS_NAMES = FormatOption[Names | None]("axes", Text("X1,Y1,Z1", _names), None, "Names of X, Y, Z in the controller.")
+"""Names that the controller has for X, Y, Z; None: the usual names of the format."""
