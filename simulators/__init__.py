@@ -1,1 +1,1 @@
-"""The simulated machine: world physics moved by a clock, and wire servers that know bytes only."""
+"""Simulated machine: world physics advanced by a clock, and wire servers that handle only bytes."""

@@ -1,7 +1,6 @@
-"""Every role played in one process by one world: the dry run before a night, and tests.
+"""All device roles played in one process by one world, for preflights and tests.
 
-Sleeping on the clock handed in is what moves the world: exactly to the end of each motion, which the world
-knows when the motion begins.
+Sleeping on the given clock advances the world, exactly to the end of each motion, which is known when it begins.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ from simulators.world.mount import AZIMUTH, ELEVATION, MountPhysics
 from simulators.world.world import World
 
 POLL_S = 0.05
-"""How often a held motion is looked at; held time costs nothing else."""
+"""Interval in s at which a held motion is polled; holding costs nothing else."""
 MOTION_MARGIN_S = 60.0
-"""A motion may take this much longer than it said when it began, holds not counted by a watched clock."""
+"""Time in s that a motion may take beyond its forecast; holds do not count on a clock that tracks them."""
 
 
 class SimulatedMachineDevice:
-    """Machine, probe, rotary mount, compensation store, thermometer and operator at once."""
+    """Machine, probe, rotary mount, compensation store, thermometer and operator in one device."""
 
     def __init__(self, world: World, clock: Clock) -> None:
         self.world = world
@@ -48,7 +47,7 @@ class SimulatedMachineDevice:
     # ------------------------------------------------------------------ device
 
     def open(self) -> None:
-        """A virtual clock moves the world by itself; any other one is read before each answer."""
+        """Connect to the clock: a virtual clock advances the world; any other clock is read before each answer."""
         if isinstance(self._clock, VirtualClock) and not self._subscribed:
             self._clock.subscribe(self.world.advance_to)
             self._subscribed = True
@@ -125,7 +124,7 @@ class SimulatedMachineDevice:
         self.orient_to(0.0, 0.0)
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
-        """Of the mount that holds the artefact."""
+        """Turn the mount that holds the artefact, and return the angles reached."""
         return self.turn(self.world.workpiece.mount, azimuth_deg, elevation_deg)
 
     def turn(self, mount: MountPhysics, azimuth_deg: float, elevation_deg: float) -> Orientation:
@@ -153,7 +152,7 @@ class SimulatedMachineDevice:
         return self._controller.active_bank
 
     def pending_bank(self) -> int | None:
-        """In this process an activation takes effect at once."""
+        """Return None: in this process an activation takes effect at once."""
         return None
 
     def read_table(self, bank: int) -> TableImage | None:
@@ -176,7 +175,7 @@ class SimulatedMachineDevice:
         return self._controller.temperatures()
 
     def ask(self, request: OperatorRequest) -> bool:
-        """Moves the artefact when asked to, and consents."""
+        """Move the artefact if asked to, and give consent."""
         if request.task is OperatorTask.MOVE_ARTEFACT:
             if request.station is None:
                 return False
@@ -196,7 +195,7 @@ class SimulatedMachineDevice:
             fault = controller.fault
             if kind is MotionKind.GUARDED and not self._crashed():
                 controller.reset()
-                raise GuardTripped(fault, hint="see what the probe touched")
+                raise GuardTripped(fault, hint="check what the probe touched")
             raise MotionFault(fault, hint="move the probe free, then clear the fault at the machine")
 
     def _crashed(self) -> bool:
@@ -209,7 +208,7 @@ class SimulatedMachineDevice:
         return controller.motion_ends_s
 
     def _sleep_until(self, ends_s: Callable[[], float | None]) -> None:
-        """Sleep on as long as `ends_s` names an instant; what moves is stopped when the wait is broken off."""
+        """Sleep as long as `ends_s` returns an instant; if the wait is interrupted, stop all motion."""
         end = ends_s()
         if end is None:
             return
@@ -226,7 +225,7 @@ class SimulatedMachineDevice:
 
 
 class _MountOfDevice:
-    """Plays RotaryMount for one of the mounts behind a device."""
+    """RotaryMount role for one of the mounts behind a device."""
 
     def __init__(self, device: SimulatedMachineDevice, mount: MountPhysics) -> None:
         self._device = device

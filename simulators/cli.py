@@ -1,4 +1,4 @@
-"""`volcal simulate`: the simulated machine as a process of its own, reached only over its links."""
+"""Command `volcal simulate`: the simulated machine as a separate process, reached only over its links."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 92
 
 
 def _address(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[str, int]:
-    """HOST:PORT; port 0 asks for any free one."""
+    """Parse HOST:PORT; port 0 selects any free port."""
     host, separator, port = value.rpartition(":")
     if not (separator and host and port.isdecimal() and int(port) < 65536):
         raise click.BadParameter(f"{value!r} is not HOST:PORT, as 127.0.0.1:5020")
@@ -35,7 +35,7 @@ def _address(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[
 
 
 def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float | None:
-    """Machine seconds per wall second; None for lockstep."""
+    """Return machine seconds per wall second; None for lockstep."""
     if value in ("lockstep", "real"):
         return 1.0 if value == "real" else None
     kind, _, factor = value.partition(":")
@@ -51,7 +51,7 @@ def _numbers(_ctx: click.Context, _param: click.Parameter, value: str) -> Regist
 
 
 def _serial_line(_ctx: click.Context, _param: click.Parameter, value: str | None) -> LineSettings | None:
-    """PATH or any, with the line after an @ where it is not the standard's: any@9600,8N2."""
+    """Parse PATH or any, with line parameters after an @ if they differ from the standard's: any@9600,8N2."""
     if value is None:
         return None
     place, _, line = value.partition("@")
@@ -66,7 +66,7 @@ def _serial_line(_ctx: click.Context, _param: click.Parameter, value: str | None
 
 
 def _number(text: str, value: str, forms: str, largest: float) -> float:
-    """The number at the end of an option such as ``scaled:20``."""
+    """Return the number at the end of an option such as ``scaled:20``."""
     try:
         number = float(text)
     except ValueError:
@@ -77,20 +77,30 @@ def _number(text: str, value: str, forms: str, largest: float) -> float:
 
 
 @click.command("simulate")
-@click.option("--config", type=click.Path(path_type=Path), required=True, help="The scenario (TOML).")
+@click.option("--config", type=click.Path(path_type=Path), required=True, help="Scenario file (TOML).")
 @click.option(
-    "--modbus", callback=_address, metavar="HOST:PORT", default="127.0.0.1:0", show_default=True, help="Port 0: any."
+    "--modbus",
+    callback=_address,
+    metavar="HOST:PORT",
+    default="127.0.0.1:0",
+    show_default=True,
+    help="Address of the Modbus TCP server; port 0 selects a free port.",
 )
 @click.option(
     "--modbus-rtu",
     callback=_serial_line,
     metavar="PATH|any[@BAUD,8P1]",
-    help="On a pseudo-terminal instead of TCP; PATH is linked to it.",
+    help="Modbus RTU on a pseudo-terminal instead of TCP; PATH becomes a link to it.",
 )
-@click.option("--serial", metavar="PATH|any", help="GRBL on a pseudo-terminal besides; PATH is linked to it.")
-@click.option("--can", metavar="CHANNEL", help="socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH …")
+@click.option("--serial", metavar="PATH|any", help="Also serve GRBL on a pseudo-terminal; PATH becomes a link to it.")
+@click.option("--can", metavar="CHANNEL", help="CAN bus: socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH …")
 @click.option(
-    "--control", callback=_address, metavar="HOST:PORT", default="127.0.0.1:0", show_default=True, help="JSON lines."
+    "--control",
+    callback=_address,
+    metavar="HOST:PORT",
+    default="127.0.0.1:0",
+    show_default=True,
+    help="Address of the control channel (JSON lines).",
 )
 @click.option(
     "--clock",
@@ -98,7 +108,7 @@ def _number(text: str, value: str, forms: str, largest: float) -> float:
     metavar="lockstep|real|scaled:F",
     default="lockstep",
     show_default=True,
-    help="Who moves machine time.",
+    help="Source of machine time.",
 )
 @click.option(
     "--time",
@@ -106,7 +116,7 @@ def _number(text: str, value: str, forms: str, largest: float) -> float:
     callback=_address,
     metavar="HOST:PORT",
     default="127.0.0.1:0",
-    help="Where lockstep is asked for.",
+    help="Address of the time server for lockstep.",
 )
 @click.option(
     "--numbers",
@@ -114,7 +124,7 @@ def _number(text: str, value: str, forms: str, largest: float) -> float:
     metavar="float64|int32[:SCALE]",
     default="float64",
     show_default=True,
-    help="Modbus numbers.",
+    help="Number format of the Modbus registers.",
 )
 @click.option("--end-with-stdin", is_flag=True, help="End when standard input closes.")
 def simulate(
@@ -130,9 +140,9 @@ def simulate(
     numbers: RegisterNumberFormat,
     end_with_stdin: bool,
 ) -> None:
-    """Run the simulated machine on real links until it is told to end.
+    """Run the simulated machine on real links until it is stopped.
 
-    The first and only line on standard output says, as one JSON object, where everything listens.
+    The first and only line on standard output is one JSON object with the addresses on which everything listens.
     """
     if not structlog.is_configured():
         _log_to_stderr()
@@ -159,13 +169,13 @@ def simulate(
         ending.wait()
     finally:
         machine.close()
-    log.info("simulator ends", reason=ending.reason)
+    log.info("simulator stopped", reason=ending.reason)
     raise SystemExit(ending.exit_code)
 
 
 @dataclass
 class Shutdown:
-    """Why and when the process ends: a signal, standard input closed, or a server that broke."""
+    """Reason and exit code of the process end: a signal, closed standard input, or a failed server."""
 
     reason: str = ""
     exit_code: int = 0
@@ -187,14 +197,14 @@ class Shutdown:
 
     def _read_stdin(self) -> None:
         while sys.stdin.buffer.read(4096):
-            pass  # what is said there has no meaning; only that it ends
+            pass  # the content has no meaning; only the end of the stream counts
         self.ask("standard input closed")
 
     def _broken(self, problem: threading.ExceptHookArgs) -> None:
         thread = problem.thread.name if problem.thread is not None else "?"
         exc_info = (problem.exc_type, problem.exc_value, problem.exc_traceback)
-        log.error("simulator broken", thread=thread, exc_info=exc_info)
-        self.ask(f"{thread} broke", exit_code=1)
+        log.error("simulator failed", thread=thread, exc_info=exc_info)
+        self.ask(f"{thread} failed", exit_code=1)
 
 
 def _log_to_stderr() -> None:

@@ -1,4 +1,4 @@
-"""The simulated operator: a hand that moves the artefact of a simulated machine over its control channel."""
+"""Simulated operator that moves the artefact of a simulated machine over its control channel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ log = structlog.get_logger()
 
 
 class SimulatedOperatorSettings(BaseModel):
-    """Where `volcal simulate` listens for control requests (its ready line says so)."""
+    """Address on which `volcal simulate` listens for control requests, as given in its ready line."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -28,7 +28,7 @@ class SimulatedOperatorSettings(BaseModel):
 
 
 class SimulatedOperator:
-    """Plays `drivers.roles.Operator`: does what it is asked for at once and says that it is done."""
+    """`drivers.roles.Operator` that fulfils every request at once and confirms it."""
 
     def __init__(self, settings: SimulatedOperatorSettings, name: str) -> None:
         self._settings = settings
@@ -42,7 +42,7 @@ class SimulatedOperator:
                 (self._settings.host, self._settings.port), timeout=self._settings.answer_within_s
             )
         except OSError as error:
-            raise self._lost(f"nobody answers at {self._address}: {error}") from error
+            raise self._lost(f"no answer at {self._address}: {error}") from error
         self._request({"do": "status"})
 
     def close(self) -> None:
@@ -52,7 +52,7 @@ class SimulatedOperator:
             self._socket = None
 
     def stop(self) -> None:
-        """Nothing of this device's doing goes on by itself."""
+        """Do nothing: this device starts no motion."""
 
     def diagnose(self) -> list[DiagnosticFinding]:
         answer = self._request({"do": "status"})
@@ -60,15 +60,15 @@ class SimulatedOperator:
         return [DiagnosticFinding(self._name, ok=True, text=text)]
 
     def ask(self, request: OperatorRequest) -> bool:
-        """True once the artefact stands at the station; consent is always given.
+        """Return True once the artefact stands at the station; consent is always given.
 
-        Raises CommandRejected where the simulator refuses, and LinkError where it does not answer.
+        Raises CommandRejected if the simulator refuses, and LinkError if it does not answer.
         """
         if request.task is OperatorTask.MOVE_ARTEFACT:
             if request.station is None:
-                raise CommandRejected("no station named for the artefact", device=self._name)
+                raise CommandRejected("the request names no station for the artefact", device=self._name)
             self._request({"do": "place_artefact", "station": request.station})
-        log.info("simulated operator has done it", task=request.task.value, station=request.station)
+        log.info("simulated operator finished the task", task=request.task.value, station=request.station)
         return True
 
     def _request(self, request: dict[str, object]) -> dict[str, object]:
@@ -98,7 +98,7 @@ class SimulatedOperator:
         while not line.endswith(b"\n"):
             chunk = connection.recv(4096)
             if not chunk or len(line) > LONGEST_ANSWER:
-                raise ConnectionResetError("the simulator has hung up")
+                raise ConnectionResetError("the simulator closed the connection")
             line += chunk
         return line
 

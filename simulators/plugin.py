@@ -1,6 +1,6 @@
-"""Plugin `simulated`: a machine in this process, for dry runs and trials.
+"""Plugin `simulated`: a machine in this process, for preflights and trials.
 
-Settings are either the path of a scenario file or the keys of one inline; `ideal = true` takes all errors away.
+Settings are either the path of a scenario file or the scenario keys themselves; `ideal = true` removes all errors.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from simulators.world.world import World
 
 
 class SimulatedSettings(BaseModel):
-    """`scenario`: path of a scenario file; or, without it, the keys of `ScenarioDocument` themselves."""
+    """Settings: either `scenario`, the path of a scenario file, or the keys of `ScenarioDocument` themselves."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -30,13 +30,13 @@ class SimulatedSettings(BaseModel):
         inline = dict(self.model_extra or {})
         if self.scenario is not None:
             if inline:
-                raise ValueError(f"key {sorted(inline)[0]!r} belongs into the scenario file {self.scenario}")
+                raise ValueError(f"key {sorted(inline)[0]!r} belongs in the scenario file {self.scenario}")
             return self
         self._document = _validated({**inline, "ideal": self.ideal})
         return self
 
     def world(self, base: Path) -> World:
-        """The world that is meant; relative paths start at `base`."""
+        """Return the world described by the settings; relative paths start at `base`."""
         if self._document is not None:
             return World(build_scenario(self._document, base))
         scenario = read_scenario(base / (self.scenario or Path()))
@@ -46,7 +46,7 @@ class SimulatedSettings(BaseModel):
 
 
 def _validated(inline: dict[str, Any]) -> ScenarioDocument:
-    """A nested model keeps its own places of error; its first one is told in words."""
+    """Validate the inline scenario; ValueError gives the key path and message of its first error."""
     try:
         return ScenarioDocument.model_validate(inline)
     except ValidationError as error:

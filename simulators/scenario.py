@@ -1,7 +1,7 @@
-"""What is simulated: one TOML file (or the same keys inline), unknown keys refused.
+"""Scenario of a simulation: one TOML file, or the same keys inline. Unknown keys are refused.
 
-Units are in the key where they are not mm. Without `[truth]`, `[mount]`, … everything has its default;
-`ideal = true` takes every error away: the machine of a dry run.
+A key carries its unit unless that is mm. A missing section (`[truth]`, `[mount]`, …) takes its defaults; `ideal = true`
+removes every error, as for a preflight.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Value = TypeVar("Value")
 
 
 class TruthSettings(StrictModel):
-    """The machine as it is. `scale` multiplies the family's amplitudes."""
+    """True machine. `scale` multiplies the amplitudes of the machine family."""
 
     seed: int = Field(default=21, ge=0)
     legendre_order: int = Field(default=7, ge=0, le=20)
@@ -38,7 +38,7 @@ class TruthSettings(StrictModel):
 
 
 class ArtefactTruthSettings(StrictModel):
-    """How far the bar is from its certificate, in standard uncertainties of the certificate and of the CTE."""
+    """Deviation of the bar from its certificate, in standard uncertainties of the certificate and of the CTE."""
 
     seed: int = Field(default=4, ge=0)
     certificate_error: NonNegativeFloat = 1.0
@@ -46,7 +46,7 @@ class ArtefactTruthSettings(StrictModel):
 
 
 class TriggerSettings(StrictModel):
-    """How the probe trips. `lobing_um` is the amplitude of a three-lobed pretravel around the stylus."""
+    """Trip behaviour of the probe. `lobing_um` is the amplitude of a three-lobed pretravel around the stylus."""
 
     pretravel_um: NonNegativeFloat = 8.0
     lobing_um: NonNegativeFloat = 0.5
@@ -55,10 +55,10 @@ class TriggerSettings(StrictModel):
 
 
 class AxisBehaviour(StrictModel):
-    """What one motion leaves behind: a scatter of every axis, and half the backlash against the way it came.
+    """Residual errors after a motion: repeatability of every axis, and half the backlash opposite to the last motion.
 
-    `backlash_um`: of every axis, or of X, Y, Z; `backlash_growth_um_per_m`: by how much it grows along each axis' own
-    travel, from the axis position 0.
+    `backlash_um`: one value for all axes, or one each for X, Y, Z; `backlash_growth_um_per_m`: its growth along each
+    axis' own travel, from axis position 0.
     """
 
     repeatability_um: NonNegativeFloat = 0.2
@@ -67,12 +67,12 @@ class AxisBehaviour(StrictModel):
 
     @property
     def backlash_of_axes_um(self) -> Coordinates:
-        """X, Y, Z at the axis position 0."""
+        """Backlash of X, Y, Z at axis position 0, in µm."""
         return self.backlash_um if isinstance(self.backlash_um, tuple) else (self.backlash_um,) * 3
 
 
 class MountBehaviour(StrictModel):
-    """Errors of the rotary mount and of the hand that puts it down; they move the bar as a whole."""
+    """Errors of the rotary mount and of its placement by hand; they move the bar as a whole."""
 
     index_error_deg: NonNegativeFloat = 0.01
     wobble_um: NonNegativeFloat = 20.0
@@ -83,7 +83,7 @@ class MountBehaviour(StrictModel):
 
 
 class StoreSettings(StrictModel):
-    """What the controller's compensation banks can hold."""
+    """Capacity of the controller's compensation banks."""
 
     banks: list[PositiveInt] = Field(default=[1, 2], min_length=1)
     max_nodes: tuple[PositiveInt, PositiveInt, PositiveInt] = (64, 64, 64)
@@ -94,11 +94,11 @@ class StoreSettings(StrictModel):
 
 
 class AgeingSettings(StrictModel):
-    """How the machine changes from night to night, and which `night` it is (0: as drawn).
+    """Change of the machine from night to night; `night` selects one (0: as drawn).
 
-    `seasonal_um_per_m`: amplitude of the scale errors of X, Y, Z, a sine of period `season_nights` with the phases of
-    the three axes `phases_deg`; `walk_um`: rms field of the random walk of all errors, a night; `collision`: by how
-    much errors jump at the night of the collision, µm or µrad, by ISO name or, with its order, one coefficient.
+    `seasonal_um_per_m`: amplitudes of the scale errors of X, Y, Z, a sine of period `season_nights` with the phases
+    `phases_deg` of the three axes; `walk_um`: rms field of the random walk of all errors per night; `collision`: jumps
+    of errors in the night of the collision, in µm or µrad, by ISO name or, with its order, for one coefficient.
     """
 
     night: int = Field(default=0, ge=0)
@@ -112,12 +112,12 @@ class AgeingSettings(StrictModel):
 
 
 class ScenarioDocument(StrictModel):
-    """Keys of a scenario. `start_mm`: axis positions at the start, without it the lower ends of the travel.
+    """Keys of a scenario. `start_mm`: axis positions at the start; by default the lower ends of travel.
 
-    `own_mounts`: a mount at every station, instead of one that is carried with the artefact; the artefact is carried
-    from one to the next, unless `artefacts` names one for each station. `mounts_deg`: azimuth and elevation of each
-    mount at the start, by default zero. `noise_by_step`: noise belongs to the step that an agent tells with a motion,
-    so that a step done again meets the same; else it follows one upon the other.
+    `own_mounts`: a mount at every station instead of one that is moved with the artefact; the artefact is moved from
+    mount to mount unless `artefacts` gives one for each station. `mounts_deg`: azimuth and elevation of each mount at
+    the start, by default zero. `noise_by_step`: noise depends on the step tag that an agent sends with a motion, so a
+    repeated step meets the same noise; otherwise it follows the order of the motions.
     """
 
     machine: Path
@@ -146,7 +146,7 @@ class ScenarioDocument(StrictModel):
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario with its files read. `artefacts`: those of the stations, where each has its own."""
+    """Scenario with its files read. `artefacts`: one per station, if each station has its own."""
 
     settings: ScenarioDocument
     machine: MachineDescription
@@ -174,7 +174,7 @@ class Scenario:
 
     @property
     def mount_count(self) -> int:
-        """How many mounts there are."""
+        """Number of mounts."""
         return len(self.settings.stations_mm) if self.settings.own_mounts else 1
 
     def _refuse_mounts_that_do_not_fit(self) -> None:
@@ -191,18 +191,20 @@ class Scenario:
             )
 
     def without_errors(self) -> Scenario:
-        """The same without any error: what a dry run runs on."""
+        """Return the scenario without any error, as a preflight uses it."""
         return dataclasses.replace(self, settings=ideal_document(self.settings))
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Scenario from a TOML file; files named in it are relative to it. ConfigurationError otherwise."""
+    """Return the scenario of a TOML file; paths in it are relative to it. Raises ConfigurationError if a file is
+    invalid.
+    """
     document = _read(path, lambda: read_toml(_text(path), str(path), ScenarioDocument))
     return build_scenario(document, path.parent)
 
 
 def build_scenario(document: ScenarioDocument, base: Path) -> Scenario:
-    """Read the files that `document` names, relative to `base`."""
+    """Read the files named in `document`, relative to `base`."""
     machine = base / document.machine
     return Scenario(
         ideal_document(document) if document.ideal else document,
@@ -213,7 +215,7 @@ def build_scenario(document: ScenarioDocument, base: Path) -> Scenario:
 
 
 def ideal_document(document: ScenarioDocument) -> ScenarioDocument:
-    """The same without any error of machine, probe, mount or artefact."""
+    """Return `document` without any error of machine, probe, mount or artefact."""
     return document.model_copy(
         update={
             "ideal": True,

@@ -1,4 +1,4 @@
-"""The section `[temperatures]` of a scenario: how warm everything is, what warms it, and what its warmth does."""
+"""Section `[temperatures]` of a scenario: initial temperatures, heating, and the thermal effects."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ Hours = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 class TemperatureSettings(StrictModel):
-    """Temperatures at the start and what becomes of them; without any key nothing warms.
+    """Initial temperatures and their change; without any key nothing warms.
 
-    The ambient rises by `ambient_rise_k` as 1 - exp(-t/τ) with `ambient_time_constant_h` (0: at once, as when the
-    doors are opened). Artefact and machine follow it, each through a lag of its own; None: they do not. On top of that
-    both may drift linearly, by the hour.
+    The ambient rises by `ambient_rise_k` as 1 - exp(-t/τ) with `ambient_time_constant_h` (0: at once, as when the doors
+    are opened). Artefact and machine follow it, each with its own lag; None: they do not. In addition both may drift
+    linearly, per hour.
 
-    What warmth does, for every kelvin since the start: `growth_um_per_k` moves the tip (spindle and ram grow);
+    Thermal effects, per kelvin since the start: `growth_um_per_k` moves the tip (spindle and ram grow);
     `scale_um_per_m_k` stretches the scale of each axis about its zero; `bend_um_per_k` bends the column, forwards at
-    its top, `bend_time_constant_h` behind the machine's thermometer; `artefact_bow_um_per_k` bows the bar at its
-    middle for every kelvin that the ambient is ahead of it.
+    its top, lagging the machine's thermometer by `bend_time_constant_h`; `artefact_bow_um_per_k` bows the bar at its
+    middle per kelvin by which the ambient leads it.
 
     Thermometers: `artefact_sensors` of them on the artefact; `sensor_offset_k` by name (``artefact``, ``artefact-2``,
-    ``machine``, ``ambient``), noise of each reading, and by how much each tells the past.
+    ``machine``, ``ambient``), the noise of each reading, and the lag of the readings.
     """
 
     artefact_c: Temperature = 20.0

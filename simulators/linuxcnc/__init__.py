@@ -1,1 +1,1 @@
-"""A plant for a real LinuxCNC: the machine, balls and mount of the simulated world around a controller that is real."""
+"""Simulated plant for a real LinuxCNC: machine, balls and mount of the simulated world around a real controller."""

@@ -1,7 +1,8 @@
-"""`python -m simulators.linuxcnc`: a stock LinuxCNC with a simulated machine around it, until standard input ends.
+"""`python -m simulators.linuxcnc`: a stock LinuxCNC with a simulated machine around it, running until standard input
+ends.
 
-The first line on standard output is one JSON object: `pid`, by which others enter the namespaces, and where the control
-channel and the CAN bus are inside them.
+The first line on standard output is one JSON object: `pid`, the process through which others enter the namespaces, and
+the addresses of the control channel and the CAN bus inside them.
 """
 
 from __future__ import annotations
@@ -25,17 +26,23 @@ PATH = click.Path(path_type=Path)
 
 
 @click.command()
-@click.option("--scenario", type=PATH, required=True, help="What is simulated (TOML).")
+@click.option("--scenario", type=PATH, required=True, help="Scenario file (TOML).")
 @click.option("--configuration", type=PATH, required=True, help="Directory of the INI and HAL files.")
-@click.option("--components", type=PATH, required=True, help="Directory of the components beside the driver.")
-@click.option("--work", type=PATH, required=True, help="Directory for everything that is made.")
-@click.option("--ini", default="machine.ini", show_default=True)
-@click.option("--speed", type=click.FloatRange(0.1, 100.0), default=1.0, show_default=True, help="Times real time.")
+@click.option("--components", type=PATH, required=True, help="Directory of the driver's HAL components.")
+@click.option("--work", type=PATH, required=True, help="Working directory for all generated files.")
+@click.option("--ini", default="machine.ini", show_default=True, help="INI file in the configuration directory.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.1, 100.0),
+    default=1.0,
+    show_default=True,
+    help="Speed as a multiple of real time.",
+)
 @click.option("--inside", is_flag=True, hidden=True)
 def run(
     *, scenario: Path, configuration: Path, components: Path, work: Path, ini: str, speed: float, inside: bool
 ) -> None:
-    """Compile, start, switch on and home it; then serve."""
+    """Compile, start, switch on and home LinuxCNC, then serve."""
     try:
         if inside:
             _serve(scenario, work.resolve(), ini, speed)
@@ -51,10 +58,10 @@ def run(
 
 
 def _in_namespaces(arguments: list[str]) -> int:
-    """The same program again, in namespaces; its ready line gets the process id by which they are entered."""
+    """Run this program again in its own namespaces, and add to its ready line the process id for entering them."""
     command = unshare_command([sys.executable, "-m", "simulators.linuxcnc", *arguments, "--inside"])
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603  our own program
-        assert process.stdout is not None  # noqa: S101  asked for above
+        assert process.stdout is not None  # noqa: S101  a pipe was requested above
         line = process.stdout.readline()
         if line:
             click.echo(json.dumps({"pid": first_child(process.pid)} | json.loads(line)))
@@ -69,7 +76,7 @@ def _serve(scenario: Path, work: Path, ini: str, speed: float) -> None:
     with LinuxCncMachine(read_scenario(scenario.resolve()), work, ini, speed=speed) as machine:
         click.echo(json.dumps(machine.ready_line()))
         while sys.stdin.buffer.read(4096):
-            pass  # what is said there has no meaning; only that it ends
+            pass  # the content has no meaning; only the end of the stream counts
 
 
 if __name__ == "__main__":

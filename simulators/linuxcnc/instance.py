@@ -1,4 +1,4 @@
-"""A stock LinuxCNC, started, switched on, homed and stopped, without a screen."""
+"""Stock LinuxCNC without a screen: started, switched on, homed and stopped."""
 
 from __future__ import annotations
 
@@ -22,8 +22,11 @@ JOINTS = 3
 
 
 class LinuxCncInstance:
-    """A context. `speed` is seconds of the controller per second of the wall; `directory` holds INI and HAL files and
-    gets the log; `programs` is looked through first for what HAL files load."""
+    """Context manager for a running LinuxCNC.
+
+    `speed` is controller seconds per wall second; `directory` holds INI and HAL files and receives the log; `programs`
+    is searched first for whatever the HAL files load.
+    """
 
     def __init__(self, directory: Path, ini: str, *, speed: float, programs: Path) -> None:
         self._directory = directory
@@ -63,11 +66,11 @@ class LinuxCncInstance:
 
     def _environment(self) -> dict[str, str]:
         path = f"{self._programs}:{os.environ.get('PATH', '')}"
-        fifo = "/tmp/rtapi_fifo"  # noqa: S108  of the namespace
+        fifo = "/tmp/rtapi_fifo"  # noqa: S108  inside the namespace
         return os.environ | {"HOME": HOME, "PATH": path, "RTAPI_UID": NOBODY, "RTAPI_FIFO_PATH": fifo}
 
     def _make_ready(self) -> None:
-        """Wait for the display's server, release the e-stop, switch on, home."""
+        """Wait for the display's server, release the emergency stop, switch on and home."""
         deadline = Deadline.after(RealClock(), START_TIMEOUT_S)
         while not self._homed():
             if self._process is not None and self._process.poll() is not None:
@@ -79,7 +82,7 @@ class LinuxCncInstance:
             deadline.clock.sleep(POLL_S)
 
     def _homed(self) -> bool:
-        """Ask for what is missing, and whether nothing is."""
+        """Request the steps still missing and return True if the machine is on and homed."""
         try:
             reply = self._ask("get joint_homed", "get machine")
             if reply.count(" YES") < JOINTS:
@@ -90,7 +93,9 @@ class LinuxCncInstance:
         return "MACHINE ON" in reply
 
     def _ask(self, *lines: str) -> str:
-        """Commands to linuxcncrsh, the last of them `get machine`, and everything that it answers until that."""
+        """Send commands to linuxcncrsh, the last of them `get machine`, and return everything
+        answered up to that one.
+        """
         with self._send(*lines) as link:
             answer = ""
             while "MACHINE O" not in answer or not answer.endswith("\n"):
@@ -114,4 +119,4 @@ class LinuxCncInstance:
             self._process.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired as late:
             self._process.kill()
-            raise LinkLost("LinuxCNC does not end", file=str(self.log)) from late
+            raise LinkLost("LinuxCNC does not terminate", file=str(self.log)) from late

@@ -1,4 +1,4 @@
-"""LinuxCNC and the plant around it as one machine: inside its namespaces, with CAN drives and a control channel."""
+"""LinuxCNC and the plant around it as one machine: in its own namespaces, with CAN drives and a control channel."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ from simulators.wire.time_server import Ticker
 OWN_COMPONENTS: Final = Path(__file__).resolve().parent / "components"
 CAN: Final = "socketcand:127.0.0.1:29536"
 CONTROL: Final = ("127.0.0.1", 5022)
-"""As config/linuxcnc/volcal.toml has them: in a network of their own no port is taken."""
+"""Addresses as in config/linuxcnc/volcal.toml; in a network namespace no port is taken."""
 BUILD_WITHIN_S: Final = 120.0
 
 
 def build(components: Path, out: Path) -> list[Path]:
-    """Compile the plant's component and those beside the driver; what LinuxCNC loads. ConfigurationError."""
+    """Compile the plant's component and the driver's components; return the modules that LinuxCNC loads.
+
+    Raises ConfigurationError if a component does not compile.
+    """
     out.mkdir(parents=True, exist_ok=True)
     for source in OWN_COMPONENTS.iterdir():
         shutil.copy(source, out)
@@ -46,12 +49,15 @@ def _compiled(command: list[str], directory: Path) -> None:
     )
     if done.returncode != 0:
         raise ConfigurationError(
-            f"a component cannot be compiled: {done.stderr.strip()[-400:]}", hint="see package linuxcnc-uspace-dev"
+            f"a component does not compile: {done.stderr.strip()[-400:]}", hint="install package linuxcnc-uspace-dev"
         )
 
 
 class LinuxCncMachine:
-    """A context, once and inside namespaces of its own. `work` holds configuration and components, gets the rest."""
+    """Context manager for the whole machine, used once and inside its own namespaces.
+
+    `work` holds configuration and components and receives all other files.
+    """
 
     def __init__(self, scenario: Scenario, work: Path, ini: str, *, speed: float) -> None:
         self._work = work
@@ -95,7 +101,7 @@ class LinuxCncMachine:
         return [self._control, can, Ticker(shared, clock)]
 
     def ready_line(self) -> dict[str, Any]:
-        """Where everything listens, inside these namespaces."""
+        """Return the addresses of all servers inside these namespaces."""
         host, port = self._control.address
         return {
             "control": {"host": host, "port": port},

@@ -1,6 +1,6 @@
-"""The file through which the plant's process and the servo thread of LinuxCNC share what is simulated.
+"""File through which the plant's process and the servo thread of LinuxCNC share the simulated state.
 
-Laid out as `components/volcal_plant.h` says: everything 8 bytes, little-endian.
+Layout as in `components/volcal_plant.h`: every field 8 bytes, little-endian.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _HEAD = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class DeviationGrid:
-    """`deviation_mm`, (nx, ny, nz, 3), on the bare axis positions origin + index * step."""
+    """Deviations `deviation_mm`, (nx, ny, nz, 3), at the bare axis positions origin + index * step."""
 
     origin_mm: Array
     step_mm: Array
@@ -60,7 +60,7 @@ class DeviationGrid:
 
 @dataclass(frozen=True)
 class ProbeBehaviour:
-    """How the probe and the axes behave; `reach_mm`: of the centres of tip and ball at contact."""
+    """Parameters of the probe and the axes; `reach_mm` is the distance between tip and ball centre at contact."""
 
     seed: int
     reach_mm: float
@@ -74,14 +74,14 @@ class ProbeBehaviour:
 
 
 class PlantMemory:
-    """Written here, read by the servo thread; `close` leaves the file."""
+    """Shared memory written here and read by the servo thread; closing it leaves the file."""
 
     def __init__(self, path: Path, grid: DeviationGrid, nature: ProbeBehaviour) -> None:
         size = _HEAD.itemsize + grid.deviation_mm.size * 8
         with path.open("wb+") as file:
             file.truncate(size)
             self._map = mmap.mmap(file.fileno(), size)
-        path.chmod(0o666)  # rtapi_app runs under another user
+        path.chmod(0o666)  # rtapi_app runs as another user
         self._head = np.frombuffer(self._map, _HEAD, 1)[0:1]
         self._scene = self._head["scene"]
         values = np.frombuffer(self._map, "<f8", grid.deviation_mm.size, _HEAD.itemsize)
@@ -94,9 +94,9 @@ class PlantMemory:
         self._read = 0
 
     def show(self, balls_mm: Array, *, drift_mm: tuple[float, float, float], temperatures_c: list[float]) -> None:
-        """From now on these balls (n, 3), workpiece frame, stand there."""
+        """Publish the balls (n, 3) in the workpiece frame, the drift and the temperatures."""
         if len(balls_mm) > BALLS:
-            raise ConfigurationError(f"{len(balls_mm)} balls; the plant holds {BALLS}", key="artefacts")
+            raise ConfigurationError(f"{len(balls_mm)} balls; the plant holds at most {BALLS}", key="artefacts")
         self._head["sequence"] += 1
         self._scene["balls"] = len(balls_mm)
         self._scene["ball_mm"][0, : len(balls_mm)] = balls_mm
@@ -105,7 +105,7 @@ class PlantMemory:
         self._head["sequence"] += 1
 
     def read_trace(self) -> Array:
-        """(n, 3): where the tip has been since it was asked last, the last place before included."""
+        """Return the tip positions (n, 3) since the previous call, beginning with the last one returned before."""
         written = int(self._head["traced"][0])
         first = max(self._read - 1, written - TRACE + 1, 0)
         self._read = written

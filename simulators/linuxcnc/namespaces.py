@@ -1,6 +1,6 @@
-"""Linux namespaces around a LinuxCNC: it has one lock, fixed keys of shared memory and servers on all interfaces.
+"""Linux namespaces for one LinuxCNC, which has a single lock, fixed shared-memory keys and servers on all interfaces.
 
-A program started here has network, IPC, mounts and processes of its own; another enters the same by `nsenter_command`.
+A program started here has its own network, IPC, mounts and processes; another enters them with `nsenter_command`.
 """
 
 from __future__ import annotations
@@ -11,15 +11,17 @@ import subprocess
 from pathlib import Path
 
 MODULES = Path("/usr/lib/linuxcnc/modules")
-TMP = Path("/tmp")  # noqa: S108  of the namespace
+TMP = Path("/tmp")  # noqa: S108  inside the namespace
 PROGRAMS = Path(__file__).resolve().parents[2]
-"""Where volcal is: whoever enters the namespace must find it, also where that is under the /tmp outside."""
+"""Location of volcal; programs in the namespace must find it even if it is under the outer /tmp."""
 HOME = str(TMP)
-"""LinuxCNC keeps its tool table in a file under HOME: whoever talks to it must have the same."""
+"""LinuxCNC keeps its tool table in a file under HOME, so its clients must use the same HOME."""
 
 
 def unshare_command(command: list[str]) -> list[str]:
-    """`command` as the first process of namespaces of its own; it ends with the process that starts it."""
+    """Return a command that runs `command` as the first process of new namespaces, ending with the process that starts
+    it.
+    """
     return [
         "unshare",
         *_user(),
@@ -35,13 +37,13 @@ def unshare_command(command: list[str]) -> list[str]:
 
 
 def nsenter_command(pid: int) -> list[str]:
-    """What to put before a command that shall run in the namespaces of process `pid`, as seen from here."""
+    """Return the prefix for a command that runs in the namespaces of process `pid`, as seen from here."""
     user = ["--user", "--preserve-credentials"] if _user() else []
     return ["nsenter", "--target", str(pid), *user, "--net", "--ipc", "--mount", "--pid", "env", f"HOME={HOME}"]
 
 
 def unavailable_reason() -> str:
-    """Why no LinuxCNC can run here; empty where one can."""
+    """Return the reason why LinuxCNC cannot run here; empty if it can."""
     for program, package in (("linuxcnc", "linuxcnc-uspace"), ("halcompile", "linuxcnc-uspace-dev")):
         if shutil.which(program) is None:
             return f"{program} is not installed (package {package})"
@@ -51,14 +53,17 @@ def unavailable_reason() -> str:
     tried = subprocess.run(  # noqa: S603
         unshare_command(["true"]), capture_output=True, text=True, timeout=10.0, check=False
     )
-    return "" if tried.returncode == 0 else f"no namespaces can be had: {tried.stderr.strip()}"
+    return "" if tried.returncode == 0 else f"namespaces cannot be created: {tried.stderr.strip()}"
 
 
 def make_private(work: Path, modules: list[Path]) -> None:
-    """Called first inside: loopback up, a /dev/shm and a /tmp of our own in which `work` and these programs stay where
-    they are, and `modules` beside those that LinuxCNC loads."""
+    """Prepare the namespaces; to be called first inside them.
+
+    Brings loopback up, mounts a private /dev/shm and a private /tmp in which `work` and these programs keep their
+    paths, and adds `modules` to those that LinuxCNC loads.
+    """
     _run("ip", "link", "set", "lo", "up")
-    # faketime names what it shares by process ids, which begin again in here
+    # faketime names its shared memory by process ids, which restart in a new namespace
     _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/dev/shm")  # noqa: S108
     _run("mount", "-t", "tmpfs", "tmpfs", "/mnt")
     hidden = [path for path in (PROGRAMS, work) if path.is_relative_to(TMP)]
@@ -78,7 +83,7 @@ def make_private(work: Path, modules: list[Path]) -> None:
 
 
 def first_child(pid: int) -> int | None:
-    """The only child of a process, as `unshare --fork` has one; None before it is there."""
+    """Return the only child of a process, as `unshare --fork` has one; None before it exists."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
     return int(children[0]) if children else None
 

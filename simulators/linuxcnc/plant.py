@@ -1,7 +1,7 @@
-"""The world around LinuxCNC: true machine, artefact and mount as in every simulation, put before the servo thread.
+"""World around LinuxCNC: the true machine, artefact and mount of every simulation, presented to the servo thread.
 
-The controller inside the simulated world is not used: LinuxCNC moves the axes, and a realtime component says when the
-probe trips. Collisions are looked for along the way that the tip has gone.
+The controller inside the simulated world is not used: LinuxCNC moves the axes, and a realtime component reports probe
+trips. Collisions are searched along the path that the tip has taken.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ from twin.machine.true_machine import TrueMachine
 GRID_STEP_MM = 25.0
 STEM = "stem"
 NEAR_MM = 2.0
-"""A stem may touch the ball that the tip is about to touch or leaves: it yields together with the tip."""
+"""Distance within which the stem may touch a ball that the tip is about to touch or leaves; it
+deflects with the tip.
+"""
 
 
 class LinuxCncPlant:
-    """`on_advance` is called after each advance of the world's time."""
+    """Simulated plant; `on_advance` is called after each advance of the world's time."""
 
     def __init__(self, scenario: Scenario, file: Path) -> None:
         self.world = World(scenario)
@@ -55,7 +57,7 @@ class LinuxCncPlant:
         self.on_advance(0.0)
 
     def on_advance(self, now_s: float) -> None:
-        """Show what stands there now, and look for collisions on the way gone since."""
+        """Publish the present state and search for collisions on the path taken since the last call."""
         snapshot = self.world.table.snapshot(now_s)
         way = self.memory.read_trace()
         if snapshot is not self._shown:
@@ -76,7 +78,7 @@ class LinuxCncPlant:
         self._shown = snapshot
 
     def _look(self, snapshot: WorkpieceSnapshot, start: Point, end: Point) -> None:
-        """Record a collision when it begins; as long as it lasts it is one."""
+        """Record a collision when it begins; while it lasts it counts once."""
         near = {
             (STEM, name)
             for name, ball in zip(snapshot.ball_names, snapshot.balls, strict=True)
@@ -95,7 +97,7 @@ class LinuxCncPlant:
 
 
 def _sampled(machine: TrueMachine, scenario: Scenario) -> DeviationGrid:
-    """The machine's deviation on a grid so fine that between its nodes the truth is off by less than 0.1 µm."""
+    """Sample the machine's deviation on a grid fine enough that interpolation is wrong by less than 0.1 µm."""
     low, high = np.array(scenario.machine.limits, dtype=np.float64).T
     cells = np.maximum(np.ceil((high - low) / GRID_STEP_MM), 1).astype(int)
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, cells, strict=True)]

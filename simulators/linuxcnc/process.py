@@ -1,4 +1,4 @@
-"""`python -m simulators.linuxcnc` as a process of its own, for tests and benchmarks outside its namespaces."""
+"""`python -m simulators.linuxcnc` as a separate process, for tests and benchmarks outside its namespaces."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ANSWER_WITHIN_S = 60.0
 _ASK = "import socket, sys; s = socket.create_connection((sys.argv[1], int(sys.argv[2])), 30); " + (
     "s.sendall(sys.argv[3].encode() + b'\\n'); print(s.makefile().readline())"
 )
-"""Run in the network of the namespaces, where the control channel listens."""
+"""Program run in the network namespace, where the control channel listens."""
 
 
 class LinuxCncProcess:
-    """A context: LinuxCNC and the plant around it run inside, and never outlive it."""
+    """Context manager that runs LinuxCNC and its plant; neither outlives it."""
 
     def __init__(self, *, scenario: Path, configuration: Path, components: Path, work: Path, speed: float) -> None:
         self.work = work
@@ -37,11 +37,13 @@ class LinuxCncProcess:
         self._process = subprocess.Popen(  # noqa: S603  our own program
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
-        assert self._process.stdout is not None  # noqa: S101  asked for above
+        assert self._process.stdout is not None  # noqa: S101  a pipe was requested above
         line = self._process.stdout.readline()
         if not line:
             self.__exit__(None, None, None)
-            raise LinkLost("LinuxCNC did not start", hint="it says why above", file=str(self.work / "linuxcnc.log"))
+            raise LinkLost(
+                "LinuxCNC did not start", hint="see the reason printed above", file=str(self.work / "linuxcnc.log")
+            )
         self.ready = json.loads(line)
         return self
 
@@ -51,22 +53,22 @@ class LinuxCncProcess:
         if self._process is None:
             return
         try:
-            self._process.communicate(timeout=END_WITHIN_S)  # ends its standard input, and with that it
+            self._process.communicate(timeout=END_WITHIN_S)  # closing its standard input ends it
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.communicate()
 
     def inside(self, *command: str) -> list[str]:
-        """That command, to be run in the namespaces of this LinuxCNC."""
+        """Return `command` prefixed so that it runs in the namespaces of this LinuxCNC."""
         return [*nsenter_command(self.ready["pid"]), *command]
 
     @property
     def bridge_command(self) -> list[str]:
-        """Option `bridge_command` of a driver outside."""
+        """Value of a driver's option `bridge_command` for use outside the namespaces."""
         return self.inside("/usr/bin/python3")
 
     def ask(self, request: str) -> dict[str, Any]:
-        """One request of the control channel: ``truth``, ``collisions``, ``status``."""
+        """Send one request to the control channel: ``truth``, ``collisions`` or ``status``."""
         place = self.ready["control"]
         words = self.inside("/usr/bin/python3", "-c", _ASK, place["host"], str(place["port"]))
         done = subprocess.run(  # noqa: S603  our own program

@@ -1,4 +1,4 @@
-"""The directory in which a LinuxCNC runs: its configuration, copied, so that nothing is written where that is kept."""
+"""Working directory of a LinuxCNC: a copy of its configuration, so that the original is never written."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ TABLES = "tables"
 
 
 def prepare_work_directory(configuration: Path, components: Path, work: Path) -> None:
-    """Copy INI, HAL and tool files and the HAL files of the components (not the agent's settings); make the tables'
-    directory."""
+    """Copy INI, HAL and tool files and the components' HAL files (not the agent's settings), and make the table
+    directory.
+    """
     if not configuration.is_dir():
         raise ConfigurationError("no such directory", file=str(configuration))
     work.mkdir(parents=True, exist_ok=True)
-    work.chmod(0o777)  # parts of LinuxCNC run under another user
+    work.chmod(0o777)  # parts of LinuxCNC run as another user
     for file in (*configuration.iterdir(), *components.glob("*.hal")):
         if file.is_file() and file.suffix != ".toml":
             shutil.copy(file, work)

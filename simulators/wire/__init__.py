@@ -1,1 +1,1 @@
-"""Bytes in front of the world: servers and nodes written from the protocols' documents; no physics here."""
+"""Servers and nodes that exchange bytes with the world, written from the protocol documents; no physics here."""

@@ -1,6 +1,6 @@
-"""The control channel: what a person beside the machine does and what only the simulator knows, over TCP.
+"""Control channel over TCP: actions of a person at the machine, and facts known only to the simulator.
 
-One JSON object a line, one JSON object back; bad input is answered with ``{"error": ...}``.
+One JSON object per line is answered by one JSON object; invalid input is answered with ``{"error": ...}``.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from simulators.wire.tcp_server import TcpServer, serve_lines
 
 Answer = dict[str, Any]
 FailDrive = Callable[[int, str], None]
-"""Node and fault; raises InputError for what there is not."""
+"""Function of node and fault; raises InputError for an unknown node or fault."""
 
 REQUEST_KEYS = {"place_artefact": ("station",), "drive": ("node", "fault")}
-"""What a request takes besides `do`."""
+"""Keys of each request besides `do`."""
 
 log = structlog.get_logger()
 
 
 class VolumetricTruth(Protocol):
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """(raw, rigidly aligned), µm, with the table of `bank`; None or 0: bare."""
+        """Return (raw, rigidly aligned) in µm with the table of `bank`; None or 0: no table."""
         ...
 
 
@@ -67,7 +67,7 @@ class ControllerView(Protocol):
 
 
 class ControllableWorld(TimeDriven, Protocol):
-    """What the control channel needs of the world."""
+    """World as the control channel needs it."""
 
     @property
     def controller(self) -> ControllerView: ...
@@ -82,7 +82,7 @@ class ControllableWorld(TimeDriven, Protocol):
 
 
 class ControlServer:
-    """Serves any number of clients on `address`."""
+    """Control channel for any number of clients on `address`."""
 
     def __init__(
         self, shared: SharedWorld[ControllableWorld], address: tuple[str, int], fail_drive: FailDrive | None = None
@@ -105,7 +105,7 @@ class ControlServer:
         serve_lines(connection, lambda line: json.dumps(self.answer(line)).encode())
 
     def answer(self, line: bytes) -> Answer:
-        """The answer to one line; never raises for what a client sent."""
+        """Return the answer to one line; never raises because of client input."""
         try:
             request = _parse(line)
             with self._shared.lock:
@@ -126,16 +126,16 @@ class ControlServer:
     def _place_artefact(self, request: Answer) -> Answer:
         station = request.get("station")
         if not isinstance(station, int) or isinstance(station, bool):
-            raise InputError(f"station must be a whole number, got {station!r}", key="station")
+            raise InputError(f"station must be an integer, got {station!r}", key="station")
         self._shared.world.place_artefact(station)
         log.info("artefact placed", station=station, machine_time_s=self._shared.now)
         return {"done": "place_artefact", "station": station}
 
     def _drive(self, request: Answer) -> Answer:
-        """A drive of a mount fails, or is well again."""
+        """Make a drive of a mount fail, or restore it."""
         node, fault = request.get("node"), request.get("fault")
         if not isinstance(node, int) or isinstance(node, bool) or not isinstance(fault, str):
-            raise InputError(f"node must be a whole number and fault a word, got {node!r} and {fault!r}", key="node")
+            raise InputError(f"node must be an integer and fault a string, got {node!r} and {fault!r}", key="node")
         if self._fail_drive is None:
             raise InputError("this simulator has no drives", key="do")
         self._fail_drive(node, fault)
@@ -143,7 +143,9 @@ class ControlServer:
         return {"done": "drive", "node": node, "fault": fault}
 
     def _truth(self, _: Answer) -> Answer:
-        """True volumetric error, µm: bare, with the bank now active, with each bank that holds a table."""
+        """Return the true volumetric error in µm: without table, with the active bank, and with each bank that holds a
+        table.
+        """
         controller = self._shared.world.controller
         banks = {bank: self._volumetric_error(bank) for bank in sorted(controller.banks) if bank}
         bare = self._volumetric_error(None)
@@ -183,12 +185,12 @@ def _parse(line: bytes) -> Answer:
     try:
         request = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON: {error}", hint='one object a line, as {"do": "status"}') from error
+        raise InputError(f"not JSON: {error}", hint='send one object per line, for example {"do": "status"}') from error
     if not isinstance(request, dict):
-        raise InputError("not a JSON object", hint='one object a line, as {"do": "status"}')
+        raise InputError("not a JSON object", hint='send one object per line, for example {"do": "status"}')
     return request
 
 
 def _finite(value: float) -> float | None:
-    """JSON knows no NaN."""
+    """Return None for values that JSON cannot represent."""
     return float(value) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""A pseudo-terminal: the far end of a serial line that a program opens like `/dev/ttyUSB0`."""
+"""Pseudo-terminal: the far end of a serial line that a program opens like `/dev/ttyUSB0`."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ from drivers.errors import ConfigurationError
 
 RECEIVE_BYTES = 4096
 ANY = "any"
-"""In the place of a path: no link, the name the system gives is enough."""
+"""Value in place of a path: no link is made, and the name given by the system is used."""
 log = structlog.get_logger()
 
 
 class PseudoTerminal:
-    """One serial line; `received(bytes)` is called in a thread of this object's own.
+    """One serial line; `received(bytes)` is called in this object's own thread.
 
-    Bytes that nobody fetches are lost once the terminal's buffer is full, as on a line without handshake. `distort`
-    is what a bad cable does to the bytes that are sent: tests put it there. Raises ConfigurationError where the link
-    cannot be made.
+    Bytes that are not read are lost once the terminal's buffer is full, as on a line without handshake. `distort`
+    models a bad cable: tests set it to alter the bytes sent. Raises ConfigurationError if the link cannot be made.
     """
 
     def __init__(self, name: str, received: Callable[[bytes], None], link: str = ANY) -> None:
@@ -46,37 +45,37 @@ class PseudoTerminal:
         except OSError as error:
             self.close()
             raise ConfigurationError(
-                f"no link to the pseudo-terminal can be made: {error.strerror or error}",
-                hint=f"name a file that does not exist yet, or write {ANY}",
+                f"the link to the pseudo-terminal cannot be created: {error.strerror or error}",
+                hint=f"give the path of a file that does not exist yet, or {ANY}",
                 file=link,
             ) from error
 
     @property
     def device_path(self) -> str:
-        """What the other side opens."""
+        """Path that the other side opens."""
         return self.port if self._link is None else str(self._link)
 
     def start(self) -> None:
         self._thread.start()
 
     def send(self, data: bytes) -> None:
-        """What does not fit is lost."""
+        """Write `data`; bytes that do not fit are lost."""
         if self.distort is not None:
             data = self.distort(data)
         if self._closed:
             return
-        with contextlib.suppress(OSError):  # nobody reads, or it is closed: a line without a listener
+        with contextlib.suppress(OSError):  # no reader, or closed: like a line that is not connected
             os.write(self._ours, data)
 
     def offer(self, data: bytes) -> int:
-        """How many of the bytes the line takes now; a sender that keeps the rest loses none."""
+        """Return the number of bytes that the line accepted; a sender that keeps the rest loses none."""
         try:
             return os.write(self._ours, data)
         except BlockingIOError:
             return 0
 
     def pump(self) -> None:
-        """Take what has come, instead of a thread: for one who is called as machine time passes."""
+        """Process received bytes without the thread, for callers that are driven by machine time."""
         with contextlib.suppress(BlockingIOError):
             if not self._closed:
                 self._received(os.read(self._ours, RECEIVE_BYTES))
@@ -97,7 +96,7 @@ class PseudoTerminal:
         if self._link is None:
             return
         if self._link.is_symlink():
-            self._link.unlink()  # of a simulator that was killed
+            self._link.unlink()  # left by a simulator that was killed
         self._link.symlink_to(self.port)
 
     def _serve(self) -> None:
@@ -108,6 +107,6 @@ class PseudoTerminal:
             try:
                 data = os.read(self._ours, RECEIVE_BYTES)
             except OSError as error:
-                log.info("serial line gone", line=self._name, reason=str(error))
+                log.info("serial line closed", line=self._name, reason=str(error))
                 return
             self._received(data)

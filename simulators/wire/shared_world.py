@@ -1,4 +1,4 @@
-"""One world, one lock, and everything on the wire that must move along with its time."""
+"""One world with its lock, and the wire components that advance with its time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 
 
 class TimeDriven(Protocol):
-    """What is shared: anything with a machine time that somebody moves on."""
+    """Object with a machine time that its owner advances."""
 
     @property
     def now(self) -> float: ...
@@ -27,11 +27,11 @@ class _Companion:
 
 
 class SharedWorld(Generic[W_co]):
-    """Serialises every access to `world`: hold `lock` (re-entrant) around any look at it or command to it.
+    """Serialises every access to `world`: hold `lock` (re-entrant) around any reading of it or command to it.
 
-    Companions (a heartbeat watch, CAN nodes) are called after each advance, under the lock. One that must act
-    at an instant of its own names it with `wakes_at`; a longer advance then halts there on its way, so a
-    watch of one second expires after one second however far the clock jumps.
+    Companions (a heartbeat watch, CAN nodes) are called after each advance, under the lock. A companion that must act
+    at its own instant gives it by `wakes_at`; a longer advance then stops there first, so a watch of one second expires
+    after one second however far the clock jumps.
     """
 
     def __init__(self, world: W_co) -> None:
@@ -45,24 +45,26 @@ class SharedWorld(Generic[W_co]):
 
     @property
     def now(self) -> float:
-        """Machine time, s."""
+        """Machine time in s."""
         return self._world.now
 
     def subscribe(
         self, on_advance: Callable[[float], None], *, wakes_at: Callable[[], float | None] | None = None
     ) -> None:
-        """`on_advance(now_s)` is called after each advance; `wakes_at()` says when it must be, None for never."""
+        """Call `on_advance(now_s)` after each advance; `wakes_at()` returns the next instant at which it must be
+        called, or None.
+        """
         with self.lock:
             self._companions.append(_Companion(on_advance, wakes_at))
 
     def advance_to(self, instant_s: float) -> None:
-        """Move the world and its companions to `instant_s`; an instant that has passed changes nothing."""
+        """Advance the world and its companions to `instant_s`; an instant that has passed changes nothing."""
         with self.lock:
             while self._world.now < instant_s:
                 self._step_to(min(instant_s, self._next_wake(instant_s)))
 
     def _next_wake(self, latest_s: float) -> float:
-        """The first instant a companion asked for that still lies ahead."""
+        """Return the first future instant requested by a companion, at most `latest_s`."""
         first = latest_s
         for companion in self._companions:
             instant = companion.wakes_at() if companion.wakes_at is not None else None

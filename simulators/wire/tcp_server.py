@@ -1,4 +1,4 @@
-"""A TCP server in threads of its own: the part that Modbus, control channel and time server share."""
+"""TCP server with its own threads, shared by Modbus, the control channel and the time server."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ log = structlog.get_logger()
 
 
 class TcpServer:
-    """Listens at once, serves each connection with `serve(connection)` until that returns.
+    """Listens from the start and serves each connection with `serve(connection)` until that returns.
 
-    With `one_client` the connections are served one after the other: the next one waits until the present one
-    has gone, as at a PLC with a single Modbus socket. `serve` may let an OSError out: the peer has gone.
-    Raises ConfigurationError where the address cannot be had.
+    With `one_client` the connections are served one at a time: the next waits until the present one has closed, as at a
+    PLC with a single Modbus socket. An OSError raised by `serve` means that the peer has closed the connection. Raises
+    ConfigurationError if the address is not available.
     """
 
     def __init__(
@@ -42,13 +42,13 @@ class TcpServer:
         except (OSError, OverflowError) as error:
             raise ConfigurationError(
                 f"cannot listen for {name} on {address[0]}:{address[1]}: {error}",
-                hint="choose a free port, or 0 for any, and an address of this computer",
+                hint="choose a free port (0 for any) and an address of this computer",
             ) from error
         self._thread = threading.Thread(target=self._accept_forever, name=name, daemon=True)
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port actually listened on."""
+        """Host and port actually used."""
         host, port = self._listener.getsockname()[:2]
         return str(host), int(port)
 
@@ -56,7 +56,7 @@ class TcpServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop listening and hang up on everybody; returns once no further connection can be served."""
+        """Stop listening and close all connections; returns once no further connection can be served."""
         with self._guard:
             self._closed = True
             for connection in (self._listener, *self._connections):
@@ -89,19 +89,19 @@ class TcpServer:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._serve(connection)
             except OSError as error:
-                log.info("client gone", server=self._name, reason=str(error))
+                log.info("client disconnected", server=self._name, reason=str(error))
             finally:
                 with self._guard:
                     self._connections.discard(connection)
 
 
 def serve_lines(connection: socket.socket, answer: Callable[[bytes], bytes]) -> None:
-    """Answer each line with one line until the peer hangs up; a line without end hangs up on the peer."""
+    """Answer each line with one line until the peer closes the connection; an overlong line closes it from here."""
     buffer = b""
     while chunk := connection.recv(LONGEST_LINE):
         *lines, buffer = (buffer + chunk).split(b"\n")
         for line in lines:
             connection.sendall(answer(line) + b"\n")
         if len(buffer) > LONGEST_LINE:
-            log.warning("client hung up on", reason="line too long", limit=LONGEST_LINE)
+            log.warning("connection closed", reason="line too long", limit=LONGEST_LINE)
             return

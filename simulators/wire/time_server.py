@@ -1,7 +1,7 @@
-"""Where machine time comes from when the simulators are a process of their own.
+"""Machine time for simulators that run as a separate process.
 
-Lockstep: the agent leads (`drivers.clock.LockstepClock`); the line ``advance SECONDS`` moves the world and is
-answered with ``ok`` once it is there. Otherwise a ticker moves the world along with the wall clock.
+Lockstep: the agent leads (`drivers.clock.LockstepClock`); the line ``advance SECONDS`` advances the world and is
+answered with ``ok`` once it has arrived. Otherwise a ticker advances the world with the wall clock.
 """
 
 from __future__ import annotations
@@ -15,12 +15,15 @@ from simulators.wire.shared_world import SharedWorld, TimeDriven
 from simulators.wire.tcp_server import TcpServer, serve_lines
 
 TICK_S = 0.002
-"""Wall time between two advances: a tenth of the fastest cyclic message (20 ms) on the simulated links."""
+"""Wall time in s between two advances: a tenth of the fastest cyclic message (20 ms) on the simulated links."""
 
 
 class TimeServer:
-    """Lockstep over TCP. Each client's seconds count from the machine time at which it connected, because its
-    clock starts at zero: a second agent after the first one's night does not stand still."""
+    """Lockstep over TCP.
+
+    Each client's seconds count from the machine time at which it connected, because its clock starts at zero: a second
+    agent after the first one's night does not stand still.
+    """
 
     def __init__(self, shared: SharedWorld[TimeDriven], address: tuple[str, int]) -> None:
         self._shared = shared
@@ -54,7 +57,7 @@ def _parse_advance(line: bytes) -> float | None:
 
 
 class Ticker:
-    """Moves the world along with `clock` (real or scaled) in small steps, in a thread of its own."""
+    """Advances the world with `clock` (real or scaled) in small steps, in its own thread."""
 
     def __init__(self, shared: SharedWorld[TimeDriven], clock: Clock) -> None:
         self._shared = shared

@@ -1,4 +1,4 @@
-"""The whole simulated machine on its links: one world, every server in front of it, and what moves its time."""
+"""Complete simulated machine on its links: one world, every server in front of it, and its source of time."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ Address = tuple[str, int]
 
 @dataclass(frozen=True)
 class Links:
-    """Where to listen. `speed` is machine seconds per wall second, None for lockstep at `time`. With `modbus_rtu` the
-    controller is on that serial line instead of on TCP: it has one master."""
+    """Addresses to listen on.
+
+    `speed` is machine seconds per wall second, None for lockstep at `time`. With `modbus_rtu` the controller is on that
+    serial line instead of TCP, because it has one master.
+    """
 
     modbus: Address
     control: Address
@@ -35,13 +38,13 @@ class Links:
     numbers: RegisterNumberFormat = field(default_factory=Float64Numbers)
     modbus_rtu: LineSettings | None = None
     serial: str | None = None
-    """GRBL on a pseudo-terminal besides: the path of a link to it, or ``any``."""
+    """Path of a link to an additional GRBL pseudo-terminal, or ``any``."""
 
 
 class WiredMachine:
-    """Every link is open when this is built; `start` begins to serve, `close` ends everything.
+    """Simulated machine whose links are open after construction; `start` begins to serve, `close` ends everything.
 
-    Raises ConfigurationError where a link cannot be had or the scenario does not fit the register map.
+    Raises ConfigurationError if a link is not available or the scenario does not fit the register map.
     """
 
     def __init__(self, scenario: Scenario, links: Links) -> None:
@@ -76,7 +79,7 @@ class WiredMachine:
 
     def _fail_drive(self, node_id: int, fault: str) -> None:
         if self._can is None:
-            raise InputError("no mount is on a CAN bus here", hint="start the simulator with --can")
+            raise InputError("no mount is connected to a CAN bus", hint="start the simulator with --can")
         self._can.fail(node_id, fault)
 
     def start(self) -> None:
@@ -84,13 +87,16 @@ class WiredMachine:
             server.start()
 
     def close(self) -> None:
-        """Time stops first, so that nothing is sent on a link that has gone."""
+        """Close the servers, the time source first, so that nothing is sent on a closed link."""
         while self._servers:
             self._servers.pop().close()
 
     def ready_line(self) -> dict[str, Any]:
-        """What the other side must know: addresses as they are, stations, and the drives on the bus: of the first mount
-        and of all, by their number, which is that of the station where each has its own."""
+        """Return what the other side must know: actual addresses, stations and the drives on the bus.
+
+        The drives are given for the first mount and for all mounts by number, which is that of the station if each
+        station has its own mount.
+        """
         settings = self.world.scenario.settings
         nodes = [{drive.axis: drive.node_id for drive in drives} for drives in drive_configs(len(self.world.mounts))]
         return {
@@ -110,7 +116,9 @@ def _clock(speed: float | None) -> RealClock | ScaledClock:
     if speed is None or speed == 1.0:
         return RealClock()
     if not 0.0 < speed <= 1000.0:
-        raise ConfigurationError(f"the clock cannot run {speed:g} times as fast", hint="between 0 and 1000")
+        raise ConfigurationError(
+            f"the clock cannot run at {speed:g} times real time", hint="use a factor above 0 and at most 1000"
+        )
     return ScaledClock(speed)
 
 

@@ -1,1 +1,1 @@
-"""Physics of the simulated machine: no sockets, no threads, no clock of its own."""
+"""Physics of the simulated machine, without sockets, threads or a clock of its own."""

@@ -1,4 +1,4 @@
-"""A machine that changes from night to night: the seasons' scale errors, a slow random walk, a collision."""
+"""Changes of the machine from night to night: seasonal scale errors, a slow random walk and a collision."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ from twin.machine.machine_description import MachineDescription
 from twin.machine.machine_population import family_from_amplitudes
 from twin.machine.true_machine import TrueMachine
 
-_NIGHTS_APART = 1_000_003
-"""Between the seeds of two nights: no noise of one comes again in another."""
+_SEED_OFFSET_PER_NIGHT = 1_000_003
+"""Seed offset between consecutive nights, so that no two nights share noise."""
 
 
 def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: AgeingSettings) -> TrueMachine:
-    """`machine` as it is at the night that `ageing` names. ConfigurationError for an error that it does not have."""
+    """Return `machine` as it is in the night given by `ageing`.
+
+    Raises ConfigurationError if `ageing.collision` names an error that the machine does not have.
+    """
     model = machine.model
     if model is None:
         return machine
@@ -35,15 +38,18 @@ def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: 
 
 
 def scenario_of_night(scenario: Scenario, night: int) -> Scenario:
-    """The same machine and artefact at another night: other noise, another hand that has put down the mount."""
+    """Return the scenario for another night: same machine and artefact, different noise and mount placement."""
     settings = scenario.settings
     ageing = settings.ageing.model_copy(update={"night": night})
-    seed = settings.seed + _NIGHTS_APART * (night - settings.ageing.night)
+    seed = settings.seed + _SEED_OFFSET_PER_NIGHT * (night - settings.ageing.night)
     return replace(scenario, settings=settings.model_copy(update={"ageing": ageing, "seed": seed}))
 
 
 def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
-    """(p,) since night 0: a scale error of s over a travel L has the coefficient s L / 2 of order 1."""
+    """Return the (p,) change of the model parameters since night 0.
+
+    A scale error s over a travel L equals the order-1 coefficient s L / 2.
+    """
     change = np.zeros(model.size)
     for axis, amplitude, phase_deg, (low, high) in zip(
         AXES, ageing.seasonal_um_per_m, ageing.phases_deg, model.ranges_mm, strict=True
@@ -56,7 +62,10 @@ def seasonal_change(model: ErrorModel, ageing: AgeingSettings) -> Array:
 
 
 def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
-    """(p,) of one collision; an error motion without an order jumps by its lowest coefficient."""
+    """Return the (p,) parameter change caused by one collision.
+
+    An error motion given without an order changes by its lowest coefficient.
+    """
     change = np.zeros(model.size)
     for name, jump in jumps.items():
         place = _place(model, name)
@@ -65,7 +74,7 @@ def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
 
 
 def _walked(model: ErrorModel, description: MachineDescription, tool_offset: Array, ageing: AgeingSettings) -> Array:
-    """Sum of independent steps, each night's its own however far one goes."""
+    """Return the (p,) sum of independent nightly steps; each night's step depends only on the seed and the night."""
     if not (ageing.walk_um and ageing.night):
         return np.zeros(model.size)
     family = family_from_amplitudes(model, description.amplitudes)

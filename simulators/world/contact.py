@@ -1,7 +1,7 @@
-"""When the stylus tip meets a ball on a straight path, in the deviated field.
+"""First contact of the stylus tip with a ball on a straight path, including the machine's deviation.
 
-A ray against a sphere has a closed form; the field changes by less than 0.1 µm per mm, so one repetition
-with the field at the first answer leaves an error far below a nanometre.
+The intersection of a ray with a sphere has a closed form. The deviation field changes by less than 0.1 µm per mm, so
+one iteration with the field at the first solution leaves an error far below a nanometre.
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from twin.collision.geometry import Point, translate_point
 from twin.collision.motion_law import StraightPath, entry_distance
 
 _ROUNDING_MM = 1e-6
-"""What lies just beyond the end of a path is looked at exactly, too."""
+"""Distance beyond the end of a path within which balls are still checked exactly."""
 
 
 class Contact(NamedTuple):
-    """The tip comes to touch `ball` after `distance` mm of path."""
+    """First contact of the tip with ball number `ball` after `distance` mm of path."""
 
     distance: float
     ball: int
 
 
 class ContactSolver:
-    """Finds contacts of one tip; `reach` is the distance of the centres at contact (both radii)."""
+    """Finds contacts of one tip. `reach` is the distance between the centres at contact: tip radius
+    plus ball radius.
+    """
 
     def __init__(self, tool_offset: Point, reach: float, shift: TipShift) -> None:
         self._tool = tool_offset
@@ -39,7 +41,9 @@ class ContactSolver:
         self._last: tuple[Point, TableField | None, Point] | None = None
 
     def first(self, path: StraightPath, snapshot: WorkpieceSnapshot, resting: int | None) -> Contact | None:
-        """First ball met along `path`; the one that the tip already rests on does not count."""
+        """Return the first ball met along `path`, or None; the ball `resting` against the tip at
+        the start is ignored.
+        """
         first: Contact | None = None
         start = translate_point(path.start, self._shift.rigid)
         (x, y, z), (dx, dy, dz), within = start, path.direction, path.length + self._reach + _ROUNDING_MM
@@ -53,7 +57,7 @@ class ContactSolver:
         return self._refined(first, path, snapshot) if first and self._shift.has_field else first
 
     def tip(self, axis_position: Point) -> Point:
-        """Where the tip centre is in the workpiece frame; the last answer is kept, since an axis rests."""
+        """Return the tip centre in the workpiece frame. The last result is cached, because an axis often rests."""
         last = self._last
         if last is None or last[0] != axis_position or last[1] is not self._shift.table:
             field = self._shift.field_at(axis_position)
@@ -61,7 +65,7 @@ class ContactSolver:
         return translate_point(translate_point(axis_position, self._tool), translate_point(self._shift.rigid, last[2]))
 
     def resting_on(self, axis_position: Point, snapshot: WorkpieceSnapshot) -> int | None:
-        """The ball that the tip is pressed against, if any."""
+        """Return the number of the ball that the tip is pressed against, or None."""
         tip = self.tip(axis_position)
         for ball, centre in enumerate(snapshot.balls):
             if math.dist(tip, centre) < self._reach:
@@ -69,30 +73,36 @@ class ContactSolver:
         return None
 
     def pressing(self, path: StraightPath, centre: Point) -> bool:
-        """Whether a motion that begins in contact goes deeper at first."""
+        """Return True if a motion that starts in contact initially moves further into the ball."""
         return _closing(self.tip(path.start), path.direction, centre) < 0.0
 
     def deeper(self, path: StraightPath, centre: Point, overtravel: float) -> float | None:
-        """Distance at which a tip that is pressed on is pressed deeper than the probe yields."""
+        """Return the path distance at which the tip is pressed in by more than the overtravel, or None."""
         return entry_distance(self.tip(path.start), path, centre, self._reach - overtravel)
 
     def leaving(self, path: StraightPath, centre: Point) -> float:
-        """Distance at which a tip that begins in contact comes free; infinite if the path ends before."""
+        """Return the path distance at which a tip that starts in contact separates; infinite if the
+        path ends before.
+        """
         tip = self.tip(path.start)
         closing = _closing(tip, path.direction, centre)
         inside = self._reach**2 - math.dist(tip, centre) ** 2
+        # Larger root of |tip + s d - c|² = reach²: s = -b + sqrt(b² + reach² - |tip - c|²), b = (tip - c)·d.
         distance = -closing + math.sqrt(max(closing * closing + inside, 0.0))
         return distance if distance <= path.length else math.inf
 
     def _refined(self, contact: Contact, path: StraightPath, snapshot: WorkpieceSnapshot) -> Contact | None:
+        # Second iteration: solve again with the deviation at the first solution.
         field = self._shift.field_at(path.at(contact.distance))
         start = translate_point(translate_point(path.start, self._tool), translate_point(self._shift.rigid, field))
         distance = entry_distance(start, path, snapshot.balls[contact.ball], self._reach)
         return None if distance is None else Contact(distance, contact.ball)
 
     def _apparent(self, snapshot: WorkpieceSnapshot) -> Sequence[Point]:
-        """Displayed axis positions at which the tip would be in the middle of each ball, but for what is rigid;
-        kept while neither the pose nor the table changes."""
+        """Return the displayed axis positions at which the tip would be at each ball centre, excluding the rigid shift.
+
+        Cached until the pose or the table changes.
+        """
         kept = self._near
         if kept is None or kept[0] is not snapshot or kept[1] is not self._shift.table:
             nominal = np.array(snapshot.balls) - self._tool

@@ -1,7 +1,7 @@
-"""The controller of the machine: takes commands, knows where the axes are, latches the touch.
+"""Controller of the simulated machine: executes commands, tracks the axes and latches the touch.
 
-Nothing happens between two calls of `advance_to` that was not already known when a motion began, so time may
-go in steps of any size and every event has its exact instant.
+Every event between two calls of `advance_to` is already known when a motion begins, so time may advance in steps of any
+size and each event still has its exact instant.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LIMIT_TOLERANCE_MM = 1e-6
 
 @dataclass(frozen=True)
 class Latch:
-    """The position displayed at the last trip; `sequence` is the number of the touch that made it."""
+    """Displayed axis position at the last trip; `sequence` is the number of the touch that caused it."""
 
     sequence: int
     position: Array
@@ -54,7 +54,7 @@ class _Motion:
 
 
 class Controller:
-    """One motion at a time. Commands that cannot be carried out raise CommandRejected and change nothing."""
+    """Executes one motion at a time. A command that cannot be executed raises CommandRejected and changes nothing."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class Controller:
         self.probe_healthy = True
         self.granted = dict.fromkeys(Permission, True)
 
-    # ------------------------------------------------------------------ what it tells
+    # ------------------------------------------------------------------ state
 
     def limits(self) -> AxisLimits:
         return self._limits
@@ -110,16 +110,18 @@ class Controller:
 
     @property
     def motion_ends_s(self) -> float | None:
-        """When the current motion ends if nothing intervenes."""
+        """Instant in s at which the current motion ends if nothing intervenes."""
         return None if self._motion is None else self._motion.forecast.end_s
 
     @property
     def probe_free_s(self) -> float | None:
-        """When the probe comes off what deflected it at the start of the current motion; None where it was free."""
+        """Instant in s at which the probe, deflected at the start of the current motion, separates; None if it was
+        free.
+        """
         return self._motion.forecast.free_s if self._motion is not None and self._deflected else None
 
     def displayed_at(self, instant_s: float) -> Point:
-        """Axis positions at an instant not before now, if nothing intervenes."""
+        """Return the axis positions at an instant not before now, if nothing intervenes."""
         if self._motion is None:
             return self._position
         return self._motion.command.path.at(self._motion.forecast.law.distance_at(instant_s))
@@ -142,22 +144,27 @@ class Controller:
     def temperatures(self) -> dict[str, float]:
         return self._thermal.temperatures_c(self.now_s)
 
-    # ------------------------------------------------------------------ what it does
+    # ------------------------------------------------------------------ motion commands
 
     def trace(self, tag: int) -> None:
-        """The motions from now on belong to this step of a procedure; 0: to none."""
+        """Assign the following motions to step `tag` of a procedure; 0 assigns them to none."""
         self._tag = tag
 
     def begin_move(self, target: ArrayLike, feed_mm_per_s: float | None, guarded: bool) -> None:
-        """Straight line; rapid without a feed. A guarded one that trips the probe ends in a fault."""
+        """Start a straight move, at rapid speed if no feed is given. A guarded move that trips the probe ends in a
+        fault.
+        """
         self._begin(MotionKind.GUARDED if guarded else MotionKind.POSITIONING, target, feed_mm_per_s)
 
     def begin_touch(self, target: ArrayLike, feed_mm_per_s: float) -> None:
-        """Straight line until the probe trips; `latch` has a new sequence number, or `touch_missed` is set."""
+        """Start a straight move that stops when the probe trips.
+
+        Afterwards either `latch` has a new sequence number or `touch_missed` is set.
+        """
         self._begin(MotionKind.TOUCH, target, feed_mm_per_s)
 
     def hold(self) -> None:
-        """Brake on the path and keep the rest of the command for `resume`."""
+        """Brake on the path and store the rest of the command for `resume`."""
         if self._motion is not None and self._motion.ends_in is MotionState.IDLE:
             self._held = self._motion.command
             self._brake(MotionState.HELD)
@@ -169,7 +176,7 @@ class Controller:
             self._begin(command.kind, command.target, command.speed)
 
     def halt(self) -> None:
-        """Brake and forget the command. In a fault it stays a fault."""
+        """Brake and discard the command. A fault stays a fault."""
         self._held = None
         if self._motion is not None and self._motion.ends_in is not MotionState.FAULT:
             self._brake(MotionState.IDLE)
@@ -177,14 +184,14 @@ class Controller:
             self._state = MotionState.IDLE
 
     def fail(self, reason: str) -> None:
-        """Brake into a fault, as an emergency stop or a lost heartbeat does; the first reason is kept."""
+        """Brake into a fault, as an emergency stop or a lost heartbeat does. The first reason is retained."""
         if self._motion is not None:
             self._brake(MotionState.FAULT, reason)
         else:
             self._enter_fault(reason)
 
     def reset(self) -> None:
-        """Clear a fault."""
+        """Clear a fault; has no effect while the axes move."""
         if self._state is MotionState.FAULT and self._motion is None:
             self._state, self.fault = MotionState.IDLE, ""
 
@@ -267,9 +274,9 @@ class Controller:
                 raise CommandRejected(f"{axis} {value:.3f} mm is outside {low:g} to {high:g} mm", axis=axis)
 
     def _brake(self, ends_in: MotionState, reason: str = "") -> None:
-        """What was foreseen beyond the new stop does not happen; what lies before it does."""
+        """Brake now: forecast events beyond the new stop are dropped, those before it still happen."""
         motion = self._motion
-        assert motion is not None  # noqa: S101  callers have looked
+        assert motion is not None  # noqa: S101  checked by the callers
         motion.ends_in, motion.reason = ends_in, motion.reason or reason
         forecast = motion.forecast
         if forecast.trip_s is not None and self.now_s >= forecast.trip_s:
@@ -282,8 +289,8 @@ class Controller:
         if motion.command.kind is MotionKind.GUARDED:
             motion.ends_in, motion.reason = MotionState.FAULT, motion.reason or "probe tripped in a guarded move"
         elif self.latch is None or self.latch.sequence < self._touches:
-            assert motion.events.trip_mm is not None  # noqa: S101  or nothing had tripped
-            # Not by way of time: the same touch latches the same at whatever instant it is made.
+            assert motion.events.trip_mm is not None  # noqa: S101  a trip implies it
+            # From the path distance, not from the instant: the same touch latches the same position at any time.
             position = motion.command.path.at(motion.events.trip_mm)
             self.latch = Latch(self._touches, np.array(position))
 
@@ -310,15 +317,17 @@ class Controller:
         self.fault = self.fault or reason
 
     def _contacted_ball(self, snapshot: WorkpieceSnapshot) -> int | None:
-        """The ball that deflects the probe. Only a probe that was deflected is looked at: a bar that is turned
-        or moved away sets it free, one that is turned into it is a collision."""
+        """Return the ball that deflects the probe, or None.
+
+        Called only for a deflected probe: a bar turned or moved away frees it, a bar turned into it is a collision.
+        """
         resting = self.contacts.resting_on(self._position, snapshot)
         self._deflected = resting is not None
         return resting
 
 
 def axis_limits(machine: MachineDescription) -> AxisLimits:
-    """Travel and dynamics of the machine file in the controller's units."""
+    """Return travel and dynamics from the machine file in the controller's units (mm, mm/s, mm/s²)."""
     (x0, x1), (y0, y1), (z0, z1) = machine.limits
     rx, ry, rz = machine.rapid_mm_per_min
     return AxisLimits((x0, y0, z0), (x1, y1, z1), (rx / 60, ry / 60, rz / 60), machine.acceleration_mm_per_s2)

@@ -1,4 +1,4 @@
-"""Deviation fields at one point, fast: the compensation table in the controller, and the machine as it is."""
+"""Deviation fields evaluated quickly: the compensation table in the controller and the true machine."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from twin.arrays import Array
 from twin.collision.geometry import Point, point, translate_point
 
 FieldOfMany = Callable[[Array], Array]
-"""(n, 3) bare axis positions in mm -> (n, 3) mm."""
+"""Deviation field: (n, 3) bare axis positions in mm -> (n, 3) deviations in mm."""
 
 ZERO: Point = (0.0, 0.0, 0.0)
 
 
 class TableField:
-    """What a controller adds to the commanded position: trilinear between nodes, the border's value outside."""
+    """Correction that a controller adds to the commanded position: trilinear between nodes, border value outside."""
 
     def __init__(self, image: TableImage) -> None:
         self._origin = image.origin_mm
@@ -26,7 +26,8 @@ class TableField:
         self._values = np.asarray(image.counts, dtype=np.float64) * image.resolution_mm
 
     def at_many(self, axis_positions: Array) -> Array:
-        """(n, 3) displayed axis positions -> (n, 3) mm."""
+        """Return the corrections (n, 3) in mm at the displayed axis positions (n, 3)."""
+        # Trilinear interpolation: sum over the 8 cell corners of node value times product of the axis weights.
         cell, share = self._located(axis_positions)
         total = np.zeros_like(axis_positions)
         for corner in np.ndindex(2, 2, 2):
@@ -44,11 +45,11 @@ class TableField:
 
 
 class TipShift:
-    """How far the tip centre is from (displayed axis position + tool offset).
+    """Offset of the tip centre from (displayed axis position + tool offset), in mm.
 
-    The drives go to the bare position X + table(X); the machine as it is adds its deviation there: that is the
-    `field`, plus the `thermal` field. Thermal `drift` and the `play` that the last motion left (backlash,
-    scatter) shift all of it. mm.
+    The drives go to the bare position X + table(X), where the true machine adds its deviation; the `field` is the sum
+    of both and of the `thermal` field. Thermal `drift` and the `play` left by the last motion (backlash, repeatability)
+    shift the whole field.
     """
 
     def __init__(self, machine: FieldOfMany | None) -> None:
@@ -64,14 +65,14 @@ class TipShift:
 
     @property
     def rigid(self) -> Point:
-        """What is the same everywhere: drift and play."""
+        """Position-independent part of the shift: drift plus play."""
         return translate_point(self.drift, self.play)
 
     def field_at(self, axis_position: Point) -> Point:
         return point(self.field_at_many(np.array([axis_position]))[0]) if self.has_field else ZERO
 
     def field_at_many(self, axis_positions: Array) -> Array:
-        """(n, 3) displayed axis positions -> (n, 3) mm."""
+        """Return the field (n, 3) in mm at the displayed axis positions (n, 3)."""
         shift = np.zeros_like(axis_positions)
         if self.table is not None:
             shift += self.table.at_many(axis_positions)

@@ -1,4 +1,4 @@
-"""What motions leave behind on an axis: lost motion that its drive has to take up first, and a scatter."""
+"""Residual axis errors after a motion: lost motion that the drive must take up, and repeatability."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from simulators.world.noise import NoiseSource
 from twin.collision.geometry import Point, point
 
 STILL_MM = 1e-4
-"""An axis whose target differs by less is not moved: no drive resolves it."""
+"""Smallest change of an axis target that counts as a move; drives do not resolve less."""
 
 
 class PlayOperator:
-    """The play operator, axis by axis: the slide lags by half the backlash once its drive has gone that far.
+    """Play (backlash) operator for each axis: the slide lags its drive by half the backlash.
 
-    A slide stays wherever it is while its drive goes through the play, so that a short way back leaves part of the
-    lag, and an axis that is not moved keeps what it had. The play may grow along the axis' own travel.
+    The slide stays in place while the drive crosses the play, so a short reversal leaves part of the lag, and an axis
+    that does not move keeps its lag. The play may grow along the axis' own travel.
     """
 
     def __init__(self, behaviour: AxisBehaviour, seed: int) -> None:
@@ -29,8 +29,10 @@ class PlayOperator:
         self._scatter: Point = ZERO
 
     def after(self, start: Point, end: Point, step: int | None = None) -> Point:
-        """(3,) mm by which the tip is off during and after a motion between two axis positions. `step`: a counter of
-        the noise in place of that of the motions."""
+        """Return the (3,) tip offset in mm during and after a motion between two axis positions.
+
+        `step`: noise counter to use instead of the number of the motion.
+        """
         self._motions += 1
         if self._idle:
             return ZERO
@@ -42,5 +44,6 @@ class PlayOperator:
         return point([one + other for one, other in zip(lag, scatter, strict=True)])
 
     def _taken_up(self, axis: int, start: float, end: float) -> float:
+        # Play operator: the lag changes by the drive's travel and is clipped to ± half the local backlash.
         half = 0.5e-3 * max(0.0, self._backlash_um[axis] + 1e-3 * self._growth_um_per_m[axis] * end)
         return min(max(self._lag[axis] - (end - start), -half), half)

@@ -1,4 +1,4 @@
-"""What a motion will meet, found when it begins; and what becomes of its law because of it."""
+"""Events along a motion, found when it begins, and the motion law that results from them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class MotionKind(Enum):
 
 
 class MotionCommand(NamedTuple):
-    """What was asked for. `speed` is along the path, mm/s, already within what the axes can do."""
+    """Motion as commanded. `speed` is along the path in mm/s, already limited to what the axes can do."""
 
     kind: MotionKind
     target: Point
@@ -27,7 +27,7 @@ class MotionCommand(NamedTuple):
 
 
 class Crash(NamedTuple):
-    """Two bodies meet after `distance` mm of path."""
+    """Collision of two bodies after `distance` mm of path."""
 
     distance: float
     moving: str
@@ -35,8 +35,11 @@ class Crash(NamedTuple):
 
 
 class PathEvents(NamedTuple):
-    """Everything along the path of a command: where the probe would trip, where something would crash if it
-    went on, and where a probe that was deflected at the start comes free."""
+    """Events along the path of a command, in mm of path.
+
+    `trip_mm`: the probe trips; `crash`: collision if the motion continued; `free_mm`: a probe deflected at the start
+    separates.
+    """
 
     trip_mm: float | None = None
     crash: Crash | None = None
@@ -44,7 +47,7 @@ class PathEvents(NamedTuple):
 
 
 class MotionForecast(NamedTuple):
-    """The law as it will really go, and when what happens on it."""
+    """Motion law as it will be executed, with the instants of its events in s."""
 
     law: MotionLaw
     trip_s: float | None
@@ -54,7 +57,7 @@ class MotionForecast(NamedTuple):
 
 
 def forecast_motion(law: MotionLaw, events: PathEvents, deceleration: float) -> MotionForecast:
-    """`law` as commanded -> stopped by a trip, cut by a crash."""
+    """Return the forecast of `law`: braked at a trip, cut off at a crash."""
     trip_s = None
     if events.trip_mm is not None and events.trip_mm <= law.end_distance:
         trip_s = law.time_at(events.trip_mm)

@@ -1,4 +1,4 @@
-"""The rotary mount: two axes with their laws, and how the bar stands with their errors."""
+"""Rotary mount: two axes with their motion laws, and the true bar orientation including the mount's errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LIMITS_DEG = {AZIMUTH: 180.0, ELEVATION: 95.0}
 
 
 class RotaryAxis:
-    """One axis in degrees, as its encoder tells."""
+    """One rotary axis; angles in degrees as read by its encoder."""
 
     def __init__(self, behaviour: MountBehaviour, start_deg: float = 0.0) -> None:
         self._behaviour = behaviour
@@ -27,7 +27,7 @@ class RotaryAxis:
         self._direction = 1.0
         self._end_deg = start_deg
         self.at_rest_s = -math.inf
-        """From when on it stands, if nothing intervenes."""
+        """Instant in s from which the axis rests, if nothing intervenes."""
 
     def position_deg(self, now_s: float) -> float:
         if self._law is None or now_s >= self.at_rest_s:
@@ -51,8 +51,10 @@ class RotaryAxis:
 
 
 class MountPhysics:
-    """Both axes of one mount. `on_turn` is called whenever a motion begins or changes; mounts of another `name` have
-    other errors."""
+    """Both axes of one mount.
+
+    `on_turn` is called whenever a motion begins or changes. Mounts with different `name` have different errors.
+    """
 
     def __init__(
         self,
@@ -72,7 +74,7 @@ class MountPhysics:
         self.now_s = 0.0
 
     def begin_turn(self, axis: str, angle_deg: float, speed_deg_per_s: float | None = None) -> None:
-        """Turn towards `angle_deg`, also out of a motion that still goes on. CommandRejected outside limits."""
+        """Turn towards `angle_deg`, also from a motion in progress. Raises CommandRejected outside the axis limits."""
         limit = LIMITS_DEG[axis]
         if not abs(angle_deg) <= limit:
             raise CommandRejected(f"{axis} {angle_deg}° is outside ±{limit}°", device="mount")
@@ -82,7 +84,7 @@ class MountPhysics:
         self._on_turn()
 
     def position_deg(self, axis: str, instant_s: float | None = None) -> float:
-        """What the encoder says now, or will say at `instant_s` if nothing intervenes."""
+        """Return the encoder reading now, or at `instant_s` if nothing intervenes."""
         return self._axes[axis].position_deg(self.now_s if instant_s is None else instant_s)
 
     def moving(self, axis: str) -> bool:
@@ -94,36 +96,36 @@ class MountPhysics:
 
     @property
     def max_speed_deg_per_s(self) -> float:
-        """No part of a turn is faster than this, with both axes at once."""
+        """Upper bound of the speed of any part of a turn with both axes moving."""
         return self._fastest
 
     @property
     def settled_s(self) -> float:
-        """When both axes stand, if nothing intervenes; now where they do."""
+        """Instant in s at which both axes rest if nothing intervenes; now if they already do."""
         return max(self.now_s, *(axis.at_rest_s for axis in self._axes.values()))
 
     def halt(self, axis: str | None = None) -> None:
-        """One axis brakes, or both."""
+        """Brake one axis, or both if `axis` is None."""
         for name in (axis,) if axis is not None else tuple(self._axes):
             self._axes[name].halt(self.now_s)
         self._on_turn()
 
     def angles_deg(self, instant_s: float | None = None) -> tuple[float, float]:
-        """Azimuth and elevation by the encoders."""
+        """Return azimuth and elevation read by the encoders, in degrees."""
         instant_s = self.now_s if instant_s is None else instant_s
         return self._axes[AZIMUTH].position_deg(instant_s), self._axes[ELEVATION].position_deg(instant_s)
 
     def true_angles_rad(self, azimuth_deg: float, elevation_deg: float) -> tuple[float, float]:
-        """Where the bar really points when the encoders say these angles."""
+        """Return the true azimuth and elevation of the bar in rad for the given encoder readings."""
         return self._errors.angles_rad(azimuth_deg, elevation_deg)
 
     def wobble_mm(self, azimuth_deg: float) -> Array:
-        """(3,) wander of the azimuth axis."""
+        """Return the (3,) displacement of the azimuth axis in mm."""
         return self._errors.wobble_mm(azimuth_deg)
 
 
 class _MountErrors:
-    """Index error of one and two periods a turn, wobble of one period: repeatable, so a pose is a pose."""
+    """Index error with one and two periods per turn and wobble with one period; repeatable for a given pose."""
 
     def __init__(self, behaviour: MountBehaviour, seed: int, name: str) -> None:
         rng = generator(seed, name)

@@ -1,4 +1,4 @@
-"""Noise that depends on a seed, a stream's name and a counter only, never on the order of asking."""
+"""Noise that depends only on a seed, a stream name and a counter, never on the order of the calls."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 _BLOCK = 1024
 BY_STEP = 2**40
-"""Counters from here on are drawn one by one: tags of steps, which come in no order."""
+"""First counter drawn individually: step tags come in no particular order, so drawing in blocks would not pay."""
 
 
 class NoiseSource:
@@ -19,7 +19,7 @@ class NoiseSource:
         self._blocks: dict[int, list[list[float]]] = {}
 
     def normal(self, counter: int) -> list[float]:
-        """Three independent standard normal numbers of `counter`."""
+        """Return three independent standard normal numbers for `counter`."""
         if counter >= BY_STEP:
             x, y, z = np.random.default_rng([*self._key, counter]).standard_normal(3).tolist()
             return [x, y, z]
@@ -31,5 +31,5 @@ class NoiseSource:
 
 
 def generator(seed: int, stream: str) -> np.random.Generator:
-    """A generator of its own for everything that is drawn once."""
+    """Return a generator for values that are drawn once, separate for each `stream`."""
     return np.random.default_rng([seed, crc32(stream.encode())])

@@ -1,4 +1,4 @@
-"""Looks along the path of a command before it begins: contacts of the tip, collisions of everything else."""
+"""Look-ahead along the path of a command before it begins: contacts of the tip and collisions of all other bodies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from twin.collision.geometry import Point, translate_point
 
 
 class PathLookahead:
-    """Bodies meet within 0.1 mm of the nominal tip, so collisions are swept there; contacts are exact."""
+    """Finds the events on a path.
+
+    Contacts of the tip are exact. Collisions are swept along the nominal path of the tip, which is within 0.1 mm of the
+    true one.
+    """
 
     def __init__(self, tool_offset: Point, contacts: ContactSolver, trigger: Trigger) -> None:
         self._tool = tool_offset
@@ -21,8 +25,11 @@ class PathLookahead:
     def events_on(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, resting: int | None, touch: int
     ) -> PathEvents:
-        """`resting`: the ball that deflects the probe at the start. CommandRejected for a watched motion that
-        would press on."""
+        """Return the events on the path of `command`.
+
+        `resting`: the ball that deflects the probe at the start. Raises CommandRejected if a guarded or probing motion
+        would press on.
+        """
         free_mm, pressed = self._from_rest(command, snapshot, resting)
         contact = self._contacts.first(command.path, snapshot, resting)
         if contact is None:
@@ -32,6 +39,7 @@ class PathLookahead:
             swept = self._swept(command, snapshot, contact.distance, resting)
             return PathEvents(None, earliest(pressed, met, swept), free_mm)
         trip_mm = contact.distance + self._trigger.travel_mm(command.path.direction, touch)
+        # Braking distance after the trip: v² / (2 a).
         stopped = trip_mm + 0.5 * command.speed**2 / command.acceleration
         spent = tip_crash(snapshot.ball_names[contact.ball], contact.distance + self._trigger.overtravel_mm)
         swept = self._swept(command, snapshot, stopped, contact.ball)
@@ -40,7 +48,9 @@ class PathLookahead:
     def _from_rest(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, resting: int | None
     ) -> tuple[float, Crash | None]:
-        """Where a deflected probe comes free, and where it is pressed too far instead."""
+        """Return the path distance at which a deflected probe separates, and the crash if it is pressed in too far
+        instead.
+        """
         if resting is None:
             return 0.0, None
         centre = snapshot.balls[resting]
@@ -57,7 +67,7 @@ class PathLookahead:
     def _swept(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, until_mm: float | None, touched: int | None
     ) -> Crash | None:
-        """First collision of any body but the tip on a ball; the stem yields with the tip on the ball touched."""
+        """Return the first collision other than tip with ball; the stem may touch the ball that the tip touches."""
         path = command.path
         length = path.length if until_mm is None else min(until_mm, path.length)
         if length == 0.0:

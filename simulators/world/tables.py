@@ -1,4 +1,4 @@
-"""Compensation tables in the controller: banks, their limits, which one is active."""
+"""Compensation tables in the controller: banks, their limits, and the active bank."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulators.world.field import TableField
 
 
 class TableBanks:
-    """Bank 0 is "no compensation". An active bank is never written."""
+    """Banks of the controller. Bank 0 means no compensation; an active bank is never written."""
 
     def __init__(self, settings: StoreSettings) -> None:
         self.limits = StoreLimits(
@@ -27,16 +27,18 @@ class TableBanks:
         self.field: TableField | None = None
 
     def write(self, bank: int, image: TableImage) -> None:
-        """CommandRejected for a bank that is not there or is active, and for a table that does not fit."""
+        """Store `image` in `bank`. Raises CommandRejected if the bank is missing or active, or if the table does not
+        fit.
+        """
         if bank not in self.limits.banks:
-            raise CommandRejected(f"there is no writable bank {bank}", hint=f"banks: {self.limits.banks}")
+            raise CommandRejected(f"there is no writable bank {bank}", hint=f"writable banks: {self.limits.banks}")
         if bank == self.active:
             raise CommandRejected(f"bank {bank} is active and cannot be written")
         self._refuse_misfit(image)
         self.images[bank] = image
 
     def activate(self, bank: int) -> None:
-        """CommandRejected for an empty bank."""
+        """Make `bank` active. Raises CommandRejected if it is empty."""
         if bank and bank not in self.images:
             raise CommandRejected(f"bank {bank} holds no table")
         self.active = bank
@@ -53,5 +55,5 @@ class TableBanks:
         largest = float(np.abs(image.counts).max(initial=0)) * image.resolution_mm
         if largest > self.limits.max_correction_mm:
             raise CommandRejected(
-                f"a correction of {largest:.4f} mm exceeds the {self.limits.max_correction_mm} mm allowed"
+                f"a correction of {largest:.4f} mm exceeds the limit of {self.limits.max_correction_mm} mm"
             )

@@ -1,4 +1,4 @@
-"""What thermometers tell, and what the warmth of the machine does to its tip and to its field."""
+"""Thermometer readings, and the effect of machine temperature on the tip and on the deviation field."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ ARTEFACT, MACHINE, AMBIENT = "artefact", "machine", "ambient"
 
 
 class ThermalEffects:
-    """`ranges_mm` of the axes and `tool_offset_mm` give the levers on which warmth acts; `seed` that of all noise."""
+    """Thermal model of one machine.
+
+    `ranges_mm` of the axes and `tool_offset_mm` give the lever arms of the thermal deformation; `seed` is that of the
+    thermometer noise.
+    """
 
     def __init__(
         self,
@@ -34,10 +38,10 @@ class ThermalEffects:
         self._seed = seed
         self.warming = ThermalState(settings)
 
-    # ------------------------------------------------------------------ what it tells
+    # ------------------------------------------------------------------ thermometers
 
     def temperatures_c(self, now_s: float) -> dict[str, float]:
-        """Named temperatures as the sensors tell them."""
+        """Return the temperatures in °C by sensor name, as the sensors read them."""
         s = self._settings
         then_s = max(now_s - s.sensor_lag_s, 0.0)
         told = {ARTEFACT: self.warming.artefact_c(then_s), MACHINE: self.warming.machine_c(then_s)}
@@ -54,10 +58,10 @@ class ThermalEffects:
         reading = generator(self._seed, f"thermometer {name} {round(1e3 * now_s)}")
         return offset + s.sensor_noise_k * float(reading.standard_normal())
 
-    # ------------------------------------------------------------------ what it does
+    # ------------------------------------------------------------------ deformation
 
     def drift_mm(self, now_s: float) -> Point:
-        """(3,) of the tip since the start."""
+        """Return the (3,) displacement of the tip since the start, in mm."""
         if self.warming.machine_is_constant:
             return ZERO
         warmed = self.warming.machine_change_k(now_s)
@@ -65,7 +69,7 @@ class ThermalEffects:
         return x * warmed * 1e-3, y * warmed * 1e-3, z * warmed * 1e-3
 
     def field(self, now_s: float) -> FieldOfMany | None:
-        """By how much the machine's field has changed since the start; None where it has not."""
+        """Return the change of the machine's field since the start, or None if there is none."""
         if self.warming.machine_is_constant:
             return None
         s = self._settings
@@ -79,10 +83,10 @@ class ThermalEffects:
 
 @dataclass(frozen=True, eq=False)
 class ThermalField:
-    """`stretch` (3,) of the scales, about zero; the top of the column is `bend_mm` off along Y.
+    """Thermal deformation field: scale change `stretch` (3,) about zero, and a column whose top is displaced along Y.
 
-    The column is a beam held at its foot and heated from one side: off by w = bend ((z - z0)/Lz)², and its slope turns
-    what it carries about X, so that a tool that reaches out along Y dips.
+    The column is a cantilever heated from one side, displaced by w = bend ((z - z0)/Lz)². Its slope rotates whatever it
+    carries about X, so a tool that extends along Y dips.
     """
 
     stretch: Array
@@ -91,29 +95,33 @@ class ThermalField:
     tool_offset_mm: Point
 
     def __call__(self, axis_positions: Array) -> Array:
-        """(n, 3) bare axis positions -> (n, 3) mm."""
+        """Return the deviation (n, 3) in mm at the bare axis positions (n, 3)."""
         change = axis_positions * self.stretch
         low, high = self.ranges_mm[2]
         height = (axis_positions[:, 2] - low) / (high - low)
         change[:, 1] += self.bend_mm * height**2
+        # Rotation about X by the slope dw/dz = 2 bend (z - z0)/Lz²; the lever arm is the tip's Y.
         slope = 2.0 * self.bend_mm * height / (high - low)
         change[:, 2] -= slope * (axis_positions[:, 1] + self.tool_offset_mm[1])
         return np.asarray(change)
 
 
 def bow_mm(settings: TemperatureSettings, warming: ThermalState, now_s: float) -> float:
-    """By how much the artefact is bowed at its middle."""
+    """Return the bow of the artefact at its middle, in mm."""
     if settings.artefact_bow_um_per_k == 0.0:
         return 0.0
     return 1e-3 * settings.artefact_bow_um_per_k * warming.artefact_lag_k(now_s)
 
 
 def bowed(balls: Array, bow: float) -> Array:
-    """Balls (N, 3) of an artefact along X bowed as an arc, its ends held, the middle off by `bow` mm along Z."""
+    """Return the balls (N, 3) of an artefact along X bent to an arc: ends fixed, middle displaced
+    by `bow` mm along Z.
+    """
     along = balls[:, 0]
     half = 0.5 * float(np.ptp(along))
     if bow == 0.0 or not math.isfinite(half) or half == 0.0:
         return balls
     out = balls.copy()
+    # Parabola through the fixed ends: w(x) = bow (1 - ((x - mean)/half)²).
     out[:, 2] += bow * (1.0 - ((along - along.mean()) / half) ** 2)
     return out

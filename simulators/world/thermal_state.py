@@ -1,4 +1,6 @@
-"""How warm ambient, artefact and machine are at any instant: closed forms, so that time may go in steps of any size."""
+"""Temperatures of ambient, artefact and machine at any instant, in closed form so that time may
+advance in any steps.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +10,17 @@ from simulators.temperatures import TemperatureSettings
 
 S_PER_H = 3600.0
 _AT_ONCE_H = 1e-9
-_ALIKE = 1e-6  # of two time constants: nearer than this, the limit is exact to more digits than the quotient
+_ALIKE = 1e-6  # relative difference of two time constants below which the limit is more exact than the quotient
 
 
 class ThermalState:
-    """True temperatures; what thermometers tell of them is another matter."""
+    """True temperatures, without the errors of the thermometers."""
 
     def __init__(self, settings: TemperatureSettings) -> None:
         self._settings = settings
         self.artefact_is_constant = not self._ever_warms(settings.artefact_time_constant_h, settings.artefact_k_per_h)
         self.machine_is_constant = not self._ever_warms(settings.machine_time_constant_h, settings.machine_k_per_h)
-        """Whether it is as warm as at the start for ever."""
+        """True if the machine keeps its initial temperature for ever."""
 
     def ambient_c(self, now_s: float) -> float:
         s = self._settings
@@ -35,18 +37,22 @@ class ThermalState:
         return s.machine_c + self.machine_change_k(now_s)
 
     def machine_change_k(self, now_s: float) -> float:
-        """Since the start, where its thermometer is."""
+        """Return the temperature change at the machine's thermometer since the start, in K."""
         s = self._settings
         return self._change_k(now_s, s.machine_time_constant_h, s.machine_k_per_h)
 
     def column_change_k(self, now_s: float) -> float:
-        """One side of the column against the other, since the start: a lag of its own behind the ambient."""
+        """Return the temperature difference across the column since the start, in K, with its own lag behind the
+        ambient.
+        """
         s = self._settings
         lag_h = None if s.machine_time_constant_h is None else s.machine_time_constant_h + s.bend_time_constant_h
         return self._change_k(now_s, lag_h, s.machine_k_per_h)
 
     def artefact_lag_k(self, now_s: float) -> float:
-        """By how much more than the artefact the ambient has warmed since the start; none where it does not follow."""
+        """Return how much more the ambient has warmed than the artefact since the start, in K; 0 if
+        it does not follow.
+        """
         s = self._settings
         if s.artefact_time_constant_h is None:
             return 0.0
@@ -64,7 +70,7 @@ class ThermalState:
 
 
 def first_order_response(hours: float, source_h: float, follower_h: float) -> float:
-    """Share of a unit rise 1 - exp(-t/source) that a first-order follower (its time constant, 0: none) has taken up."""
+    """Return the share of a unit rise 1 - exp(-t/source) taken up by a first-order follower; 0 h means no lag."""
     if hours <= 0.0:
         return 0.0
     slow, fast = max(source_h, follower_h), min(source_h, follower_h)
@@ -73,5 +79,7 @@ def first_order_response(hours: float, source_h: float, follower_h: float) -> fl
     if fast <= _ALIKE * slow:
         return -math.expm1(-hours / slow)
     if slow - fast <= _ALIKE * slow:
+        # Limit of the formula below for equal time constants: 1 - (1 + t/τ) exp(-t/τ).
         return 1.0 - (1.0 + hours / slow) * math.exp(-hours / slow)
+    # Two first-order lags in series: 1 - (τ1 exp(-t/τ1) - τ2 exp(-t/τ2)) / (τ1 - τ2).
     return 1.0 - (slow * math.exp(-hours / slow) - fast * math.exp(-hours / fast)) / (slow - fast)

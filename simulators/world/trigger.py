@@ -1,4 +1,4 @@
-"""How a touch-trigger probe trips: pretravel by direction, lobing, noise."""
+"""Trip of a touch-trigger probe: direction-dependent pretravel, lobing and noise."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from simulators.world.noise import NoiseSource
 from twin.collision.geometry import Point
 
 LOBES = 3
-"""A kinematic probe stands on three seats."""
+"""Number of lobes: a kinematic probe rests on three seats."""
 
 
 class Trigger:
-    """Travel from contact to trip in mm, for a touch in a given direction; the probe points along +Y."""
+    """Travel from contact to trip in mm for a touch in a given direction; the probe points along +Y."""
 
     def __init__(self, settings: TriggerSettings, seed: int) -> None:
         self._pretravel_mm = settings.pretravel_um * 1e-3
@@ -23,9 +23,10 @@ class Trigger:
         self.overtravel_mm = settings.overtravel_mm
 
     def travel_mm(self, direction: Point, touch: int) -> float:
-        """`touch` counts the touches: the same touch has the same noise whenever it is asked for."""
+        """Return the travel from contact to trip in mm. The noise depends only on the number of the touch, `touch`."""
         travel = self._pretravel_mm
         if self._lobing_mm:
+            # Three-lobed pretravel: amplitude * cos(3 φ), φ the direction about the stylus axis Y.
             x, _, z = direction
             travel += self._lobing_mm * math.hypot(x, z) * math.cos(LOBES * math.atan2(z, x))
         if self._sigma_mm:

@@ -1,4 +1,4 @@
-"""What only the simulator knows of its machine, never the agent: how large its error truly is."""
+"""True error of the simulated machine, known to the simulator and never to the agent."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from twin.machine.volumetric import evaluation_grid, volumetric_error
 
 
 class MachineTruth:
-    """What only the simulator can say of its machine, as warm as it is when it is asked.
+    """True error of the machine at its present temperature.
 
-    `banks` are the controller's own, not a copy; `warm_field`: what warmth adds now. The growth of spindle and ram is
-    left out: it moves the whole field, as setting the zero anew does, and no table is meant to take it up.
+    `banks` are the controller's own, not a copy; `warm_field` returns the present thermal field. The growth of spindle
+    and ram is excluded: it shifts the whole field like a new zero point, which no table is meant to correct.
     """
 
     def __init__(
@@ -34,7 +34,9 @@ class MachineTruth:
         self._grid = evaluation_grid(nominal.ranges_mm)
 
     def true_volumetric_error(self, bank: int | None = None) -> tuple[float, float]:
-        """(raw, rigidly aligned) rms in µm on the 60×20×20 grid with the table of `bank`; None or 0: bare."""
+        """Return the (raw, rigidly aligned) rms in µm on the 60×20×20 grid with the table of `bank`; None or 0: no
+        table.
+        """
         displayed = self._grid
         correction = np.zeros_like(displayed)
         if bank:

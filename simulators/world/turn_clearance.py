@@ -1,6 +1,6 @@
-"""Whether a turn surely meets nothing: one look at balls around all that turns, and no bodies at each instant.
+"""Conservative proof that a turn is free of collisions, from spheres around everything that turns.
 
-A proof, no search: where it fails, nobody knows yet, and who asks has to look at the bodies themselves.
+A failed proof decides nothing: the caller must then check the bodies themselves.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from twin.collision.geometry import Capsule, Point, Shape
 from twin.collision.swept_volume import SphereCover
 
 INSTANTS = 64
-"""Samples of a turn, evenly in time: with 180° about 3° at a time."""
+"""Number of samples of a turn, equally spaced in time: about 3° apart for a turn of 180°."""
 SLACK_MM = 1.0
-"""For what a pose is off between two samples: wobble and index errors of the mount, which are far smaller."""
+"""Allowance for wobble and index errors of the mount between two samples, which are far smaller."""
 
 
 def is_turn_clear(workpiece: Workpiece, tip: Point, start_s: float, end_s: float) -> bool:
-    """Whether nothing of the artefact comes to the probe, the tip centre resting at `tip`, in a span of time.
+    """Return True if the artefact certainly stays clear of the probe from `start_s` to `end_s` with the tip resting at
+    `tip`.
 
-    What does not turn (pedestal, table) is looked at once.
+    Bodies that do not turn (pedestal, table) are checked once.
     """
     cover = workpiece.cover
     if cover is None:
@@ -40,24 +41,29 @@ def is_turn_clear(workpiece: Workpiece, tip: Point, start_s: float, end_s: float
 
 
 def _turned(cover: SphereCover, angles_rad: Array) -> tuple[Array, Array]:
-    """Balls (n, m, 3) relative to the place at `angles_rad` (n, 2), and radii (n, m) that hold all until the next."""
+    """Return sphere centres (n, m, 3) relative to the mount's location at `angles_rad` (n, 2), and radii (n, m).
+
+    The radii are enlarged to contain all positions up to the next sample.
+    """
     x, y, z = cover.centres.T
     azimuth, elevation = angles_rad.T[:, :, None]
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    # Tilt by the elevation in the X-Z plane, then rotation about Z by the azimuth.
     across = x * ce - z * se
     centres = np.stack([across * ca - y * sa, across * sa + y * ca, x * se + z * ce], axis=-1)
     further = np.abs(np.diff(angles_rad, axis=0, append=angles_rad[-1:]))
+    # Chord ≤ arc: a sphere moves at most Δazimuth * |p| + Δelevation * hypot(x, z) until the next sample.
     radii = cover.radii + further[:, :1] * np.sqrt(x**2 + y**2 + z**2) + further[:, 1:] * np.hypot(x, z)
     return centres, radii
 
 
 def _least_gap(centres: Array, radii: Array, bodies: Iterable[Body]) -> float:
-    """Smallest distance in mm of balls and bodies, each taken for the box around its axis: never too large."""
+    """Return the smallest distance in mm between spheres and bodies, each body replaced by its bounding box."""
     return min(float((_distance(centres, body.shape) - radii).min()) for body in bodies)
 
 
 def _distance(points: Array, shape: Shape) -> Array:
-    """(...) mm of points (..., 3) from what is never smaller than `shape`."""
+    """Return a lower bound (...) in mm of the distance of points (..., 3) from `shape`."""
     radius = shape.radius if isinstance(shape, Capsule) else 0.0
     beyond = np.maximum(
         np.maximum(np.array(shape.lower) + radius - points, points - np.array(shape.upper) + radius), 0.0

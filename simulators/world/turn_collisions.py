@@ -1,4 +1,4 @@
-"""Collisions while the mount turns: sampled in time, since a turning bar has no straight sweep."""
+"""Collisions while a mount turns, sampled in time because the sweep of a turning bar is not straight."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import Point, point, separation, sphere, swept_contact, translate_point
 
 STEP_MM = 4.0
-"""Nearer bodies are looked at again after so much motion: less than half the thinnest body that matters."""
-_LOOKED_AT_MM = 150.0
-_HERE: Point = (0.0, 0.0, 0.0)
+"""Smallest motion between two checks: less than half the thinnest relevant body."""
+_SEARCH_RADIUS_MM = 150.0
+_ORIGIN: Point = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class TurnCrash:
 
 
 def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: float, end_s: float) -> TurnCrash | None:
-    """First collision of probe and ram with the turning artefact in a span of time, if nothing intervenes."""
+    """Return the first collision of probe or ram with the turning artefact in a time span, if nothing intervenes."""
     if _stays_outside(workpiece, controller, start_s):
         return None
     speed = math.radians(workpiece.mount.max_speed_deg_per_s) * workpiece.sweep_radius_mm
@@ -41,7 +41,7 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
     while True:
         tip = _tip(controller, instant)
         scene = workpiece.snapshot(instant).scene
-        gap_mm = scene.clearance(tip, at_most=_LOOKED_AT_MM)
+        gap_mm = scene.clearance(tip, at_most=_SEARCH_RADIUS_MM)
         pair = _touching(scene, tip) if gap_mm < 0.0 else None
         if pair is not None:
             return TurnCrash(instant, *pair)
@@ -51,9 +51,9 @@ def first_turn_crash(workpiece: Workpiece, controller: Controller, start_s: floa
 
 
 def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, end_s: float) -> TurnCrash | None:
-    """First instant at which what turns meets what another mount carries, that turning too or not.
+    """Return the first collision between what `turning` and `other` carry, whether or not the other mount turns too.
 
-    From one look to the next passes only as much time as the fastest parts need for what lies between the bodies.
+    The time between two checks is at most what the fastest parts need to cross the remaining gap.
     """
     apart = np.hypot(*(turning.location_mm - other.location_mm)[:2])
     if apart > turning.sweep_radius_mm + other.sweep_radius_mm:
@@ -70,12 +70,12 @@ def first_mount_collision(turning: Workpiece, other: Workpiece, start_s: float, 
 
 
 def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:
-    """Smallest distance in mm of any two bodies, and their names; not looked for beyond `_LOOKED_AT_MM`.
+    """Return the smallest distance in mm between any two bodies and their names, searched up to `_SEARCH_RADIUS_MM`.
 
-    The table carries both.
+    The table is excluded, because it carries both.
     """
-    smallest, pair = _LOOKED_AT_MM, ("", "")
-    for i, j in scene.near_pairs(_HERE, _HERE, _LOOKED_AT_MM):
+    smallest, pair = _SEARCH_RADIUS_MM, ("", "")
+    for i, j in scene.near_pairs(_ORIGIN, _ORIGIN, _SEARCH_RADIUS_MM):
         body, obstacle = scene.moving[i], scene.obstacles[j]
         if TABLE not in (body.name, obstacle.name):
             distance = separation(body.shape, obstacle.shape)[0]
@@ -85,7 +85,7 @@ def _gap(scene: Scene) -> tuple[float, tuple[str, str]]:
 
 
 def _stays_outside(workpiece: Workpiece, controller: Controller, start_s: float) -> bool:
-    """Whether no body of the probe enters the ball that holds the artefact at all its angles."""
+    """Return True if no body of the probe enters the sphere that contains the artefact at all its angles."""
     reach = sphere(point(workpiece.location_mm), workpiece.sweep_radius_mm)
     tip, end = _tip(controller, start_s), _tip(controller, math.inf)
     displacement = (end[0] - tip[0], end[1] - tip[1], end[2] - tip[2])
@@ -97,12 +97,12 @@ def _stays_outside(workpiece: Workpiece, controller: Controller, start_s: float)
 
 
 def _tip(controller: Controller, instant_s: float) -> Point:
-    """Tip centre by what is displayed."""
+    """Return the tip centre according to the displayed axis positions."""
     return translate_point(controller.displayed_at(instant_s), controller.tool_offset)
 
 
 def _touching(scene: Scene, tip: Point) -> tuple[str, str] | None:
-    """Names of the first two bodies that overlap with the tip centre at `tip`."""
+    """Return the names of the first two bodies that overlap with the tip centre at `tip`, or None."""
     for i, j in scene.near_pairs(tip, tip):
         if separation(scene.moving[i].shape.moved(tip), scene.obstacles[j].shape)[0] < 0.0:
             return scene.moving[i].name, scene.obstacles[j].name

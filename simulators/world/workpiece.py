@@ -1,4 +1,4 @@
-"""What stands on the table at one mount: the true artefact, if it carries one, where the operator put it."""
+"""Objects at one mount on the table: the mount and, if it carries one, the true artefact as the operator placed it."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ from twin.collision.swept_volume import SphereCover, cover_turning_bodies
 
 @dataclass(frozen=True, eq=False)
 class WorkpieceSnapshot:
-    """Everything that a motion needs to know of one instant: true ball centres with their names as bodies, and all
-    bodies around; `pose` of the (first) artefact's mount. `allowed_contacts`: pairs of bodies that may touch."""
+    """State that a motion needs at one instant: true ball centres, the balls' body names, and all bodies around.
+
+    `pose`: pose of the (first) artefact's mount; `allowed_contacts`: pairs of bodies that may touch.
+    """
 
     pose: Pose
     balls: tuple[Point, ...]
@@ -38,8 +40,11 @@ class WorkpieceSnapshot:
 
 
 class Workpiece:
-    """True pose of the artefact for mount angles and temperature; rebuilt only when one of them changes, the
-    temperature by 1 mK (17 nm of a long bar). `name_suffix` follows the names of its bodies where there are several."""
+    """True pose of the artefact for given mount angles and temperature.
+
+    Recomputed only when one of them changes, the temperature by 1 mK (17 nm on a long bar). `name_suffix` is appended
+    to its body names if there are several workpieces.
+    """
 
     def __init__(
         self, scenario: Scenario, mount: MountPhysics, artefact: Artefact | None, station: int, name_suffix: str = ""
@@ -61,37 +66,37 @@ class Workpiece:
         self._yaw_rad = 0.0
 
     def place(self, station: int, rng: np.random.Generator) -> None:
-        """The operator's hand: never exactly the nominal place, and a little turned."""
+        """Place it at `station` as an operator does: never exactly at the nominal location, and slightly rotated."""
         self.station = station
         self._location_mm = np.add(self._places[station - 1], _placement_error(self._behaviour, rng))
         self._yaw_rad = math.radians(self._behaviour.place_error_deg) * float(rng.uniform(-1.0, 1.0))
         self._cached = None
 
     def shift(self, by_mm: Point, turn_deg: float) -> None:
-        """Somebody bumps into it, or puts it down carelessly."""
+        """Displace and rotate it, as after a knock or a careless placement."""
         self._location_mm = np.add(self._location_mm, by_mm)
         self._yaw_rad += math.radians(turn_deg)
         self._cached = None
 
     def carry(self, artefact: Artefact | None) -> None:
-        """From now on this mount holds `artefact`, or nothing."""
+        """Replace the artefact on this mount; None leaves the mount bare."""
         self._artefact = artefact
         self._cached = self._cover = None
 
     @property
     def artefact(self) -> Artefact:
-        """The true one; asking a bare mount for it is a defect."""
-        assert self._artefact is not None  # noqa: S101  whoever asks knows where it stands
+        """True artefact. Must not be read for a bare mount."""
+        assert self._artefact is not None  # noqa: S101  callers know which mount has the artefact
         return self._artefact
 
     @property
     def location_mm(self) -> Array:
-        """(3,) where the azimuth axis stands, at the height of the bar's middle."""
+        """Location (3,) of the azimuth axis in mm, at the height of the middle of the bar."""
         return self._location_mm
 
     @property
     def sweep_radius_mm(self) -> float:
-        """No part of the artefact is farther from the place, whatever the mount's angles."""
+        """Largest distance in mm of any part of the artefact from the mount's location, for all mount angles."""
         geometry = self._geometry
         if self._artefact is None:
             return geometry.shaft_mm + max(geometry.shaft_radius_mm, geometry.pedestal_radius_mm)
@@ -100,13 +105,13 @@ class Workpiece:
 
     @property
     def cover(self) -> SphereCover | None:
-        """Balls around everything that turns; None where no artefact does."""
+        """Spheres that enclose everything that turns; None if there is no artefact."""
         if self._cover is None and self._artefact is not None:
             self._cover = cover_turning_bodies(self._artefact, self._geometry)
         return self._cover
 
     def true_angles_rad(self, instant_s: float) -> tuple[float, float]:
-        """Azimuth, as the artefact was put down, and elevation: those of `mount_pose`."""
+        """Return azimuth, including the rotation at placement, and elevation in rad, as `mount_pose` takes them."""
         azimuth, elevation = self.mount.true_angles_rad(*self.mount.angles_deg(instant_s))
         return azimuth + self._yaw_rad, elevation
 
@@ -114,7 +119,7 @@ class Workpiece:
         return self._warming.artefact_c(now_s)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
-        """Pose, true ball centres (workpiece frame) and collision scene at an instant."""
+        """Return pose, true ball centres (workpiece frame) and collision scene at an instant."""
         bow = round(bow_mm(self._temperatures, self._warming, now_s), 5)
         key = (*self.mount.angles_deg(now_s), round(self.temperature_c(now_s), 3), bow)
         if self._cached is None or self._cached[0] != key:
@@ -144,7 +149,9 @@ class Workpiece:
 
 
 def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: str = "artefact") -> Artefact:
-    """An artefact whose certificate is wrong within its own uncertainty; one of another `name` is wrong otherwise."""
+    """Return an artefact that deviates from its certificate within the stated uncertainty; `name` selects the random
+    draw.
+    """
     rng = generator(settings.seed, name)
     values, vectors = np.linalg.eigh(certified.covariance)
     spread = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.size))
@@ -157,5 +164,5 @@ def true_artefact(certified: Artefact, settings: ArtefactTruthSettings, name: st
 
 
 def _placement_error(behaviour: MountBehaviour, rng: np.random.Generator) -> Array:
-    """(3,) mm; the table carries the mount, so its height is ten times as sure as its place."""
+    """Return the (3,) placement error in mm; the table supports the mount, so its height is ten times more certain."""
     return np.asarray(behaviour.place_error_mm * rng.uniform(-1.0, 1.0, 3) * (1.0, 1.0, 0.1))

@@ -1,4 +1,4 @@
-"""Everything that stands on the table: one mount that is carried with its artefact, or a mount at every station."""
+"""Everything on the table: one mount that is moved with its artefact, or one mount at every station."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin.collision.collision import Scene
 
 
 class Worktable:
-    """`workpieces`: station → what stands there, or, with one mount, that one alone under its first station."""
+    """Workpieces on the table: one at each station or, with a single mount, only that one."""
 
     def __init__(self, scenario: Scenario, mounts: list[MountPhysics]) -> None:
         self._scenario = scenario
@@ -34,7 +34,7 @@ class Worktable:
         return piece
 
     def _first_artefact(self, station: int) -> Artefact | None:
-        """What the mount at `station` carries when the world begins."""
+        """Return the artefact that the mount at `station` carries at the start, or None."""
         truth = self._scenario.settings.artefact_truth
         if self._scenario.artefacts:
             return true_artefact(self._scenario.artefacts[station - 1], truth, f"artefact {station}")
@@ -46,7 +46,7 @@ class Worktable:
 
     @property
     def workpiece(self) -> Workpiece:
-        """The one with the artefact that can be carried; with artefacts at every station the first one."""
+        """Workpiece with the movable artefact; with an artefact at every station, the first one."""
         if len(self._pieces) == 1 or self._scenario.artefacts:
             return self._pieces[0]
         return self._pieces[self._at - 1]
@@ -56,11 +56,14 @@ class Worktable:
         return self.workpiece.artefact.ball_radius_mm
 
     def place_artefact(self, station: int) -> None:
-        """The operator's hand; CommandRejected where there is no such station or nothing is ever carried."""
+        """Move the artefact to `station`, as the operator does.
+
+        Raises CommandRejected if there is no such station or if every station has its own artefact.
+        """
         if not 1 <= station <= self._stations:
             raise CommandRejected(f"there is no station {station}", hint=f"stations are 1 to {self._stations}")
         if self._scenario.artefacts:
-            raise CommandRejected("every station has an artefact of its own: nothing is carried")
+            raise CommandRejected("every station has its own artefact: none can be moved")
         piece = self.workpiece
         self._at = station
         if len(self._pieces) > 1:
@@ -71,7 +74,7 @@ class Worktable:
         self._place(piece, station)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
-        """All balls and bodies at an instant; kept as long as nothing turns, moves or warms."""
+        """Return all balls and bodies at an instant; cached while nothing turns, moves or warms."""
         if len(self._pieces) == 1:
             return self._pieces[0].snapshot(now_s)
         parts = tuple(piece.snapshot(now_s) for piece in self._pieces)

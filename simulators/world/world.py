@@ -1,4 +1,4 @@
-"""The simulated world: one machine, its mounts and artefacts, one clock that others drive."""
+"""Simulated world: one machine with its mounts and artefacts, advanced by an external clock."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Collision:
 
 
 def mount_name(station: int) -> str:
-    """Of the mount that stands at `station` for good."""
+    """Return the name of the mount fixed at `station`."""
     return f"{MOUNT} {station}"
 
 
 class World:
-    """Physics without sockets, threads or time of its own: whoever holds the clock calls `advance_to`."""
+    """Physics without sockets, threads or its own time: the owner of the clock calls `advance_to`."""
 
     def __init__(self, scenario: Scenario) -> None:
         settings = scenario.settings
@@ -65,7 +65,7 @@ class World:
         self._looked_ahead = True
 
     def advance_to(self, instant_s: float) -> None:
-        """Move everything on to `instant_s`; the past is left alone."""
+        """Advance everything to `instant_s`; does nothing if that instant has passed."""
         if instant_s <= self.now:
             return
         crash = self.turn_crash
@@ -75,19 +75,24 @@ class World:
 
     @property
     def turn_crash(self) -> TurnCrash | None:
-        """What the turning mounts will meet if nothing intervenes. Looked for when it is asked for: of all that begins
-        at one instant (both axes of a mount, say) only the whole counts."""
+        """First collision of the turning mounts if nothing intervenes.
+
+        Computed on first access after a change: motions that begin at one instant (say both axes of a mount) are
+        considered together.
+        """
         if not self._looked_ahead:
             self._turn_crash, self._looked_ahead = self._look_ahead(), True
         return self._turn_crash
 
     @property
     def workpiece(self) -> Workpiece:
-        """Where the artefact that can be carried stands; the first one where every station has its own."""
+        """Workpiece with the movable artefact; the first one if every station has its own."""
         return self.table.workpiece
 
     def mount_at(self, station: int) -> MountPhysics:
-        """That which turns what stands at `station`; CommandRejected where there is no such station."""
+        """Return the mount that turns the workpiece at `station`. Raises CommandRejected if there
+        is no such station.
+        """
         if self.scenario.mount_count == 1:
             return self.mounts[MOUNT]
         if mount_name(station) not in self.mounts:
@@ -95,7 +100,9 @@ class World:
         return self.mounts[mount_name(station)]
 
     def place_artefact(self, station: int) -> None:
-        """The operator's hand: the artefact stands at `station` (from 1) afterwards. CommandRejected elsewhere."""
+        """Move the artefact to `station` (from 1), as the operator does. Raises CommandRejected if that is not
+        possible.
+        """
         self.table.place_artefact(station)
         self._expect_change()
 
@@ -117,11 +124,13 @@ class World:
         self.controller.advance_to(instant_s)
 
     def _expect_change(self) -> None:
-        """What was foreseen holds no longer."""
+        """Invalidate the forecast of collisions."""
         self._looked_ahead = False
 
     def _look_ahead(self) -> TurnCrash | None:
-        """Turning mounts are watched against the probe and each other; snapshot ones are no concern of this."""
+        """Return the first collision of a turning mount with the probe or with another mount; mounts at rest are
+        skipped.
+        """
         crashes: list[TurnCrash] = []
         pieces = self.table.pieces
         for piece in pieces:
@@ -147,7 +156,7 @@ class World:
 
 
 def true_machine(scenario: Scenario) -> TrueMachine:
-    """Drawn by the scenario's own seed, so that it is the same machine in every world of that scenario."""
+    """Return the true machine, drawn with the scenario's own seed: the same machine in every world of that scenario."""
     settings, truth = scenario.settings, scenario.settings.truth
     if settings.ideal:
         return perfect_machine(scenario.machine, settings.tool)

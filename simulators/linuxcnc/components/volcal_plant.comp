@@ -1,22 +1,22 @@
 component volcal_plant "A machine with errors, and balls for its probe to touch, in front of a real LinuxCNC";
 description """
-Where the stylus tip of a deviated machine is when its motors stand where LinuxCNC sends them, and whether the probe
-has tripped on one of the balls. Everything that is simulated comes from a file that another process writes
-(*simulators/linuxcnc/memory.py* says how it is laid out) and that both map into memory.
-Add the function to the servo thread after motion-controller: what it finds is read in the next cycle, together with
-the position that it belongs to.
-Parameter of the module: *path*, of that file.""";
+Position of the stylus tip of a machine with errors for the motor positions that LinuxCNC commands, and the state of the
+probe on the balls. The simulated state comes from a file written by another process and mapped into memory by both
+(layout in *simulators/linuxcnc/memory.py*).
+Add the function to the servo thread after motion-controller: its result is read in the next cycle, together with the
+position that it belongs to.
+Module parameter *path*: that file.""";
 pin in float motor-#[3] "joint.N.motor-pos-cmd, mm";
 pin out bit probe "to motion.probe-input";
-pin out bit ready "the file is there and sound";
+pin out bit ready "the file is present and valid";
 pin out float temperature-#[3] "artefact, machine, ambient; degrees Celsius";
 pin out float tip-position-#[3] "workpiece frame, mm";
-pin out u32 trips "so many times the probe has tripped";
-pin out u32 overrun "so many times the tip was pressed further than the probe yields";
+pin out u32 trips "number of probe trips";
+pin out u32 overrun "number of times the tip was pressed beyond the overtravel";
 option singleton yes;
 option extra_setup yes;
 option extra_cleanup yes;
-function _ fp "where the tip is, and whether the probe has tripped";
+function _ fp "compute the tip position and the probe state";
 license "GPL";
 author "volcal";
 ;;
@@ -31,11 +31,11 @@ author "volcal";
 #include "volcal_plant.h"
 
 static char *path = "";
-RTAPI_MP_STRING(path, "file that holds what is simulated");
+RTAPI_MP_STRING(path, "file with the simulated state");
 
 static plant_memory *memory;
 static size_t mapped;
-static plant_scene scene; /* the last that was read whole */
+static plant_scene scene; /* last consistent scene */
 static double before[3], lag[3], scatter[3], travelled, tip_before[3];
 static int begun, touching = -1, over, tripped;
 static rtapi_u32 motions, touches, trip_count, overrun_count;
@@ -67,7 +67,7 @@ EXTRA_CLEANUP() {
     if (memory) munmap(memory, mapped);
 }
 
-/* Half of the backlash behind the drive, once the drive has gone that far, and a scatter for each motion. */
+/* Play operator: the slide lags its drive by at most half the backlash; plus a random error for each motion. */
 static void follow(const double *motor) {
     for (int a = 0; a < 3; a++) {
         double step = begun ? motor[a] - before[a] : 0.0, half = 0.5 * scene.backlash_mm[a];
@@ -79,7 +79,7 @@ static void follow(const double *motor) {
     begun = 1;
 }
 
-/* The ball that the tip overlaps, nearest first; -1: none. */
+/* Return the ball that the tip overlaps most, or -1. */
 static int overlapped(const double *tip, double *depth) {
     int found = -1;
     *depth = 0.0;
@@ -90,21 +90,21 @@ static int overlapped(const double *tip, double *depth) {
     return found;
 }
 
-/* Way of the tip from contact to trip, for the direction in which it goes; the probe points along +Y. */
+/* Return the travel of the tip from contact to trip in its direction of motion; the probe points along +Y. */
 static double pretravel(const double *way, double length) {
     double x = way[0] / length, z = way[2] / length;
     return scene.pretravel_mm + scene.lobing_mm * hypot(x, z) * cos(3.0 * atan2(z, x)) +
            scene.touch_sigma_mm * plant_normal(scene.seed, 0, touches);
 }
 
-/* Part of this cycle's way that lies inside the ball. */
+/* Return the share of this cycle's path that lies inside the ball. */
 static double share_inside(const double *tip, int ball) {
     double outside = plant_distance(tip_before, scene.ball_mm[ball]) - scene.reach_mm;
     double inside = scene.reach_mm - plant_distance(tip, scene.ball_mm[ball]);
     return outside > 0.0 ? inside / (inside + outside) : 1.0;
 }
 
-/* Trips once for each time that a ball is met; the seats close again when the tip is free. */
+/* Trip once for each contact with a ball; the seats close again when the tip is free. */
 static void feel(const double *tip, const double *way, double length) {
     double depth;
     int ball = overlapped(tip, &depth);

@@ -1,8 +1,8 @@
-/* What is simulated, in memory that the plant's process writes and the servo thread reads.
+/* Simulated state in memory that the plant's process writes and the servo thread reads.
  *
- * Every field is 8 bytes, in the byte order of the computer; simulators/linuxcnc/memory.py writes the same. A scene is
- * read between two equal, even values of `sequence`; the grid never changes. The trace is written here: corners and
- * every few millimetres of the way of the tip, for the search for collisions.
+ * Every field is 8 bytes in the computer's byte order; simulators/linuxcnc/memory.py writes the same layout. A scene is
+ * valid if read between two equal, even values of `sequence`; the grid never changes. The trace is written here: the
+ * corners of the tip's path and a point every few millimetres, for the collision search.
  *
  * License: GPL v2 or later (linked with LinuxCNC).
  */
@@ -23,7 +23,7 @@
 typedef struct {
     double balls;
     double seed;
-    double reach_mm; /* of both centres at contact */
+    double reach_mm; /* distance between the centres at contact */
     double overtravel_mm;
     double pretravel_mm, lobing_mm, touch_sigma_mm;
     double repeatability_mm;
@@ -38,7 +38,7 @@ typedef struct {
     rtapi_u64 magic;
     rtapi_u64 sequence; /* odd while the scene is written */
     plant_scene scene;
-    rtapi_u64 traced; /* places written so far */
+    rtapi_u64 traced; /* points written so far */
     double trace_mm[PLANT_TRACE][3];
     rtapi_u64 nodes[3];
     double origin_mm[3], step_mm[3];
@@ -49,7 +49,7 @@ static unsigned long plant_bytes(const plant_memory *memory) {
     return sizeof *memory + 24ul * memory->nodes[0] * memory->nodes[1] * memory->nodes[2];
 }
 
-/* Whether there is a scene: a new one, or the one read before while a new one is written. */
+/* Return true if there is a scene: a new one, or the previous one while a new one is being written. */
 static int plant_read_scene(plant_memory *memory, plant_scene *scene) {
     rtapi_u64 began = __atomic_load_n(&memory->sequence, __ATOMIC_ACQUIRE);
     if (began && !(began & 1)) {
@@ -61,7 +61,7 @@ static int plant_read_scene(plant_memory *memory, plant_scene *scene) {
     return scene->reach_mm > 0.0;
 }
 
-/* Trilinear; the border's value outside. */
+/* Trilinear interpolation; the border value outside the grid. */
 static void plant_deviation(const plant_memory *memory, const double *at, double *deviation) {
     rtapi_u64 cell[3], stride[3];
     double share[3];
@@ -90,7 +90,7 @@ static double plant_distance(const double *a, const double *b) {
     return sqrt(x * x + y * y + z * z);
 }
 
-/* Uniform in (0, 1) by a counter: splitmix64. */
+/* Uniform number in (0, 1) for a counter: splitmix64. */
 static double plant_uniform(rtapi_u64 counter) {
     rtapi_u64 z = counter * 0x9E3779B97F4A7C15ull + 0x9E3779B97F4A7C15ull;
     z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ull;
@@ -99,13 +99,13 @@ static double plant_uniform(rtapi_u64 counter) {
     return ((double)(z >> 11) + 0.5) / 9007199254740992.0;
 }
 
-/* Standard normal, of a stream and a counter only. */
+/* Standard normal number (Box-Muller) that depends only on seed, stream and counter. */
 static double plant_normal(double seed, int stream, rtapi_u32 counter) {
     rtapi_u64 key = ((rtapi_u64)seed << 40) ^ ((rtapi_u64)stream << 36) ^ ((rtapi_u64)counter << 1);
     return sqrt(-2.0 * log(plant_uniform(key))) * cos(2.0 * M_PI * plant_uniform(key + 1));
 }
 
-/* Where the tip turned, and every few millimetres. */
+/* Append the tip position at corners of its path and every few millimetres. */
 static void plant_trace(plant_memory *memory, const double *tip) {
     static double last[3], standing[3];
     static int stood;

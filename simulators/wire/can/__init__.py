@@ -1,1 +1,1 @@
-"""Simulated CANopen drives of the rotary mount, and the CAN buses that carry them."""
+"""Simulated CANopen drives of the rotary mount, and the CAN buses that connect them."""

@@ -1,10 +1,10 @@
-"""Which bus the simulated CAN nodes sit on, as one word of a command line.
+"""Bus of the simulated CAN nodes, given as one word on a command line.
 
 ========================================  ==============================================================
 ``socketcand:127.0.0.1:0``                TCP; the server is in this process (port 0: any)
 ``udp_multicast:239.74.163.2:43113``      UDP multicast, frames stay on this computer (port 0: any)
-``slcan:PATH``                            a serial adapter on a pseudo-terminal that PATH is made to
-                                          point at (``slcan:any``: wherever the system puts it)
+``slcan:PATH``                            a serial adapter on a pseudo-terminal to which PATH becomes a link
+                                          (``slcan:any``: the name given by the system)
 ``virtual:NAME``                          inside this process only
 ``socketcan:can0``                        a kernel CAN interface, real or ``vcan``
 ========================================  ==============================================================
@@ -23,7 +23,7 @@ from drivers.errors import ConfigurationError
 from simulators.wire.can.slcan_peer import SlcanPeerBus
 from simulators.wire.can.socketcand_server import SocketcandServerBus
 
-logging.getLogger("can").addHandler(logging.NullHandler())  # its failures are errors here, not lines on stderr
+logging.getLogger("can").addHandler(logging.NullHandler())  # failures are raised here, not printed to stderr
 
 Option = str | int | float | bool
 
@@ -31,13 +31,13 @@ SOCKETCAND_BUS = "can0"
 SLCAN_BIT_RATE = 500_000
 MULTICAST_GROUP = "239.74.163.2"
 PROBE_IDENTIFIER = 0x1FFFFFF0
-"""Extended, so that no CANopen node takes the self-test's frame for its own."""
+"""Extended identifier, so that no CANopen node mistakes the self-test's frame for its own."""
 _FORMS = "socketcand:HOST:PORT, udp_multicast:GROUP:PORT, slcan:PATH, slcan:any, virtual:NAME or socketcan:INTERFACE"
 
 
 @dataclass(frozen=True)
 class CanChannel:
-    """The simulators' end of a bus, and what the other side must be configured with to reach it."""
+    """Simulator end of a bus, with the configuration that the other side needs to reach it."""
 
     bus: can.BusABC
     interface: str
@@ -46,14 +46,14 @@ class CanChannel:
 
     @property
     def agent_settings(self) -> dict[str, object]:
-        """The keys of a CANopen device's settings."""
+        """Keys of a CANopen device's settings."""
         return {"interface": self.interface, "channel": self.channel, "options": dict(self.options)}
 
 
 def open_channel(spec: str) -> CanChannel:
-    """Open the simulators' end of the bus that `spec` names.
+    """Open the simulator end of the bus given by `spec`.
 
-    Raises ConfigurationError for a word that is none of the forms, and when the bus cannot be had.
+    Raises ConfigurationError if `spec` has none of the known forms or the bus is not available.
     """
     kind, _, place = spec.partition(":")
     try:
@@ -69,13 +69,13 @@ def open_channel(spec: str) -> CanChannel:
         raise ConfigurationError(
             f"the CAN channel {spec} cannot be opened: {error}",
             key="can",
-            hint="is the port free and the interface up? socketcand:127.0.0.1:0 needs neither",
+            hint="check that the port is free and the interface is up; socketcand:127.0.0.1:0 needs neither",
         ) from error
     raise _unknown(spec)
 
 
 def multicast_works(group: str = MULTICAST_GROUP, *, within_s: float = 0.5) -> bool:
-    """Whether a frame sent to the multicast group comes back on this computer; ends after `within_s`."""
+    """Return True if a frame sent to the multicast group returns on this computer within `within_s`."""
     try:
         port = _free_udp_port()
         with _multicast_bus(group, port) as sender, _multicast_bus(group, port) as receiver:
@@ -101,7 +101,7 @@ def _socketcand(host: str, port: int) -> CanChannel:
 
 
 def _slcan(link: str) -> CanChannel:
-    """Nothing has to wake up here after its port was opened, so nobody need wait for that."""
+    """Open a serial adapter; the pseudo-terminal is ready at once, so clients need not wait after opening it."""
     bus = SlcanPeerBus(link)
     return CanChannel(bus, "slcan", bus.port, {"bitrate": SLCAN_BIT_RATE, "sleep_after_open": 0.0})
 
@@ -113,7 +113,7 @@ def _multicast(group: str, port: int) -> CanChannel:
 
 
 def _multicast_bus(group: str, port: int) -> can.BusABC:
-    """Hop limit 0: frames do not leave this computer."""
+    """Open the bus with hop limit 0, so that frames do not leave this computer."""
     return can.Bus(interface="udp_multicast", channel=group, port=port, hop_limit=0)
 
 
@@ -131,4 +131,4 @@ def _host_and_port(spec: str, place: str) -> tuple[str, int]:
 
 
 def _unknown(spec: str) -> ConfigurationError:
-    return ConfigurationError(f"{spec!r} names no CAN channel", key="can", hint=f"write {_FORMS}")
+    return ConfigurationError(f"{spec!r} is not a CAN channel", key="can", hint=f"write {_FORMS}")

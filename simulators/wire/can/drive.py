@@ -1,9 +1,9 @@
-"""A CiA 402 drive in front of one axis of the simulated mount, written from the profile's text.
+"""CiA 402 drive for one axis of the simulated mount, written from the profile's text.
 
-Power drive state machine, profile position mode, homing mode, quick stop, fault reaction, limits. The drive's position
-unit is the encoder count unless its factor group makes another of it, speeds are units per second. It moves nothing
-itself: the physics behind it turns with the world's clock, and the drive looks at it whenever it is asked or time has
-advanced.
+Implements the power drive state machine, profile position mode, homing mode, quick stop, fault reaction and limits. The
+position unit is the encoder count unless the factor group defines another; speeds are units per second. The drive moves
+nothing itself: the physics behind it turns with the world's clock, and the drive reads it on every request and after
+every advance.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from simulators.wire.can.parameters import HOMING_METHOD, HOMING_SPEED, QUICK_ST
 from simulators.wire.can.sdo import ABORT_LOCAL_STATE, ABORT_VALUE, ObjectDictionary, ObjectEntry, SdoAbortError
 
 DEVICE_TYPE_SERVO = 0x0002_0192
-"""Additional information 2 (servo drive), profile 402."""
+"""Device type: additional information 2 (servo drive), profile 402."""
 VENDOR_AND_PRODUCT = (0x000003E7, 0x00000402)
 PROFILE_POSITION, HOMING = 1, 6
 HOMING_HERE = (35, 37)
@@ -28,15 +28,15 @@ FOLLOWING_ERROR = 0x8611
 REFERENCE_LIMIT = 0x8612
 
 NEGATIVE_SWITCH, POSITIVE_SWITCH, HOME_SWITCH = 1, 2, 4
-"""Bits of 0x60FD."""
+"""Bits of 0x60FD (digital inputs)."""
 DC_LINK_MV = 48_000
 
 POSITION_WINDOW_DEG = 0.01
-"""Within which a drive calls its target reached (0x6067)."""
+"""Window within which a drive reports its target as reached (0x6067)."""
 
 
 class MountAxes(Protocol):
-    """What a drive needs of the mount's physics. Angles in degrees, speeds in degrees per second."""
+    """Physics of the mount as a drive needs it. Angles in degrees, speeds in degrees per second."""
 
     def begin_turn(self, axis: str, angle_deg: float, speed_deg_per_s: float | None) -> None: ...
 
@@ -45,13 +45,16 @@ class MountAxes(Protocol):
     def moving(self, axis: str) -> bool: ...
 
     def halt(self, axis: str | None = None) -> None:
-        """One axis brakes, or both."""
+        """Brake one axis, or both if `axis` is None."""
 
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """One simulated drive. `counts_per_degree`: increments of its encoder; `zero_deg`: the mount angle at which it
-    reads 0; `factors`: None for a drive without a factor group."""
+    """Configuration of one simulated drive.
+
+    `counts_per_degree`: encoder increments; `zero_deg`: mount angle at which the encoder reads 0; `factors`: None for a
+    drive without a factor group.
+    """
 
     node_id: int
     axis: str
@@ -63,7 +66,7 @@ class DriveConfig:
 
 
 class DriveState(IntEnum):
-    """The states with their statusword bits 0-3, 5 and 6 (quick stop bit 5 is low active)."""
+    """Drive states as statusword bits 0-3, 5 and 6 (quick stop bit 5 is active low)."""
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -79,7 +82,7 @@ POWERED = frozenset({DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUIC
 
 
 class ServoDrive:
-    """The application behind a `CanopenNode`."""
+    """Drive application behind a `CanopenNode`."""
 
     def __init__(self, config: DriveConfig, axes: MountAxes) -> None:
         self._config = config
@@ -105,7 +108,7 @@ class ServoDrive:
         self._homing_error = False
         self._acknowledged = False
         self._buffered: int | None = None
-        self._goal: int | None = None  # of the motion under way; reached means there, not merely at rest
+        self._goal: int | None = None  # of the current motion; reached means at the goal, not merely at rest
         self._underway = False
         self._clipped = False
         self._homing_attained = False
@@ -119,11 +122,11 @@ class ServoDrive:
 
     @property
     def error_register(self) -> int:
-        """0x1001: bit 0 generic, bit 5 device profile."""
+        """Error register 0x1001: bit 0 generic, bit 5 device profile."""
         return 0x21 if self._state in (DriveState.FAULT, DriveState.FAULT_REACTION) else 0x00
 
     def trip(self, code: int, *, persistent: bool = False) -> None:
-        """A fault from inside: motion stops, EMCY is sent. A persistent one cannot be reset."""
+        """Raise an internal fault: stop the motion and send an EMCY. A persistent fault cannot be reset."""
         self._error_code = code
         self._persistent = persistent
         self._emergencies.append(code)
@@ -131,13 +134,13 @@ class ServoDrive:
         self._stop_motion()
 
     def jam(self, *, jammed: bool = True) -> None:
-        """Commands are accepted and the axis does not move, and no longer does if it did."""
+        """Block the axis: commands are accepted but the axis does not move, and stops if it was moving."""
         self._jammed = jammed
         if jammed and self._underway:
             self._axes.halt(self._config.axis)
 
     def deviate(self, *, deviating: bool = True) -> None:
-        """Statusword bit 13, following or homing error, in a drive that is set not to trip on it."""
+        """Set statusword bit 13 (following or homing error) without tripping the drive."""
         self._deviating = deviating
 
     def press_limit_switch(self, direction: int, *, pressed: bool = True) -> None:
@@ -147,11 +150,11 @@ class ServoDrive:
         self._stop_at_switch()
 
     def lose_home_switch(self, *, lost: bool = True) -> None:
-        """The reference switch, or its cable, is broken: homing that looks for it fails."""
+        """Break the reference switch or its cable: homing that needs it fails."""
         self._home_switch = not lost
 
     def warn(self, code: int) -> None:
-        """An emergency message without a fault."""
+        """Send an emergency message without a fault."""
         self._emergencies.append(code)
 
     def take_emergencies(self) -> list[int]:
@@ -237,7 +240,7 @@ class ServoDrive:
             self._operate(word, rising)
 
     def _command(self, word: int) -> None:
-        """The device control commands of the profile, by controlword bits 0-3."""
+        """Execute the device control commands of the profile, by controlword bits 0-3."""
         state = self._state
         if not word & 0x02:
             self._power_off(DriveState.SWITCH_ON_DISABLED)
@@ -264,7 +267,7 @@ class ServoDrive:
             self._state = DriveState.SWITCH_ON_DISABLED
 
     def _operate(self, word: int, rising: int) -> None:
-        """Operation mode specific bits 4, 5, 6 and halt (8)."""
+        """Handle the mode-specific bits 4, 5 and 6 and halt (bit 8)."""
         if rising & 0x100:
             self._halted = True
             self._stop_motion()
@@ -282,7 +285,7 @@ class ServoDrive:
             self._acknowledged = False
 
     def _accept(self, word: int) -> None:
-        """A set-point: taken at once (bit 5) or after the one under way, which there can be one of."""
+        """Accept a set-point: at once (bit 5), or after the current one; a single set-point is buffered."""
         target = self._target + (self._position() if word & 0x40 else 0)
         if self._underway and not word & 0x20:
             if self._buffered is not None:
@@ -304,7 +307,7 @@ class ServoDrive:
             self._begin(0, self.parameters[HOMING_SPEED])
 
     def _begin(self, target: int, speed: int) -> None:
-        """A target beyond a software limit is driven to as far as the limit, and bit 11 tells."""
+        """Start a motion. A target beyond a software limit is replaced by the limit, and bit 11 is set."""
         self._underway = True
         self._goal = target
         allowed = target if self._mode == HOMING else self.parameters.within_limits(target)
@@ -315,16 +318,16 @@ class ServoDrive:
         speed_deg_per_s = speed / abs(self._units_per_degree) or None
         try:
             self._axes.begin_turn(self._config.axis, angle_deg, speed_deg_per_s)
-        except (DeviceError, ValueError):  # physics refuses what its stops do not allow
+        except (DeviceError, ValueError):  # refused by the mechanical stops
             self.trip(REFERENCE_LIMIT)
 
     def _barred(self) -> bool:
-        """Whether an active limit switch is in the way to the goal."""
+        """Return True if an active limit switch blocks the direction of the goal."""
         ahead = (self._goal or 0) - self._position()
         return bool(self._switches & (POSITIVE_SWITCH if ahead > 0 else NEGATIVE_SWITCH))
 
     def _stop_at_switch(self) -> None:
-        """The goal stays: it is not reached."""
+        """Stop at an active limit switch; the goal remains and is not reached."""
         if self._underway and self._barred():
             self._axes.halt(self._config.axis)
 
@@ -338,7 +341,7 @@ class ServoDrive:
         self._axes.halt(self._config.axis)
 
     def _settle(self) -> None:
-        """Take the transitions that are due by themselves."""
+        """Execute the state transitions that are due."""
         moving = self._axes.moving(self._config.axis)
         if self._state is DriveState.FAULT_REACTION and not moving:
             self._state = DriveState.FAULT
@@ -355,7 +358,7 @@ class ServoDrive:
 
 
 def drive_node(config: DriveConfig, axes: MountAxes) -> tuple[CanopenNode, ServoDrive]:
-    """A drive and the node it is reached by."""
+    """Return a drive and the node through which it is reached."""
     drive = ServoDrive(config, axes)
     node = CanopenNode(
         config.node_id,

@@ -1,4 +1,4 @@
-"""Every mount of the simulated machine on one CAN bus: two drives each, and what can be made to fail in them."""
+"""All mounts of the simulated machine on one CAN bus: two drives each, and the faults that can be injected."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from simulators.wire.can.slcan_peer import SlcanPeerBus
 ENCODER_INCREMENTS: Final = 131072
 GEAR: Final = 100
 COUNTS_PER_DEGREE: Final = ENCODER_INCREMENTS * GEAR / 360
-"""17-bit encoder on the motor, gear 100:1."""
+"""Encoder counts per degree: 17-bit encoder on the motor, gear ratio 100:1."""
 
 AXES: Final = ("azimuth", "elevation")
 OVER_CURRENT, DEVICE_TOO_HOT = 0x2310, 0x4210
@@ -35,7 +35,7 @@ BUS_OFF = can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=T
 
 
 class CanMounts:
-    """Opens its end of the bus when it is built. `lock` protects the world that the drives look at."""
+    """Drives of all mounts on a bus that is opened at construction. `lock` protects the world that the drives read."""
 
     def __init__(self, spec: str, mounts: Sequence[MountAxes], lock: AbstractContextManager[bool]) -> None:
         self._channel: CanChannel = open_channel(spec)
@@ -51,9 +51,9 @@ class CanMounts:
         return self._channel.agent_settings
 
     def fail(self, node_id: int, fault: str) -> None:
-        """Have one drive fail, or be well again. The caller holds the lock.
+        """Inject a fault into one drive, or clear it. The caller holds the lock.
 
-        Raises InputError for a node or a fault that there is not.
+        Raises InputError for an unknown node or fault.
         """
         if node_id not in self._drives:
             raise InputError(f"there is no drive at node {node_id}", key="node", hint=f"nodes: {sorted(self._drives)}")
@@ -66,7 +66,9 @@ class CanMounts:
         faults[fault]()
 
     def _go_off_bus(self) -> None:
-        """As after a short circuit: a serial adapter passes nothing on, others report it by an error frame."""
+        """Simulate bus-off, as after a short circuit: a serial adapter forwards nothing, other interfaces report an
+        error frame.
+        """
         if isinstance(self._channel.bus, SlcanPeerBus):
             self._channel.bus.go_off_bus()
         else:
@@ -74,14 +76,14 @@ class CanMounts:
 
 
 def drive_configs(mounts: int) -> list[tuple[DriveConfig, ...]]:
-    """Nodes 1 and 2 for the first mount, 3 and 4 for the second, and so on."""
+    """Return the drive configurations of each mount: nodes 1 and 2 for the first, 3 and 4 for the second, and so on."""
     return [
         tuple(_drive(2 * number + place, axis) for place, axis in enumerate(AXES, start=1)) for number in range(mounts)
     ]
 
 
 def _drive(node_id: int, axis: str) -> DriveConfig:
-    """Its serial number is its node id: no two are alike."""
+    """Return the configuration of one drive; its serial number is its node id, so all serial numbers differ."""
     factors = FactorGroup.in_increments(ENCODER_INCREMENTS, GEAR)
     return DriveConfig(node_id, axis, COUNTS_PER_DEGREE, identity=(*VENDOR_AND_PRODUCT, 1, node_id), factors=factors)
 

@@ -1,6 +1,6 @@
-"""A CANopen node as CiA 301 describes it: NMT slave, heartbeat producer, EMCY producer, SDO server.
+"""CANopen node according to CiA 301: NMT slave, heartbeat producer, EMCY producer, SDO server.
 
-Bytes in, bytes out: frames are (identifier, data) pairs, no bus and no thread. `advance` tells the time.
+Frames are (identifier, data) pairs; there is no bus and no thread. `advance` sets the time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from simulators.wire.can.sdo import ObjectDictionary, ObjectEntry, SdoServer
 Frame = tuple[int, bytes]
 
 HARDWARE_VERSION, SOFTWARE_VERSION = "simulated", "volcal"
-"""0x1009 and 0x100A."""
+"""Contents of 0x1009 and 0x100A."""
 
 
 class NmtState(IntEnum):
@@ -26,7 +26,7 @@ class NmtState(IntEnum):
 
 
 class Application(Protocol):
-    """What sits behind the communication profile."""
+    """Device application behind the communication profile."""
 
     @property
     def error_register(self) -> int: ...
@@ -34,16 +34,16 @@ class Application(Protocol):
     def dictionary(self) -> ObjectDictionary: ...
 
     def reset(self) -> None:
-        """Power-on state."""
+        """Restore the power-on state."""
 
     def advance(self, now_s: float) -> None: ...
 
     def take_emergencies(self) -> list[int]:
-        """Error codes to be sent, oldest first; 0 when an error was reset."""
+        """Return the error codes to be sent, oldest first; 0 when an error was reset."""
 
 
 class CanopenNode:
-    """`device_type` is 0x1000; `identity` is 0x1018: vendor, product, revision, serial."""
+    """CANopen node. `device_type` is 0x1000; `identity` is 0x1018: vendor, product, revision, serial number."""
 
     def __init__(
         self,
@@ -82,14 +82,14 @@ class CanopenNode:
         self._sdo = SdoServer({**own, **application.dictionary()})
 
     def boot(self) -> list[Frame]:
-        """Power-on or reset: the boot-up message, then pre-operational."""
+        """Power on or reset: send the boot-up message and enter pre-operational."""
         self._application.reset()
         self.state = NmtState.PRE_OPERATIONAL
         self._heartbeat_ms = 0
         return self._out([(0x700 + self.node_id, bytes([NmtState.BOOT_UP]))])
 
     def receive(self, identifier: int, data: bytes) -> list[Frame]:
-        """The node's answer to a frame on the bus."""
+        """Return the node's answer to a frame on the bus."""
         if self.silent:
             return []
         if identifier == 0x000 and len(data) == 2 and data[1] in (0, self.node_id):
@@ -104,7 +104,7 @@ class CanopenNode:
         return []
 
     def advance(self, now_s: float) -> list[Frame]:
-        """What the node sends by itself up to `now_s`. A long step yields one heartbeat, not a backlog."""
+        """Return the frames that the node sends up to `now_s`. A long step yields one heartbeat, not a backlog."""
         self._now_s = now_s
         self._application.advance(now_s)
         frames = self._emergency_frames()
@@ -114,11 +114,11 @@ class CanopenNode:
         return self._out(frames)
 
     def stop_heartbeat(self) -> None:
-        """The node falls silent there and still answers."""
+        """Stop the heartbeat; the node still answers."""
         self._heartbeat_ms = 0
 
     def lose_answers(self, count: int) -> None:
-        """The next `count` SDO answers do not arrive; what they answer has been done."""
+        """Drop the next `count` SDO answers; the requests themselves are executed."""
         self._answers_to_lose = count
 
     def _command(self, command: int) -> list[Frame]:
@@ -136,7 +136,10 @@ class CanopenNode:
         self._watched = value
 
     def _emergency_frames(self) -> list[Frame]:
-        """COB-ID 0x80 + node: error code, error register, five bytes of the maker (CiA 301, 7.2.7)."""
+        """Return the pending EMCY frames.
+
+        COB-ID 0x80 + node: error code, error register, five manufacturer-specific bytes (CiA 301, 7.2.7).
+        """
         frames: list[Frame] = []
         for code in self._application.take_emergencies():
             if code:

@@ -1,7 +1,7 @@
-"""What a simulated drive keeps besides its state machine: parameters with their power-on values, as CiA 402 lists them.
+"""Parameters of a simulated drive outside its state machine, with their power-on values, as listed in CiA 402.
 
-Most only keep what is written. The factor group (0x608F, 0x6091, 0x6092) and the polarity act: positions are
-increments * feed / (encoder resolution * gear ratio), and bit 7 of 0x607E turns their sign.
+Most are only stored. The factor group (0x608F, 0x6091, 0x6092) and the polarity take effect: a position is increments *
+feed / (encoder resolution * gear ratio), and bit 7 of 0x607E reverses its sign.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _ALWAYS: dict[Key, tuple[str, int]] = {
 
 @dataclass(frozen=True)
 class FactorGroup:
-    """The power-on values of 0x608F, 0x6091, 0x6092 (each a pair), 0x607E, and of 0x60A8 and 0x60A9 (SI units)."""
+    """Power-on values of 0x608F, 0x6091, 0x6092 (each a pair), 0x607E, and of 0x60A8 and 0x60A9 (SI units)."""
 
     resolution: tuple[int, int]
     gear: tuple[int, int]
@@ -48,7 +48,7 @@ class FactorGroup:
 
     @classmethod
     def in_increments(cls, increments: int, gear: int) -> FactorGroup:
-        """The unit of position is an increment of the encoder: all factors together are one."""
+        """Return factors whose product is one: the position unit is an encoder increment."""
         return cls((increments, 1), (gear, 1), (increments * gear, 1))
 
     def entries(self) -> dict[Key, tuple[str, int]]:
@@ -68,19 +68,19 @@ class Parameters:
         self.reset()
 
     def reset(self) -> None:
-        """Power-on values."""
+        """Restore the power-on values."""
         self._values = {key: value for key, (_, value) in self._kept.items()}
 
     def __getitem__(self, key: Key) -> int:
         return self._values[key]
 
     def __setitem__(self, key: Key, value: int) -> None:
-        """As the maker's own tool sets it, past the bus."""
+        """Set a value without the bus, as the maker's own tool does."""
         self._values[key] = value
 
     @property
     def units_per_increment(self) -> float:
-        """Position units for one increment, negative where the polarity is reversed."""
+        """Position units per increment; negative if the polarity is reversed."""
         if not self._has_factors:
             return 1.0
         resolution = self[RESOLUTION] / self[RESOLUTION_TURNS]
@@ -89,7 +89,7 @@ class Parameters:
         return (-1.0 if self[POLARITY] & REVERSED_POSITION else 1.0) * feed / (resolution * gear)
 
     def within_limits(self, position: int) -> int:
-        """The position, or the software limit that it would go beyond."""
+        """Return `position`, clipped to the software limits."""
         lower, upper = self[LOWER_LIMIT], self[UPPER_LIMIT]
         return min(max(position, lower), upper) if lower < upper else position
 

@@ -1,6 +1,6 @@
-"""An SDO server as CiA 301 section 7.2.4 describes it: bytes in, bytes out.
+"""SDO server according to CiA 301 section 7.2.4.
 
-Expedited transfers both ways and segmented upload; nothing a drive offers to write is longer than four
+Supports expedited transfers in both directions and segmented upload. No writable object of a drive is longer than four
 bytes, so a segmented download is refused by length, and block transfer as an unknown command.
 """
 
@@ -22,7 +22,7 @@ ABORT_LOCAL_STATE = 0x08000022
 
 
 class SdoAbortError(Exception):
-    """Raised by an entry's reader or writer; `code` travels to the client."""
+    """Abort raised by an entry's reader or writer; `code` is sent to the client."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"SDO abort 0x{code:08X}")
@@ -55,7 +55,7 @@ ObjectDictionary = Mapping[tuple[int, int], ObjectEntry]
 
 
 class SdoServer:
-    """Answers the requests of one client on one channel."""
+    """SDO server for one client on one channel."""
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
@@ -65,7 +65,9 @@ class SdoServer:
         self._toggle = 0
 
     def answer(self, request: bytes) -> bytes | None:
-        """Eight bytes for eight bytes; None for an abort by the client and for a frame of another length."""
+        """Return the 8-byte answer to an 8-byte request; None for an abort by the client or a frame
+        of another length.
+        """
         if len(request) != 8:
             return None
         command = request[0]

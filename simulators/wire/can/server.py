@@ -1,4 +1,4 @@
-"""Simulated CANopen nodes on a python-can bus: a thread that answers, a hook that lets time pass."""
+"""Simulated CANopen nodes on a python-can bus: one thread answers, and a hook advances time."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _log = structlog.get_logger("can_server")
 
 
 class CanServer:
-    """Serves `nodes` on `bus`, which it shuts when it closes.
+    """Serves `nodes` on `bus`, which it shuts down on closing.
 
-    `lock` protects the world behind the nodes and is held while they answer; whoever advances that world from
-    another thread holds the same (re-entrant) lock. Subscribe `advance` to the clock after the world itself.
+    `lock` protects the world behind the nodes and is held while they answer; code that advances that world from another
+    thread holds the same (re-entrant) lock. Subscribe `advance` to the clock after the world itself.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class CanServer:
         return self
 
     def advance(self, now_s: float) -> None:
-        """Machine time is now `now_s`: heartbeats and emergencies that are due are sent."""
+        """Set machine time to `now_s` and send the heartbeats and emergencies that are due."""
         with self._lock:
             for node in self._nodes:
                 self._send(node.advance(now_s))

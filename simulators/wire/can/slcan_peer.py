@@ -1,13 +1,12 @@
-"""A serial CAN adapter on a pseudo-terminal, and the bus behind it: what the ``slcan`` interface talks to.
+"""Serial CAN adapter on a pseudo-terminal, and the bus behind it: the peer of the ``slcan`` interface.
 
-Like the server for socketcand it is itself a python-can bus: `recv` gives what the host puts on the bus, `send` brings
-a frame to the host. Written from the manual of LAWICEL's CAN232 and CANUSB: ASCII commands that end with CR, answered
-by CR or BELL; a channel that is closed, set to a bit rate and opened; frames as ``tiiildd..`` and ``Tiiiiiiiildd..``;
-polling switched off as in the CANUSB.
+Like the socketcand server it is itself a python-can bus: `recv` returns the frames from the host, `send` passes a frame
+to the host. Written from the manual of LAWICEL's CAN232 and CANUSB: ASCII commands that end with CR, answered by CR or
+BELL; a channel that is closed, set to a bit rate and opened; frames as ``tiiildd..`` and ``Tiiiiiiiildd..``; polling
+switched off as in the CANUSB.
 
-The line has a limit: a pseudo-terminal takes some ten kB that nobody has fetched. What it does not take waits in the
-adapter's queue, in order; where that overflows too, frames are lost as in the real one, and bit 0 of the status flags
-tells so.
+The line has a limit: a pseudo-terminal buffers about ten kB of unread data. Further frames wait in order in the
+adapter's queue; if that overflows too, frames are lost as in the real adapter, and bit 0 of the status flags is set.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ CR, BELL = b"\r", b"\a"
 QUEUED_FRAMES = 8192
 LONGEST_COMMAND = len("T1FFFFFFF8") + 16
 FLUSH_CYCLE_S = 0.002
-"""How often a line that was full is tried again."""
+"""Interval in s at which a full line is tried again."""
 RECEIVE_QUEUE_FULL, ERROR_WARNING, ERROR_PASSIVE, BUS_ERROR = 0x01, 0x04, 0x20, 0x80
 TRANSMIT = tuple("tTrR")
 BIT_RATES = LENGTHS = tuple("012345678")
-"""S0 ... S8 are 10, 20, 50, 100, 125, 250, 500, 800 and 1000 kbit/s."""
+"""Codes S0 ... S8 mean 10, 20, 50, 100, 125, 250, 500, 800 and 1000 kbit/s."""
 IDENTIFICATION = {"V": b"V1013", "N": b"NVC01"}
-"""Version of hardware and software, serial number."""
+"""Answers with hardware and software version, and serial number."""
 
 
 class SlcanPeerBus(can.BusABC):
-    """`link`: a path that is made to point at the terminal, or "any"; see `port` for what the host opens."""
+    """Bus behind the adapter. `link`: a path made to point at the terminal, or "any"; the host opens `port`."""
 
     def __init__(self, link: str = ANY) -> None:
         super().__init__(channel=link)
@@ -52,11 +51,13 @@ class SlcanPeerBus(can.BusABC):
         self._line.start()
 
     def go_off_bus(self) -> None:
-        """As after a short circuit of the cable: nothing passes either way, and the flags tell."""
+        """Simulate bus-off, as after a short circuit of the cable: no frames in either direction, and the flags are
+        set.
+        """
         self._off_bus = True
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """To the host, while its channel is open."""
+        """Send a frame to the host while its channel is open."""
         del timeout
         if not self._open or self._off_bus or msg.is_error_frame:
             return
@@ -90,7 +91,7 @@ class SlcanPeerBus(can.BusABC):
             self._flush()
 
     def _flush(self) -> bool:
-        """Give the line what it takes; whether something is left over."""
+        """Write as much as the line accepts; return True if data remains."""
         with self._lock:
             while self._outgoing and not self._is_shutdown:
                 taken = self._line.offer(self._outgoing[0])
@@ -101,7 +102,7 @@ class SlcanPeerBus(can.BusABC):
             return False
 
     def _receive(self, data: bytes) -> None:
-        """Bytes from the host."""
+        """Process bytes from the host."""
         with self._lock:
             *commands, self._pending = (self._pending + data).split(CR)
             if len(self._pending) > LONGEST_COMMAND:
@@ -121,7 +122,9 @@ class SlcanPeerBus(can.BusABC):
         return CR if self._set_up(letter, rest) else BELL
 
     def _set_up(self, letter: str, rest: str) -> bool:
-        """The commands that open, close and set the channel; False for one that is none or not for now."""
+        """Execute a command that opens, closes or configures the channel; return False if it is unknown or not allowed
+        now.
+        """
         match letter:
             case "O" | "L" if not self._open and self._bit_rate_set:
                 self._outgoing.clear()
@@ -139,7 +142,7 @@ class SlcanPeerBus(can.BusABC):
         return True
 
     def _status_flags(self) -> int:
-        """They tell of what was since they were last asked for."""
+        """Return the status flags collected since the last request."""
         flags, self._flags = self._flags, 0
         return flags | (ERROR_WARNING | ERROR_PASSIVE | BUS_ERROR if self._off_bus else 0)
 
@@ -154,7 +157,7 @@ class SlcanPeerBus(can.BusABC):
 
 
 def format_frame(message: can.Message) -> bytes:
-    """How the adapter writes a frame, without its CR."""
+    """Return a frame as the adapter writes it, without its CR."""
     letters = "rR" if message.is_remote_frame else "tT"
     extended = message.is_extended_id
     identifier = f"{message.arbitration_id:08X}" if extended else f"{message.arbitration_id:03X}"
@@ -163,14 +166,14 @@ def format_frame(message: can.Message) -> bytes:
 
 
 def parse_frame(command: str) -> can.Message:
-    """The frame that a transmit command means. Raises ValueError for one that means none."""
+    """Return the frame of a transmit command. Raises ValueError for an invalid command."""
     extended, remote = command[0] in "TR", command[0] in "rR"
     digits = 8 if extended else 3
     identifier, length, data = command[1 : 1 + digits], command[1 + digits : 2 + digits], command[2 + digits :]
     if len(identifier) != digits or length not in LENGTHS:
-        raise ValueError(f"{command!r} is no frame")
+        raise ValueError(f"{command!r} is not a frame")
     if len(data) != (0 if remote else 2 * int(length)):
-        raise ValueError(f"{command!r} has not the data that it announces")
+        raise ValueError(f"the data of {command!r} does not have the announced length")
     return can.Message(
         arbitration_id=int(identifier, 16),
         is_extended_id=extended,

@@ -1,12 +1,12 @@
-"""A CAN bus over TCP that speaks the socketcand protocol, for two processes without kernel CAN.
+"""CAN bus over TCP using the socketcand protocol, for two processes without kernel CAN.
 
-The server is itself a python-can bus: its `recv` accepts clients, answers their commands and passes their
-frames on to the other clients and to its caller; its `send` goes to every client. No thread of its own, so
-somebody has to be in `recv` for clients to be served.
+The server is itself a python-can bus: its `recv` accepts clients, answers their commands and passes their frames on to
+the other clients and to its caller; its `send` goes to every client. It has no thread, so clients are served only while
+a caller is in `recv`.
 
-Protocol: doc/protocol.md of linux-can/socketcand (``< hi >``, open, rawmode, send, sendrtr, echo). Where
-that text shows the data of a ``< frame ... >`` separated by blanks, the daemon writes it without, python-can's
-client reads it so, and so does this server.
+Protocol: doc/protocol.md of linux-can/socketcand (``< hi >``, open, rawmode, send, sendrtr, echo). That text shows the
+data of a ``< frame ... >`` separated by blanks; the daemon writes it without, python-can's client reads it so, and this
+server does the same.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import structlog
 from drivers.clock import wall_seconds
 
 SEND_WITHIN_S = 2.0
-"""A client that takes no bytes for so long is dropped."""
+"""A client that accepts no bytes for this time in s is dropped."""
 LONGEST_COMMAND = 200
 
 _log = structlog.get_logger("socketcand")
@@ -38,7 +38,7 @@ class _Client:
 
 
 class SocketcandServerBus(can.BusABC):
-    """The bus `channel` at TCP `host`:`port`; port 0 takes any free one, see `port`."""
+    """Bus `channel` at TCP `host`:`port`; port 0 selects a free port, see `port`."""
 
     def __init__(self, channel: str, host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__(channel=channel)
@@ -53,7 +53,7 @@ class SocketcandServerBus(can.BusABC):
         self._lock = threading.RLock()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """To every client in raw mode; a client that does not take it is dropped."""
+        """Send a frame to every client in raw mode; a client that does not accept it is dropped."""
         del timeout
         self._broadcast(msg, sender=None)
 
@@ -118,7 +118,7 @@ class SocketcandServerBus(can.BusABC):
                 self._write(client, "< ok >")
             case ["open", _]:
                 self._write(client, "< error could not open bus >")
-                self._drop(client, "unknown bus asked for")
+                self._drop(client, "unknown bus requested")
             case ["rawmode"]:
                 client.raw = True
                 self._write(client, "< ok >")
@@ -159,11 +159,11 @@ class SocketcandServerBus(can.BusABC):
             with contextlib.suppress(KeyError, ValueError):
                 self._selector.unregister(client.stream)
             client.stream.close()
-        _log.info("client gone", bus=self.channel_info, reason=reason)
+        _log.info("client disconnected", bus=self.channel_info, reason=reason)
 
 
 def format_frame(message: can.Message, instant_s: float) -> str:
-    """What a client in raw mode is told of a frame on the bus."""
+    """Return the text sent to a client in raw mode for a frame on the bus."""
     identifier = f"{message.arbitration_id:08X}" if message.is_extended_id else f"{message.arbitration_id:03X}"
     if message.is_error_frame:
         return f"< error {message.arbitration_id:08X} {instant_s:.6f} >"
@@ -173,9 +173,9 @@ def format_frame(message: can.Message, instant_s: float) -> str:
 
 
 def parse_send(identifier: str, length: str, data: list[str], *, remote: bool) -> can.Message:
-    """A frame from the words of a send command. Eight hexadecimal digits mean an extended identifier.
+    """Return a frame from the words of a send command. Eight hexadecimal digits mean an extended identifier.
 
-    Raises ValueError for words that are no frame.
+    Raises ValueError for words that do not form a frame.
     """
     count = int(length)
     if not remote and count != len(data):

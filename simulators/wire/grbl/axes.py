@@ -1,4 +1,4 @@
-"""The axes as GRBL's stepper side sees them: one planned move at a time, whole steps, the probe's pin and latch."""
+"""Axes as seen by GRBL's stepper side: one planned move at a time in whole steps, with the probe's pin and latch."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from simulators.wire.grbl.settings import RATE, TRAVEL, GrblSettings
 
 @dataclass(frozen=True)
 class PlannedMove:
-    """Machine coordinates; a feed of None is rapid."""
+    """Move in machine coordinates, in mm; a feed of None is rapid."""
 
     target_mm: Triple
     feed_mm_per_min: float | None
 
 
 class GrblAxes:
-    """Carries out what the planner hands over. `current_move` stays until somebody asks whether it has ended."""
+    """Executes the planner's moves. `current_move` stays set until the caller has checked whether it has ended."""
 
     def __init__(self, physics: GrblPhysics, settings: GrblSettings, now: Callable[[], float]) -> None:
         self._physics = physics
@@ -40,7 +40,7 @@ class GrblAxes:
 
     @property
     def failed(self) -> bool:
-        """A collision or what else stops the drives by itself."""
+        """True after a collision or any other event that stops the drives."""
         return self._physics.motion is MotionState.FAULT
 
     @property
@@ -53,7 +53,7 @@ class GrblAxes:
 
     @property
     def pin(self) -> bool:
-        """What the probe's input shows; the probe is wired for ``$6=0``."""
+        """State of the probe's input; the probe is wired for ``$6=0``."""
         return self._physics.probe_deflected != self._settings.flag(6)
 
     @property
@@ -71,7 +71,7 @@ class GrblAxes:
         return self._coordinates.from_axes(self._physics.displayed_position())
 
     def latch_after(self, latches: int) -> Triple | None:
-        """Where the probe has tripped since there were so many latches."""
+        """Return the position of the latest trip if it came after the first `latches` latches, else None."""
         latch = self._physics.latch
         return self._coordinates.from_axes(latch.position) if latch is not None and latch.sequence > latches else None
 
@@ -80,7 +80,7 @@ class GrblAxes:
         return any(value > 0.0 or value < -length for value, length in zip(target_mm, travel, strict=True))
 
     def begin(self, move: PlannedMove, *, touching: bool = False, leaving: bool = False) -> bool:
-        """False where the physics does not let it begin. `leaving`: it ends where the probe comes free."""
+        """Start a move; return False if the physics refuses it. `leaving`: the move ends when the probe separates."""
         self.current_move, self._leaving, self.released_at_mm = move, leaving, None
         target = np.array(self._coordinates.to_axes(move.target_mm))
         feed = None if move.feed_mm_per_min is None else move.feed_mm_per_min / 60.0
@@ -95,14 +95,14 @@ class GrblAxes:
         return True
 
     def watch_pin(self) -> None:
-        """Brake where the probe has come free, if that is what the move is for."""
+        """Brake once the probe has separated, if that is the purpose of the move."""
         free_s = self._physics.probe_free_s if self._leaving else None
         if free_s is not None and self._now() >= free_s and self.released_at_mm is None:
             self.released_at_mm = self.position()
             self._physics.halt()
 
     def next_event_s(self) -> float | None:
-        """When the motion ends, or earlier the probe comes free."""
+        """Return the instant at which the motion ends or, if earlier, the probe separates."""
         free_s = self._physics.probe_free_s if self._leaving and self.released_at_mm is None else None
         known = [instant for instant in (self._physics.motion_ends_s, free_s) if instant is not None]
         return min(known, default=None)

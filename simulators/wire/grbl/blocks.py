@@ -1,4 +1,4 @@
-"""G-code blocks as GRBL 1.1 reads them: words, modal groups, and the errors in the order of its checks.
+"""G-code blocks as GRBL 1.1 reads them: words, modal groups, and errors in the order of its checks.
 
 Not simulated, answered with error 20: arcs (G2, G3), predefined positions (G28, G30), inverse time (G93) and jogging.
 Source: gnea/grbl, doc/markdown/commands.md and doc/csv/error_codes_en_US.csv.
@@ -42,7 +42,7 @@ PROBING: Final = frozenset({38.2, 38.3, 38.4, 38.5})
 
 
 class BlockError(Exception):
-    """`code` is the number after ``error:``."""
+    """Error in a block; `code` is the number after ``error:``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -51,7 +51,9 @@ class BlockError(Exception):
 
 @dataclass(frozen=True)
 class ModalState:
-    """The parser's state; lengths in mm. Offsets of G92 and G43.1 are lost by a reset, those of G54 to G59 are not."""
+    """Modal state of the parser; lengths in mm. A reset clears the offsets of G92 and G43.1, but not those of G54 to
+    G59.
+    """
 
     motion: float = 0
     plane: float = 17
@@ -69,7 +71,7 @@ class ModalState:
 
 @dataclass(frozen=True)
 class GcodeBlock:
-    """What a line wants. `target_mm`: machine coordinates, None where nothing moves."""
+    """Actions requested by one line. `target_mm`: machine coordinates, None if nothing moves."""
 
     motion: float | None = None
     target_mm: Triple | None = None
@@ -79,19 +81,19 @@ class GcodeBlock:
 
 @dataclass
 class WorkOffsets:
-    """Of G54 to G59: work coordinate 0 in machine coordinates, mm."""
+    """Offsets G54 to G59: machine coordinates of work coordinate 0, in mm."""
 
     systems: dict[int, Triple] = field(default_factory=lambda: dict.fromkeys(range(54, 60), ORIGIN))
 
     def work_offset(self, modes: ModalState) -> Triple:
-        """`WCO`: machine = work + this."""
+        """Return `WCO` in mm: machine = work + WCO."""
         x, y, z = self.systems[modes.coordinates]
         gx, gy, gz = modes.g92_mm
         return x + gx, y + gy, z + gz + modes.tool_length_mm
 
 
 def parse_words(line: str) -> list[tuple[str, float]]:
-    """Letters and values of a line without blanks and comments. Raises BlockError."""
+    """Return letters and values of a line without blanks and comments. Raises BlockError."""
     words: list[tuple[str, float]] = []
     at = 0
     while at < len(line):
@@ -106,7 +108,7 @@ def parse_words(line: str) -> list[tuple[str, float]]:
 
 
 class BlockParser:
-    """Takes lines one after the other; a line with an error changes nothing."""
+    """Parser of consecutive lines; a line with an error changes nothing."""
 
     def __init__(self, offsets: WorkOffsets) -> None:
         self.offsets = offsets
@@ -117,7 +119,7 @@ class BlockParser:
         return self.offsets.work_offset(self.modes)
 
     def read(self, line: str, machine_mm: Triple) -> GcodeBlock:
-        """`machine_mm`: where the last line ended, machine coordinates. Raises BlockError."""
+        """Parse one line. `machine_mm`: end of the previous line in machine coordinates. Raises BlockError."""
         codes, values = self._sorted(parse_words(line))
         modes = self._modes(codes, values)
         once = codes.get("once")

@@ -1,12 +1,12 @@
-"""A GRBL 1.1 controller in front of the simulated machine, written from GRBL's documents.
+"""GRBL 1.1 controller in front of the simulated machine, written from GRBL's documents.
 
-Two programs share it, as on the chip. Real-time characters are taken out of the stream the instant they arrive. Lines
-wait in a receive buffer of 128 bytes for the main program, which reads one at a time and stands still where GRBL's
-does: while the planner is full, until a dwell or a probe cycle has finished, and through every hold. It is written as
-a generator that yields what it waits for.
+Two programs share it, as on the chip. Real-time characters are taken out of the stream on arrival. Lines wait in a
+receive buffer of 128 bytes for the main program, which reads one at a time and waits wherever GRBL's does: while the
+planner is full, until a dwell or a probe cycle has finished, and through every hold. It is written as a generator that
+yields the condition it waits for.
 
 The physics has no look-ahead over blocks: every block is braked to rest. After a reset in motion the simulated axes
-brake instead of losing steps; the alarm comes all the same. A collision reaches GRBL as its limit input.
+brake instead of losing steps; the alarm is raised all the same. A collision reaches GRBL as its limit input.
 
 Source: gnea/grbl, doc/markdown/interface.md, commands.md, realtime_cmds.md.
 """
@@ -25,7 +25,7 @@ from simulators.wire.grbl.physics import GrblPhysics
 from simulators.wire.grbl.settings import GrblSettings, SettingRefusedError
 
 RECEIVE_BUFFER: Final = 128
-"""Bytes, of which one is never used."""
+"""Size of the receive buffer in bytes; one byte is never used."""
 LINE_BUFFER: Final = 80
 PLANNER_BLOCKS: Final = 15
 
@@ -38,7 +38,7 @@ TOWARDS, NO_ALARM = frozenset({38.2, 38.3}), frozenset({38.3, 38.5})
 
 WaitCondition = Callable[[], bool]
 Program = Generator[WaitCondition, None, int | None]
-"""Ends with the number after ``error:``, None for ``ok``."""
+"""Main program; returns the number after ``error:``, or None for ``ok``."""
 
 
 class GrblState(Enum):
@@ -51,10 +51,11 @@ class GrblState(Enum):
 
 
 class GrblController:
-    """`received` takes bytes from the line, `send` puts bytes on it; `on_advance` and `wakes_at` tie it to time.
+    """GRBL behind a line: `received` takes its bytes, `send` writes to it; `on_advance` and `wakes_at` connect it to
+    time.
 
-    Homed when it starts, unless `homed` is False: then it is locked, as after switching on. Not simulated: check mode,
-    sleep, jogging, startup lines, overrides.
+    It starts homed unless `homed` is False; then it is locked, as after power-on. Not simulated: check mode, sleep,
+    jogging, startup lines, overrides.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class GrblController:
     # ------------------------------------------------------------------ the line
 
     def received(self, data: bytes) -> None:
-        """Real-time characters act at once; the rest waits for the main program."""
+        """Handle real-time characters at once; store the rest for the main program."""
         for byte in data:
             if byte in _REALTIME:
                 _REALTIME[byte](self)
@@ -92,13 +93,13 @@ class GrblController:
         self._run()
 
     def on_advance(self, _now_s: float) -> None:
-        """The world has moved on."""
+        """React to the advance of the world."""
         if self._axes.door_open and self.state is not GrblState.DOOR:
             self.open_door()
         self._run()
 
     def wakes_at(self) -> float | None:
-        """The next instant at which something here must react."""
+        """Return the next instant in s at which the controller must react, or None."""
         known = [instant for instant in (self._axes.next_event_s(), self._dwell_until_s) if instant is not None]
         return min(known, default=None)
 
@@ -130,19 +131,19 @@ class GrblController:
         self._axes.resume()
 
     def soft_reset(self) -> None:
-        """What moves is broken off, and then its position is not certain any more."""
+        """Abort everything; if the axes were moving, their position is no longer certain."""
         if self._axes.moving and self.state is not GrblState.ALARM:
             self.send_line(f"ALARM:{HOMING_RESET if self.state is GrblState.HOME else ABORTED}")
             self.state = GrblState.ALARM
         self._axes.abort()
         if self._in_line:
-            self.send_line("ok")  # the line that is broken off is answered before everything begins anew
+            self.send_line("ok")  # the aborted line is answered before the restart
         self.state = GrblState.ALARM if self.state is GrblState.ALARM else GrblState.IDLE
         self._restart()
         self._welcome()
 
     def reboot(self) -> None:
-        """Power comes back: position lost, locked until it is homed, if it can home."""
+        """Restore power: position lost, locked until homed if homing is enabled."""
         self._axes.abort()
         self.state = GrblState.ALARM if self.settings.flag(22) else GrblState.IDLE
         self._restart()
@@ -154,7 +155,7 @@ class GrblController:
             self.send_line(reports.LOCKED)
 
     def cancel_jog(self) -> None:
-        """Cancels a jog; nothing here jogs."""
+        """Do nothing: jogging is not simulated."""
 
     # ------------------------------------------------------------------ main program
 
@@ -197,7 +198,9 @@ class GrblController:
             self.send_line(f"error:{code}" if code else "ok")
 
     def _line_received(self) -> bool:
-        """Takes bytes out of the receive buffer up to the end of a line; blanks and comments fall away."""
+        """Move bytes from the receive buffer up to the end of a line, dropping blanks and comments; True at the end of
+        a line.
+        """
         while self._waiting and not self._line_complete:
             character = chr(self._waiting.pop(0))
             if character in "\r\n":
@@ -246,7 +249,7 @@ class GrblController:
         return None
 
     def _probe(self, motion: float, target_mm: Triple) -> Program:
-        """G38.n: everything before it is finished first; the answer comes after the message of the result."""
+        """Execute G38.n: everything before it is finished first; the answer follows the message with the result."""
         yield self._synchronised
         towards, axes = motion in TOWARDS, self._axes
         self._probed = (self._probed[0], False)
@@ -356,7 +359,7 @@ class GrblController:
             self._alarm(HARD_LIMIT)
 
     def _end_motion(self) -> None:
-        """What follows from the axes being where they are."""
+        """Update the state according to the axes: probe separated, axes failed, or motion complete."""
         axes = self._axes
         axes.watch_pin()
         if axes.failed and not self._critical and self.state is not GrblState.ALARM:
@@ -378,7 +381,7 @@ class GrblController:
             self._critical = True
             self.send_line(reports.RESET_TO_CONTINUE)
 
-    # ------------------------------------------------------------------ what it tells
+    # ------------------------------------------------------------------ status
 
     def _snapshot(self) -> reports.StatusSnapshot:
         modes, axes = self._parser.modes, self._axes

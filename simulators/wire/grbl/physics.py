@@ -1,4 +1,4 @@
-"""What a simulated GRBL needs of the physics behind it (`simulators.world.controller.Controller` has it all)."""
+"""Physics that a simulated GRBL needs; implemented by `simulators.world.controller.Controller`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simulators.wire.modbus.physics import MovingMachine
 
 
 class GrblPhysics(MovingMachine, Protocol):
-    """A moving machine that also tells when something will happen."""
+    """Moving machine that also forecasts its next events."""
 
     @property
     def motion_ends_s(self) -> float | None: ...
@@ -23,7 +23,7 @@ Triple = tuple[float, float, float]
 
 
 class MachineCoordinates:
-    """GRBL's machine coordinates: zero where the axes home, at the upper end of each, all others negative.
+    """GRBL's machine coordinates: zero at the homing position at the upper end of each axis, negative elsewhere.
 
     Every position is a whole number of steps.
     """

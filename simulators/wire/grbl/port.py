@@ -1,4 +1,4 @@
-"""The simulated GRBL on its pseudo-terminal."""
+"""Simulated GRBL on its pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulators.wire.pty_port import ANY, PseudoTerminal
 from simulators.wire.shared_world import SharedWorld, TimeDriven
 
 BAUD: Final = 115200
-"""What the documents ask for; a pseudo-terminal has none."""
+"""Baud rate required by GRBL's documents; a pseudo-terminal has none."""
 
 
 class WorldWithAxes(TimeDriven, Protocol):
@@ -41,7 +41,9 @@ class GrblPort:
 
     @property
     def agent_settings(self) -> dict[str, object]:
-        """The keys of a serial device's settings. Where the axes read 0 GRBL, homed at their upper ends, reads less."""
+        """Keys of a serial device's settings. GRBL, homed at the upper ends, reads negative values where the axes read
+        0.
+        """
         upper = self._shared.world.controller.limits().upper_mm
         return {"port": self.line.device_path, "baud": BAUD, "axis_zero_mm": [-value for value in upper]}
 

@@ -1,4 +1,4 @@
-"""What GRBL 1.1 says of itself: status reports, parameters, parser state, build info.
+"""Texts that GRBL 1.1 sends: status reports, parameters, parser state, build info.
 
 Source: gnea/grbl, doc/markdown/interface.md.
 """
@@ -22,12 +22,12 @@ HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 MACHINE_POSITION, BUFFER_STATE = 1, 2
 OFFSET_EVERY = {True: 30, False: 10}
 OVERRIDES_EVERY = {True: 20, False: 10}
-"""Reports from one such field to the next, while something moves and while nothing does."""
+"""Number of reports between two such fields, by whether the machine is moving."""
 
 
 @dataclass(frozen=True)
 class StatusSnapshot:
-    """One instant. `state` with its sub-state (``Hold:0``); lengths in mm, machine coordinates."""
+    """Controller state at one instant. `state` with its sub-state (``Hold:0``); lengths in mm, machine coordinates."""
 
     state: str
     moving: bool
@@ -43,14 +43,14 @@ class StatusSnapshot:
 
 
 class StatusReporter:
-    """Which fields come with which report: offset and overrides only now and then, and at once when they change."""
+    """Selects the fields of each report: offset and overrides only every few reports, and at once when they change."""
 
     def __init__(self, settings: GrblSettings) -> None:
         self._settings = settings
         self.restart()
 
     def restart(self) -> None:
-        """After a reset: the offset with the first report, the overrides with the second."""
+        """Restart the counts after a reset: offset in the first report, overrides in the second."""
         self._until_offset, self._until_overrides = 0, 1
         self._shown_offset: Triple | None = None
         self._shown_others: tuple[tuple[int, int, int], str] | None = None
@@ -87,7 +87,7 @@ class StatusReporter:
 
 
 def coordinates(position_mm: Triple, *, inches: bool) -> str:
-    """Three decimals in mm, four in inches."""
+    """Format coordinates with three decimals in mm, four in inches."""
     if inches:
         return ",".join(f"{value / MM_PER_INCH:.4f}" for value in position_mm)
     return ",".join(f"{value:.3f}" for value in position_mm)
@@ -98,7 +98,7 @@ def probe_message(position_mm: Triple, tripped: bool, *, inches: bool) -> str:
 
 
 def parameters(offsets: WorkOffsets, modes: ModalState, *, inches: bool) -> Iterator[str]:
-    """The answer to ``$#`` but for its last line, the probe's."""
+    """Yield the answer to ``$#`` except for its last line, the probe's."""
     for system, offset in sorted(offsets.systems.items()):
         yield f"[G{system}:{coordinates(offset, inches=inches)}]"
     for predefined in (28, 30):
@@ -109,7 +109,7 @@ def parameters(offsets: WorkOffsets, modes: ModalState, *, inches: bool) -> Iter
 
 
 def parser_state(modes: ModalState) -> str:
-    """The answer to ``$G``."""
+    """Return the answer to ``$G``."""
     feed = modes.feed_mm_per_min / (MM_PER_INCH if modes.units == 20 else 1.0)
     words = [f"G{modes.motion:g}", f"G{modes.coordinates}", f"G{modes.plane:g}", f"G{modes.units:g}"]
     words += [f"G{modes.distance:g}", "G94", f"M{modes.spindle:g}", f"M{modes.coolant:g}"]

@@ -1,4 +1,4 @@
-"""The `$` settings of a simulated GRBL 1.1, as its documents list them.
+"""The `$` settings of a simulated GRBL 1.1, as listed in its documents.
 
 Source: gnea/grbl, doc/markdown/settings.md and doc/csv/setting_codes_en_US.csv.
 """
@@ -19,7 +19,7 @@ NEGATIVE_VALUE, PULSE_TOO_SHORT, NO_SUCH_SETTING, BAD_NUMBER, SOFT_LIMITS_NEED_H
 
 
 class SettingRefusedError(Exception):
-    """`code` is the number after ``error:``."""
+    """Refusal of a setting; `code` is the number after ``error:``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -27,7 +27,7 @@ class SettingRefusedError(Exception):
 
 
 class GrblSettings:
-    """A machine of these limits with homing and soft limits, one step a micrometre."""
+    """Settings of a machine with these limits, with homing and soft limits, 1000 steps per mm by default."""
 
     def __init__(self, limits: AxisLimits, steps_per_mm: float = 1000.0) -> None:
         self._values: dict[int, float] = {
@@ -47,11 +47,13 @@ class GrblSettings:
         return bool(self._values[number])
 
     def axes(self, first: int) -> tuple[float, float, float]:
-        """`first` is that of X: 100 steps, 110 rates, 120 accelerations, 130 travels."""
+        """Return the values of X, Y, Z. `first` is the number for X: 100 steps, 110 rates, 120 accelerations, 130
+        travels.
+        """
         return self._values[first], self._values[first + 1], self._values[first + 2]
 
     def change(self, values: Mapping[int, float]) -> None:
-        """As a person at a terminal would have; SettingRefusedError for what GRBL refuses."""
+        """Store several settings, as a person at a terminal would. Raises SettingRefusedError if GRBL refuses one."""
         for number, value in values.items():
             self.store(number, value)
 

@@ -1,7 +1,7 @@
-"""The simulated controller as a Modbus TCP server.
+"""Simulated controller as a Modbus TCP server.
 
-A server of our own on a plain socket: a status transaction takes a third of the time that the asyncio server of
-pymodbus 3.16 needs before any word has a meaning (measured 0.13 against 0.39 ms), a night makes some 35,000 of
+It uses its own server on a plain socket: a status transaction takes a third of the time that the asyncio server of
+pymodbus 3.16 needs before any register is interpreted (measured 0.13 against 0.39 ms), a night makes some 35,000 of
 them, and both halves of function 23 must be one transaction under the world's lock.
 """
 
@@ -32,14 +32,14 @@ class WorldWithController(TimeDriven, Protocol):
 def attach_registers(
     shared: SharedWorld[WorldWithController], numbers: RegisterNumberFormat | None = None
 ) -> ControllerRegisters:
-    """The registers of the world's controller, moved along with its time."""
+    """Return the registers of the world's controller, subscribed to its time."""
     registers = ControllerRegisters(shared.world.controller, numbers or Float64Numbers(), lambda: shared.now)
     shared.subscribe(lambda _now_s: registers.motion.observe(), wakes_at=registers.motion.wakes_at)
     return registers
 
 
 class ModbusController:
-    """Serves the world's controller on `address`; one client at a time, others wait for their turn."""
+    """Serves the world's controller on `address`; one client at a time, others wait."""
 
     def __init__(
         self,
@@ -69,13 +69,13 @@ class ModbusController:
                 for transaction, unit, request in split_frames(buffer):
                     self._answer(connection, transaction, unit, request)
             except ModbusFramingError as error:
-                log.warning("modbus client hung up on", reason=str(error))
+                log.warning("modbus connection closed", reason=str(error))
                 return
-        log.info("modbus client has hung up")
+        log.info("modbus client disconnected")
 
     def _answer(self, connection: socket.socket, transaction: int, unit: int, request: bytes) -> None:
         if unit != UNIT:
-            log.warning("request for another unit not answered", unit=unit)
+            log.warning("request for another unit ignored", unit=unit)
             return
         with self._shared.lock:
             answer = answer_request(request, self.registers)

@@ -1,4 +1,4 @@
-"""Fault codes of the register map (table 9.1) for the words in which the physics names a fault."""
+"""Fault codes of the register map (table 9.1) for the fault texts of the physics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ WATCHED_FAULTS: Final = {
     FaultCode.PERMISSION_LOST: "permission lost while moving",
     FaultCode.PROBE_LOST: "probe lost while moving",
 }
-"""Faults that are found here and not by the physics, in the words given to it."""
+"""Faults that are detected here and not by the physics, with the texts passed to it."""
 
 _FAULT_WORDS: Final = (
     ("collision", FaultCode.COLLISION),
@@ -27,7 +27,7 @@ _FAULT_WORDS: Final = (
 
 
 def fault_code(fault: str) -> FaultCode:
-    """The code of a fault the physics names in words; 99 for one the table has no code for."""
+    """Return the code of a fault text of the physics; 99 if the table has none for it."""
     words = fault.lower()
     for marker, code in _FAULT_WORDS:
         if marker in words:
@@ -36,7 +36,7 @@ def fault_code(fault: str) -> FaultCode:
 
 
 def outcome_of(fault: FaultCode) -> ModbusOutcome:
-    """How a motion ended that ended in this fault (table 9.3)."""
+    """Return the outcome of a motion that ended in this fault (table 9.3)."""
     if fault is FaultCode.PROBE_TRIPPED:
         return ModbusOutcome.GUARD_TRIPPED
     return ModbusOutcome.HEARTBEAT_LOST if fault is FaultCode.HEARTBEAT_LOST else ModbusOutcome.FAULT

@@ -1,7 +1,7 @@
-"""Modbus TCP on the wire: cutting the stream into requests, and the three functions on a set of registers.
+"""Modbus TCP framing: splitting the stream into requests, and the three functions on a set of registers.
 
-Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application
-Protocol V1.1b3 (functions 3, 16 and 23: 6.3, 6.12, 6.17); docs/reference/modbus-register-map.md, 1.
+Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b (MBAP header, 3.1.3); MODBUS Application Protocol V1.1b3
+(functions 3, 16 and 23: 6.3, 6.12, 6.17); docs/reference/modbus-register-map.md, 1.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _FOUR_WORDS = struct.Struct(">HHHH")
 
 
 class RegisterAccessError(Exception):
-    """The registers asked for cannot be had: becomes an exception answer."""
+    """Refused access to registers; becomes an exception response."""
 
     def __init__(self, code: ModbusExceptionCode) -> None:
         super().__init__(code.name)
@@ -32,7 +32,7 @@ class RegisterAccessError(Exception):
 
 
 class Registers(Protocol):
-    """What a request acts on. Bytes are registers, high byte first. Each may raise RegisterError."""
+    """Registers that requests read and write, as bytes, high byte first. Each method may raise RegisterAccessError."""
 
     def check_read(self, address: int, count: int) -> None: ...
 
@@ -44,13 +44,13 @@ class Registers(Protocol):
 
 
 class ModbusFramingError(Exception):
-    """What came is no Modbus TCP; the connection cannot be followed any further."""
+    """Received data that is not Modbus TCP; the connection must be closed."""
 
 
 def split_frames(buffer: bytearray) -> Iterator[tuple[int, int, bytes]]:
-    """Take every complete frame off the front of `buffer`: transaction, unit, request.
+    """Remove every complete frame from the front of `buffer` and yield transaction, unit and request.
 
-    Raises FramingError where the header is not one of Modbus TCP.
+    Raises ModbusFramingError if the header is not one of Modbus TCP.
     """
     while len(buffer) >= HEADER.size:
         transaction, protocol, length, unit = HEADER.unpack_from(buffer)
@@ -69,7 +69,7 @@ def frame(transaction: int, unit: int, answer: bytes) -> bytes:
 
 
 def answer_request(request: bytes, registers: Registers) -> bytes:
-    """The answer to one request (function code and what follows it), an exception answer included."""
+    """Return the response to one request (function code and what follows it); it may be an exception response."""
     function = request[0]
     try:
         if function == READ:
@@ -101,7 +101,7 @@ def _write(request: bytes, registers: Registers) -> bytes:
 
 
 def _write_and_read(request: bytes, registers: Registers) -> bytes:
-    """Writes first, then reads; nothing is written where either half cannot be done."""
+    """Write, then read; nothing is written if either half is refused."""
     _require(len(request) >= 10)
     read_address, read_count, address, count = _FOUR_WORDS.unpack_from(request, 1)
     _require(1 <= read_count <= MAX_READ)
@@ -113,7 +113,7 @@ def _write_and_read(request: bytes, registers: Registers) -> bytes:
 
 
 def _require_data(request: bytes, start: int, count: int) -> None:
-    """Register count, byte count (the byte before `start`) and the bytes that came must agree."""
+    """Require that register count, byte count (the byte before `start`) and the bytes received agree."""
     _require(1 <= count <= MAX_WRITTEN and request[start - 1] == 2 * count == len(request) - start)
 
 

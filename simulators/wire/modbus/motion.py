@@ -1,4 +1,4 @@
-"""Motion as the registers tell it: commands, outcome, latch, the fault codes, and the heartbeat watch.
+"""Motion as seen in the registers: commands, outcome, latch, fault codes and the heartbeat watch.
 
 Source: docs/reference/modbus-register-map.md, 3, 5, 7 and 9.
 """
@@ -47,7 +47,7 @@ STATE_OF: Final = {
 
 @dataclass(frozen=True)
 class MotionRequest:
-    """A motion command with the fields that it uses."""
+    """Motion command with the fields that it uses."""
 
     code: CommandCode
     target_mm: tuple[float, ...]
@@ -68,7 +68,7 @@ class MotionRequest:
 
 
 class MotionRegisters:
-    """Registers 1004 … 1037 and what stands behind them.
+    """Registers 1004 … 1037 and the state behind them.
 
     A motion that is stopped or fails brakes first: until the axes rest, the state is moving and the outcome 1.
     """
@@ -98,13 +98,13 @@ class MotionRegisters:
 
     @property
     def permissions(self) -> int:
-        """Register 1006."""
+        """Content of register 1006."""
         given = self._machine.permissions
         return sum(1 << bit for bit, name in enumerate(PERMISSION_BITS) if given[name])
 
     @property
     def probe(self) -> int:
-        """Register 1007."""
+        """Content of register 1007."""
         machine = self._machine
         return machine.probe_loaded | machine.probe_healthy << 1 | machine.probe_deflected << 2
 
@@ -116,13 +116,13 @@ class MotionRegisters:
         self._watched_since_s = self._now()
 
     def wakes_at(self) -> float | None:
-        """When the watch of register 2000 expires; None while nothing moves."""
+        """Return the instant at which the watch of register 2000 expires; None while nothing moves."""
         if self._ending or self._machine.motion is not MotionState.MOVING:
             return None
         return self._watched_since_s + HEARTBEAT_WITHIN_S
 
     def observe(self) -> None:
-        """Look at the machine at this instant: end what must end, and settle the outcome of what has ended."""
+        """Check the machine at this instant: stop a motion that must end, and set the outcome of one that has ended."""
         if self.outcome is not ModbusOutcome.UNDER_WAY:
             return
         motion = self._machine.motion
@@ -223,7 +223,7 @@ class MotionRegisters:
         return ResultCode.ACCEPTED
 
     def stop(self) -> ResultCode:
-        """Always accepted."""
+        """Stop any motion; always accepted."""
         if self.state in (ModbusState.MOVING, ModbusState.HELD):
             self._ending = True
             self._machine.halt()

@@ -1,4 +1,4 @@
-"""How a number fills four registers: float64, or a scaled int32 for controllers without float64.
+"""Encoding of a number in four registers: float64, or a scaled int32 for controllers without float64.
 
 Source: docs/reference/modbus-register-map.md, 1.
 """
@@ -14,7 +14,7 @@ BYTES_PER_NUMBER = 8
 
 
 class RegisterNumberFormat(Protocol):
-    """Packs and unpacks the page's ``f64``: four registers, eight bytes, high word first."""
+    """Codec for the ``f64`` type of the register map: four registers, eight bytes, high word first."""
 
     def pack(self, *values: float) -> bytes: ...
 
@@ -22,7 +22,7 @@ class RegisterNumberFormat(Protocol):
 
 
 class Float64Numbers:
-    """IEEE 754 binary64."""
+    """IEEE 754 binary64 encoding."""
 
     def pack(self, *values: float) -> bytes:
         return struct.pack(f">{len(values)}d", *values)
@@ -33,7 +33,7 @@ class Float64Numbers:
 
 @dataclass(frozen=True)
 class ScaledInt32Numbers:
-    """Counts of `scale` in the first two of the four registers, the other two 0."""
+    """Counts of `scale` in the first two of the four registers; the other two are 0."""
 
     scale: float = 1e-5
 

@@ -1,4 +1,4 @@
-"""What the registers need of the physics behind them (`simulators.world.controller.Controller` has it all)."""
+"""Physics that the registers need; implemented by `simulators.world.controller.Controller`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ProbeLatch(Protocol):
 
 
 class MovingMachine(Protocol):
-    """What the registers need of the controller's physics."""
+    """Motion, probe and permissions of the controller's physics."""
 
     @property
     def motion(self) -> MotionState: ...
@@ -62,7 +62,7 @@ class MovingMachine(Protocol):
 
 
 class TableMemory(Protocol):
-    """What the controller behind the registers keeps: its banks, and the one that acts."""
+    """Compensation banks of the controller behind the registers, and the active one."""
 
     @property
     def banks(self) -> Mapping[int, TableImage]: ...
@@ -76,7 +76,7 @@ class TableMemory(Protocol):
 
 
 class ControllerPhysics(MovingMachine, TableMemory, Protocol):
-    """The simulated controller as the registers need it (`simulators.world.Controller` is one)."""
+    """Simulated controller as the registers need it; `simulators.world.controller.Controller` implements it."""
 
     @property
     def store_limits(self) -> StoreLimits: ...

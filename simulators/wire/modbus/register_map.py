@@ -1,7 +1,7 @@
-"""The register map as the controller sees it: blocks, codes, and the layout of each block.
+"""Register map as the controller sees it: blocks, codes, and the layout of each block.
 
-Source: docs/reference/modbus-register-map.md, sections 2 to 5, 8 and 9. Written from that page, not from the
-agent's driver: a shared map would hide a swapped word.
+Source: docs/reference/modbus-register-map.md, sections 2 to 5, 8 and 9. Written from that page, not from the agent's
+driver: a shared map would hide a swapped word.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class RegisterBlock:
         return self.address <= address and address + count <= self.address + self.registers
 
     def slice_of(self, address: int, count: int) -> slice:
-        """The bytes of `count` registers from `address` within this block's image."""
+        """Return the byte range of `count` registers from `address` within this block's image."""
         start = 2 * (address - self.address)
         return slice(start, start + 2 * count)
 
@@ -49,7 +49,7 @@ BLOCK_NUMBER_REGISTER: Final = 2320
 
 
 class ModbusExceptionCode(IntEnum):
-    """Exceptions the page allows (section 1)."""
+    """Exception codes allowed by section 1 of the register map."""
 
     FUNCTION_NOT_OFFERED = 1
     ILLEGAL_ADDRESS = 2
@@ -58,7 +58,7 @@ class ModbusExceptionCode(IntEnum):
 
 
 class CommandCode(IntEnum):
-    """Section 5."""
+    """Command codes (section 5)."""
 
     MOVE_RAPID = 11
     MOVE_FEED = 12
@@ -87,7 +87,7 @@ MOTION_COMMANDS: Final = frozenset(
 
 
 class ModbusState(IntEnum):
-    """Register 1004."""
+    """Machine states (register 1004)."""
 
     IDLE = 0
     MOVING = 1
@@ -96,7 +96,7 @@ class ModbusState(IntEnum):
 
 
 class FaultCode(IntEnum):
-    """Table 9.1."""
+    """Fault codes (table 9.1)."""
 
     NONE = 0
     EMERGENCY_STOP = 1
@@ -113,7 +113,7 @@ class FaultCode(IntEnum):
 
 
 class ResultCode(IntEnum):
-    """Table 9.2."""
+    """Command results (table 9.2)."""
 
     NONE_YET = 0
     ACCEPTED = 1
@@ -137,7 +137,7 @@ class ResultCode(IntEnum):
 
 
 class ModbusOutcome(IntEnum):
-    """Table 9.3."""
+    """Motion outcomes (table 9.3)."""
 
     NONE = 0
     UNDER_WAY = 1
@@ -151,7 +151,7 @@ class ModbusOutcome(IntEnum):
 
 
 class LatchResult(IntEnum):
-    """Register 1025."""
+    """Latch results (register 1025)."""
 
     NONE = 0
     TRIPPED = 1
@@ -159,7 +159,7 @@ class LatchResult(IntEnum):
 
 
 class ModbusBankState(IntEnum):
-    """Registers 1046 and 1047."""
+    """Bank states (registers 1046 and 1047)."""
 
     EMPTY = 0
     BEING_WRITTEN = 1
@@ -168,15 +168,17 @@ class ModbusBankState(IntEnum):
 
 
 STATUS_LAYOUT = struct.Struct(">12H 24s 2H 24s 10H 2I H 8i H")
-"""1000–1011, actual position, latch sequence and result, latched position, 1038–1047, both CRC, temperature
-count, temperatures, heartbeat copy."""
+"""Layout of STATUS: 1000–1011, actual position, latch sequence and result, latched position, 1038–1047, both CRCs,
+temperature count, temperatures, heartbeat copy.
+"""
 
 LIMITS_LAYOUT = struct.Struct(">96s 4H I 16s H")
-"""Travel, rapid and acceleration (12 numbers), banks and most nodes, most nodes in all, resolution and largest
-correction (2 numbers), activation."""
+"""Layout of LIMITS: travel, rapid and acceleration (12 numbers), banks and maximum nodes per axis, maximum nodes in
+total, resolution and largest correction (2 numbers), activation.
+"""
 
 COMMAND_LAYOUT = struct.Struct(">4H I 24s 8s H")
-"""Agent heartbeat, command, bank, nonce, CRC, target, feed, sequence."""
+"""Layout of COMMAND: agent heartbeat, command, bank, nonce, CRC, target, feed, sequence."""
 
 DESCRIPTOR_LAYOUT = struct.Struct(">4H 56s I")
-"""Bank, nx, ny, nz, origin and step and resolution (7 numbers), CRC."""
+"""Layout of DESCRIPTOR: bank, nx, ny, nz, origin, step and resolution (7 numbers), CRC."""

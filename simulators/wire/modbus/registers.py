@@ -1,4 +1,4 @@
-"""The controller's holding registers: images of the blocks, and what a write sets off.
+"""Holding registers of the controller: images of the blocks, and the effects of a write.
 
 Source: docs/reference/modbus-register-map.md, 2 to 6 and 8.
 """
@@ -55,7 +55,7 @@ ACTIVATION_CODE: Final = {
 
 
 class ControllerRegisters:
-    """Reads and writes of bytes by register address. The caller holds the world's lock."""
+    """Register access by address, as bytes. The caller holds the world's lock."""
 
     def __init__(self, machine: ControllerPhysics, numbers: RegisterNumberFormat, now: Callable[[], float]) -> None:
         self._machine = machine
@@ -153,7 +153,7 @@ class ControllerRegisters:
         return result
 
     def _status(self) -> bytes:
-        """A new image: every request is answered from the machine as it is at that instant."""
+        """Return a new image: every request is answered from the present state of the machine."""
         motion, tables = self.motion, self.tables
         motion.observe()
         self._heartbeat = (self._heartbeat + 1) & 0xFFFF
@@ -194,7 +194,7 @@ class ControllerRegisters:
         )
 
     def _read_window(self) -> bytes:
-        """What READ SELECTOR asks for: 1200 bank, 1201 block, 1202 … 1321 data."""
+        """Return the block requested by READ SELECTOR: 1200 bank, 1201 block, 1202 … 1321 data."""
         selector = self._written[READ_SELECTOR]
         bank, block = int.from_bytes(selector[:2], "big"), int.from_bytes(selector[2:], "big")
         data = self._table_block(bank, block)
@@ -213,17 +213,17 @@ class ControllerRegisters:
 
 
 def _require_representable(store: StoreLimits) -> None:
-    """The page knows banks 1 and 2, or a controller without tables."""
+    """Require banks 1 and 2 or no banks, as the register map defines. Raises ConfigurationError otherwise."""
     if sorted(store.banks) not in ([], [1, 2]) or max(store.max_nodes) > 0xFFFF:
         raise ConfigurationError(
             f"a store with banks {list(store.banks)} and {store.max_nodes} nodes does not fit the register map",
             key="store",
-            hint="banks 1 and 2, and at most 65535 nodes along an axis",
+            hint="use banks 1 and 2, and at most 65535 nodes along an axis",
         )
 
 
 def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFormat) -> bytes:
-    """Block 1100 … 1162."""
+    """Return the image of block 1100 … 1162."""
     travel = numbers.pack(*axes.lower_mm, *axes.upper_mm, *axes.rapid_mm_per_s, *axes.acceleration_mm_per_s2)
     return LIMITS_LAYOUT.pack(
         travel,
@@ -236,7 +236,7 @@ def limits_image(axes: AxisLimits, store: StoreLimits, numbers: RegisterNumberFo
 
 
 def temperature_counts(temperatures: Mapping[str, float]) -> list[int]:
-    """Eight places in thousandths of a degree: artefact, ambient, machine, then the others by name."""
+    """Return eight slots in thousandths of a degree: artefact, ambient, machine, then the others by name."""
     usual = [name for name in USUAL_TEMPERATURES if name in temperatures]
     others = sorted(set(temperatures) - set(USUAL_TEMPERATURES))
     counts = [round(1000.0 * temperatures[name]) for name in (*usual, *others)][:TEMPERATURE_SLOTS]

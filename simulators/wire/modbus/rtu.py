@@ -1,9 +1,9 @@
-"""The simulated controller as a Modbus RTU unit on a pseudo-terminal.
+"""Simulated controller as a Modbus RTU unit on a pseudo-terminal.
 
-A pseudo-terminal takes no time over a byte and has no baud rate of its own, so both are made here. In lockstep the
-agent leads: it spends the line's time on the machine's clock itself, and an answer is there at once. On a clock that
-runs by itself the line is truly paced: the request takes as long to arrive, the silence before the answer and each of
-its characters as long to pass, as on a cable. A client that has set another baud rate is not understood.
+A pseudo-terminal transfers a byte in no time and has no baud rate, so both are simulated here. In lockstep the agent
+leads: it spends the line's time on the machine's clock itself, and an answer is sent at once. On any other clock the
+line is paced: the request takes as long to arrive, and the silence before the answer and each of its characters as long
+to pass, as on a cable. A client that has set another baud rate is ignored.
 """
 
 from __future__ import annotations
@@ -26,18 +26,23 @@ from simulators.wire.shared_world import SharedWorld
 FAST_BAUD: Final = 19200
 FAST_GAP_S: Final = 0.00175
 CHUNK_CHARACTERS: Final = 16
-"""Characters that are let go at once where the line is paced: the depth of a usual UART's buffer."""
+"""Characters sent at once on a paced line: the buffer depth of a usual UART."""
 
 STALE_AFTER_S: Final = 0.1
-"""Wall time after which the beginning of a request is thrown away; the standard's 1.5 characters are less than what a
-scheduler may keep two halves of one write apart."""
+"""Wall time in s after which an incomplete request is discarded.
+
+The standard's 1.5 characters are shorter than the delay that a scheduler may insert between two halves of one write.
+"""
 
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True)
 class LineSettings:
-    """`link`: a path for a link to the pseudo-terminal, or `any`. Parity and stop bits only cost time here."""
+    """Serial line parameters. `link`: a path made to point at the pseudo-terminal, or `any`.
+
+    Parity and stop bits only affect the timing.
+    """
 
     link: str = ANY
     baud: int = 19200
@@ -89,7 +94,7 @@ class ModbusRtuController:
 
     def _received(self, data: bytes) -> None:
         if self._client_speed() != self._speed:
-            log.warning("a client of another baud rate is not understood", expected=self._settings.baud)
+            log.warning("request at another baud rate ignored", expected=self._settings.baud)
             self._buffer.clear()
             return
         now_s = wall_seconds()
@@ -101,11 +106,11 @@ class ModbusRtuController:
             while (request := take_request(self._buffer)) is not None:
                 self._answer(*request)
         except InvalidFrameError as error:
-            log.warning("no sound request", received=str(error))
+            log.warning("invalid request", received=str(error))
 
     def _answer(self, unit: int, request: bytes) -> None:
         if unit != UNIT:
-            log.warning("request for another unit not answered", unit=unit)
+            log.warning("request for another unit ignored", unit=unit)
             return
         self._pass_characters(len(request) + 3, gap=True)
         with self._shared.lock:

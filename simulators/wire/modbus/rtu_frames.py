@@ -1,4 +1,4 @@
-"""Modbus RTU frames as a controller sees them: where a request ends, and whether it is sound.
+"""Modbus RTU frames as a controller sees them: the end of a request, and its validity.
 
 Source: MODBUS over Serial Line Specification V1.02, 2.5.1.1 and 6.2.2 (CRC generation, written bit by bit as there).
 """
@@ -16,11 +16,11 @@ _BYTE_COUNT_AT: Final = {WRITE: 6, WRITE_AND_READ: 10}
 
 
 class InvalidFrameError(Exception):
-    """What came is no sound request; a controller says nothing to it."""
+    """Received data that is not a valid request; a controller does not answer it."""
 
 
 def frame_crc(data: bytes) -> bytes:
-    """Both bytes, low one first."""
+    """Return the CRC-16 as two bytes, low byte first."""
     register = 0xFFFF
     for byte in data:
         register ^= byte
@@ -33,9 +33,10 @@ def frame_crc(data: bytes) -> bytes:
 
 
 def take_request(buffer: bytearray) -> tuple[int, bytes] | None:
-    """The request at the front of `buffer`, taken off it: unit, and what stands between unit and CRC.
+    """Remove the request at the front of `buffer` and return its unit and the bytes between unit and CRC.
 
-    None while more must come. Raises NoFrame, the buffer emptied, where no sound frame can come of it.
+    Returns None while the request is incomplete. Raises InvalidFrameError, with the buffer emptied, if it cannot become
+    valid.
     """
     length = _length(buffer)
     if length is None or len(buffer) < length:
@@ -55,7 +56,7 @@ def answer_frame(unit: int, answer: bytes) -> bytes:
 
 
 def _length(buffer: bytearray) -> int | None:
-    """Of a function that is not known the frame is all that came at once."""
+    """Return the length of the frame, or None if not yet known; for an unknown function, everything received so far."""
     if len(buffer) < SHORTEST:
         return None
     function = buffer[1]

@@ -30,7 +30,7 @@ ARMED_FOR_S: Final = 5.0
 
 @dataclass(frozen=True)
 class TableDescriptor:
-    """The grid of one table, as in registers 2100 … 2133."""
+    """Grid of one table, as in registers 2100 … 2133."""
 
     bank: int
     shape: tuple[int, int, int]
@@ -62,7 +62,9 @@ class TableDescriptor:
         return all(map(isfinite, (*self.origin_mm, *self.step_mm, self.resolution_mm)))
 
     def fits(self, limits: StoreLimits) -> bool:
-        """Grid as the limits allow, and a positive step wherever there is more than one node."""
+        """Return True if the grid is within the limits and has a positive step on every axis with
+        more than one node.
+        """
         within = all(1 <= n <= most for n, most in zip(self.shape, limits.max_nodes, strict=True))
         stepped = all(n == 1 or step > 0.0 for n, step in zip(self.shape, self.step_mm, strict=True))
         return within and stepped and self.nodes <= limits.max_total_nodes
@@ -70,7 +72,7 @@ class TableDescriptor:
 
 @dataclass
 class _Transfer:
-    """A bank between TABLE BEGIN and COMMIT."""
+    """Bank between TABLE BEGIN and COMMIT."""
 
     descriptor: TableDescriptor
     stored: bytearray = field(default_factory=bytearray)
@@ -83,7 +85,7 @@ class _Transfer:
 
 @dataclass(frozen=True)
 class CompleteTable:
-    """A bank as it is read back: its descriptor and its counts, big-endian, in the page's order."""
+    """Bank as it is read back: its descriptor and its counts, big-endian, in the order of the register map."""
 
     image: TableImage
     descriptor: TableDescriptor
@@ -99,10 +101,10 @@ class CompleteTable:
 
 
 class BankRegisters:
-    """The bank registers of STATUS and the commands that change them.
+    """Bank registers of STATUS and the commands that change them.
 
-    `memory` holds what is complete; a bank that is open or damaged is so only here, and `memory` keeps acting
-    with its active bank, which no transfer can touch.
+    `memory` holds complete tables only. An open or damaged bank is known only here; meanwhile the active bank of
+    `memory`, which no transfer can touch, stays in effect.
     """
 
     def __init__(
@@ -152,7 +154,7 @@ class BankRegisters:
         return ModbusBankState.COMPLETE if bank in self._memory.banks else ModbusBankState.EMPTY
 
     def complete(self, bank: int) -> CompleteTable | None:
-        """The table of a complete bank; None for every other bank."""
+        """Return the table of a complete bank; None for every other bank."""
         if bank == 0 or self.state(bank) is not ModbusBankState.COMPLETE:
             return None
         image = self._memory.banks[bank]
@@ -190,7 +192,7 @@ class BankRegisters:
         return None if same and descriptor.fits(self.limits) else ResultCode.DESCRIPTOR_NOT_ALLOWED
 
     def take_block(self, number: int, data: bytes) -> None:
-        """`data` is registers 2200 … 2319, `number` register 2320."""
+        """Append a block. `data` is registers 2200 … 2319, `number` register 2320."""
         transfer = self._transfer
         if transfer is None:
             self.block_result = ResultCode.NO_TRANSFER
@@ -245,7 +247,7 @@ class BankRegisters:
         return ResultCode.ACCEPTED
 
     def occurred(self, event: Activation) -> None:
-        """A reset (power-up, reference) has happened: the bank that waited for it becomes active."""
+        """Handle a reset (power-up, reference): the bank that waited for it becomes active."""
         if event is self.limits.activation and self.pending_bank != NO_BANK_PENDING:
             self._memory.activate(self.pending_bank)
             self.pending_bank = NO_BANK_PENDING

@@ -1,6 +1,6 @@
-"""A controller that punches and reads its parameters in tape format, written from its maker's manuals.
+"""Controller that punches and reads its parameters in tape format, written from its maker's manuals.
 
-It takes characters at the pace of its line, out of a small memory: nearly full it sends DC3, nearly empty DC1 again.
+It reads characters at the speed of its line into a small memory: nearly full, it sends DC3; nearly empty, DC1 again.
 Everything happens as machine time passes; `press_read` and `press_punch` are the operator's keys.
 
 Source: FANUC B-63503EN/02 (Series 0i connection manual), 5.3: DC1 starts and DC3 stops a reader, DC2 switches a punch
@@ -17,12 +17,12 @@ from typing import Final
 from simulators.wire.pty_port import PseudoTerminal
 
 DC1, DC2, DC3, DC4 = 0x11, 0x12, 0x93, 0x14
-"""With their parity holes: DC3 has three of seven, so it gets the eighth."""
+"""Control characters with their parity holes: DC3 has three ones in seven bits, so its eighth is set."""
 LINE_FEED: Final = 0x0A
 PERCENT: Final = 0xA5
 BITS: Final = 11
 OVERRUN: Final = 10
-"""Characters that may still come after a DC3."""
+"""Characters that may still arrive after a DC3."""
 _PARAMETER: Final = re.compile(r"N(\d+)(?:Q\d)?((?:[AS]\d+)?[PMI][+-]?[\d.]+(?:[AS]\d+[PMI][+-]?[\d.]+)*)")
 
 
@@ -39,7 +39,7 @@ def with_parity(character: str) -> int:
 
 
 class TapeCnc:
-    """`parameters`: number -> what stands behind it, as ``P00001100`` or ``A1P10A2P20``."""
+    """CNC with a tape interface. `parameters`: number -> the text after it, as ``P00001100`` or ``A1P10A2P20``."""
 
     def __init__(
         self, parameters: dict[int, str], *, baud: int = 4800, memory: int = 128, writable: bool = True
@@ -51,7 +51,7 @@ class TapeCnc:
         self.overrun = 0
         self.stays_stopped = False
         self.misstored: dict[int, str] = {}
-        """Parameters that it stores as something else, as one that a ladder guards."""
+        """Parameters that it stores with another value, like one protected by the ladder program."""
         self._writable = writable
         self._per_s = baud / BITS
         self._memory = memory
@@ -72,19 +72,19 @@ class TapeCnc:
         self._send(DC1)
 
     def press_punch(self, leader: str = "") -> None:
-        """`leader`: what is readable for people at the beginning of a tape."""
+        """Start punching. `leader`: human-readable text at the beginning of a tape."""
         self.mode = Mode.PUNCHING
         blocks = [f"N{number:05d}Q1{values}" for number, values in sorted(self.parameters.items())]
         text = leader + "%\n" + "\n".join(blocks) + "\n%\n"
         self._outgoing = deque([DC2, 0, 0, *(with_parity(character) for character in text), DC4])
 
     def press_reset(self) -> None:
-        """What was under way is broken off."""
+        """Interrupt whatever is in progress."""
         self.mode = Mode.READY
         self._outgoing.clear()
 
     def on_advance(self, now_s: float) -> None:
-        """The line goes on for as many characters as there is time for."""
+        """Transfer as many characters as the elapsed time allows."""
         self.line.pump()
         self._share += (now_s - self._now_s) * self._per_s
         self._now_s = now_s
@@ -147,7 +147,7 @@ class TapeCnc:
             self.parameters[number] = self.misstored.get(number, match[2])
 
     def _fail(self, text: str) -> None:
-        """It stops the reader and waits for a person."""
+        """Stop the reader and wait for the operator."""
         self.mode, self.alarm = Mode.ALARM, text
         self._send(DC3)
 
