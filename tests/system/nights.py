@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
-import sqlite3
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator
@@ -178,22 +176,3 @@ def memory_directory() -> tempfile.TemporaryDirectory[str]:
     """Where a commit costs no disk: a night makes 18,000 of them, and durability is tested elsewhere."""
     shared = Path("/dev/shm")  # noqa: S108  a directory of its own inside, removed with the fixture
     return tempfile.TemporaryDirectory(prefix="volcal-", dir=shared if os.access(shared, os.W_OK) else None)
-
-
-def rows(state: Path, query: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """What another connection reads from the journal."""
-    connection = sqlite3.connect(f"file:{state / 'journal.sqlite'}?mode=ro", uri=True)
-    try:
-        return connection.execute(query, values).fetchall()
-    finally:
-        connection.close()
-
-
-def states(state: Path, run_id: str | None = None) -> list[str]:
-    """Every state that a run entered, in order; the only run's where no id is given."""
-    found = rows(
-        state,
-        "SELECT record FROM events JOIN runs USING (run) WHERE events.kind = 'state' AND run_id = coalesce(?, run_id)",
-        (run_id,),
-    )
-    return [json.loads(record)["state"] for (record,) in found]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 import subprocess
 import sys
 import time
@@ -12,6 +11,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from agent.execution.journal_reader import has_journal, open_journal
+from drivers.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
@@ -56,15 +58,14 @@ def configured(ready: dict[str, Any], directory: Path) -> Path:
 
 def balls_in(state: Path) -> int:
     """Counted through a connection of our own, while the agent writes."""
-    if not (state / "journal.sqlite").exists():
+    if not has_journal(state):
         return 0
-    connection = sqlite3.connect(f"file:{state / 'journal.sqlite'}?mode=ro", uri=True)
     try:
-        return int(connection.execute("SELECT count(*) FROM balls").fetchone()[0])
-    except sqlite3.OperationalError:
+        with open_journal(state) as reader:
+            run = reader.last_run()
+            return 0 if run is None else reader.count_balls(run.run)
+    except InputError:  # its tables are being made
         return 0
-    finally:
-        connection.close()
 
 
 def wait_for(condition: Callable[[], Any], what: str, within_s: float = PATIENCE_S) -> Any:

@@ -7,12 +7,10 @@ counted as skipped.
 
 from __future__ import annotations
 
-import json
 import os
 import pwd
 import shutil
 import socket
-import sqlite3
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -23,9 +21,11 @@ from pathlib import Path
 
 import pytest
 from aloud import NOT_HERE
-from nights import Night, memory_directory, short_document, states
+from nights import Night, memory_directory, short_document
 from sqlalchemy import URL
+from stored_run import stored_run
 
+from agent.execution.journal_copy import copy_journal
 from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
 from agent.history.database_url import Place
@@ -128,7 +128,7 @@ def measured() -> Iterator[tuple[Path, dict[str, object]]]:
         state = Path(directory) / "state"
         document = short_document(state)
         ended = Night(patch).run(document, files=False)
-        assert ended.outcome.state is RunState.COMPLETE, states(state)
+        assert ended.outcome.state is RunState.COMPLETE, stored_run(state).states
         yield state, document
 
 
@@ -136,15 +136,7 @@ def renamed(state: Path, machine: str, into: Path) -> Path:
     """The same journal as that of another machine."""
     copy = into / machine
     copy.mkdir()
-    with (
-        closing(sqlite3.connect(state / "journal.sqlite")) as source,
-        closing(sqlite3.connect(copy / "journal.sqlite")) as target,
-    ):
-        source.backup(target)
-        for run, settings in target.execute("SELECT run, settings FROM runs").fetchall():
-            named = json.dumps({**json.loads(settings), "history": {"machine": machine}})
-            target.execute("UPDATE runs SET settings = ? WHERE run = ?", (named, run))
-        target.commit()
+    copy_journal(state, copy, lambda settings: {**settings, "history": {"machine": machine}})
     return copy
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from journal_surgery import is_intact
 from simulated import COMMAND, PATIENCE_S, balls_in, configured, simulated, wait_until
+from stored_run import stored_run
 
 BALLS_BEFORE_THE_KILL = 5
 
@@ -49,10 +50,8 @@ def test_killed_simulator_is_a_fault_that_names_link_and_step(simulator, tmp_pat
     assert document["state"] == "faulted"
     assert document["balls"] >= BALLS_BEFORE_THE_KILL
     assert balls_in(state) == document["balls"]
-    connection = sqlite3.connect(state / "journal.sqlite")
-    assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-    assert connection.execute("SELECT state FROM runs").fetchall() == [("faulted",)]
-    unfinished = connection.execute("SELECT key FROM steps WHERE finished IS NULL AND begun IS NOT NULL").fetchall()
-    connection.close()
-    assert len(unfinished) == 1
-    assert unfinished[0][0] in complaint
+    assert is_intact(state)
+    run = stored_run(state)
+    assert run.row.state == "faulted"
+    [unfinished] = [step.key for step in run.steps if step.finished_s is None]
+    assert unfinished in complaint

@@ -10,11 +10,13 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
-from nights import Night, memory_directory, rows, short_document, states
+from nights import Night, memory_directory, short_document
+from stored_run import stored_run
 
 import agent.cli.night_options
 from agent.cli.main import main
 from agent.errors import GateRefused, PlanRefused
+from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
 from agent.results.run_outcome import Decision, Outcome
 from agent.runs.kinds import nightly
@@ -86,12 +88,11 @@ def test_verification_compares_and_writes_nothing(machine: Calibrated) -> None:
     document = ended.outcome.as_json()
     assert document["kind"] == "verify"
     assert document["night"]["decision"] == "within limits"  # type: ignore[index]
-    run_id = ended.outcome.run_id
-    query = "SELECT decisions.kind FROM decisions JOIN runs USING (run) WHERE run_id = ?"
-    kinds = [kind for (kind,) in rows(machine.state, query, (run_id,)) if not kind.startswith("probe/")]
+    run = stored_run(machine.state, ended.outcome.run_id)
+    kinds = [decision.kind for decision in run.decisions if not decision.kind.startswith("probe/")]
     assert kinds.count("verify") == 1
     assert not {"publish/staged", "activate/activated", "accepted"} & set(kinds)
-    assert states(machine.state, run_id) == ["preflight", "measuring", "identifying", "complete"]
+    assert run.states == ["preflight", "measuring", "identifying", "complete"]
     last = last_accepted(machine.state)
     assert last is not None
     assert last.run_id == machine.first.outcome.run_id
@@ -144,17 +145,15 @@ def test_where_it_is_permitted_and_fits_the_full_calibration_comes_the_same_nigh
     assert told(ended.outcome) is Decision.FULL_DONE
     assert ended.outcome.state is RunState.COMPLETE
     assert ended.outcome.proof is not None
-    gates = rows(machine.state, "SELECT record FROM decisions WHERE kind = 'gate' AND record LIKE '%\"change\"%'")
-    assert len(gates) == 1
+    decisions = [one for run_id in run_ids(machine.state) for one in stored_run(machine.state, run_id).decisions]
+    assert sum(one.kind == "gate" and '"change"' in one.record_text for one in decisions) == 1
 
 
 def test_a_slot_that_is_too_short_is_refused_before_anything_moves(machine: Calibrated) -> None:
     ended = machine.run(nightly.Night(slot_minutes=3.0, nights=1.0))
     assert isinstance(ended.error, PlanRefused)
     assert "3 min is too short" in str(ended.error)
-    run_id = ended.outcome.run_id
-    query = "SELECT count(*) FROM steps JOIN runs USING (run) WHERE run_id = ?"
-    assert rows(machine.state, query, (run_id,)) == [(0,)]
+    assert stored_run(machine.state, ended.outcome.run_id).steps == ()
 
 
 def test_a_night_stays_inside_its_slot_and_goes_on_from_the_last(machine: Calibrated) -> None:

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nights import SCENARIO, Night, document, memory_directory, rows, short_document
+from nights import SCENARIO, Night, document, memory_directory, short_document
+from stored_run import stored_run
 
 from agent.errors import MeasurementFault
 from agent.execution import steps as s
@@ -245,6 +246,6 @@ def test_a_run_journals_and_reports_what_it_found_of_the_probe(state: Path, monk
     assert "Probe and stylus" in page
     assert 'data-figure="qualification"' in page
     assert "effective radius 15.49" in page
-    kinds = [kind for (kind,) in rows(state, "SELECT kind FROM decisions")]
+    kinds = [decision.kind for decision in stored_run(state).decisions]
     assert sum("qualify/stylus" in kind for kind in kinds) == 1
     assert sum("check/repeatability" in kind for kind in kinds) == 1

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +13,7 @@ from click.testing import CliRunner
 from nights import Night, memory_directory, short_document
 
 from agent.cli.main import main
+from agent.execution.journal_copy import copy_journal
 from agent.execution.run_record import read_record
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
@@ -95,16 +94,8 @@ class TestRebuilt:
 
     def test_it_does_not_need_the_files_any_more(self, season: Season, tmp_path: Path) -> None:
         """The journal alone, its settings naming files that are gone."""
-        copy = tmp_path / "journal.sqlite"
-        with (
-            closing(sqlite3.connect(season.state / "journal.sqlite")) as source,
-            closing(sqlite3.connect(copy)) as target,
-        ):
-            source.backup(target)
-            for run, text in target.execute("SELECT run, settings FROM runs").fetchall():
-                gone = json.loads(text) | {"machine": "/nowhere/machine.toml", "artefact": "/nowhere/bar.toml"}
-                target.execute("UPDATE runs SET settings = ? WHERE run = ?", (json.dumps(gone), run))
-            target.commit()
+        gone = {"machine": "/nowhere/machine.toml", "artefact": "/nowhere/bar.toml"}
+        copy_journal(season.state, tmp_path, lambda settings: settings | gone)
         text = str(rebuilt(tmp_path, season.calibrated.outcome.run_id, pdf=False)["report.html"])
         assert "example calibration, 11 balls" in text
         assert "case-study-deflection.csv" in text

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import copy
-import json
 import os
 import shutil
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -16,12 +14,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nights import Night, memory_directory, rows, short_document
+from journal_surgery import change_start_of_measuring, rename_steps
+from nights import Night, memory_directory, short_document
+from stored_run import stored_run
 from test_whole_run_broken_off import FORMER, Cut, with_device
 
 from agent.errors import MeasurementFault, PlanDiverged, PlanRefused
 from agent.execution.device_assembly import assemble
 from agent.execution.rig import Rig
+from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
 from agent.results.run_outcome import Decision
 from agent.runs.kinds import nightly
@@ -132,17 +133,17 @@ def test_what_is_measured_is_not_measured_again(measuring: Broken) -> None:
     assert unfinished is not None
     assert unfinished.resumable
     assert unfinished.state is RunState.FAULTED
-    before = rows(STATE, "SELECT key, record FROM balls ORDER BY ordinal")
+    before = stored_run(STATE).balls
     assert len(before) == unfinished.balls > 0
     ended = measuring.resume()
     assert ended.error is None
     assert ended.outcome.state is RunState.COMPLETE
     assert ended.outcome.run_id == unfinished.run_id
-    assert rows(STATE, "SELECT key, record FROM balls ORDER BY ordinal")[: len(before)] == before
-    assert rows(STATE, "SELECT key FROM balls GROUP BY key HAVING count(*) > 1") == []
-    assert rows(STATE, "SELECT key FROM touches GROUP BY key HAVING count(*) > 1") == []
-    [(moved,)] = rows(STATE, "SELECT record FROM events WHERE record LIKE '%resume-1/datum/found%'")
-    assert np.linalg.norm(json.loads(moved)["moved_um"]) < 5.0
+    run = stored_run(STATE)
+    assert run.balls[: len(before)] == before
+    assert run.measured_twice == []
+    [moved] = [event.record for event in run.events if "resume-1/datum/found" in event.record_text]
+    assert np.linalg.norm(moved["moved_um"]) < 5.0
     assert measuring.night.active == 2
     assert unfinished_run(STATE) is None
 
@@ -162,15 +163,13 @@ def test_a_file_that_has_changed_is_refused_by_name(lost_measuring, measuring: B
 
 def test_a_plan_that_diverges_names_both_keys_and_moves_nothing(measuring: Broken) -> None:
     """As another version might: one recorded step has another key."""
-    with sqlite3.connect(STATE / "journal.sqlite") as connection:
-        connection.execute("UPDATE steps SET key = 'measure/elsewhere' WHERE key LIKE 'measure/%/orient'")
-    connection.close()
+    rename_steps(STATE, "measure/%/orient", "measure/elsewhere")
     ended = measuring.resume()
     assert isinstance(ended.error, PlanDiverged)
     assert ended.error.where["recorded"] == "measure/elsewhere"
     assert ended.error.where["asked"].endswith("/orient")
     assert ended.outcome.state is RunState.FAULTED
-    assert rows(STATE, "SELECT key FROM steps WHERE key LIKE 'resume-%' OR key = 'recover/withdraw'") == []
+    assert not [step.key for step in stored_run(STATE).steps if step.key.startswith(("resume-", "recover/withdraw"))]
     assert measuring.night.active == 1
 
 
@@ -188,8 +187,9 @@ def test_an_artefact_that_was_moved_is_noticed_before_anything_is_mixed(measurin
 def test_a_run_that_was_aborted_is_not_gone_on_with(measuring: Broken) -> None:
     result = give_up(measuring.rig, STATE, "test")
     assert result.done is Done.NOTHING
-    assert rows(STATE, "SELECT state, ended IS NOT NULL FROM runs") == [("aborted", 1)]
-    with pytest.raises(InputError, match="no run to go on with"):
+    run = stored_run(STATE).row
+    assert (run.state, run.ended is not None) == ("aborted", True)
+    with pytest.raises(InputError, match="no run to resume"):
         measuring.resume()
 
 
@@ -206,7 +206,7 @@ def test_an_unproved_table_is_taken_back_and_the_run_can_still_prove_it(proving:
     assert ended.outcome.proof is not None and ended.outcome.proof.accepted
     assert proving.night.active == 2
     assert reconcile(proving.rig, STATE).found is Found.AS_EXPECTED
-    assert rows(STATE, "SELECT count(*) FROM steps WHERE key = 'publish/stage'") == [(1,)]
+    assert len(stored_run(STATE).results("publish/stage")) == 1
 
 
 def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken) -> None:
@@ -276,7 +276,8 @@ def test_a_table_that_waits_for_a_restart_is_completed_by_the_next_start(monkeyp
     assert isinstance(ended.error, NotActiveYet)
     assert ended.outcome.state is RunState.WRITTEN
     assert "switched off and on" in str(ended.error)
-    assert rows(STATE, "SELECT state, ended FROM runs") == [("written, not active", None)]
+    run = stored_run(STATE).row
+    assert (run.state, run.ended) == ("written, not active", None)
     rig = tamper(broken.rig)
     waiting = reconcile(rig, STATE)
     assert (waiting.found, waiting.done, waiting.waiting_bank) == (Found.WAITING, Done.LEFT, stores[0].waiting)
@@ -290,7 +291,7 @@ def test_a_table_that_waits_for_a_restart_is_completed_by_the_next_start(monkeyp
     assert ended.outcome.state is RunState.COMPLETE
     assert ended.outcome.proof is not None
     assert ended.outcome.proof.accepted
-    assert rows(STATE, "SELECT count(*) FROM steps WHERE kind = 'ActivateBank'") == [(1,)]
+    assert len(stored_run(STATE).steps_of("ActivateBank")) == 1
     assert reconcile(rig, STATE).found is Found.AS_EXPECTED
 
 
@@ -311,12 +312,11 @@ def test_a_night_goes_on_while_its_slot_lasts(monkeypatch, tmp_path: Path) -> No
     assert isinstance(ended.error, LinkLost)
     in_the_morning = broken.copied(monkeypatch, tmp_path)
     earlier = (datetime.now(UTC) - timedelta(hours=10)).isoformat(timespec="milliseconds")
-    with closing(sqlite3.connect(STATE / "journal.sqlite")) as connection, connection:
-        connection.execute("UPDATE origins SET begun_at = ? WHERE run = 2", (earlier,))
+    change_start_of_measuring(STATE, 2, earlier)
     late = in_the_morning.resume()
     assert isinstance(late.error, PlanRefused)
     assert "are left of its slot" in str(late.error)
-    assert rows(STATE, "SELECT count(*) < 150 FROM touches WHERE run = 2") == [(1,)]
+    assert len(stored_run(STATE, late.outcome.run_id).touches) < 150
 
     monkeypatch.chdir(tmp_path / "night")
     broken.night.tamper = lambda rig: rig
@@ -325,5 +325,5 @@ def test_a_night_goes_on_while_its_slot_lasts(monkeypatch, tmp_path: Path) -> No
     assert went_on.outcome.night is not None
     assert went_on.outcome.night.nights == 1.0
     assert went_on.outcome.night.decision in (Decision.WRITTEN, Decision.FUSED)
-    assert rows(STATE, "SELECT count(*) > 150 FROM touches WHERE run = 2") == [(1,)]
-    assert rows(STATE, "SELECT run, key FROM touches GROUP BY run, key HAVING count(*) > 1") == []
+    assert len(stored_run(STATE, went_on.outcome.run_id).touches) > 150
+    assert all(stored_run(STATE, run_id).measured_twice == [] for run_id in run_ids(STATE))

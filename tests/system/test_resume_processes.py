@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nights import rows
 from simulated import CONFIG, SCENARIO, balls_in, configured, simulated, wait_until
+from stored_run import stored_run
 
 BALLS_BEFORE_THE_KILL = 5
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
@@ -79,13 +79,13 @@ def test_a_killed_calibration_goes_on_to_its_end(tmp_path: Path) -> None:
                 agent.communicate(timeout=10.0)
             finally:
                 agent.kill()
-        assert rows(state, "SELECT state, ended FROM runs") == [("measuring", None)]
-        kept = rows(state, "SELECT key, record FROM balls ORDER BY ordinal")
+        killed = stored_run(state)
+        assert (killed.row.state, killed.row.ended) == ("measuring", None)
         outcome = finished(volcal(tmp_path, "resume", "--config", str(config)))
     assert outcome["state"] == "complete"
-    assert outcome["touches"] == rows(state, "SELECT count(*) FROM touches")[0][0]
-    assert rows(state, "SELECT key, record FROM balls ORDER BY ordinal")[: len(kept)] == kept
-    assert rows(state, "SELECT key FROM touches GROUP BY key HAVING count(*) > 1") == []
-    assert rows(state, "SELECT key FROM balls GROUP BY key HAVING count(*) > 1") == []
-    assert rows(state, "SELECT count(*) > 0 FROM steps WHERE key LIKE 'resume-1/datum/%'") == [(1,)]
-    assert rows(state, "SELECT state, ended IS NOT NULL FROM runs") == [("complete", 1)]
+    run = stored_run(state)
+    assert outcome["touches"] == len(run.touches)
+    assert run.balls[: len(killed.balls)] == killed.balls
+    assert run.measured_twice == []
+    assert any(step.key.startswith("resume-1/datum/") for step in run.steps)
+    assert (run.row.state, run.row.ended is not None) == ("complete", True)

@@ -6,9 +6,7 @@ import json
 import os
 import signal
 import socket
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -26,6 +24,7 @@ from service_process import (
     simulator,
     systemd_socket,
 )
+from stored_run import stored_run
 
 from agent.execution.states import FINAL
 
@@ -203,8 +202,7 @@ def test_the_end_of_the_service_withdraws_and_the_next_one_goes_on(tmp_path: Pat
             assert answer.json()["run_id"] == run_id
             ended = again.reached("complete", "faulted", "refused")
             assert ended["state"] == "complete", ended["alarms"]
-    with closing(sqlite3.connect(tmp_path / "state" / "journal.sqlite")) as journal:
-        keys = [key for (key,) in journal.execute("SELECT key FROM balls")]
+    keys = [ball.key for ball in stored_run(tmp_path / "state", run_id).balls]
     assert len(keys) == len(set(keys)) > 20
 
 

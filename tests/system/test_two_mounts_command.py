@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from nights import memory_directory
+from stored_run import stored_run
 
 from agent.cli.demo import connect
 from agent.cli.doctor import examine
@@ -44,9 +44,9 @@ def test_a_whole_run_over_both_stations_without_an_operator(out: Path) -> None:
 
 def kinds_of_steps(state: Path) -> dict[str, object]:
     """How often the operator was asked, and at which stations mounts were turned."""
-    with sqlite3.connect(state / "journal.sqlite") as journal:
-        asked = journal.execute("SELECT count(*) FROM steps WHERE kind = 'AskOperator'").fetchone()[0]
-        keys = [key for (key,) in journal.execute("SELECT key FROM steps WHERE kind = 'OrientTo'")]
+    run = stored_run(state)
+    asked = len(run.steps_of("AskOperator"))
+    keys = [step.key for step in run.steps_of("OrientTo")]
     stations = {int(part.removeprefix("station-")) for key in keys for part in key.split("/") if "station-" in part}
     return {"asked": asked, "turned": tuple(sorted(stations))}
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from nights import Night, document, memory_directory, rows, short_document, states
+from nights import Night, document, memory_directory, short_document
+from stored_run import StoredRun, repeated, stored_run
 
 from agent.cli.calibrate import conclude
 from agent.errors import GateRefused
@@ -38,13 +38,8 @@ class TwoNights:
     after_first: tuple[int, dict[int, TableImage]]
     true_ve_um: tuple[float, float, float]
 
-    def steps(self, ended: RunResult, columns: str, where: str = "1") -> list[tuple]:
-        run_id = ended.outcome.run_id
-        return rows(
-            self.state,
-            f"SELECT {columns} FROM steps JOIN runs USING (run) "  # noqa: S608  literals of this file
-            f"WHERE run_id = '{run_id}' AND {where} ORDER BY ordinal",
-        )
+    def stored(self, ended: RunResult) -> StoredRun:
+        return stored_run(self.state, ended.outcome.run_id)
 
     def estimate(self, ended: RunResult) -> StoredEstimate:
         path = self.state / ended.outcome.run_id / "estimate.json"
@@ -94,27 +89,26 @@ def test_bank_that_acts_holds_the_table_of_the_files(nights: TwoNights) -> None:
     text, side = ((folder / name).read_text() for name in ("table.csv", "table.json"))
     table = parse_table(text, side, "table.csv", "table.json")
     assert np.abs(banks[1].counts * banks[1].resolution_mm - table.corrections).max() <= 0.5001 * banks[1].resolution_mm
-    staged = nights.steps(nights.first, "result", "key = 'publish/read-back'")
-    assert [json.loads(result)["crc32"] for (result,) in staged] == [table_digest(banks[1])]
+    staged = nights.stored(nights.first).results("publish/read-back")
+    assert [result["crc32"] for result in staged] == [table_digest(banks[1])]
 
 
 def test_every_acting_step_has_begun_before_it_ended_and_no_key_comes_twice(nights: TwoNights) -> None:
-    steps = nights.steps(nights.first, "key, steps.kind, begun, finished, error")
-    keys = [key for key, *_ in steps]
-    assert len(keys) == len(set(keys))
-    assert {kind for _, kind, *_ in steps} >= {"MoveTo", "TouchTowards", "OrientTo", "StageTable", "ActivateBank"}
-    for key, kind, begun, finished, error in steps:
-        assert error is None, key
-        assert begun <= finished, key
-        assert kind in ACTING_KINDS or begun == finished, key
-    begins = [begun for *_, begun, _finished, _error in steps]
+    steps = nights.stored(nights.first).steps
+    assert repeated(step.key for step in steps) == []
+    assert {step.kind for step in steps} >= {"MoveTo", "TouchTowards", "OrientTo", "StageTable", "ActivateBank"}
+    for step in steps:
+        assert step.error is None, step.key
+        assert step.finished_s is not None, step.key
+        assert step.begun_s <= step.finished_s, step.key
+        assert step.kind in ACTING_KINDS or step.begun_s == step.finished_s, step.key
+    begins = [step.begun_s for step in steps]
     assert begins == sorted(begins)
 
 
 def test_a_table_is_written_read_activated_and_asked_for_in_this_order(nights: TwoNights) -> None:
-    kinds = ("StageTable", "ReadTable", "ActivateBank", "ReadActiveBank")
-    writing = nights.steps(nights.first, "key", f"steps.kind IN {kinds}")
-    assert [key for (key,) in writing] == [
+    writing = nights.stored(nights.first).steps_of("StageTable", "ReadTable", "ActivateBank", "ReadActiveBank")
+    assert [step.key for step in writing] == [
         "before/active-bank",
         "publish/stage",
         "publish/read-back",
@@ -124,14 +118,12 @@ def test_a_table_is_written_read_activated_and_asked_for_in_this_order(nights: T
 
 
 def test_journal_keeps_balls_backup_and_states(nights: TwoNights) -> None:
-    run_id = nights.first.outcome.run_id
-    of_run = f"JOIN runs USING (run) WHERE run_id = '{run_id}'"
-    balls = rows(nights.state, f"SELECT key FROM balls {of_run}")  # noqa: S608
-    assert len({key for (key,) in balls}) == len(balls) >= nights.first.outcome.balls
-    tables = rows(nights.state, f"SELECT role, bank, crc32 FROM tables {of_run} ORDER BY tables.rowid")  # noqa: S608
-    assert tables[0] == ("backup", 0, None)
-    assert tables[1] == ("staged", 1, table_digest(nights.after_first[1][1]))
-    assert states(nights.state, run_id) == [
+    run = nights.stored(nights.first)
+    assert len({ball.key for ball in run.balls}) == len(run.balls) >= nights.first.outcome.balls
+    backup, staged, *_ = run.tables
+    assert (backup.role, backup.bank, backup.crc32) == ("backup", 0, None)
+    assert (staged.role, staged.bank, staged.crc32) == ("staged", 1, table_digest(nights.after_first[1][1]))
+    assert run.states == [
         "preflight", "measuring", "identifying", "staging", "activating", "verifying", "complete",
     ]  # fmt: skip
 
@@ -153,10 +145,8 @@ def test_second_night_does_not_help_and_the_first_table_acts_again(nights: TwoNi
     assert ended.outcome.table_bank == nights.night.active == 1
     assert nights.night.banks[1].same_as(nights.after_first[1][1])
     assert nights.true_ve_um[2] == nights.true_ve_um[1]
-    keys = [
-        key for (key,) in nights.steps(ended, "key", "steps.kind IN ('ReadTable', 'ActivateBank', 'ReadActiveBank')")
-    ]
-    assert keys == [
+    run = nights.stored(ended)
+    assert [step.key for step in run.steps_of("ReadTable", "ActivateBank", "ReadActiveBank")] == [
         "before/active-bank",
         "before/active-table",
         "publish/read-back",
@@ -165,11 +155,7 @@ def test_second_night_does_not_help_and_the_first_table_acts_again(nights: TwoNi
         "restore/activate",
         "restore/active-bank",
     ]
-    tables = rows(
-        nights.state,
-        f"SELECT role, bank FROM tables JOIN runs USING (run) WHERE run_id = '{ended.outcome.run_id}'",  # noqa: S608
-    )
-    assert tables == [("backup", 1), ("staged", 2), ("restored", 1)]
+    assert [(table.role, table.bank) for table in run.tables] == [("backup", 1), ("staged", 2), ("restored", 1)]
     assert exit_code(ended) == 4
 
 
@@ -209,8 +195,9 @@ def test_table_applied_with_the_wrong_sign_is_noticed_and_withdrawn(monkeypatch,
     assert proof.after_um > proof.before_um
     assert night.active == 0
     assert ended.outcome.table_bank == 0
-    assert states(state)[-2:] == ["restoring", "complete"]
-    assert rows(state, "SELECT result FROM steps WHERE key = 'restore/active-bank'") == [("0",)]
+    run = stored_run(state)
+    assert run.states[-2:] == ["restoring", "complete"]
+    assert run.results("restore/active-bank") == [0]
     assert exit_code(ended) == 4
     assert "restored" in (ended.outcome.report.read_text() if ended.outcome.report else "restored")
 
@@ -222,7 +209,7 @@ def test_proof_that_cannot_be_met_restores_the_former_bank(monkeypatch, state: P
     assert not ended.outcome.proof.accepted
     assert "0.00" in ended.outcome.proof.reason
     assert (night.active, ended.outcome.table_bank) == (0, 0)
-    assert rows(state, "SELECT state FROM runs") == [("complete",)]
+    assert stored_run(state).row.state == "complete"
     assert exit_code(ended) == 4
 
 
@@ -242,9 +229,10 @@ def test_s2_with_distances_is_refused_by_the_gates_as_shipped(monkeypatch, state
     assert ended.outcome.state is RunState.REFUSED
     assert ended.outcome.proof is None
     assert (night.active, night.banks) == (0, {})
-    assert rows(state, "SELECT key FROM steps WHERE kind IN ('StageTable', 'ActivateBank')") == []
-    failed = [json.loads(r) for (r,) in rows(state, "SELECT record FROM decisions WHERE kind = 'gate'")]
-    assert [gate["name"] for gate in failed if not gate["passed"]] == ["gain"]
+    run = stored_run(state)
+    assert run.steps_of("StageTable", "ActivateBank") == []
+    gates = [decision.record for decision in run.decisions if decision.kind == "gate"]
+    assert [gate["name"] for gate in gates if not gate["passed"]] == ["gain"]
     assert ended.outcome.report is not None
 
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nights import Night, memory_directory, rows, short_document, states
+from nights import Night, memory_directory, short_document
+from stored_run import stored_run
 
 from agent.errors import Aborted, JournalFailed
 from agent.execution.journal import RunJournal
@@ -144,12 +145,13 @@ def test_abort_leaves_the_table_as_it_was(broken: Broken, place: tuple[str, int]
     assert isinstance(ended.error, Aborted)
     assert ended.error.exit_code == 5
     assert ended.outcome.state is RunState.ABORTED
-    assert states(broken.state)[-2:] == ["aborting", "aborted"]
-    assert rows(broken.state, "SELECT state, ended IS NOT NULL FROM runs") == [("aborted", 1)]
+    run = stored_run(broken.state)
+    assert run.states[-2:] == ["aborting", "aborted"]
+    assert (run.row.state, run.row.ended is not None) == ("aborted", True)
     assert (broken.night.active, broken.former_acts) == (1, True)
     assert broken.at_rest
     if place in AFTER_ACTIVATION:
-        assert rows(broken.state, "SELECT result FROM steps WHERE key = 'restore/active-bank'") == [("1",)]
+        assert run.results("restore/active-bank") == [1]
 
 
 @pytest.mark.parametrize("place", FEW, ids=place_name)
@@ -163,7 +165,7 @@ def test_refused_command_names_step_and_leaves_the_table_as_it_was(broken: Broke
     assert ended.outcome.state is RunState.FAULTED
     assert (broken.night.active, broken.former_acts) == (1, True)
     assert broken.at_rest
-    [(reason,)] = rows(broken.state, "SELECT reason FROM runs")
+    reason = str(stored_run(broken.state).row.reason)
     assert "the controller refused" in reason
     assert ended.error.where["step"] in reason
 
@@ -180,7 +182,7 @@ def test_lost_link_names_link_and_step_and_what_it_could_not_restore(broken: Bro
     assert ended.error.where["step"]
     assert broken.night.active in (1, 2)
     assert broken.night.banks[1].same_as(FORMER)
-    [(reason,)] = rows(broken.state, "SELECT reason FROM runs")
+    reason = str(stored_run(broken.state).row.reason)
     if broken.night.active == 1 and place != ("activate", 1):
         assert "could not be made active again" not in reason
     else:
@@ -222,7 +224,7 @@ def test_table_that_reads_back_differently_is_never_activated(broken: Broken, mo
     assert isinstance(ended.error, ReadBackMismatch)
     assert "step publish/" in str(ended.error)
     assert ended.outcome.state is RunState.FAULTED
-    assert rows(broken.state, "SELECT key FROM steps WHERE kind = 'ActivateBank'") == []
+    assert stored_run(broken.state).steps_of("ActivateBank") == []
     assert night.active == 0
 
 
@@ -256,4 +258,4 @@ def test_door_that_opened_during_the_proof_does_not_keep_the_new_table(broken: B
     ended = broken.run(Tripwire, ("touch_towards", 265), open_door)
     assert ended.outcome.state is RunState.FAULTED
     assert (broken.night.active, broken.former_acts) == (1, True)
-    assert ("restore/reset",) in rows(broken.state, "SELECT key FROM steps")
+    assert "restore/reset" in [step.key for step in stored_run(broken.state).steps]

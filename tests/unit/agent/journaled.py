@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from journal_surgery import change_dates
 
 from agent.execution.journal import Journal
 from agent.execution.states import RunState
@@ -57,14 +58,8 @@ def journaled(
 
 def dated(state: Path, night: int) -> None:
     """As if it had been that night."""
-    connection = sqlite3.connect(state / "journal.sqlite")
-    with connection:
-        day = f"2026-11-{night + 1:02d}T"
-        connection.execute(
-            "UPDATE runs SET started = ?, ended = ? WHERE run_id = ?",
-            (f"{day}02:00:00.000Z", f"{day}03:30:00.000Z", run_id(night)),
-        )
-    connection.close()
+    day = f"2026-11-{night + 1:02d}T"
+    change_dates(state, run_id(night), f"{day}02:00:00.000Z", f"{day}03:30:00.000Z")
 
 
 def proof(*, accepted: bool) -> Mapping[str, Any]:

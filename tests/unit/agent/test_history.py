@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from journal_surgery import add_event, change_end, remove_results
 from journaled import SETTINGS, journaled, run_id
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -93,26 +94,22 @@ class TestFeeding:
         """A run that was under way, or resumed: the row follows, its parameters are not doubled."""
         journaled(state, 0)
         sync(state, store)
-        with closing(sqlite3.connect(state / "journal.sqlite")) as journal, journal:
-            journal.execute("UPDATE runs SET state = 'faulted', reason = 'mended'")
+        change_end(state, "faulted", "mended")
         assert sync(state, store) == (run_id(0),)
         (run,) = store.runs()
         assert (run.state, run.reason, len(run.parameters)) == ("faulted", "mended", 3)
 
     def test_a_run_that_was_gone_on_with_was_started_by_who_asked_first(self, state: Path, store: HistoryStore) -> None:
         journaled(state, 0)
-        with closing(sqlite3.connect(state / "journal.sqlite")) as journal, journal:
-            for asked in ('{"source": "timer"}', '{"source": "page", "resumed": true}'):
-                journal.execute("INSERT INTO events (run, at, kind, record) VALUES (1, '', 'asked', ?)", (asked,))
+        for asked in ('{"source": "timer"}', '{"source": "page", "resumed": true}'):
+            add_event(state, 1, "asked", asked)
         sync(state, store)
         (run,) = store.runs()
         assert run.started_by == "timer"
 
     def test_a_run_without_an_estimate_is_history_too(self, state: Path, store: HistoryStore) -> None:
         journaled(state, 0, ends=RunState.REFUSED)
-        with closing(sqlite3.connect(state / "journal.sqlite")) as journal, journal:
-            journal.execute("DELETE FROM estimates")
-            journal.execute("DELETE FROM decisions")
+        remove_results(state)
         sync(state, store)
         (run,) = store.runs()
         assert (run.state, run.ve_before_um, run.parameters, run.accepted) == ("refused", None, [], None)
