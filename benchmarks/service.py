@@ -12,14 +12,13 @@ import argparse
 import json
 import os
 import socket
-import sqlite3
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from service_process import COMMAND, Service, service, short_settings, wait_for
 from simulated import SCENARIO
 
 from agent.execution.journal import Journal
+from agent.execution.journal_reader import open_journal
 from agent.execution.steps import ACTING
 from benchmarks.service_wire import Wire, wire
 
@@ -128,12 +128,9 @@ def measured(running: Service, seconds: float) -> dict[str, float]:
     share = cpu_percent(running.process.pid, seconds)
     running.post("/api/abort")
     running.reached("aborted")
-    with closing(sqlite3.connect(running.state / "journal.sqlite")) as journal:
-        rows = journal.execute(
-            "SELECT begun, finished, steps.kind FROM steps JOIN runs USING (run) "
-            "WHERE run_id = ? AND finished IS NOT NULL AND NOT steps.aside ORDER BY ordinal",
-            (run_id,),
-        ).fetchall()
+    with open_journal(running.state) as reader:
+        steps = reader.steps(reader.require_run(run_id).run, procedure_only=True)
+    rows = [(step.begun_s, step.finished_s, step.kind) for step in steps if step.finished_s is not None]
     moving = {kind.__name__ for kind in ACTING}
     gaps = sorted(after[0] - before[1] for before, after in pairwise(rows) if after[2] in moving)
     return {

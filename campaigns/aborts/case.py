@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.execution.journal_reader import JournalReader
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
 from agent.settings.load import load_settings
@@ -83,8 +84,9 @@ class Memory:
         [pages] = self.keeper.execute("PRAGMA page_count").fetchone()
         self.keeper.execute(f"PRAGMA max_page_count = {pages}")
 
-    def rows(self, query: str) -> list[tuple[Any, ...]]:
-        return self.keeper.execute(query).fetchall()
+    @property
+    def journal(self) -> JournalReader:
+        return JournalReader(self.keeper)
 
     def end(self) -> None:
         """Files again."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 from agent.execution.states import RunState
@@ -70,8 +69,7 @@ def _compensation(breaking: Breaking, ended: RunResult | None) -> list[str]:
     if FORMER_BANK not in controller.banks or not controller.banks[FORMER_BANK].same_as(FORMER):
         failures.append("the former table is not what it was")
     if controller.active_bank != FORMER_BANK:
-        reasons = [reason for (reason,) in breaking.memory.rows("SELECT reason FROM runs")]
-        told = any("could not be made active again" in str(reason) for reason in reasons)
+        told = any("could not be made active again" in str(run.reason) for run in breaking.memory.journal.runs())
         if way.how != "link" or not told:
             failures.append(f"bank {controller.active_bank} acts, told: {told}")
         if controller.active_bank not in controller.banks:
@@ -81,16 +79,16 @@ def _compensation(breaking: Breaking, ended: RunResult | None) -> list[str]:
 
 def _journal(breaking: Breaking) -> list[str]:
     """Closed with a final state, and the first cause as its reason."""
-    way, memory = breaking.way, breaking.memory
+    way, journal = breaking.way, breaking.memory.journal
     assert way is not None
-    [(state, ended, reason)] = memory.rows("SELECT state, ended, reason FROM runs")
+    [run] = journal.runs()
     expected = "aborted" if way.how in BY_REQUEST else "faulted"
-    events = memory.rows("SELECT record FROM events WHERE kind = 'state' ORDER BY rowid DESC LIMIT 1")
+    states = [event.record["state"] for event in journal.events(run.run, ("state",))]
     failures = []
-    if state != expected or ended is None:
-        failures.append(f"the journal ends {state}, closed {ended}, wanted {expected}")
-    if [json.loads(record)["state"] for (record,) in events] != [expected]:
-        failures.append(f"the last state in the journal is {events}")
-    if WORDS[way.how] not in str(reason).split(";", maxsplit=1)[0]:
-        failures.append(f"the journal's first cause is {reason}")
+    if run.state != expected or run.ended is None:
+        failures.append(f"the journal ends {run.state}, closed {run.ended}, wanted {expected}")
+    if states[-1:] != [expected]:
+        failures.append(f"the last state in the journal is {states[-1:]}")
+    if WORDS[way.how] not in str(run.reason).split(";", maxsplit=1)[0]:
+        failures.append(f"the journal's first cause is {run.reason}")
     return failures

@@ -6,12 +6,10 @@ import os
 import shutil
 import signal
 import socket
-import sqlite3
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
@@ -171,14 +169,6 @@ class House:
         process = subprocess.Popen(command, text=True, **how)  # noqa: S603  our own interpreter and modules
         self.processes.append(process)
         return process
-
-    # ------------------------------------------------------------------ the journal
-
-    def rows(self, query: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-        """What another connection reads from the journal."""
-        uri = f"{(self.state / 'journal.sqlite').resolve().as_uri()}?mode=ro"
-        with closing(sqlite3.connect(uri, uri=True, timeout=5.0)) as journal:
-            return journal.execute(query, values).fetchall()
 
 
 def settings_text(ready: Mapping[str, Any], changes: Mapping[str, str]) -> str:

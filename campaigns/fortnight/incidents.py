@@ -8,6 +8,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from agent.execution.journal_reader import open_journal
 from agent.results.run_outcome import Decision
 from agent.service.state.journal_state import BROKEN_OFF_CODE
 from campaigns.fortnight.evening import Evening, Expected
@@ -102,14 +103,15 @@ class Incidents:
         self._house.serve()
         self._stands(evening, "faulted", BROKEN_OFF_CODE)
         code, said = self._ended(evening, waiting)
-        evening.claims["the timer's command tells it"] = code == ABORTED and "broken off" in said
+        evening.claims["the timer's command tells it"] = code == ABORTED and "interrupted" in said
         self._sticky_until_reset(evening)
         run_id = str(status["run_id"])
         evening.claims["it can be gone on with"] = self._house.status()["unfinished"] == run_id
         answer = self._house.post("/api/resume-run", {"source": "page"})
         evening.claims["it is the same run"] = answer.json().get("run_id") == run_id
         evening.claims["complete"] = self._house.at_rest(run_id)["state"] == "complete"
-        again = self._house.rows("SELECT key FROM balls JOIN runs USING (run) WHERE run_id = ?", (run_id,))
+        with open_journal(self._house.state) as reader:
+            again = [ball.key for ball in reader.balls(reader.require_run(run_id).run)]
         evening.claims["no ball twice"] = len(again) == len(set(again))
         if through:
             apart = largest_difference(through, estimate_of(self._house, run_id))
@@ -185,13 +187,17 @@ class Incidents:
 
     def _refused(self, evening: Evening, reason: str) -> None:
         """With the reason; nothing is begun and nothing moves."""
-        [runs] = self._house.rows("SELECT count(*), (SELECT count(*) FROM steps) FROM runs")
+        runs = self._runs_and_steps()
         stood = self._plant.position
         found, said = self._asked(evening, *SLOT)
         evening.claims["refused with the reason"] = found == NOT_NOW and reason in said
         evening.claims["moved nothing"] = self._plant.position == stood
-        [after] = self._house.rows("SELECT count(*), (SELECT count(*) FROM steps) FROM runs")
-        evening.claims["began nothing"] = after == runs
+        evening.claims["began nothing"] = self._runs_and_steps() == runs
+
+    def _runs_and_steps(self) -> dict[str, int]:
+        """How many steps each run of the journal has."""
+        with open_journal(self._house.state) as reader:
+            return {run.run_id: reader.count_steps(run.run) for run in reader.runs()}
 
     def _measured(self) -> dict[str, object] | None:
         status = self._house.status()
@@ -235,7 +241,8 @@ class Incidents:
 
 def estimate_of(house: House, run_id: str) -> list[tuple[str, float, float]]:
     """Name, value and standard uncertainty of every parameter."""
-    [(text,)] = house.rows("SELECT record FROM estimates JOIN runs USING (run) WHERE run_id = ?", (run_id,))
+    with open_journal(house.state) as reader:
+        [text] = reader.estimates(reader.require_run(run_id).run)
     parameters = json.loads(text)["parameters"]
     return [(one["name"], one["value"], one["standard_uncertainty"]) for one in parameters]
 

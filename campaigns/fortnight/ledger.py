@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from agent.execution.journal_reader import open_journal
 from agent.runs.reference_state import last_accepted
 from campaigns.fortnight.evening import Evening, Expected
 from campaigns.fortnight.house import House
@@ -33,7 +34,8 @@ def differing(house: House, evenings: Sequence[Evening], rows: Sequence[Row]) ->
     """Rows that are not what they should be; the journal has the same runs in the same order, with the same ends."""
     expected = [(evening, row) for evening in evenings for row in evening.expected]
     found = [*_against(expected, rows)]
-    journal = house.rows("SELECT run_id, kind, state, coalesce(reason, '') FROM runs ORDER BY run")
+    with open_journal(house.state) as reader:
+        journal = [(run.run_id, run.kind, run.state, run.reason or "") for run in reader.runs()]
     told = [(row["run_id"], row["kind"], row["state"], row["reason"]) for row in rows]
     if journal != told:
         found.append(f"journal and history differ: {sorted(set(journal) ^ set(told))}")

@@ -7,7 +7,6 @@ run's own ways out try comes to nothing, as if there were no process.
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import agent.runs.kinds.kind
 from agent.execution.encoding import table_digest
 from agent.execution.journal import RunJournal
+from agent.execution.journal_reader import open_journal
 from agent.execution.rig import Rig
 from agent.execution.steps import Step
 from agent.planning.case_file import SHIPPED_CONFIGURATION
@@ -214,32 +214,27 @@ def prepare(directory: Path) -> tuple[Settings, Machine]:
     return Settings.model_validate(document), Machine(world)
 
 
-def journaled(query: str) -> list[tuple[Any, ...]]:
-    connection = sqlite3.connect(f"file:{STATE / 'journal.sqlite'}?mode=ro", uri=True)
-    try:
-        return connection.execute(query).fetchall()
-    finally:
-        connection.close()
-
-
 def signature(machine: Machine) -> dict[str, Any]:
-    """What must be the same whether or not a run was broken off: every figure with all its digits."""
-    [(estimate,)] = journaled("SELECT record FROM estimates")
-    document = json.loads(estimate)
-    document.pop("provenance")
-    balls = [json.loads(record) for (record,) in journaled("SELECT record FROM balls ORDER BY ordinal")]
-    for ball in balls:
-        ball.pop("instant_s", None)
-    [(state,)] = journaled("SELECT state FROM runs")
-    return {
-        "state": state,
-        "estimate": document,
-        "balls": balls,
-        "touches": journaled("SELECT key, result FROM touches ORDER BY ordinal"),
-        "table": machine.table,
-        "tables": journaled("SELECT role, bank, crc32 FROM tables WHERE NOT aside ORDER BY rowid"),
-        "gates": journaled("SELECT kind, record FROM decisions WHERE NOT aside AND kind <> 'outcome' ORDER BY rowid"),
-    }
+    """What must be the same whether or not a run was interrupted: every figure with all its digits."""
+    with open_journal(STATE) as reader:
+        [row] = reader.runs()
+        run = row.run
+        [estimate] = reader.estimates(run)
+        document = json.loads(estimate)
+        document.pop("provenance")
+        balls = [dict(ball.record) for ball in reader.balls(run)]
+        for ball in balls:
+            ball.pop("instant_s", None)
+        decisions = reader.decisions(run, procedure_only=True)
+        return {
+            "state": row.state,
+            "estimate": document,
+            "balls": balls,
+            "touches": [(touch.key, touch.result_text) for touch in reader.touches(run)],
+            "table": machine.table,
+            "tables": [(one.role, one.bank, one.crc32) for one in reader.tables(run, procedure_only=True)],
+            "gates": [(one.kind, one.record_text) for one in decisions if one.kind != "outcome"],
+        }
 
 
 def _nobody(*_: Any) -> None:

@@ -17,6 +17,7 @@ import os
 import shutil
 import sys
 import traceback
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
 
+from agent.execution.journal_reader import open_journal
 from agent.execution.steps import Step
 from benchmarks.places import memory_directory
 from campaigns.resume.case import (
@@ -36,7 +38,6 @@ from campaigns.resume.case import (
     Machine,
     cache_preflight,
     fused_journal,
-    journaled,
     prepare,
     signature,
 )
@@ -100,8 +101,10 @@ class Breaks:
 
 def measured_twice() -> list[Any]:
     """Touches with a result, and balls, that the procedure has more than once."""
-    touches = journaled("SELECT key FROM touches GROUP BY key HAVING count(*) > 1")
-    return touches + journaled("SELECT key FROM balls GROUP BY key HAVING count(*) > 1")
+    with open_journal(STATE) as reader:
+        [run] = reader.runs()
+        keys = [[row.key for row in rows] for rows in (reader.touches(run.run), reader.balls(run.run))]
+    return [key for counted in map(Counter, keys) for key, count in counted.items() if count > 1]
 
 
 def compared(every: int, moments: Sequence[str], only: str = "") -> dict[str, Any]:

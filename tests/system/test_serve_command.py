@@ -167,7 +167,7 @@ def test_a_service_that_was_killed_says_so_and_could_go_on_after_a_reset(tmp_pat
         with service(config) as again:
             left = again.status()
             assert (left["state"], left["run_id"]) == ("faulted", run_id)
-            assert "broken off" in left["alarms"][0]["text"]
+            assert "interrupted" in left["alarms"][0]["text"]
             assert left["alarms"][0]["code"] == 480
             assert again.post("/api/reset").status_code == 200
             again.process.kill()
