@@ -10,8 +10,8 @@ from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import as_listed, walked
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import whole_procedure
-from agent.planning.time_model import S_PER_MIN
 from agent.settings.load import load_settings, with_overrides
+from twin.units import S_PER_MIN
 
 SETS = ("S3", "S1+S2+S3")
 

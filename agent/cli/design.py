@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.options import PATH
 from agent.files import translated
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import machine_minutes
@@ -30,7 +31,6 @@ from drivers.errors import InputError, UserError
 from twin.artefact.position_set import Position
 from twin.design.goals import Goal, PositionCountGoal, TargetErrorGoal, TimeSlotGoal
 
-PATH = click.Path(path_type=Path)
 _SLOT = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(min|h)?\s*")
 _MIN_PER = {None: 1.0, "min": 1.0, "h": 60.0}
 GOALS = "--slot, --positions or --target-vce"

@@ -13,13 +13,12 @@ from typing import Any, Literal
 import click
 
 from agent.cli.errors import reported
+from agent.cli.options import PATH
 from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
 from drivers.clock import wall_seconds
 from twin.compensation.gcode.correction_summary import CorrectionSummary
 from twin.compensation.gcode.setup import SYSTEMS, CorrectionOptions, PartSetup, Triple
 from twin.compensation.table import CompensationTable
-
-PATH = click.Path(path_type=Path)
 
 _LENGTH = re.compile(r"(\d+\.?\d*|\.\d+)\s*(um|µm|μm|mm)$")
 _G_CODE = re.compile(r"G?(\d+)(?:\.(\d))?$", re.IGNORECASE)

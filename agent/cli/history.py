@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import fail, reported
-from agent.cli.options import config_option
+from agent.cli.options import PATH, config_option
 from agent.errors import MeasurementFault
 from agent.files import write_all_atomically, write_atomically
 from agent.history.database_url import place_of
@@ -26,7 +26,6 @@ from agent.settings.load import naming, read_settings
 from agent.settings.schema import Settings
 from drivers.errors import InputError
 
-PATH = click.Path(path_type=Path)
 _machine = click.option("--machine", metavar="NAME", help="Another machine of the same database.")
 _json = click.option("--json", "as_json_object", is_flag=True, help="One JSON object on stdout.")
 

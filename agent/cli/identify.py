@@ -12,14 +12,13 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.options import PATH
 from agent.results.estimation import order_text
 from agent.runs.offline_identification import Request, Result, identify_files
 from agent.settings.load import read_settings
 from agent.settings.schema import GateSettings, IdentificationSettings, Order
 from drivers.clock import utc_timestamp, wall_seconds
 from twin.identification import Options
-
-PATH = click.Path(path_type=Path)
 
 
 def _order(_context: click.Context, _option: click.Parameter, text: str) -> Order:

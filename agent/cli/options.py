@@ -7,6 +7,9 @@ from pathlib import Path
 
 import click
 
+PATH = click.Path(path_type=Path)
+"""Type of options that name a file or a folder."""
+
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|)")
 
 
@@ -27,7 +30,7 @@ def config_option(command: click.decorators.FC) -> click.decorators.FC:
     option = click.option(
         "--config",
         "config",
-        type=click.Path(path_type=Path),
+        type=PATH,
         default=Path("volcal.toml"),
         show_default=True,
         help="Settings of the agent.",

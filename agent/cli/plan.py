@@ -19,11 +19,11 @@ from agent.planning.cycle_time import PARTS, as_listed, minutes_by_part, walked
 from agent.planning.design.set_valuation import valuation_of
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
-from agent.planning.time_model import S_PER_MIN
 from agent.probing.run_plan import position_key
 from agent.results.predicted_accuracy import Expectation, expect
 from agent.settings.load import load_settings, naming, with_overrides
 from twin.design.valuation import Valuation
+from twin.units import S_PER_MIN
 
 
 @click.command("plan")

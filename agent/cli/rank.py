@@ -14,14 +14,15 @@ from rich.markup import escape
 from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.options import PATH
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.identifiability import Question, Ranking, rank
 from agent.reports.page.number_format import number, plural, point
 from twin.design.identifiability import Identifiability
-from twin.design.setup_advice import UM_PER_MM, describe_gain, describe_trial
+from twin.design.setup_advice import describe_gain, describe_trial
 from twin.design.setup_trials import TrialGain
+from twin.units import UM_PER_MM
 
-PATH = click.Path(path_type=Path)
 MILLIONTHS = 1e3, 1e6
 """µm per mm and µrad per rad."""
 

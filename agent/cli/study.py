@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.options import PATH
 from agent.files import check_folder, translated
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.settings.load import naming
@@ -31,8 +32,6 @@ from twin.identification import Options
 
 if TYPE_CHECKING:
     from agent.studies.cluster import DaskWorkers
-
-PATH = click.Path(path_type=Path)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
-from agent.cli.options import config_option
+from agent.cli.options import PATH, config_option
 from agent.cli.store_connection import connected
 from agent.files import write_all_atomically
 from agent.results.controller_export import Material, Request, Result, export_table, table_in_files
@@ -31,8 +31,6 @@ from twin.compensation.controllers.format_options import (
 from twin.compensation.controllers.registry import FORMATS, all_options, formats_with
 from twin.compensation.table import CompensationTable
 from twin.compensation.table_file import format_side_file, format_table
-
-PATH = click.Path(path_type=Path)
 
 
 def _points(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int, int, int] | None:

@@ -22,10 +22,11 @@ from agent.planning.latency_fit import (
     refit,
     suggested_settings,
 )
-from agent.planning.time_model import S_PER_MIN, TimeModel, time_model
+from agent.planning.time_model import TimeModel, time_model
 from agent.settings.schema import Settings
 from drivers.errors import InputError
 from twin.formats.toml_reading import validate_document, with_current_keys
+from twin.units import S_PER_MIN
 
 
 @click.command("timing")

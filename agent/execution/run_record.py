@@ -12,8 +12,7 @@ from agent.execution.journal_reader import JournalReader, has_journal, open_jour
 from agent.execution.journal_rows import DecisionRow, EventRow, RunRow, StepRow, TableRow
 from agent.execution.journal_schema import FILE_NAME
 from drivers.errors import InputError
-
-S_PER_MIN = 60.0
+from twin.units import S_PER_MIN
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from twin.arrays import Array
 from twin.collision.geometry import Point
-
-Array = NDArray[np.float64]
 
 FREED_MM = 3.0
 """By so much a stylus that may be deflected is taken off what it touches before anything else moves."""

@@ -18,6 +18,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from agent.figures.report_style import MAP_COLOURS
+
 INK = "#1b2430"
 QUIET = "#5a6675"
 GRID = "#dfe4e9"
@@ -31,9 +33,6 @@ SERIES = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, INK)
 """Colours of series, in the order in which they are used."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """Markers of series, so that no colour alone tells two apart."""
-
-MAP_COLOURS = "viridis"
-BAND_OPACITY = 0.22
 
 DOTS_PER_INCH = 150
 

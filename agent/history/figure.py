@@ -29,7 +29,9 @@ class Colours:
     band: float
 
 
-PICTURE = Colours(study_style.BLUE, study_style.ORANGE, study_style.PURPLE, study_style.QUIET, study_style.BAND_OPACITY)
+PICTURE = Colours(
+    study_style.BLUE, study_style.ORANGE, study_style.PURPLE, study_style.QUIET, report_style.BAND_OPACITY
+)
 PAGE = Colours(report_style.BLUE, report_style.ORANGE, report_style.PURPLE, report_style.INK, report_style.BAND_OPACITY)
 
 

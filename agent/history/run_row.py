@@ -12,6 +12,7 @@ from typing import Any
 from agent.execution.encoding import to_json
 from agent.execution.run_record import RunRecord
 from agent.results.journal_entries import IDENTIFIED, INPUTS, OUTCOME
+from twin.units import MICRO_UNITS
 
 KEPT_DECISIONS = frozenset(
     {"gate", "proof", "night", "verify", "accepted", "refused", "full-calibration-needed", "activate/activated"}
@@ -19,7 +20,6 @@ KEPT_DECISIONS = frozenset(
 )
 """What is decided about the machine; the big records of a run stay in its journal."""
 _TOO_BIG = ("written",)
-_MICRO = {"mm": ("µm", 1e3), "rad": ("µrad", 1e6)}
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _errors(record: RunRecord, outcome: Mapping[str, Any]) -> dict[str, Any]:
 def _parameters(estimate: Mapping[str, Any] | None) -> tuple[Mapping[str, Any], ...]:
     rows = []
     for place, parameter in enumerate(() if estimate is None else estimate["parameters"]):
-        unit, factor = _MICRO[parameter["unit"]]
+        unit, factor = MICRO_UNITS[parameter["unit"]]
         rows.append(
             {
                 "name": parameter["name"],

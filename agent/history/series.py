@@ -14,6 +14,7 @@ from agent.results.run_outcome import Decision
 from agent.settings.history import HistorySettings
 from twin.arrays import Array
 from twin.machine.legendre import legendre_values
+from twin.units import S_PER_DAY
 
 BARE, ACTING, HELD_OUT = "ve_bare", "ve_acting", "held_out"
 TITLES = {
@@ -23,7 +24,6 @@ TITLES = {
 }
 _COEFFICIENT = re.compile(r"(E[XYZABC][XYZ])\[(\d+)\]")
 _SHAPES = {"1": "slope", "2": "bow"}
-_SECONDS_A_NIGHT = 86400.0
 _SAMPLES = 101
 _CHANGED = (Decision.FULL_NEEDED.value, Decision.FULL_DONE.value)
 
@@ -64,7 +64,7 @@ def nights_of(runs: Sequence[StoredRun]) -> Array:
             last = max(nights[str(run.since)] + run.nights, last)
         elif count:
             gap = _utc(run.started) - _utc(runs[count - 1].started)
-            last += max(gap.total_seconds(), 0.0) / _SECONDS_A_NIGHT
+            last += max(gap.total_seconds(), 0.0) / S_PER_DAY
         nights[run.run_id] = last
     return np.array([nights[run.run_id] for run in runs])
 

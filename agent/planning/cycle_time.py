@@ -15,7 +15,7 @@ from agent.execution.engine import Engine
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, Plan, Step, TouchTowards
 from agent.planning.ideal_machine import IdealMachine
 from agent.planning.job import Job
-from agent.planning.time_model import S_PER_MIN, time_model
+from agent.planning.time_model import time_model
 from agent.probing.ball import point
 from agent.probing.paths.shortest_path import ShortestPilot
 from agent.probing.position import PositionTask, measure_position
@@ -24,6 +24,7 @@ from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point
 from twin.design.procedure import FEWEST_BALLS
+from twin.units import S_PER_MIN
 
 T = TypeVar("T")
 

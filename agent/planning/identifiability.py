@@ -18,11 +18,12 @@ from twin.artefact.position_set import Position, parse_position_set
 from twin.design.identifiability import Identifiability, assess_identifiability
 from twin.design.measurement_setup import AS_STATED, SetUp, layout_for
 from twin.design.procedure import PlannedMeasurement, Procedure
-from twin.design.setup_advice import UM_PER_MM, describe_gain, describe_trial
+from twin.design.setup_advice import describe_gain, describe_trial
 from twin.design.setup_trials import TrialGain, evaluated_tools, trial_gains
 from twin.identification import predicted_vce
 from twin.identification.options import Formulation
 from twin.machine.volumetric import VolumetricRms, evaluation_grid
+from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from typing import TypeAlias
 
 from agent.execution.journal_rows import StepRow
 from agent.execution.steps import Point
-from agent.planning.time_model import S_PER_MIN, TimeModel
+from agent.planning.time_model import TimeModel
 from drivers.roles import OperatorTask
 from twin.collision.motion_law import straight_path
+from twin.units import S_PER_MIN
 
 MOVE, TOUCH, TURN, CARRY = "MoveTo", "TouchTowards", "OrientTo", "AskOperator"
 KINDS = (MOVE, TOUCH, TURN, CARRY)

@@ -23,8 +23,7 @@ from twin.collision.accessibility import STYLUS_AXIS
 from twin.collision.free_paths import AxisDynamics
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.machine.machine_description import MachineDescription
-
-MM_PER_UM = 1e-3
+from twin.units import MM_PER_UM
 
 
 def probing_of(settings: Settings, artefact: Artefact) -> Probing:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from agent.probing.position_drift import DriftLimits
 from agent.probing.temperature_readings import Thermometers
-from agent.probing.thermal_settling import S_PER_MIN, SettlingRules
+from agent.probing.thermal_settling import SettlingRules
 from agent.settings.schema import Settings
 from twin.identification import DriftPrior
+from twin.units import MM_PER_UM, S_PER_MIN
 
-MM_PER_UM = 1e-3
 PER_UM_PER_M = 1e-6
 
 

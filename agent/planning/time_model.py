@@ -15,8 +15,7 @@ from agent.settings.schema import TimingSettings
 from drivers.roles import OperatorTask
 from twin.collision.motion_law import StraightPath, straight_path, trapezoid, travel_time_s
 from twin.machine.machine_description import MachineDescription
-
-S_PER_MIN = 60.0
+from twin.units import S_PER_MIN
 
 
 @dataclass(frozen=True)

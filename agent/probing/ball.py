@@ -12,12 +12,11 @@ from agent.execution.steps import Plan, Point, Record
 from agent.probing.ball_gates import Tripped, doubtful, tripped_gate
 from agent.probing.probing_parameters import Probing, Search
 from agent.probing.touch import TouchWay, point, touch_ball
+from drivers.roles import Vector
 from twin.artefact.sphere_fit import SphereFit, fit_sphere
 from twin.errors import TwinError
 
 __all__ = ["BallFound", "BallLost", "measure_ball", "point"]
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

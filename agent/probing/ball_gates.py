@@ -8,8 +8,8 @@ import numpy as np
 
 from agent.probing.probing_parameters import Probing
 from twin.artefact.sphere_fit import SphereFit
+from twin.units import UM_PER_MM
 
-UM_PER_MM = 1e3
 TIED = 0.95
 """Touches whose weighed residual reaches this part of the largest cannot be told apart: their directions are off the
 pattern's by the distance at which a ball is measured again, some percent of its radius."""

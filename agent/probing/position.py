@@ -18,9 +18,8 @@ from agent.probing.probing_parameters import Probing, Search
 from agent.probing.station_change import StationChange
 from agent.probing.temperature_readings import Conditions, read_conditions
 from agent.probing.thermal_settling import SettlingRules, settled
+from twin.arrays import Array
 from twin.artefact.end_ball_alignment import align_to_end_balls
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ import numpy as np
 from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Record
 from twin.arrays import Array
-
-UM_PER_MM = 1e3
+from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import CheckPermissions, CheckProbe, MoveTo, OrientTo, Plan, ReadPosition, Record
@@ -18,10 +17,9 @@ from agent.probing.qualification import Qualification, QualificationRules, quali
 from agent.probing.reversal import AxisReversal, Reversal, ReversalCheck, measure_reversal
 from agent.probing.run_plan import MeasuringOrder, position_key
 from agent.probing.station_change import change_station, park_mounts
+from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.collision.measuring_layout import MeasuringLayout
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

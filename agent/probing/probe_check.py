@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import Plan, Record
-from agent.probing.ball_gates import UM_PER_MM
 from agent.probing.probing_parameters import Probing
 from agent.probing.touch import touch_ball
+from drivers.roles import Vector
 from twin.artefact.repeatability import RepeatabilityEstimate, estimate_repeatability
-
-Vector = NDArray[np.float64]
+from twin.units import UM_PER_MM
 
 SURE_ENOUGH = 0.99
 """A run is refused only where the probe is beyond its limit with this confidence: five touches of a probe exactly at

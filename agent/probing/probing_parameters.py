@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from twin.arrays import Array
 from twin.artefact.pretravel import PretravelMap
 from twin.artefact.touch_pattern import LOCATING_RINGS, centre_shift_per_radius, redundancies, ring_directions
-
-Vectors = NDArray[np.float64]
 
 PLACE_ROOM_MM = 3.0
 """By so much a mount may stand off its place before a ball near the end of travel is out of reach after all."""
@@ -75,8 +73,8 @@ class Probing:
     is looked for.
     """
 
-    directions: Vectors
-    stylus_axis: Vectors
+    directions: Array
+    stylus_axis: Array
     ball_radius_mm: float
     tip_radius_mm: float
     narrow: Search
@@ -103,7 +101,7 @@ class Probing:
         return self.feed_mm_per_s if self.find is None else max(self.find.feed_mm_per_s, self.feed_mm_per_s)
 
     @cached_property
-    def locating(self) -> Vectors:
+    def locating(self) -> Array:
         """(5, 3): the pole and a ring before the ball, where no holder is in the way of a tip that is some mm off."""
         return ring_directions(LOCATING_RINGS, self.stylus_axis)
 
@@ -117,19 +115,19 @@ class Probing:
         return self.contact_mm if self.stylus is None else self.stylus.radius_mm
 
     @property
-    def room_mm(self) -> tuple[Vectors, Vectors]:
+    def room_mm(self) -> tuple[Array, Array]:
         """Travel (3,) that touching with the wide search needs below and above a ball's axis position."""
         starts = -self.directions * (self.contact_mm + self.wide.approach_mm)
         below = np.maximum(0.0, -starts.min(axis=0)) + PLACE_ROOM_MM
         return below, np.maximum(0.0, starts.max(axis=0)) + PLACE_ROOM_MM
 
     @cached_property
-    def redundancies(self) -> Vectors:
+    def redundancies(self) -> Array:
         """(k,): the part of a touch's own error that its residual shows; see `twin.artefact.touch_pattern`."""
         return redundancies(self.directions)
 
     @cached_property
-    def centre_per_radius(self) -> Vectors:
+    def centre_per_radius(self) -> Array:
         """(3,): motion of a fitted centre for each mm by which a fixed radius is too large."""
         return centre_shift_per_radius(self.directions)
 

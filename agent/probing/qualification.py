@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.execution.steps import Plan, Record
 from agent.probing.ball import BallFound, measure_ball
-from agent.probing.ball_gates import UM_PER_MM
 from agent.probing.probing_parameters import BallLimits, Probing, Stylus
+from twin.arrays import Array
 from twin.artefact.pretravel import PretravelMap, fit_pretravel
 from twin.artefact.sphere_fit import fit_sphere
 from twin.artefact.touch_pattern import centre_covariance, known_radius_covariance
-
-Array = NDArray[np.float64]
+from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,18 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.errors import MeasurementFault
 from agent.execution.steps import MoveTo, Plan, Record, TouchTowards
-from agent.probing.ball_gates import UM_PER_MM
 from agent.probing.probing_parameters import Probing
 from agent.probing.touch import point
-from drivers.roles import Touch
+from drivers.roles import Touch, Vector
 from twin.artefact.reversal import SLOPE, ObliqueTouch, fit_lost_motion, plan_oblique_touches
-
-Vector = NDArray[np.float64]
+from twin.units import UM_PER_MM
 
 PRELOAD_MM = 1.0
 """Far more than any play of a machine that is worth a calibration, and still clear of the ball."""

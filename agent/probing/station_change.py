@@ -7,13 +7,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.execution.steps import AskOperator, CheckPermissions, MoveTo, OrientTo, Plan, Point
 from drivers.roles import OperatorRequest, OperatorTask
-
-Array = NDArray[np.float64]
+from twin.arrays import Array
 
 
 class Carried(Enum):

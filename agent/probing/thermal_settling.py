@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from agent.errors import MeasurementFault
 from agent.execution.steps import Dwell, Plan, Record
 from agent.probing.temperature_readings import Conditions, Thermometers, rate_k_per_h, read_conditions
+from twin.units import S_PER_MIN
 
-S_PER_MIN = 60.0
 SHORTEST_S = 60.0
 """Readings over less than this say more of the thermometer's noise than of a rate."""
 WINDOW_S = 600.0

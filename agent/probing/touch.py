@@ -7,13 +7,10 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.execution.steps import MoveTo, Plan, Point, TouchTowards
 from agent.probing.probing_parameters import Probing, Search
-from drivers.roles import Touch
-
-Vector = NDArray[np.float64]
+from drivers.roles import Touch, Vector
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ from twin.artefact.observations import Observations
 from twin.compensation.table import Anchor, CompensationTable, build_table, regular_nodes
 from twin.identification import Estimate, Options, identify, identify_by_evidence, residual_covariance
 from twin.machine.machine_description import MachineDescription
-
-UM_PER_MM = 1e3
+from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)

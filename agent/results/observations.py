@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.probing.position import MeasuredBall
+from twin.arrays import Array
 from twin.artefact.observations import Observations
 
-Array = NDArray[np.float64]
 Correction = Callable[[Array], Array]
 
 

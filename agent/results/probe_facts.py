@@ -10,9 +10,9 @@ from agent.results.facts import ProbeFacts, ProbeRing
 from twin.arrays import Array
 from twin.artefact.pretravel import direction_at
 from twin.artefact.touch_pattern import perpendiculars
+from twin.units import UM_PER_MM
 
 MAP_STEP_DEG = 3.0
-UM_PER_MM = 1e3
 
 
 def probe_facts(prepared: Prepared | None) -> ProbeFacts | None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.results.facts import Quantity, VolumetricSummary
+from twin.arrays import Array
 from twin.identification import Estimate, predicted_vce
 from twin.machine.volumetric import QuadraticForm, evaluation_grid
-
-Array = NDArray[np.float64]
 
 
 def volumetric_summary(estimate: Estimate, tool_offset: Array) -> VolumetricSummary:

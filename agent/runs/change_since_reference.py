@@ -13,8 +13,8 @@ from twin.identification import CarriedOverPrior, Estimate, process_noise
 from twin.machine.error_model import ErrorModel
 from twin.machine.forward_model import deviation_basis
 from twin.machine.volumetric import QuadraticForm, evaluation_grid, volumetric_error
+from twin.units import MM_PER_UM
 
-MM_PER_UM = 1e-3
 SCALES = ("EXX[1]", "EYY[1]", "EZZ[1]")
 
 

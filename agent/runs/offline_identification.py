@@ -31,11 +31,10 @@ from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import format_estimate, parse_estimate
 from twin.identification import CarriedOverPrior, Options, process_noise
 from twin.machine.machine_description import MachineDescription
+from twin.units import MM_PER_UM
 
 NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE)
 """Limits of a store that does not exist: a file can hold corrections of any size."""
-
-MM_PER_UM = 1e-3
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from drivers.errors import ConfigurationError, InputError
 from drivers.roles import TableImage
 from twin.arrays import Array
 from twin.formats.estimate_file import StoredEstimate, parse_estimate
+from twin.units import S_PER_DAY
 
 COPY_NAME = "last-accepted.json"
 
@@ -32,8 +33,6 @@ TABLE_RESTORED = "table-restored"
 _ACCEPTED, _FULL_NEEDED = "accepted", "full-calibration-needed"
 ACTIVATING_DECISIONS = frozenset({_ACCEPTED, TABLE_RESTORED})
 """Kinds of the decisions that make the staged table of their run the one expected to be active."""
-
-_SECONDS_A_NIGHT = 86400.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +63,7 @@ class LastAccepted:
     def nights_until(self, now: str) -> float:
         """Return nights from the acceptance until `now` (UTC, ISO 8601); 0 or more."""
         passed = datetime.fromisoformat(now) - datetime.fromisoformat(self.since)
-        return max(passed.total_seconds() / _SECONDS_A_NIGHT, 0.0)
+        return max(passed.total_seconds() / S_PER_DAY, 0.0)
 
 
 @dataclass(frozen=True)

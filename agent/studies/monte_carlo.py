@@ -15,7 +15,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.figures.study_style import BAND_OPACITY, BLUE, GREEN, INK, ORANGE, from_zero
+from agent.figures.report_style import BAND_OPACITY
+from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, from_zero
 from agent.studies.study import StudyCase, StudyResult
 from agent.studies.workers import generator
 from twin.arrays import Array
@@ -28,9 +29,9 @@ from twin.uncertainty.error_budget import error_budget_of_form
 from twin.uncertainty.monte_carlo import compensated_errors, draw_truth, simulated_observations, uncompensated_errors
 from twin.uncertainty.residual_field_form import FieldForm
 from twin.uncertainty.truth_assumptions import TruthAssumptions
+from twin.units import UM_PER_MM
 
 NAME = "monte-carlo"
-UM_PER_MM = 1e3
 COVERAGE_FACTOR = 2.0
 
 

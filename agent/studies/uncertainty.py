@@ -37,10 +37,10 @@ from twin.uncertainty.error_budget import (
 )
 from twin.uncertainty.residual_field_form import FieldForm
 from twin.uncertainty.truth_assumptions import TruthAssumptions
+from twin.units import UM_PER_MM
 
 NAME = "uncertainty"
 TOGETHER = "all together"
-UM_PER_MM = 1e3
 
 ORDERS_BEYOND = 2
 """Of the true machines beyond the model, as the simulated machine of the case study has them."""

@@ -15,9 +15,9 @@ from agent.studies.plane_map import PLANE_SHAPE, Plane, draw_plane, map_nodes
 from twin.machine.motion_uncertainty import motion_uncertainty
 from twin.machine.volumetric import VolumetricRms
 from twin.uncertainty.error_budget import ErrorBudget
+from twin.units import UM_PER_MM
 
 MICRO = 1e6
-UM_PER_MM = 1e3
 STANDARD_ERRORS = 2.0
 ROTATING = "ABC"
 

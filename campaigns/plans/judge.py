@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from agent.planning.job import Job
 from simulators.world.world import World
-
-Array = NDArray[np.float64]
+from twin.arrays import Array
 
 SPACING_MM = 1.0
 """The point nearest to a place on the axis is half of it away: at 4 mm distance that is 0.03 mm too far."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from twin.arrays import Array
 from twin.errors import DataError
-
-Array = NDArray[np.float64]
 
 
 def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Array, found_last: Array) -> Array:

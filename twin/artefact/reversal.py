@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from twin.arrays import Array
 from twin.errors import DataError
 
-Vector = NDArray[np.float64]
 AXIS_COUNT = 3
 SLOPE = math.sqrt(0.5)
 """Places at 45°: the lost motion shows in full in the axis that moves."""
@@ -31,8 +30,8 @@ class ObliqueTouch:
 
     axis: int
     along: int
-    normal: Vector
-    direction: Vector
+    normal: Array
+    direction: Array
 
     @property
     def ratio(self) -> float:
@@ -51,7 +50,7 @@ class LostMotion:
     touches: int
 
 
-def plan_oblique_touches(axis: int, stylus_axis: Vector) -> tuple[ObliqueTouch, ObliqueTouch]:
+def plan_oblique_touches(axis: int, stylus_axis: Array) -> tuple[ObliqueTouch, ObliqueTouch]:
     """Two mirrored places that tell of `axis`, both before the ball, where a straight stylus gets to.
 
     `stylus_axis` (3,): unit vector along a machine axis, from the ram towards the tip. DataError for a slanting one.
@@ -97,7 +96,7 @@ def fit_lost_motion(
     return LostMotion(value, max(scatter, floor_mm) / math.sqrt(strength), len(reading))
 
 
-def _place(axis: int, along: int, front: Vector, beside: int, side: float) -> ObliqueTouch:
+def _place(axis: int, along: int, front: Array, beside: int, side: float) -> ObliqueTouch:
     normal = SLOPE * front
     normal[beside] = SLOPE * side
     direction = np.zeros(AXIS_COUNT)

@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from twin.arrays import Array
 from twin.artefact.sphere_fit import fit_sphere
 from twin.errors import DataError
 
-Vectors = NDArray[np.float64]
 Ring = tuple[float, int, float]
 """Touches beside the pole: (latitude above the equator in degrees, touches, turn about the stylus in degrees)."""
 
@@ -35,7 +34,7 @@ LOCATING_RINGS: tuple[Ring, ...] = ((45.0, 4, 45.0),)
 _AS_GOOD_AS_NOTHING = 1e-6
 
 
-def approach_directions(count: int, stylus_axis: Vectors) -> Vectors:
+def approach_directions(count: int, stylus_axis: Array) -> Array:
     """Approach vectors of the pattern with `count` touches, the pole first.
 
     `stylus_axis` (3,): unit vector from the ram towards the tip. Shape (count, 3).
@@ -46,7 +45,7 @@ def approach_directions(count: int, stylus_axis: Vectors) -> Vectors:
     return ring_directions(RINGS[count], stylus_axis)
 
 
-def ring_directions(rings: Sequence[Ring], stylus_axis: Vectors) -> Vectors:
+def ring_directions(rings: Sequence[Ring], stylus_axis: Array) -> Array:
     """Approach vectors (1 + touches of all rings, 3): the pole, then ring by ring."""
     pole = stylus_axis / np.linalg.norm(stylus_axis)
     first, second = perpendiculars(pole)
@@ -60,19 +59,19 @@ def ring_directions(rings: Sequence[Ring], stylus_axis: Vectors) -> Vectors:
     return np.array(rows)
 
 
-def centre_covariance(directions: Vectors, touch_sigma_mm: float) -> Vectors:
+def centre_covariance(directions: Array, touch_sigma_mm: float) -> Array:
     """Covariance (3, 3) mm² of a ball centre touched along `directions` (k, 3), the radius being estimated as well."""
     return fit_sphere(-directions, touch_sigma_mm).centre_covariance
 
 
-def known_radius_covariance(directions: Vectors, touch_sigma_mm: float, radius_sigma_mm: float) -> Vectors:
+def known_radius_covariance(directions: Array, touch_sigma_mm: float, radius_sigma_mm: float) -> Array:
     """The same (3, 3) mm² with a radius known to `radius_sigma_mm`: part of its error goes into the centre."""
     given = fit_sphere(-directions, touch_sigma_mm, 1.0, near=np.zeros(3)).centre_covariance
     moved = centre_shift_per_radius(directions)
     return given + radius_sigma_mm**2 * np.outer(moved, moved)
 
 
-def centre_shift_per_radius(directions: Vectors) -> Vectors:
+def centre_shift_per_radius(directions: Array) -> Array:
     """(3,): by how much the centre moves for each mm that a known radius is too large.
 
     The least squares of u·δc = -δr over the outward normals u = -direction.
@@ -80,7 +79,7 @@ def centre_shift_per_radius(directions: Vectors) -> Vectors:
     return np.asarray(np.linalg.lstsq(directions, np.ones(len(directions)), rcond=None)[0])
 
 
-def redundancies(directions: Vectors) -> Vectors:
+def redundancies(directions: Array) -> Array:
     """(k,) in 0 … 1: the part of a touch's own error that its residual shows, the radius being free.
 
     1 - hᵢ, h the diagonal of the hat matrix (Baarda's redundancy numbers). 0: nothing checks this touch, as the pole of
@@ -92,7 +91,7 @@ def redundancies(directions: Vectors) -> Vectors:
     return np.asarray(np.where(left > _AS_GOOD_AS_NOTHING, left, 0.0))
 
 
-def perpendiculars(pole: Vectors) -> tuple[Vectors, Vectors]:
+def perpendiculars(pole: Array) -> tuple[Array, Array]:
     """Two unit vectors square to the pole, along machine axes where the pole is one."""
     axis = np.eye(3)[np.argmin(np.abs(pole))]
     first = axis - pole * (axis @ pole)

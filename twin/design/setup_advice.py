@@ -5,8 +5,8 @@ from __future__ import annotations
 from twin.design.setup_trials import SetUpTrial, TrialGain
 from twin.identification.observability import join_names
 from twin.machine.kinematic_chain import AXES
+from twin.units import UM_PER_MM
 
-UM_PER_MM = 1e3
 _MOST_NAMES = 6
 _NOTHING_UM = 0.005
 

@@ -20,6 +20,7 @@ from agent.planning.preview.scene import Placing, Preview
 from twin.arrays import Array
 from twin.collision.bodies import Body
 from twin.collision.geometry import Box, Capsule
+from twin.machine.kinematic_chain import AXES
 
 SIZE_IN = (12.0, 9.0)
 RED = "#d01c1f"
@@ -33,7 +34,6 @@ ROOM_MM = 40.0
 BEHIND_MM = 300.0
 """So much of the ram is shown behind the travel."""
 
-AXES = "XYZ"
 _SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 _EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7))
 

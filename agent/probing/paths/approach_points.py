@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from twin.arrays import Array
 from twin.collision.free_paths import PathCandidates
 from twin.collision.geometry import Point, point
-
-Array = NDArray[np.float64]
 
 ROUND_THE_BALL = (1.05, 1.2, 1.4, 1.7)
 """Corners of the ways round a ball, in units of the distance at which touches begin."""

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.probing.paths.approach_points import LEAVES_BY_MM, Spot, leaves, leaving, round_the_ball, squared_out
+from twin.arrays import Array
 from twin.artefact.artefact import Artefact
 from twin.collision.accessibility import AT_CONTACT_MM, measuring_scene
 from twin.collision.bodies import TIP, ProbeGeometry, ball_name, post_name
@@ -33,8 +34,6 @@ from twin.collision.geometry import Point, Shape, point
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.motion_law import travel_times
 from twin.collision.swept_volume import CELL_MM, SphereCover, TurnSweep, cover_turning_bodies, turn_sweep
-
-Array = NDArray[np.float64]
 
 UNCERTAIN_MM = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """What a pose is off by is rounded up to one of these, so that few ways serve many."""

@@ -8,16 +8,12 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.execution.steps import MoveTo, OrientTo, Plan
 from agent.probing.paths.retreat import Course
 from agent.probing.probing_parameters import Probing
 from agent.probing.touch import PlainWay, TouchWay, point
+from twin.arrays import Array
 from twin.artefact.position_set import Position
-
-Array = NDArray[np.float64]
 
 
 class Orientation(Protocol):

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.probing.paths.free_paths import Roads
 from agent.probing.probing_parameters import Probing
-
-Array = NDArray[np.float64]
+from twin.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.execution.steps import MoveTo, OrientTo, Plan, Point
 from agent.probing.paths.approach_points import Spot
@@ -16,11 +15,10 @@ from agent.probing.paths.path_planner import Orientation, PlainPilot
 from agent.probing.paths.retreat import Course
 from agent.probing.probing_parameters import Probing
 from agent.probing.touch import Begin, TouchWay, before_ball, point
+from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point as Corner
 from twin.collision.measuring_layout import MeasuringLayout
-
-Array = NDArray[np.float64]
 
 PARKED_ASIDE_MM = ((0.0, 0.0, 0.0), *((0.0, 0.0, height) for height in (150.0, -150.0, 300.0, -300.0)))
 """Other parking places, over and under an end of the bar that reaches into the way."""

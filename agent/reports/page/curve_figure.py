@@ -7,14 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from agent.figures.report_style import BAND_OPACITY, BLUE, INK, ORANGE, Drawing
 from agent.reports.page.error_curves import ErrorCurve
+from twin.machine.kinematic_chain import AXES
 
-Array = NDArray[np.float64]
-
-AXES = "XYZ"
 COLUMNS = ("EX", "EY", "EZ", "EA", "EB", "EC")
 DISPLACEMENTS = 3
 """The first three columns are displacements, the others rotations."""

@@ -10,16 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.results.facts import ArtefactFacts, ProbeFacts, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
+from twin.arrays import Array
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position
 from twin.identification import Estimate, FieldKnowledge, Scales
-
-Array = NDArray[np.float64]
 
 
 class ReportedEstimate(FieldKnowledge, Protocol):

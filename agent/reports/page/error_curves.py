@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from twin.arrays import Array
 from twin.machine.error_model import DIRECTIONS, ErrorModel, series_orders
 from twin.machine.legendre import legendre_values, normalised
-
-Array = NDArray[np.float64]
+from twin.units import MICRO_UNITS
 
 SAMPLES = 81
-MICRO = {"mm": ("µm", 1e3), "rad": ("µrad", 1e6)}
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ def _curve(
     name: str, argument: str, unit: str, place: Array, *, rows: Array, coefficients: Array, covariance: Array
 ) -> ErrorCurve:
     """`rows` (n, k) are the functions that `coefficients` (k,) weigh."""
-    micro, scale = MICRO[unit]
+    micro, scale = MICRO_UNITS[unit]
     variance = np.einsum("nk,kl,nl->n", rows, covariance, rows)
     sigma = scale * np.sqrt(np.maximum(variance, 0.0))
     return ErrorCurve(name, argument, micro, place, scale * (rows @ coefficients), sigma)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.reports.page.curve_figure import draw_cross_effect, draw_error_curves
 from agent.reports.page.data import Identified, ReportData
@@ -13,8 +12,7 @@ from agent.reports.page.probe_figure import draw_qualification
 from agent.reports.page.residual_figures import BallResiduals, draw_by_position, draw_distribution
 from agent.reports.page.run_figures import draw_position_temperatures, draw_temperatures
 from agent.reports.page.workspace_maps import workspace_maps
-
-Array = NDArray[np.float64]
+from twin.arrays import Array
 
 
 def report_figures(data: ReportData) -> dict[str, str]:

@@ -7,12 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
-from numpy.typing import NDArray
 
 from agent.figures.report_style import INK, MAP_COLOURS, Drawing, Margins
 from agent.reports.page.workspace_maps import PlaneMap
-
-Array = NDArray[np.float64]
 
 WIDTH_IN = 10.4
 GAP_IN = 0.25

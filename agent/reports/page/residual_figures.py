@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from agent.figures.report_style import BLUE, GREEN, INK, ORANGE, Drawing
+from twin.arrays import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 COMPONENTS = (("x", BLUE, "o"), ("y", ORANGE, "s"), ("z", GREEN, "^"))

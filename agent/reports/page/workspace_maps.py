@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.reports.page.data import ReportedEstimate
+from twin.arrays import Array
 from twin.identification import field_uncertainty
 from twin.machine.forward_model import exact_deviation
 from twin.machine.volumetric import evaluation_grid, rigid_part
-
-Array = NDArray[np.float64]
 
 PLANE_SHAPE = (49, 25)
 

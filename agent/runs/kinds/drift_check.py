@@ -23,8 +23,8 @@ from twin.machine.machine_population import Family
 from twin.machine.volumetric import evaluation_grid
 from twin.monitoring.residual_with_active_table import ResidualWithTable, residual_covariance, uncompensated
 from twin.monitoring.step_detection import Innovation, SuspectedJump, innovation
+from twin.units import UM_PER_MM
 
-UM_PER_MM = 1e3
 _LIKELIEST = 5
 
 

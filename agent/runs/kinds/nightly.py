@@ -42,12 +42,11 @@ from agent.runs.kinds.step_proof import prove_step
 from agent.runs.reference_state import full_needed, record_accepted, record_full_needed, require_accepted
 from agent.runs.start_conditions import Outset
 from twin.artefact.position_set import Position
+from twin.units import S_PER_MIN
 
 DIAGNOSIS = "diagnosis"
 SUSPECTS = 8
 """Errors that are told apart where one of them has jumped."""
-
-S_PER_MIN = 60.0
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ from agent.results.run_outcome import Proof
 from twin.artefact.held_out_check import HeldOutResiduals, held_out_residuals, held_out_test
 from twin.artefact.observations import Observations
 from twin.identification import residual_covariance
+from twin.units import UM_PER_MM
 
-UM_PER_MM = 1e3
 _COVERAGE = 3.0
 
 

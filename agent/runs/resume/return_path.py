@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.errors import MeasurementFault
 from agent.execution.steps import (
@@ -27,10 +26,8 @@ from agent.probing.ball import BallLost, measure_ball, point
 from agent.probing.position import PositionRules
 from agent.probing.recovery import WITHDRAW_FEED_MM_PER_S, withdraw
 from agent.runs.resume.step_trace import AxisMove, Trace
-
-Array = NDArray[np.float64]
-
-UM_PER_MM = 1e3
+from twin.arrays import Array
+from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,9 @@ from agent.service.token import make_token, read_token, token_path
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from drivers.clock import RealClock
+from twin.units import S_PER_MIN
 
 log = structlog.get_logger()
-S_PER_MIN = 60.0
 REPORT_WITHIN_S = 15.0
 """A report takes some five seconds; who stops the service does not wait for more than this."""
 

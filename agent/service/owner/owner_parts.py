@@ -19,8 +19,7 @@ from agent.service.state.live_view import Scenes
 from agent.service.state.reports import Reports
 from agent.service.state.status_board import Board
 from drivers.clock import RealClock
-
-S_PER_MIN = 60.0
+from twin.units import S_PER_MIN
 
 
 def here_and_now() -> Circumstances:

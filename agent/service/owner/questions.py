@@ -10,9 +10,9 @@ from agent.service.control import Question
 from drivers.clock import Clock, Deadline
 from drivers.errors import PermissionMissing, UserError
 from drivers.roles import OperatorRequest
+from twin.units import S_PER_MIN
 
 POLL_S = 0.1
-S_PER_MIN = 60.0
 
 
 class Questions:

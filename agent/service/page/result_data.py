@@ -18,7 +18,6 @@ from drivers.errors import InputError
 from twin.arrays import Array
 
 Document = dict[str, Any]
-MICRO = {"mm": ("µm", 1e3), "rad": ("µrad", 1e6)}
 SQUARENESSES = ("C0Y", "B0Z", "A0Z")
 """Of ISO 230-1's 21 errors those three that are a single number."""
 KEPT = 16

@@ -12,10 +12,10 @@ from drivers.errors import InputError
 from drivers.roles import TableImage
 from twin.arrays import Array
 from twin.compensation.table_file import format_table
+from twin.machine.kinematic_chain import AXES
+from twin.units import UM_PER_MM
 
 Document = dict[str, Any]
-AXES = "XYZ"
-UM_PER_MM = 1e3
 
 
 def table_csv(image: TableImage | None, tool_offset_mm: Array, run_id: str, role: str) -> str:

@@ -22,12 +22,12 @@ from drivers.errors import ConfigurationError, InputError
 from twin.artefact.position_set import Position, parse_position_set
 from twin.design.candidates import CandidatePositions, build_candidates
 from twin.design.goals import PositionCountGoal, TimeSlotGoal
+from twin.design.measurement_setup import AS_STATED
 from twin.design.search import ExchangeSearch
 from twin.design.valuation import valuation
-from twin.identification import Options, identify, predicted_vce
+from twin.identification import identify, predicted_vce
 from twin.machine.volumetric import evaluation_grid
 
-AS_STATED = Options(estimate_scales=False, outliers="none")
 COARSE = (9, 5, 5)
 
 
