@@ -1,1 +1,1 @@
-"""Thin wrappers around transport libraries; the only place where those libraries are imported."""
+"""Thin wrappers around transport libraries; no other package imports those libraries."""

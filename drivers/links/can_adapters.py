@@ -1,12 +1,12 @@
-"""python-can's buses as this project opens them: where they are, and what had to be mended in them.
+"""Addresses of CAN buses, and python-can buses with workarounds for their defects.
 
-Peculiarities of python-can 4.6 that are kept in here:
+Defects of python-can 4.6 that this module works around:
 
-* the ``socketcand`` client retries a refused connection in a busy loop for ten seconds, and when the server
-  goes away it spins on an empty read for ever. The first is answered before it is asked, by a connection
-  attempt with a time limit; the second by looking ahead for the end of the stream.
-* the ``slcan`` interface reads its serial port byte by byte and falls behind in a burst; it passes over every
-  refusal (BELL) of the adapter; and it writes without a time limit, so that a dead adapter holds its caller.
+* The ``socketcand`` client retries a refused connection in a busy loop for ten seconds, and if the server
+  goes away it spins on an empty read for ever. We avoid the first by a connection attempt with a time limit
+  beforehand, the second by checking for the end of the stream before each read.
+* The ``slcan`` interface reads its serial port byte by byte and falls behind in a burst; it ignores every
+  refusal (BELL) of the adapter; and it writes without a time limit, so that a dead adapter blocks the caller.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from drivers.errors import ConfigurationError, LinkLost
 Option = str | int | float | bool
 
 ECHOING_INTERFACES = frozenset({"udp_multicast"})
-"""They hand a bus its own frames back, whatever ``receive_own_messages`` says."""
+"""Interfaces that return a bus its own frames regardless of ``receive_own_messages``."""
 CONNECT_WITHIN_S = 3.0
 SEND_WITHIN_S = 1.0
-"""A serial adapter that takes no bytes for so long is dead."""
+"""Time in s without accepting bytes after which a serial adapter counts as dead."""
 FLAGS_WITHIN_S = 1.0
-"""For the answer to a question after its status; some adapters know no such question."""
+"""Time limit in s for the answer to a status query; some adapters do not support the query."""
 
 
 @dataclass(frozen=True)
 class CanAddress:
-    """Where a bus is, in python-can's words."""
+    """Address of a bus: python-can's interface, channel and options."""
 
     interface: str
     channel: str
@@ -55,7 +55,7 @@ class CanAddress:
 
     @property
     def name(self) -> str:
-        """How messages call the link, for example ``socketcand:can0@127.0.0.1:29536``."""
+        """Name of the link in messages, for example ``socketcand:can0@127.0.0.1:29536``."""
         options = dict(self.options)
         host = f"@{options['host']}" if "host" in options else ""
         port = f":{options['port']}" if "port" in options else ""
@@ -63,7 +63,7 @@ class CanAddress:
 
 
 class SocketcandBus(SocketCanDaemonBus):
-    """python-can's client, which notices that its server has gone."""
+    """python-can's socketcand client, extended to detect that its server has closed the connection."""
 
     _SocketCanDaemonBus__socket: socket.socket
     _SocketCanDaemonBus__message_buffer: deque[can.Message]
@@ -89,17 +89,17 @@ STATUS_FLAGS = {
     6: "arbitration lost",
     7: "bus error",
 }
-"""Bits of the answer to ``F`` (CAN232 manual of LAWICEL)."""
+"""Bits of the answer to the command ``F`` (CAN232 manual of LAWICEL)."""
 
 
 class SlcanBus(slcanBus):
-    """python-can's serial-line bus, which keeps up with bursts and hears what the adapter says of itself."""
+    """python-can's serial-line bus, extended to keep up with bursts and to evaluate the adapter's status flags."""
 
     def __init__(self, channel: str, **options: Any) -> None:
         self._is_shutdown = True
         if options.get("bitrate") not in (None, *self._BITRATES):
             raise ValueError(
-                f"bitrate {options['bitrate']} is none of {', '.join(str(rate) for rate in self._BITRATES)}"
+                f"bitrate {options['bitrate']} is not one of {', '.join(str(rate) for rate in self._BITRATES)}"
             )
         self._is_shutdown = False
         self._writing = threading.Lock()
@@ -115,7 +115,7 @@ class SlcanBus(slcanBus):
         self._discard_opening_refusal()
 
     def _discard_opening_refusal(self) -> None:
-        """python-can opens twice; the adapter's refusal of the second time is no refusal of a frame."""
+        """Discard the adapter's refusal of the second opening: python-can opens the channel twice."""
         self._write("F")
         ends_s = wall_seconds() + FLAGS_WITHIN_S
         while not self._answered.is_set() and self._read(max(0.0, ends_s - wall_seconds())) is not None:
@@ -127,23 +127,23 @@ class SlcanBus(slcanBus):
             return
         try:
             super().shutdown()
-        except can.CanOperationError:  # the adapter has gone; what it was reached by is still ours to close
+        except can.CanOperationError:  # the adapter has gone, but its serial port must still be closed here
             self.serialPortOrig.close()
             raise
         finally:
             self._claim.close()
 
     def status_flags(self, within_s: float) -> int | None:
-        """The adapter's status flags, which whoever receives takes in; None without an answer."""
+        """Return the adapter's status flags, stored by the receiving thread; None if it does not answer in time."""
         self._answered.clear()
         self._write("F")
         return self._flags if self._answered.wait(within_s) else None
 
     def status_text(self) -> str:
-        """What the adapter says of itself when it is asked."""
+        """Query the adapter's status and return it as text."""
         flags = self.status_flags(FLAGS_WITHIN_S)
         if flags is None:
-            return "the adapter does not answer when asked for its status"
+            return "the adapter does not answer a status query"
         reported = [text for bit, text in STATUS_FLAGS.items() if flags >> bit & 1]
         return f"the adapter reports {', '.join(reported)}" if reported else "the adapter reports no error"
 
@@ -155,7 +155,7 @@ class SlcanBus(slcanBus):
             super()._write(string)
 
     def _read(self, timeout: float | None) -> str | None:
-        """The next line or BELL; None when none came within `timeout` seconds."""
+        """Return the next line or BELL; None if none comes within `timeout` seconds."""
         ends_s = None if timeout is None else wall_seconds() + timeout
         while (line := self._next_buffered_line()) is None:
             left_s = None if ends_s is None else max(0.0, ends_s - wall_seconds())
@@ -182,7 +182,7 @@ class SlcanBus(slcanBus):
             readable, _, _ = select.select([port.fileno()], [], [], timeout)
             if readable:
                 self._buffer.extend(port.read(max(1, port.in_waiting)))
-        except (OSError, TypeError, ValueError) as error:  # pyserial's own error is an OSError; a closed port the rest
+        except (OSError, TypeError, ValueError) as error:  # pyserial raises OSError, or the others for a closed port
             raise can.CanOperationError(f"the serial port of the adapter is gone: {error}") from error
         return bool(readable)
 
@@ -199,7 +199,7 @@ def _lock_port(port: str) -> io.FileIO:
 
 
 def open_bus(address: CanAddress) -> can.BusABC:
-    """Raises ConfigurationError for settings that no bus can have, LinkLost when it cannot be reached."""
+    """Open the bus. Raises ConfigurationError for impossible settings, LinkLost if the bus cannot be reached."""
     with _translate_errors(address):
         options = dict(address.options)
         if address.interface == "slcan":
@@ -230,10 +230,10 @@ def _hint(address: CanAddress) -> str:
         case "slcan":
             return (
                 "check that the adapter is plugged in, the name of its serial port, that this user may open it (group"
-                " dialout) and that nobody else has it open"
+                " dialout) and that no other program has it open"
             )
         case "udp_multicast":
-            return "check that the network interface is up and has multicast and a route for 224.0.0.0/4"
+            return "check that the network interface is up, supports multicast and has a route for 224.0.0.0/4"
         case "socketcand":
             return "check that the CAN server is running"
         case _:

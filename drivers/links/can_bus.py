@@ -1,13 +1,12 @@
-"""One CANopen network per CAN channel inside this process, shared and counted.
+"""One CANopen network per CAN channel in this process, shared and reference-counted.
 
-A CAN channel can be opened once per process and carries every node of every mount on it, so devices
-that name the same interface, channel and options get the same `canopen.Network`; the last one to close
-it shuts the bus.
+A CAN channel can be opened once per process and carries every node of every mount on it. Devices that name the same
+interface, channel and options therefore share one `canopen.Network`; the last one to close it shuts down the bus.
 
-Frames are received by a thread of our own: python-can's notifier dies on an exception or, with a handler, spins on
-it. Ours ends at the first failure or when the controller is off the bus, and `CanLink.check` tells. An interface
-that hands a bus its own frames back is listened to without them: in CANopen an identifier has one producer, so
-a frame with one that we have sent is our own.
+Our own thread receives the frames: python-can's notifier dies on an exception or, with a handler, spins on it. Our
+thread ends at the first failure or if the controller goes bus-off, and `CanLink.check` reports that. If the interface
+returns a bus its own frames, these are dropped: in CANopen an identifier has one producer, so a frame with an
+identifier that we have sent is our own.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ from canopen.objectdictionary import ObjectDictionary
 from drivers.errors import ConfigurationError, LinkLost
 from drivers.links.can_adapters import ECHOING_INTERFACES, CanAddress, SlcanBus, open_bus
 
-for _library in ("can", "canopen"):  # what they log as an error is raised as a typed error here
+for _library in ("can", "canopen"):  # errors that they log are raised as typed errors here
     logging.getLogger(_library).addHandler(logging.NullHandler())
 
 RECEIVE_CYCLE_S = 0.1
-"""Longest wait of the receiving thread for one frame: closing the bus takes up to this long."""
+"""Longest wait of the receiving thread for one frame in s; closing the bus takes up to this long."""
 BUS_OFF = 0x40
 CONTROLLER_PROBLEM = 0x04
-"""Classes of error frames (linux/can/error.h), where a bus reports them."""
+"""Error classes in error frames (linux/can/error.h), for buses that report them."""
 
 _log = structlog.get_logger("can_bus")
 
 
 class _Network(canopen.Network):
-    """A network that does not listen to itself where the interface echoes."""
+    """CANopen network that ignores its own frames if the interface echoes them."""
 
     def __init__(self, bus: can.BusABC, *, drops_own_frames: bool) -> None:
         super().__init__(bus)
@@ -55,7 +54,7 @@ class _Network(canopen.Network):
 
 
 class _Receiver(threading.Thread):
-    """Feeds a network from its bus until reported to stop or until the bus fails."""
+    """Thread that passes frames from the bus to a network until it is stopped or the bus fails."""
 
     def __init__(self, bus: can.BusABC, network: _Network) -> None:
         super().__init__(name=f"CAN receiver {bus.channel_info}", daemon=True)
@@ -69,7 +68,7 @@ class _Receiver(threading.Thread):
         while not self._stopping.is_set():
             try:
                 message = self._bus.recv(RECEIVE_CYCLE_S)
-            except Exception as error:  # noqa: BLE001  whatever it is, it ends receiving and `check` reports it
+            except Exception as error:  # noqa: BLE001  any error ends receiving; `check` reports it
                 self.failure = error
                 return
             if message is None:
@@ -111,21 +110,21 @@ class _SharedNetwork:
     def close_bus(self) -> None:
         self.receiver.stop()
         self.network.bus = None
-        with contextlib.suppress(can.CanError, OSError):  # it may have died before
+        with contextlib.suppress(can.CanError, OSError):  # the bus may have failed before
             self.bus.shutdown()
 
 
 class CanNetworks:
-    """The open networks of a process. Thread-safe."""
+    """Open networks of a process. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._open: dict[CanAddress, _SharedNetwork] = {}
 
     def acquire(self, address: CanAddress) -> CanLink:
-        """A share in the network at `address`, which is opened if nobody has it.
+        """Return a share in the network at `address`; open the network first if it is not open.
 
-        Raises LinkLost naming the link when it cannot be opened.
+        Raises LinkLost, naming the link, if it cannot be opened.
         """
         with self._lock:
             self._refuse_second_opening(address)
@@ -140,9 +139,9 @@ class CanNetworks:
         for other in self._open:
             if other.name == address.name and other != address:
                 raise ConfigurationError(
-                    "two devices state different options for one CAN bus",
+                    "two devices have different options for one CAN bus",
                     link=address.name,
-                    hint="give them the same interface, channel and options; they then share the bus",
+                    hint="set the same interface, channel and options for both; they then share the bus",
                 )
 
     def release(self, address: CanAddress, shared: _SharedNetwork) -> None:
@@ -156,7 +155,7 @@ class CanNetworks:
 
 
 class CanLink:
-    """One device's share in a network. Close it; closing twice does nothing."""
+    """One device's share in a network. It must be closed; closing it twice has no effect."""
 
     def __init__(self, address: CanAddress, shared: _SharedNetwork, networks: CanNetworks) -> None:
         self.address = address
@@ -169,13 +168,13 @@ class CanLink:
         return self.address.name
 
     def add_node(self, node_id: int, dictionary: ObjectDictionary) -> canopen.RemoteNode:
-        """Raises ConfigurationError when another device of this process owns that node."""
+        """Add a node to the network. Raises ConfigurationError if another device of this process owns that node."""
         shared = self._require_open()
         if node_id in shared.nodes:
             raise ConfigurationError(
                 f"two devices claim CANopen node {node_id}",
                 link=self.name,
-                hint="give each drive its own node id",
+                hint="set a different node id for each drive",
             )
         node = canopen.RemoteNode(node_id, dictionary)
         shared.network.add_node(node)
@@ -184,13 +183,13 @@ class CanLink:
         return node
 
     def check(self) -> None:
-        """Raises LinkLost when the receiving thread has ended."""
+        """Raise LinkLost if the receiving thread has ended."""
         failure = self._require_open().receiver.failure
         if failure is not None:
             raise self.lost_error(f"receiving has stopped: {failure}")
 
     def adapter_status_text(self) -> str:
-        """What the adapter says of itself, where it can be asked; empty where not. Moves and changes nothing."""
+        """Return the adapter's own status; an empty string if it cannot be queried. Moves and changes nothing."""
         bus = self._require_open().bus
         if not isinstance(bus, SlcanBus):
             return ""
@@ -202,7 +201,7 @@ class CanLink:
 
     def lost_error(self, what: str) -> LinkLost:
         return LinkLost(
-            f"CAN link lost, {what}",
+            f"CAN link lost: {what}",
             link=self.name,
             hint="check that the CAN adapter, interface or CAN server is up, then open the device again",
         )
@@ -218,9 +217,9 @@ class CanLink:
 
     def _require_open(self) -> _SharedNetwork:
         if self._shared is None:
-            raise LinkLost("CAN link is not open", link=self.name, hint="open the device first")
+            raise LinkLost("the CAN link is not open", link=self.name, hint="open the device first")
         return self._shared
 
 
 PROCESS_NETWORKS = CanNetworks()
-"""A CAN adapter can be opened once per process, so its owners share this one book."""
+"""Networks of this process. A CAN adapter can be opened once per process, so all devices share this object."""

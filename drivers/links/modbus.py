@@ -1,4 +1,4 @@
-"""Registers of one Modbus unit, over whatever transport: allow-list, repetition, answers checked, typed errors."""
+"""Registers of one Modbus unit over any transport: write allow-list, retries, checked answers, typed errors."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ ILLEGAL_FUNCTION = 1
 BUSY = 6
 
 _EXCEPTIONS = {
-    1: ("illegal function", "the controller does not offer this function; see section 1 of the register map"),
+    1: ("illegal function", "the controller does not support this function; see section 1 of the register map"),
     2: ("illegal register address", "compare the register addresses in the configuration with the controller's"),
-    3: ("illegal value or count", "the controller takes shorter requests than the register map asks for"),
+    3: ("illegal value or count", "the controller accepts only shorter requests than the register map requires"),
     4: ("device failure", "see the controller"),
     5: ("acknowledge, long operation", "the register map has no long operations; see the controller"),
     7: ("negative acknowledge", "see the controller"),
@@ -34,7 +34,7 @@ class _ExceptionResponse(Exception):
 
 
 class LatencyStatistics:
-    """Round trips as seen from here, wall-clock seconds."""
+    """Statistics of request round trips, in wall-clock seconds."""
 
     def __init__(self, window: int = 1000) -> None:
         self.count = 0
@@ -50,17 +50,17 @@ class LatencyStatistics:
 
     @property
     def median_s(self) -> float:
-        """Of the last thousand; 0 before the first."""
+        """Median of the most recent round trips (`window` of them, 1000 by default) in s; 0 if there were none."""
         return median(self._recent) if self._recent else 0.0
 
 
 class ModbusLink:
-    """One connection to one unit.
+    """Connection to one unit.
 
-    `writable` lists the registers that may be written; anything else is refused before it reaches the wire.
-    Requests declared idempotent are sent again after a timeout or a damaged answer, `retries` times; a lost
-    connection is never reopened behind the caller's back. Raises `LinkLost`, `LinkTimeout`, `ProtocolError`
-    (`DamagedFrame` among them), each naming the device, the link and the register.
+    `writable` lists the registers that may be written; any other write is refused before it reaches the wire.
+    Requests declared idempotent are sent again after a timeout or a damaged answer, up to `retries` times; a lost
+    connection is never reopened without the caller's knowledge. Raises `LinkLost`, `LinkTimeout`, `ProtocolError`
+    (including `DamagedFrame`), each naming the device, the link and the register.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class ModbusLink:
         self.transport = transport
         self.latency = LatencyStatistics()
         self.repeat_count = 0
-        """Requests that had to be sent again."""
+        """Number of requests that had to be sent again."""
         self._writable = tuple(writable)
         self._retries = retries
         self._combined = combined
@@ -92,21 +92,21 @@ class ModbusLink:
         self.transport.close()
 
     def read(self, register: int, count: int) -> bytes:
-        """Function 3. Returns 2 × `count` bytes."""
+        """Read `count` registers with function 3; return 2 × `count` bytes."""
         request = struct.pack(">BHH", READ, register, count)
         return self._registers(self._checked(request, register, idempotent=True), count, register)
 
     def write(self, register: int, data: bytes, *, idempotent: bool) -> None:
-        """Function 16."""
+        """Write `data` from `register` on with function 16."""
         head = struct.pack(">HH", register, self._writable_count(register, data))
         request = bytes((WRITE,)) + head + bytes((len(data),)) + data
         if self._checked(request, register, idempotent=idempotent) != head:
-            raise ProtocolError("write answered for other registers", register=register, **self.where)
+            raise ProtocolError("the answer to a write names other registers", register=register, **self.where)
 
     def exchange(self, register: int, data: bytes, read: int, count: int, *, idempotent: bool) -> bytes:
-        """Write `data` at `register`, then read `count` registers at `read`; one round trip with function 23.
+        """Write `data` at `register`, then read `count` registers at `read`, in one round trip with function 23.
 
-        A server without function 23 gets 16 and 3 instead, from then on.
+        If the server does not support function 23, functions 16 and 3 are used from then on.
         """
         if self._combined:
             written = self._writable_count(register, data)
@@ -123,7 +123,7 @@ class ModbusLink:
         return self.read(read, count)
 
     def exchange_wire_time_s(self, written: int, read: int) -> float:
-        """What the wire itself takes for an `exchange` of so many registers; 0 where that is not known."""
+        """Return the time in s that the wire takes for an `exchange` of these register counts; 0 if unknown."""
         if self._combined:
             return self.transport.wire_time_s(
                 struct.pack(">BHHHHB", WRITE_AND_READ, 0, read, 0, 0, 0) + bytes(2 * written)
@@ -135,7 +135,7 @@ class ModbusLink:
         count = len(data) // 2
         if not any(register in block and register + count - 1 in block for block in self._writable):
             raise ConfigurationError(
-                "write outside the registers that may be written",
+                "refused to write outside the writable registers",
                 hint="the allow-list follows from the block addresses in the configuration",
                 register=register,
                 **self.where,
@@ -145,7 +145,7 @@ class ModbusLink:
     def _registers(self, answer: bytes, count: int, register: int) -> bytes:
         if len(answer) != 2 * count + 1 or answer[0] != 2 * count:
             raise ProtocolError(
-                f"asked for {count} registers, answer holds {max(len(answer) - 1, 0)} bytes",
+                f"requested {count} registers, but the answer holds {max(len(answer) - 1, 0)} bytes",
                 register=register,
                 **self.where,
             )
@@ -166,9 +166,12 @@ class ModbusLink:
         return self._send_once(request, register)
 
     def _send_once(self, request: bytes, register: int) -> bytes:
-        """The answer without its function code; raises `_ExceptionResponse` for an exception response."""
+        """Send once and return the answer without its function code.
+
+        Raises `_ExceptionResponse` for an exception response.
+        """
         if not self.connected:
-            raise LinkLost("link is not open", hint="open the device first", register=register, **self.where)
+            raise LinkLost("the link is not open", hint="open the device first", register=register, **self.where)
         started_s = wall_seconds()
         try:
             answer = self.transport.ask(request)
@@ -179,11 +182,13 @@ class ModbusLink:
         function = request[0]
         if answer[0] == function | EXCEPTION_BIT and len(answer) == 2:
             if answer[1] == BUSY:
-                raise LinkTimeout("controller is busy", register=register, **self.where)
+                raise LinkTimeout("the controller is busy", register=register, **self.where)
             raise _ExceptionResponse(answer[1])
         if answer[0] != function:
             raise ProtocolError(
-                f"function {function} answered with function {answer[0]}", register=register, **self.where
+                f"a request with function {function} was answered with function {answer[0]}",
+                register=register,
+                **self.where,
             )
         return answer[1:]
 

@@ -1,14 +1,14 @@
-"""Modbus RTU on a serial line over pyserial.
+"""Modbus RTU on a serial line, over pyserial.
 
-A transport of our own: pymodbus looks for a frame anywhere in what came, passes over another unit's answer in silence
-and tells a garbled answer as a timeout, so that a bad line and a dead controller look the same.
+This is our own transport because pymodbus searches for a frame anywhere in the received bytes, silently skips an
+answer of another unit, and reports a garbled answer as a timeout, so that a bad line looks like a dead controller.
 
-RTU has no transaction number. What is still on the line before a request is thrown away, after a failure until the
-line is quiet; what comes later than that is taken for the answer if it looks like one, and it is then an image that is
-older by one request. The register map's own numbers (sequence, block, latch) catch what such an image could spoil.
+RTU has no transaction number. Bytes left on the line are discarded before a request; after a failure they are read
+until the line is quiet. A late answer that arrives after that is accepted if it has the right form; its contents are
+then older by one request. The numbers in the register map itself (sequence, block, latch) detect such stale contents.
 
-The time of the line passes on the device's clock. Where it does not pass by itself (a pseudo-terminal, a lockstep
-clock), it is slept, so that a request costs the machine what it would cost on a cable.
+The transmission time passes on the device's clock. If it does not pass there (a pseudo-terminal, a lockstep clock),
+the transport sleeps for it, so that a request takes the machine as long as it would on a cable.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from drivers.links.modbus_serial_line import ADDRESS_AND_CRC, SerialLine, build_
 from drivers.links.modbus_transport import EXCEPTION_BIT, READ, WRITE, WRITE_AND_READ, DamagedFrame, answer_length
 
 QUIET_S = 0.02
-"""Silence by which a frame of unknown length is taken to have ended: above what adapters and schedulers insert."""
+"""Silence in s that ends a frame of unknown length: longer than the gaps that adapters and schedulers insert."""
 
 QUIET_WITHIN_S = 0.5
-"""A line that never falls silent is not waited for."""
+"""Longest wait in s for the line to fall silent."""
 
 PSEUDO_TERMINALS = "/dev/pts"
 _PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.PARITY_NONE}
@@ -38,7 +38,7 @@ _PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.
 
 @dataclass(frozen=True)
 class RtuEndpoint:
-    """A unit on a serial line."""
+    """Address of a unit on a serial line."""
 
     line: SerialLine
     unit: int
@@ -48,7 +48,7 @@ class RtuEndpoint:
 
 
 class RtuTransport:
-    """The master of one line. `stray_bytes` counts what came without having been asked for."""
+    """Modbus master on one serial line. `stray_bytes` counts received bytes that belong to no request."""
 
     def __init__(self, endpoint: RtuEndpoint, clock: Clock, *, timeout_s: float, where: Mapping[str, str]) -> None:
         self._line = endpoint.line
@@ -80,8 +80,8 @@ class RtuTransport:
         except (OSError, ValueError, termios.error) as error:
             raise LinkLost(
                 f"the serial port cannot be opened: {error}",
-                hint="check serial.port, that the adapter is plugged in, that this user may use it (group dialout), "
-                "and that no other program has it",
+                hint="check serial.port, that the adapter is plugged in, that this user may open it (group dialout), "
+                "and that no other program has it open",
                 **self._where,
             ) from error
 
@@ -108,7 +108,7 @@ class RtuTransport:
             raise
         except serial.SerialTimeoutException as error:
             raise LinkTimeout(
-                "the serial port does not take what is to be sent", hint="check the adapter", **self._where
+                "the serial port does not accept the bytes to send", hint="check the adapter", **self._where
             ) from error
         except OSError as error:
             self.close()
@@ -120,7 +120,7 @@ class RtuTransport:
         return answer
 
     def _clear_line(self, port: serial.Serial) -> None:
-        """Nothing old on the line, and silent for as long as the standard wants."""
+        """Discard old bytes on the line, then wait for the silence that the standard requires before a frame."""
         self.stray_bytes += len(port.read(port.in_waiting))
         if self._needs_clearing:
             self.stray_bytes += len(self._read_until_quiet(port))
@@ -139,13 +139,13 @@ class RtuTransport:
         if answer[0] != self._unit:
             raise ProtocolError(
                 f"unit {answer[0]} answered instead of unit {self._unit}",
-                hint="two devices on the line have one address, or the unit in the configuration is wrong",
+                hint="two devices on the line have the same address, or the unit in the configuration is wrong",
                 **self._where,
             )
         return answer[1:-2]
 
     def _read_frame(self, port: serial.Serial, sent: bytes, deadline_s: float) -> bytes:
-        """One whole answer. A sound frame of another length or function is handed on to be judged above."""
+        """Read one complete answer. The caller checks frames with a valid CRC but another length or function."""
         data = b""
         while (wanted := _length(data, sent[1])) is None or len(data) < wanted:
             more = self._read_some(port, deadline_s - wall_seconds(), (wanted or ADDRESS_AND_CRC) - len(data))
@@ -177,21 +177,21 @@ class RtuTransport:
             return
         if not heard:
             raise LinkTimeout(
-                "neither echo nor answer", hint="set serial.echo = false if the adapter has none", **self._where
+                "neither echo nor answer", hint="set serial.echo = false if the adapter does not echo", **self._where
             )
         raise DamagedFrame(
-            f"what was sent came back as {_hex(heard)}",
-            hint="another sender is on the line, or serial.echo = true is wrong for this adapter",
+            f"the request was echoed as {_hex(heard)}",
+            hint="check for another sender on the line, or set serial.echo = false if the adapter does not echo",
             **self._where,
         )
 
     def _read_some(self, port: serial.Serial, within_s: float, at_most: int) -> bytes:
-        """What has come, as soon as anything has; empty when nothing came in time."""
+        """Return the received bytes as soon as there are any; an empty string if none come within the time."""
         ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))
         return bytes(port.read(at_most)) if ready else b""
 
     def _read_until_quiet(self, port: serial.Serial) -> bytes:
-        """Everything until the line is silent."""
+        """Read until the line is silent."""
         data = b""
         deadline_s = wall_seconds() + QUIET_WITHIN_S
         while (more := self._read_some(port, max(QUIET_S, self._line.gap_s), 256)) and wall_seconds() < deadline_s:
@@ -208,28 +208,28 @@ class RtuTransport:
         of = f" of {wanted}" if wanted is not None else ""
         return DamagedFrame(
             f"answer cut short after {len(data)}{of} bytes: {_hex(data)}",
-            hint="check the cable; a controller that pauses within a frame breaks the standard",
+            hint="check the cable; a controller that pauses within a frame violates the standard",
             **self._where,
         )
 
     def _require_no_echo(self, data: bytes, sent: bytes) -> None:
         if data.startswith(sent):
             raise ProtocolError(
-                "the line hands back what was sent",
-                hint="set serial.echo = true, or switch the adapter's echo off",
+                "the line echoes the request",
+                hint="set serial.echo = true, or switch off the adapter's echo",
                 **self._where,
             )
 
 
 def _parity(line: SerialLine) -> str:
-    """A pseudo-terminal has no parity bit, and the C library refuses to set one there."""
+    """Return pyserial's parity setting: none on a pseudo-terminal, where the C library refuses to set parity."""
     if Path(line.port).resolve().is_relative_to(PSEUDO_TERMINALS):
         return serial.PARITY_NONE
     return _PARITY[line.parity]
 
 
 def _length(data: bytes, function: int) -> int | None:
-    """Bytes of the frame that begins so, as far as its beginning says; None where it does not."""
+    """Return the length in bytes of the answer frame that begins with `data`; None if `data` does not determine it."""
     if len(data) < ADDRESS_AND_CRC or (data[1] & ~EXCEPTION_BIT) != function:
         return None
     if data[1] & EXCEPTION_BIT:

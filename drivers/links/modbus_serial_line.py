@@ -1,4 +1,4 @@
-"""A serial line as Modbus RTU uses it: its settings, its times, its frames.
+"""Serial line for Modbus RTU: settings, timing and frames.
 
 Source: MODBUS over Serial Line V1.02, 2.5.1 (frames, CRC-16, t1.5 and t3.5).
 """
@@ -18,11 +18,11 @@ SHORTEST_FRAME = 4
 
 
 class SerialLine(BaseModel):
-    """Where and how a serial line is driven. The defaults are those of the standard (19200 baud, 8E1)."""
+    """Port and format of a serial line. The defaults are those of the standard (19200 baud, 8E1)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    port: str = Field(min_length=1, description="device file, as /dev/ttyUSB0 or /dev/serial/by-id/…")
+    port: str = Field(min_length=1, description="device file, for example /dev/ttyUSB0 or /dev/serial/by-id/…")
     baud: int = Field(default=19200, ge=1200, le=921600)
     parity: Literal["even", "odd", "none"] = "even"
     stop_bits: Annotated[int, Field(ge=1, le=2)] = 1
@@ -30,9 +30,9 @@ class SerialLine(BaseModel):
         default=None,
         gt=0.0,
         le=0.1,
-        description="silence before each request; None: 3.5 characters, 1.75 ms above 19200",
+        description="silence before each request; None: 3.5 characters, or 1.75 ms above 19200 baud",
     )
-    echo: bool = Field(default=False, description="the adapter hands back what it sends (two-wire RS-485)")
+    echo: bool = Field(default=False, description="the adapter echoes what it sends (two-wire RS-485)")
 
     def __str__(self) -> str:
         return f"{self.port} {self.mode}"
@@ -43,7 +43,7 @@ class SerialLine(BaseModel):
 
     @property
     def character_s(self) -> float:
-        """Start bit, eight data bits, parity where there is one, stop bits."""
+        """Duration of one character in s: start bit, eight data bits, parity bit if any, stop bits."""
         return (9 + (self.parity != "none") + self.stop_bits) / self.baud
 
     @property
@@ -53,13 +53,16 @@ class SerialLine(BaseModel):
         return FAST_GAP_S if self.baud > FAST_BAUD else 3.5 * self.character_s
 
     def exchange_s(self, request: int, answer: int) -> float:
-        """Gap, `request` bytes, gap, `answer` bytes; both counted from the function code to before the CRC."""
+        """Return the time in s for gap, `request` bytes, gap and `answer` bytes.
+
+        Both byte counts run from the function code up to, not including, the CRC.
+        """
         characters = request + answer + 2 * ADDRESS_AND_CRC
         return 2.0 * self.gap_s + characters * self.character_s
 
 
 def crc16(data: bytes) -> int:
-    """Polynomial 0xA001 reflected, start 0xFFFF; sent low byte first."""
+    """Return the CRC-16 (reflected polynomial 0xA001, initial value 0xFFFF); it is sent low byte first."""
     crc = 0xFFFF
     for byte in data:
         crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]

@@ -1,9 +1,9 @@
-"""Modbus TCP over pymodbus 3.16, the only module that imports it.
+"""Modbus TCP over pymodbus 3.16; no other module imports it.
 
-Register contents travel as bytes, big-endian within a register, so that a block is packed and unpacked with
-one `struct` call above. pymodbus' own register messages do that register by register, which costs as much as
-the whole round trip (70 registers over loopback: 96 µs against 59 µs, measured); hence messages of our own,
-handed to `ModbusTcpClient.register` and `execute`.
+Register contents are passed as bytes, big-endian within a register, so that the caller packs and unpacks a block with
+one `struct` call. pymodbus' own register messages do that register by register, which takes longer than the whole
+round trip (70 registers over loopback: 96 µs against 59 µs, measured). Therefore this module defines its own messages
+and passes them to `ModbusTcpClient.register` and `execute`.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from drivers.errors import LinkError, LinkLost, LinkTimeout, ProtocolError
 from drivers.links.modbus_transport import EXCEPTION_BIT
 
-# Every pymodbus log record is followed by a typed error here; without this the last-resort handler of
-# logging would print it to stderr as well.
+# Each pymodbus log record is also raised as a typed error here; without this handler, logging's handler of last
+# resort would print the record to stderr as well.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 
 @dataclass(frozen=True)
 class TcpEndpoint:
-    """Where a Modbus TCP server is reached."""
+    """Address of a unit behind a Modbus TCP server."""
 
     host: str
     port: int
@@ -38,7 +38,7 @@ class TcpEndpoint:
 
 
 class TcpTransport:
-    """One connection to one unit; a lost connection is never reopened behind the caller's back."""
+    """Connection to one unit; a lost connection is never reopened without the caller's knowledge."""
 
     def __init__(self, endpoint: TcpEndpoint, *, timeout_s: float, where: Mapping[str, str]) -> None:
         self._unit = endpoint.unit
@@ -56,7 +56,7 @@ class TcpTransport:
     def open(self) -> None:
         if not self._client.connect():
             raise LinkLost(
-                "no connection to the Modbus server",
+                "cannot connect to the Modbus server",
                 hint="check the address, the cable and that the controller's Modbus server is running",
                 **self._where,
             )
@@ -65,7 +65,7 @@ class TcpTransport:
         self._client.close()
 
     def wire_time_s(self, request: bytes) -> float:
-        """Not known, and small against everything else."""
+        """Return 0: the time is not known and negligible."""
         return 0.0
 
     def ask(self, request: bytes) -> bytes:
@@ -91,11 +91,11 @@ class TcpTransport:
                 hint="check unit id, cable and the load of the controller",
                 **self._where,
             )
-        return ProtocolError(f"answer cannot be decoded: {error}", **self._where)
+        return ProtocolError(f"the answer cannot be decoded: {error}", **self._where)
 
 
 class _Request(ModbusPDU):
-    """A request whose body is packed already."""
+    """Request with an already packed body."""
 
     def __init__(self, request: bytes, unit: int) -> None:
         super().__init__(dev_id=unit)
@@ -107,7 +107,7 @@ class _Request(ModbusPDU):
 
 
 class _Response(ModbusPDU):
-    """An answer kept as bytes; what it must look like is decided by the one who asked."""
+    """Answer stored as bytes; the caller checks its form."""
 
     payload: bytes = b""
 
@@ -128,7 +128,7 @@ class _WriteAndReadResponse(_Response):
 
 
 class _Client(Protocol):
-    """What is used of pymodbus' client, with the annotations that it lacks."""
+    """Type annotations, missing in pymodbus, for the client methods used here."""
 
     @property
     def connected(self) -> bool: ...

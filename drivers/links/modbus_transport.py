@@ -1,4 +1,4 @@
-"""What carries a Modbus request to a unit and its answer back, whatever the wire."""
+"""Interface of a transport that carries Modbus requests to a unit and its answers back."""
 
 from __future__ import annotations
 
@@ -11,33 +11,38 @@ EXCEPTION_BIT = 0x80
 
 
 class DamagedFrame(ProtocolError):
-    """What came over the line was cut short or garbled. Nothing is wrong with the peer: asking again may help."""
+    """An answer was truncated or garbled on the line. The peer itself is healthy, so a retry may succeed."""
 
 
 class Transport(Protocol):
-    """One connection to one unit. Errors name the device and the link; the register is added by who asked."""
+    """Connection to one unit. Errors name the device and the link; the caller adds the register."""
 
     @property
     def connected(self) -> bool: ...
 
     def open(self) -> None:
-        """Raises `LinkLost`."""
+        """Connect. Raises `LinkLost`."""
         ...
 
     def close(self) -> None: ...
 
     def ask(self, request: bytes) -> bytes:
-        """The answer to `request`, both from the function code on. Raises `LinkLost`, `LinkTimeout`,
-        `DamagedFrame`, `ProtocolError`; an exception response is an answer."""
+        """Send `request` and return its answer, both from the function code on.
+
+        An exception response is an answer. Raises `LinkLost`, `LinkTimeout`, `DamagedFrame`, `ProtocolError`.
+        """
         ...
 
     def wire_time_s(self, request: bytes) -> float:
-        """The least time that the wire itself takes for `request` and its answer; 0 where it is not known."""
+        """Return the minimum time in s that the wire takes for `request` and its answer; 0 if unknown."""
         ...
 
 
 def answer_length(request: bytes) -> int:
-    """Bytes of a good answer to `request`, both from the function code on (Application Protocol V1.1b3, 6.3 … 6.17)."""
+    """Return the length in bytes of a normal answer to `request`, both counted from the function code on.
+
+    Source: MODBUS Application Protocol V1.1b3, 6.3 … 6.17.
+    """
     if request[0] in (READ, WRITE_AND_READ):
         return 2 + 2 * int.from_bytes(request[3:5], "big")
     return 5

@@ -1,6 +1,6 @@
-"""A serial line in lines of text, the only module here that opens a port with pyserial for a line protocol.
+"""Serial port for line-oriented text protocols, over pyserial.
 
-Bytes are waited for with `select` and not with pyserial's timeout: changing that one reconfigures the port.
+Waits use `select`, not pyserial's timeout, because changing that timeout reconfigures the port.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from drivers.clock import wall_seconds
 from drivers.errors import LinkLost
 
 LONGEST_LINE = 4096
-"""Bytes without an end of line after which the peer is taken for something else."""
+"""Number of bytes without an end of line after which the peer cannot be a line-oriented device."""
 WRITE_WITHIN_S = 2.0
 
 
 @dataclass(frozen=True)
 class SerialAddress:
-    """Where a serial device is, and how its bytes are framed: eight bits, no parity."""
+    """Port, baud rate and stop bits of a serial device; eight data bits, no parity."""
 
     port: str
     baud: int
@@ -33,7 +33,10 @@ class SerialAddress:
 
 
 class SerialPort:
-    """Bytes out, bytes or lines in. Every wait is bounded in wall time. Raises LinkLost when the port is gone."""
+    """Serial port that sends bytes and receives bytes or lines.
+
+    Every wait is bounded in wall time. Methods raise LinkLost if the port is gone.
+    """
 
     def __init__(self, address: SerialAddress, *, device: str = "") -> None:
         self.where: dict[str, str] = {"device": device} if device else {}
@@ -47,7 +50,7 @@ class SerialPort:
         return self._port is not None
 
     def open(self) -> None:
-        """Alone: a second program on one line reads half of the answers."""
+        """Open the port exclusively, since a second program on the line would take some of the answers."""
         self.close()
         address = self._address
         try:
@@ -62,7 +65,7 @@ class SerialPort:
         except (OSError, ValueError, termios.error) as error:
             raise LinkLost(
                 f"the serial port cannot be opened: {error}",
-                hint="check the name, that no other program has it, and that this user may (group dialout)",
+                hint="check its name, that this user may open it (group dialout) and that no other program uses it",
                 **self.where,
             ) from error
         self._received = b""
@@ -83,7 +86,7 @@ class SerialPort:
             raise self._lost(error) from error
 
     def read(self, within_s: float) -> bytes:
-        """What has come, at least one byte, or nothing within that wall time."""
+        """Return the received bytes, at least one; an empty string if none come within `within_s` of wall time."""
         port = self._require_port()
         try:
             ready, _, _ = select.select([port.fileno()], [], [], max(within_s, 0.0))
@@ -95,7 +98,7 @@ class SerialPort:
         return data
 
     def read_line(self, within_s: float) -> bytes | None:
-        """The next line that is not empty, without its end; None if none is complete within that wall time."""
+        """Return the next non-empty line without its line end; None if none is complete within `within_s` wall time."""
         deadline_s = wall_seconds() + within_s
         while True:
             end = self._received.find(b"\n")
@@ -113,7 +116,7 @@ class SerialPort:
             self._received += data
 
     def _keep_dtr_on_close(self) -> None:
-        """Closing must not drop DTR: many boards restart, and forget where they are, when it comes up again."""
+        """Keep DTR set when the port closes: many boards restart and lose their position when DTR is set again."""
         try:
             attributes = termios.tcgetattr(self._require_port().fileno())
             attributes[2] &= ~termios.HUPCL

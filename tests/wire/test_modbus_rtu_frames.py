@@ -158,10 +158,10 @@ def test_what_is_not_idempotent_is_sent_once() -> None:
     [
         (framed("12 03 06 AE41 5652 4340"), "unit 18 answered instead of unit 17"),
         (framed("11 10 0001 0002"), "function 3 answered with function 16"),
-        (framed("11 03 04 AE41 5652"), "asked for 3 registers, answer holds 4 bytes"),
-        (framed("11 03 08 AE41 5652 4340 0000"), "asked for 3 registers, answer holds 8 bytes"),
-        (READ_17, "the line hands back what was sent"),
-        (READ_17 + ANSWER_17, "the line hands back what was sent"),
+        (framed("11 03 04 AE41 5652"), "requested 3 registers, but the answer holds 4 bytes"),
+        (framed("11 03 08 AE41 5652 4340 0000"), "requested 3 registers, but the answer holds 8 bytes"),
+        (READ_17, "the line echoes the request"),
+        (READ_17 + ANSWER_17, "the line echoes the request"),
     ],
 )
 def test_sound_frames_that_are_no_answer(answer: bytes, text: str) -> None:
@@ -194,7 +194,7 @@ def test_echo_is_taken_where_the_adapter_has_one() -> None:
         assert link.read(0x6B, 3) == VALUE_17
     with (
         linked(scripted(ANSWER_17), echo=True) as link,
-        pytest.raises(DamagedFrame, match=r"came back as .*echo = true"),
+        pytest.raises(DamagedFrame, match=r"was echoed as .*echo = false"),
     ):
         link.read(0x6B, 3)
     with (

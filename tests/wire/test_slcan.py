@@ -193,7 +193,7 @@ def test_an_adapter_has_one_owner(peer: SlcanPeerBus) -> None:
 def test_two_devices_with_other_options_do_not_share_a_port(peer: SlcanPeerBus) -> None:
     networks = CanNetworks()
     link = networks.acquire(CanAddress.of("slcan", peer.port, READY))
-    with pytest.raises(ConfigurationError, match="two devices state different options"):
+    with pytest.raises(ConfigurationError, match="two devices have different options"):
         networks.acquire(CanAddress.of("slcan", peer.port, {**READY, "bitrate": 125_000}))
     link.close()
 
@@ -224,7 +224,7 @@ def test_dead_adapter_does_not_hold_who_sends(monkeypatch) -> None:
 def test_port_that_is_none_says_so(tmp_path: Path) -> None:
     with pytest.raises(LinkLost, match=rf"slcan:{tmp_path}/ttyUSB7.*plugged in"):
         open_bus(CanAddress.of("slcan", str(tmp_path / "ttyUSB7"), READY))
-    with SlcanPeerBus() as peer, pytest.raises(ConfigurationError, match="bitrate 123 is none of 10000"):
+    with SlcanPeerBus() as peer, pytest.raises(ConfigurationError, match="bitrate 123 is not one of 10000"):
         open_bus(CanAddress.of("slcan", peer.port, {**READY, "bitrate": 123}))
 
 

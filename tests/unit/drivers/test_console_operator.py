@@ -56,7 +56,7 @@ def test_a_closed_terminal_is_an_error() -> None:
 
 def test_without_a_terminal_it_refuses() -> None:
     device = ConsoleOperator(ConsoleOperatorSettings(), "hand", io.StringIO("done\n"), Terminal())
-    with pytest.raises(PermissionMissing, match="no terminal to ask on"):
+    with pytest.raises(PermissionMissing, match="there is no terminal"):
         device.ask(MOVE)
     assert [finding.ok for finding in device.diagnose()] == [False]
 
