@@ -1,1 +1,1 @@
-"""CNC or PLC behind Modbus TCP registers; the contract is docs/reference/modbus-register-map.md."""
+"""CNC or PLC with Modbus registers, over TCP or a serial line, as defined in docs/reference/modbus-register-map.md."""

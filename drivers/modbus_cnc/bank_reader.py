@@ -1,4 +1,4 @@
-"""Reads a bank back through the read window."""
+"""Reading back a bank through the read window."""
 
 from __future__ import annotations
 
@@ -15,13 +15,16 @@ from drivers.roles import TableImage
 
 
 class BankReader:
-    """Reads complete banks; block 0 of a bank is its descriptor."""
+    """Reader of complete banks; block 0 of a bank is its descriptor."""
 
     def __init__(self, session: ModbusSession) -> None:
         self._session = session
 
     def read(self, bank: int) -> tuple[TableImage, TableDescriptor]:
-        """The table of a complete bank, its CRC-32 computed here and compared with the controller's."""
+        """Return the table and the descriptor of a complete bank.
+
+        Raises ChecksumMismatch if the CRC-32 computed here differs from the controller's.
+        """
         layout = self._session.layouts.descriptor
         descriptor = TableDescriptor(*layout.unpack(self._read_block(bank, 0)[: 2 * layout.size]))
         self._require_sound(bank, descriptor)
@@ -31,19 +34,19 @@ class BankReader:
         data = b"".join(reordered(block) for block in blocks)[: nx * ny * nz * 12]
         if crc32(data) != descriptor.crc:
             raise ChecksumMismatch(
-                f"bank {bank}: CRC-32 of what was read is {crc32(data):08X}, "
+                f"bank {bank}: the CRC-32 of the data read is {crc32(data):08X}, "
                 f"the controller states {descriptor.crc:08X}",
-                hint="read again; if it stays, stage the table again",
+                hint="read again; if the difference remains, stage the table again",
                 bank=bank,
                 **self._session.where,
             )
         return decode_table(descriptor, data), descriptor
 
     def _read_block(self, bank: int, number: int) -> bytes:
-        """240 bytes of the read window, once it shows `bank` and `number`.
+        """Return 240 bytes of the read window, once it shows `bank` and `number`.
 
-        Until the controller's program has looked at the selector the window still answers the former one, so that it
-        may say for a moment that there is no such block.
+        Until the controller's program evaluates the selector, the window still shows the previous selection, so it
+        may briefly report that there is no such block.
         """
         blocks, clock = self._session.settings.blocks, self._session.clock
         wanted = bank.to_bytes(2, "big") + number.to_bytes(2, "big")
@@ -56,7 +59,7 @@ class BankReader:
             if window[:4] == wanted:
                 return window[4:]
             if int.from_bytes(window[2:4], "big") == NO_BLOCK and seen_by_then.expired:
-                raise self._protocol_error(f"controller has no block {number} of bank {bank}")
+                raise self._protocol_error(f"the controller has no block {number} of bank {bank}")
             deadline.raise_if_expired(f"block {number} of bank {bank} in the read window", **self._session.where)
             clock.sleep(self._session.settings.fine_poll_interval_s)
 
@@ -64,7 +67,7 @@ class BankReader:
         numbers = (*descriptor.origin, *descriptor.step, descriptor.resolution)
         sound = all(map(math.isfinite, numbers)) and min(descriptor.nodes) >= 1
         if descriptor.bank != bank or not sound:
-            raise self._protocol_error(f"descriptor of bank {bank} is not sound: {descriptor}")
+            raise self._protocol_error(f"the descriptor of bank {bank} is invalid: {descriptor}")
 
     def _protocol_error(self, text: str) -> ProtocolError:
         return ProtocolError(text, hint="the controller does not follow the register map", **self._session.where)

@@ -1,4 +1,4 @@
-"""Blocks of registers to values and back: one `struct` call a block, whatever number type and word order."""
+"""Codec between register blocks and values: one `struct` call per block for any number type and word order."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _REGISTERS = {"u16": 1, "u32": 2, "i32": 2, "number": 4}
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """How the map's f64 travel: as float64, or int32 × `scale` in the first two of their four registers.
+    """Transmission format of the map's f64: float64, or int32 × `scale` in the first two of their four registers.
 
-    `word_order`: of the registers of a value, `byte_order`: of the two bytes in each of them. Both concern values of
-    more than one register; u16 travel as the protocol has them.
+    `word_order` is the order of the registers of a value, `byte_order` that of the two bytes in each of them. Both
+    apply to values of more than one register; u16 are always transmitted as the protocol specifies.
     """
 
     kind: Literal["float64", "int32"] = "float64"
@@ -29,7 +29,7 @@ class NumberFormat:
 
 @dataclass(frozen=True)
 class RegisterField:
-    """One name of a block: a scalar where `count` is 1, else a tuple of `count` values."""
+    """Named field of a block: a scalar if `count` is 1, otherwise a tuple of `count` values."""
 
     name: str
     kind: RegisterType
@@ -37,13 +37,13 @@ class RegisterField:
 
 
 class RegisterLayout:
-    """The registers of one block, in order."""
+    """Register layout of one block: its fields, in order."""
 
     def __init__(self, registers: Sequence[RegisterField], numbers: NumberFormat) -> None:
         self._registers = tuple(registers)
         self._numbers = numbers
         codes = {"u16": "H", "u32": "I", "i32": "i", "number": "d" if numbers.kind == "float64" else "i4x"}
-        # Each item is repeated rather than counted: "3d" would do, "3i4x" would not.
+        # Repeat the code of each item instead of giving a count: "3d" would work, "3i4x" would not.
         self._struct = struct.Struct(">" + "".join(codes[kind] for kind in self._kinds()))
         swapped = "low-first" in (numbers.word_order, numbers.byte_order)
         self._order = tuple(self._swapped_bytes()) if swapped else None
@@ -52,11 +52,11 @@ class RegisterLayout:
 
     @property
     def size(self) -> int:
-        """Registers."""
+        """Number of registers."""
         return self._struct.size // 2
 
     def offset(self, name: str) -> int:
-        """Of the first register of `name` from the start of the block."""
+        """Return the offset of the first register of `name` from the start of the block."""
         offset = 0
         for register in self._registers:
             if register.name == name:
@@ -65,7 +65,7 @@ class RegisterLayout:
         raise KeyError(name)
 
     def unpack(self, data: bytes) -> Iterator[Any]:
-        """One int, float or tuple of them per register name, in order."""
+        """Yield one int, float or tuple of them per field, in order."""
         flat: Sequence[Any] = self._struct.unpack(self.reordered(data))
         if self._scaled:
             values = list(flat)
@@ -78,7 +78,7 @@ class RegisterLayout:
             at += register.count
 
     def pack(self, values: Sequence[Any]) -> bytes:
-        """The inverse of `unpack`. Raises ValueError for what an int32 number cannot hold."""
+        """Pack values into bytes, the inverse of `unpack`. Raises ValueError if a value does not fit an int32."""
         flat: list[Any] = []
         for register, value in zip(self._registers, values, strict=True):
             flat.extend((value,) if register.count == 1 else value)
@@ -90,7 +90,7 @@ class RegisterLayout:
             raise ValueError(str(error)) from error
 
     def reordered(self, data: bytes) -> bytes:
-        """Big-endian bytes of the whole layout as they go over the wire, and back: a reversal is its own inverse."""
+        """Convert big-endian bytes of the whole layout to wire order, or back: the swap is its own inverse."""
         return data if self._order is None else bytes([data[index] for index in self._order])
 
     def _kinds(self) -> Iterator[RegisterType]:

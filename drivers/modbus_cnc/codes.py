@@ -1,4 +1,4 @@
-"""The codes of the register map, sections 3, 5 and 9 of docs/reference/modbus-register-map.md."""
+"""Codes of the register map, sections 3, 5 and 9 of docs/reference/modbus-register-map.md."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MAJOR_VERSION = 1
 
 
 class CommandCode(IntEnum):
-    """Commands."""
+    """Command codes."""
 
     MOVE_RAPID = 11
     MOVE_FEED = 12
@@ -33,7 +33,7 @@ class CommandCode(IntEnum):
 
 
 class MotionOutcome(IntEnum):
-    """How a motion ended."""
+    """Outcome of a motion."""
 
     NONE = 0
     UNDER_WAY = 1
@@ -74,7 +74,7 @@ FAULTS = {
     2: "end of travel",
     3: "following error",
     4: "drive or power fault",
-    FAULT_GUARD_TRIPPED: "probe tripped in a move that was no touch",
+    FAULT_GUARD_TRIPPED: "probe tripped in a move that was not a touch",
     FAULT_HEARTBEAT_LOST: "controller missed the agent's heartbeat",
     7: "door opened while moving",
     8: "a permission was lost while moving",
@@ -120,7 +120,7 @@ NO_TEMPERATURE = -(2**31)
 
 
 def fault_text(code: int) -> str:
-    """Words for a fault code; empty for 0."""
+    """Return the text of a fault code; an empty string for 0."""
     return f"{FAULTS.get(code, 'unknown fault')} (code {code})" if code else ""
 
 

@@ -1,4 +1,4 @@
-"""The device: one controller that plays Machine, Probe, CompensationStore and Thermometer."""
+"""Device for one controller with the roles Machine, Probe, CompensationStore and Thermometer."""
 
 from __future__ import annotations
 
@@ -32,14 +32,17 @@ from drivers.roles import (
 
 SHORTEST_TRAVEL_MM, LONGEST_TRAVEL_MM = 1.0, 1e6
 SLOWEST = 0.1
-"""mm/s and mm/s²."""
+"""Lowest plausible speed in mm/s and acceleration in mm/s²."""
 
 FINEST_MM = 1e-9
-"""With these bounds a float64 in the wrong word or byte order is told: it is a number below 1e-300 or a huge one."""
+"""Smallest plausible resolution in mm.
+
+These bounds detect a float64 in the wrong word or byte order: it then is below 1e-300 or huge.
+"""
 
 
 class ModbusCnc:
-    """Composes motion, probing and store over one shared session; they exist while the device is open."""
+    """Motion, probing and table store of one controller over a shared session; they exist while the device is open."""
 
     def __init__(self, settings: ModbusCncSettings, clock: Clock, name: str) -> None:
         self._session = ModbusSession(create_link(settings, clock, name), clock, settings)
@@ -92,7 +95,7 @@ class ModbusCnc:
         self._session.command(CommandBlock(CommandCode.RESET))
 
     def stop(self) -> None:
-        """STOP; reconnects for it when the connection was lost. Does nothing on a device that is closed."""
+        """Send STOP, reconnecting first if the connection was lost. Does nothing if the device is closed."""
         if self._parts is None:
             return
         if not self._session.link.connected:
@@ -132,7 +135,7 @@ class ModbusCnc:
     @property
     def _open(self) -> _Parts:
         if self._parts is None:
-            raise LinkLost("device is not open", hint="open it first", **self._session.where)
+            raise LinkLost("the device is not open", hint="open it first", **self._session.where)
         return self._parts
 
     def _require_sound(self, limits: ControllerLimits) -> None:
@@ -147,7 +150,7 @@ class ModbusCnc:
         )
         if not sound:
             raise ProtocolError(
-                f"limits of the controller make no sense: {limits}",
+                f"the controller reports implausible limits: {limits}",
                 hint="compare number type, word order and addresses in the configuration with the controller",
                 register=self._session.settings.blocks.limits,
                 **self._session.where,
@@ -155,7 +158,7 @@ class ModbusCnc:
 
 
 class _Parts:
-    """What can be built only once the controller has stated its limits."""
+    """Parts of the device that can be created only after the controller has reported its limits."""
 
     def __init__(self, session: ModbusSession, limits: ControllerLimits) -> None:
         self.axis_limits = AxisLimits(limits.lower, limits.upper, limits.rapid, limits.acceleration)

@@ -1,4 +1,4 @@
-"""Self-diagnosis for `volcal doctor`: reads only."""
+"""Self-diagnosis for `volcal doctor`; reads only."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from drivers.roles import DiagnosticFinding
 
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.1
-"""A quarter of the poll interval; slower links leave the heartbeat too little room. On a serial line beyond the time
-that the line itself takes."""
+"""Limit of the median round trip in s, a quarter of the poll interval: a slower link leaves too little time for the
+heartbeat. On a serial line the transmission time is added."""
 
 HEARTBEAT_PAUSE_S = 0.3
-"""The map promises a new heartbeat every 0.25 s."""
+"""Pause in s between two readings of the heartbeat; the register map requires a new heartbeat every 0.25 s."""
 
 
 def diagnose(session: ModbusSession) -> list[DiagnosticFinding]:
-    """Findings in the order in which a person would look; an error ends the list as a finding of its own."""
+    """Return the findings in troubleshooting order; an error becomes the last finding."""
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:
@@ -64,7 +64,7 @@ def _heartbeat(session: ModbusSession, before: StatusImage) -> DiagnosticFinding
     session.clock.sleep(HEARTBEAT_PAUSE_S)
     after = session.read_status_unchecked()
     runs = after.heartbeat != before.heartbeat
-    return DiagnosticFinding("heartbeat", ok=runs, text="runs" if runs else f"stands at {after.heartbeat}")
+    return DiagnosticFinding("heartbeat", ok=runs, text="runs" if runs else f"stuck at {after.heartbeat}")
 
 
 def _latency(session: ModbusSession) -> DiagnosticFinding:

@@ -1,4 +1,4 @@
-"""The controller's heartbeat, watched."""
+"""Monitor of the controller's heartbeat."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from drivers.errors import LinkLost
 
 
 class PeerHeartbeat:
-    """Raises LinkLost when the controller's heartbeat stands still for `lost_after_s` while it is watched.
+    """Monitor that raises LinkLost if the controller's heartbeat does not change for `lost_after_s`.
 
-    A pause between two observations that is itself longer proves nothing, so watching starts anew after it.
+    A longer pause between two observations proves nothing, so monitoring restarts after it.
     """
 
     def __init__(self, clock: Clock, lost_after_s: float, where: Mapping[str, str]) -> None:
@@ -30,7 +30,7 @@ class PeerHeartbeat:
             self._value, self._changed_s = value, now_s
         elif now_s - self._changed_s > self._lost_after_s:
             raise LinkLost(
-                f"the controller's heartbeat has stood at {value} for {now_s - self._changed_s:.1f} s",
-                hint="its Modbus server answers, but its program does not run; see the controller",
+                f"the controller's heartbeat has been stuck at {value} for {now_s - self._changed_s:.1f} s",
+                hint="its Modbus server answers, but its program does not run; check the controller",
                 **self._where,
             )

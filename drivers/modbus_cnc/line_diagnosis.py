@@ -1,4 +1,4 @@
-"""What `volcal doctor` says about a serial line: its time, its faults, and where a silent controller does answer."""
+"""Diagnosis of a serial line for `volcal doctor`: timing, line faults, and the baud rate of a silent controller."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from drivers.roles import DiagnosticFinding
 USUAL_BAUDS = (9600, 19200, 38400, 57600, 115200)
 USUAL_PARITIES = ("even", "none", "odd")
 WATCHDOG_S = 1.0
-"""The controller stops the motion when the heartbeat has not changed for so long (register map, section 7)."""
+"""Time in s without a new heartbeat after which the controller stops the motion (register map, section 7)."""
 
 
 def line_findings(session: ModbusSession, line: SerialLine) -> Iterator[DiagnosticFinding]:
-    """After the link has been used: the time a poll takes, and what had to be repeated."""
+    """Yield the duration of a poll and the number of repeated requests; call it after the link has been used."""
     poll_s = session.poll_wire_time_s
     left_s = WATCHDOG_S - max(session.settings.poll_interval_s, poll_s) - poll_s - session.settings.timeout_s
     text = (
         f"a poll takes {poll_s * 1e3:.0f} ms of the line at {line.mode}; after one lost answer {left_s:.2f} s are left"
     )
-    advice = "" if left_s > 0.0 else " of the controller's second: raise the baud rate, or shorten timeout_s"
+    advice = "" if left_s > 0.0 else " of the controller's watchdog time: raise the baud rate or reduce timeout_s"
     yield DiagnosticFinding("line", ok=left_s > 0.0, text=text + advice)
     transport = session.link.transport
     if isinstance(transport, RtuTransport):
         repeated, stray = session.link.repeat_count, transport.stray_bytes
-        text = f"{repeated} requests repeated, {stray} bytes that nobody had asked for, in {session.link.latency.count}"
+        text = f"{repeated} requests repeated, {stray} stray bytes, in {session.link.latency.count} requests"
         yield DiagnosticFinding("line faults", ok=repeated == stray == 0, text=text)
 
 
 def search_baud_rate(
     settings: ModbusCncSettings, clock: Clock, device: str, error: DeviceError
 ) -> Iterator[DiagnosticFinding]:
-    """Where nothing or garbage came at the configured rate: the other usual ones, each asked once for one register."""
+    """Try the other usual baud rates and parities after no answer or a garbled one, reading one register at each."""
     if settings.serial is None or not isinstance(error, LinkTimeout | DamagedFrame):
         return
     for line in _other_lines(settings.serial):

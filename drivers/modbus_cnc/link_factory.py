@@ -1,4 +1,4 @@
-"""The link that the settings ask for: Modbus TCP or a serial line."""
+"""Creation of the configured link: Modbus TCP or a serial line."""
 
 from __future__ import annotations
 

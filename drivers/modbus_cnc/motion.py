@@ -1,4 +1,4 @@
-"""One motion command from acceptance to outcome."""
+"""Motion commands, from acceptance to outcome."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from drivers.straight_move import move_duration_s
 
 COARSEST_FINE_POLL_S = 0.1
 JUST_AFTER_S = 0.001
-"""A poll aimed at the very end would come too early half the time."""
+"""Time in s after the predicted end at which to poll: a poll exactly at the end would be too early half the time."""
 
 DURATION_FACTOR = 1.5
-"""A motion may take this many times its predicted duration (feed override, look-ahead), plus the margin."""
+"""Allowed multiple of the predicted duration of a motion (feed override, look-ahead); the margin is added."""
 
 
 class MotionResult(NamedTuple):
-    """Where a motion started, and the image that shows its outcome."""
+    """Start position of a motion, and the status image that shows its outcome."""
 
     start: Triple
     status: StatusImage
 
 
 class ModbusMotion:
-    """Starts motions, keeps the heartbeat going while they last, and says how they ended.
+    """Starts motions, keeps up the heartbeat until they end, and returns or raises their outcome.
 
-    Whatever exception leaves a wait, STOP is sent before it travels on.
+    If an exception ends a wait, STOP is sent before the exception propagates.
     """
 
     def __init__(self, session: ModbusSession, limits: AxisLimits) -> None:
@@ -53,10 +53,10 @@ class ModbusMotion:
         self._limits = limits
         self._braking = False
         self.tag = 0
-        """Which step the motions belong to; it travels in the place of the CRC, which motions do not use."""
+        """Tag of the step to which the motions belong; sent in the CRC field, which motions do not use."""
 
     def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> MotionResult:
-        """Returns when the outcome is in position, tripped or missed; any other is raised."""
+        """Carry out a motion and return if it ends in position, tripped or missed; raise for any other outcome."""
         session = self._session
         target = self._validated_target(code, target_mm, feed_mm_per_s)
         try:
@@ -69,23 +69,23 @@ class ModbusMotion:
             self._stop_because_of(error)
             raise
         if status.motion_sequence != sequence:
-            raise self._protocol_error(f"asked for motion {sequence}, saw motion {status.motion_sequence} end")
+            raise self._protocol_error(f"started motion {sequence}, but motion {status.motion_sequence} ended")
         self._require_success(code, status)
         return MotionResult(accepted.position, status)
 
     def stop(self) -> None:
-        """Send STOP. It does not wait for rest, since it is called where sleeping is not possible."""
+        """Send STOP. Does not wait for standstill, because callers may be unable to sleep."""
         self._braking = True
         self._session.send_urgent(CommandCode.STOP)
 
     def _await_rest(self) -> None:
-        """After a STOP the axes brake for a moment, in which the controller would refuse a motion."""
+        """Wait until the axes have come to rest after a STOP; the controller refuses motions while they brake."""
         if not self._braking:
             return
         session = self._session
         deadline = Deadline.after(session.clock, session.settings.motion_margin_s)
         while _is_under_way(session.poll()):
-            deadline.raise_if_expired("the axes to rest after STOP", hint="see the controller", **session.where)
+            deadline.raise_if_expired("the axes to come to rest after STOP", hint="see the controller", **session.where)
             session.clock.sleep(session.settings.fine_poll_interval_s)
         self._braking = False
 
@@ -127,7 +127,7 @@ class ModbusMotion:
         return status
 
     def _slice_s(self, interval_s: float) -> float:
-        """The pause between two polls: on a slow line the poll itself is part of the interval."""
+        """Return the pause between two polls in s; on a slow line the poll itself uses part of the interval."""
         return max(interval_s - self._session.poll_wire_time_s, self._session.settings.fine_poll_interval_s)
 
     def _predicted_s(self, start: Triple, target: Triple, feed_mm_per_s: float | None) -> float:
@@ -171,17 +171,17 @@ class ModbusMotion:
             missing = [name.value for name, given in status.permissions.items() if not given]
             text = f"{code.label} ended in a fault: {fault_text(status.fault_code) or 'no fault code'}"
             if status.fault_code in PERMISSION_FAULTS:
-                lost = ", ".join(missing) or "permissions are back"
+                lost = ", ".join(missing) or "none any more"
                 return PermissionMissing(f"{text}; missing: {lost}", hint="make the machine ready", **where)
             return MotionFault(text, hint="clear the cause and reset the controller", **where)
         return self._protocol_error(f"{code.label} ended with outcome {status.outcome.name}")
 
     def _guard_tripped(self, status: StatusImage) -> GuardTripped:
-        """The trip is reported by the error, so its fault is cleared here: the way back must be open."""
+        """Return the error for a tripped guard, and clear its fault so that the probe can be withdrawn."""
         x, y, z = status.position
         error = GuardTripped(
-            f"probe tripped in a move that was no touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
-            hint="something stands in the way, or mount and artefact are not where the plan has them",
+            f"the probe tripped in a move that was not a touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
+            hint="check for an obstacle, and that mount and artefact are where the plan expects them",
             **self._session.where,
         )
         if status.fault_code == FAULT_GUARD_TRIPPED:
@@ -200,5 +200,5 @@ def _is_under_way(status: StatusImage) -> bool:
 
 
 def _equal_slice_s(remaining_s: float, slice_s: float) -> float:
-    """The remaining time in equal parts of at most a slice, so that the last part ends with the motion."""
+    """Divide the remaining time into equal parts of at most `slice_s`, so that the last part ends with the motion."""
     return remaining_s / math.ceil(remaining_s / slice_s) if remaining_s > 0.0 else 0.0

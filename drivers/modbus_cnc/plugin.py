@@ -12,7 +12,7 @@ def create(settings: ModbusCncSettings, context: DeviceContext) -> ModbusCnc:
 
 
 def claims(settings: ModbusCncSettings) -> dict[str, str]:
-    """A serial line has one master."""
+    """Claim the serial port, if there is one: a serial line has one master."""
     return {f"serial port {settings.serial.port}": "serial.port"} if settings.serial is not None else {}
 
 

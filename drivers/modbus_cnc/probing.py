@@ -1,4 +1,4 @@
-"""The touch-trigger probe as the controller serves it."""
+"""Touch-trigger probe of the controller."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LATCH_RESULTS = {MotionOutcome.TRIPPED: 1, MotionOutcome.MISSED: 2}
 
 
 class ModbusProbing:
-    """Touches; a latch is believed only when it carries the number of the touch and lies on its path."""
+    """Touches. A latched position is accepted only if it carries the number of the touch and lies on its path."""
 
     def __init__(self, session: ModbusSession, motion: ModbusMotion) -> None:
         self._session = session
@@ -45,7 +45,7 @@ class ModbusProbing:
     def _require_own_latch(self, status: StatusImage) -> None:
         if status.latch_sequence != status.motion_sequence:
             raise self._latch_error(
-                f"stale latch: it belongs to touch {status.latch_sequence}, not to {status.motion_sequence}"
+                f"stale latch: it belongs to touch {status.latch_sequence}, not to touch {status.motion_sequence}"
             )
         if status.latch_result != _LATCH_RESULTS[status.outcome]:
             raise self._latch_error(

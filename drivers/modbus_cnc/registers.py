@@ -1,4 +1,4 @@
-"""The blocks of the register map as typed values; each field is one name of the documented table."""
+"""Blocks of the register map as typed values; each field corresponds to one name in the documented table."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Triple = tuple[float, float, float]
 
 
 class StatusImage(NamedTuple):
-    """One status image. Positions in mm, temperatures in 0.001 °C."""
+    """Status image of the controller. Positions in mm, temperatures in 0.001 °C."""
 
     protocol: int
     version: int
@@ -49,7 +49,7 @@ class StatusImage(NamedTuple):
 
     @property
     def is_consistent(self) -> bool:
-        """False for an image that was read while the controller wrote it."""
+        """False if the image was read while the controller was writing it."""
         return self.heartbeat == self.heartbeat_copy
 
     @property
@@ -65,12 +65,12 @@ class StatusImage(NamedTuple):
         return {name: bool(self.permission_bits >> bit & 1) for bit, name in enumerate(PERMISSION_BITS)}
 
     def bank_state(self, bank: int) -> BankState:
-        """`bank` is 1 or 2."""
+        """Return the state of `bank`, which is 1 or 2."""
         return BankState(self.bank_states[bank - 1])
 
 
 class ControllerLimits(NamedTuple):
-    """What the controller says about its travel and its tables; mm, mm/s, mm/s²."""
+    """Travel, dynamics and table limits reported by the controller; mm, mm/s, mm/s²."""
 
     lower: Triple
     upper: Triple
@@ -85,7 +85,7 @@ class ControllerLimits(NamedTuple):
 
 
 class CommandBlock(NamedTuple):
-    """A command block without heartbeat and sequence number, which belong to the session."""
+    """Command block without heartbeat and sequence number, which the session adds."""
 
     code: int
     bank: int = 0
@@ -96,7 +96,7 @@ class CommandBlock(NamedTuple):
 
 
 class TableDescriptor(NamedTuple):
-    """What a table's counts mean; mm."""
+    """Descriptor that gives the grid and the resolution of a table's counts; mm."""
 
     bank: int
     nodes: tuple[int, int, int]
@@ -110,7 +110,7 @@ _LAST_OUTCOME = max(MotionOutcome)
 
 
 class BlockLayouts:
-    """The layouts of all blocks for one number format."""
+    """Layouts of all register blocks for one number format."""
 
     def __init__(self, numbers: NumberFormat) -> None:
         self.status = RegisterLayout(_STATUS, numbers)
@@ -120,11 +120,11 @@ class BlockLayouts:
         self.block = RegisterLayout([RegisterField("counts", "i32", 60)], numbers)
 
     def decode_status(self, data: bytes, where: Mapping[str, str], first_register: int) -> StatusImage:
-        """Raises ProtocolError for values that the map does not allow, naming the register."""
+        """Decode a status image. Raises ProtocolError, naming the register, for values that the map does not allow."""
         status = StatusImage(*self.status.unpack(data))
         if status.protocol != PROTOCOL or status.version >> 8 != MAJOR_VERSION:
             raise ProtocolError(
-                f"no volcal register map: protocol {status.protocol:#06x}, version {status.version:#06x}",
+                f"no volcal register map found: protocol {status.protocol:#06x}, version {status.version:#06x}",
                 hint=f"expected {PROTOCOL:#06x} and {MAJOR_VERSION:#04x}xx; check address, unit, word order",
                 register=first_register,
                 **where,
@@ -134,7 +134,7 @@ class BlockLayouts:
         wrong = _first_illegal(status)
         if wrong:
             raise ProtocolError(
-                f"controller shows an illegal {wrong.replace('_', ' ')}: {getattr(status, wrong)}",
+                f"the controller shows an illegal {wrong.replace('_', ' ')}: {getattr(status, wrong)}",
                 hint="compare number type, word order and addresses in the configuration with the controller",
                 register=first_register + self.status.offset(wrong),
                 **where,

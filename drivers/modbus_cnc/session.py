@@ -1,4 +1,4 @@
-"""The conversation with one controller: status images, heartbeat both ways, commands and acknowledgements."""
+"""Session with one controller: status images, heartbeat in both directions, commands and acknowledgements."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ URGENT_WITHIN_S = 1.0
 
 
 class ModbusSession:
-    """Everything that is said over the link passes here, so sequence numbers and heartbeat have one owner."""
+    """Session with one controller. All traffic passes here, so sequence numbers and heartbeat have one owner."""
 
     def __init__(self, link: ModbusLink, clock: Clock, settings: ModbusCncSettings) -> None:
         self.link = link
@@ -51,7 +51,7 @@ class ModbusSession:
         self._unacknowledged = 0
 
     def open(self) -> StatusImage:
-        """Connect, prove protocol and version, take over the sequence numbers where they stand."""
+        """Connect, verify protocol and version, and continue from the controller's current sequence number."""
         self.link.open()
         status = self.read_status_unchecked()
         self._sequence, self._unacknowledged = status.acknowledge, 0
@@ -64,20 +64,20 @@ class ModbusSession:
         self.link.close()
 
     def status(self) -> StatusImage:
-        """Read one image; writes nothing."""
+        """Read one status image and check it; writes nothing."""
         return self._check_status(self.read_status_unchecked())
 
     def read_status_unchecked(self) -> StatusImage:
-        """As `status`, for onlookers: neither the heartbeat nor the acknowledgement is judged."""
+        """Read one status image without checking heartbeat and acknowledgement, for a mere observer."""
         return self._consistent_status(self._read_status())
 
     @property
     def poll_wire_time_s(self) -> float:
-        """What the wire itself takes for a poll."""
+        """Time in s that the wire takes for a poll."""
         return self.link.exchange_wire_time_s(1, self.layouts.status.size)
 
     def poll(self) -> StatusImage:
-        """Write the heartbeat and read one image."""
+        """Write the heartbeat and read one status image."""
         return self.write_and_read_status(
             self.settings.blocks.command, self._next_heartbeat().to_bytes(2, "big"), idempotent=True
         )
@@ -88,11 +88,11 @@ class ModbusSession:
         return self._check_status(self._consistent_status(self._decoded(answer)))
 
     def command(self, command: CommandBlock, *, within_s: float | None = None) -> StatusImage:
-        """Send and wait for the acknowledgement. Raises CommandRejected or PermissionMissing when refused."""
+        """Send a command and wait for its acknowledgement. Raises CommandRejected or PermissionMissing if refused."""
         return self.start(command, within_s=within_s)[1]
 
     def start(self, command: CommandBlock, *, within_s: float | None = None) -> tuple[int, StatusImage]:
-        """As `command`; returns the sequence number too, by which its outcome is told from others."""
+        """Send as `command` does, and also return the sequence number, which identifies the outcome."""
         sequence = self._next_sequence()
         status = self._send(command, sequence)
         allowed_s = within_s or self.settings.acknowledge_within_s
@@ -107,11 +107,10 @@ class ModbusSession:
         return sequence, self._accepted(command, self._results[sequence], status)
 
     def send_urgent(self, code: CommandCode) -> StatusImage:
-        """HOLD, RESUME, STOP: acknowledged without sleeping on the clock.
+        """Send HOLD, RESUME or STOP and wait for the acknowledgement without sleeping on the clock.
 
-        They are sent from inside a sleep of the clock (a hold, an abort), where sleeping again would recurse.
-        A command that is still without acknowledgement is let through first, except by STOP, which may well
-        overwrite it.
+        These commands are sent from inside a sleep of the clock (a hold, an abort), where another sleep would
+        recurse. A command still waiting for its acknowledgement is completed first; STOP may overwrite it.
         """
         if code is not CommandCode.STOP and self._unacknowledged:
             self._await_without_sleeping(self._unacknowledged, code)
@@ -131,7 +130,7 @@ class ModbusSession:
         except ValueError as error:
             raise ConfigurationError(
                 f"{CommandCode(command.code).label}: a value does not fit the controller's registers: {error}",
-                hint="use number float64 or a larger number_scale",
+                hint="set number to float64, or use a larger number_scale",
                 **self.where,
             ) from error
         self._unacknowledged = sequence
@@ -141,7 +140,7 @@ class ModbusSession:
             status = self.status()
         if sequence in self._results:
             return status
-        # The request was lost. Should it be seen after all: no number is executed twice (map, section 6).
+        # The request was lost, so send it again. If it did arrive: no number is executed twice (map, section 6).
         return self.write_and_read_status(self.settings.blocks.command, block, idempotent=True)
 
     def _await_without_sleeping(self, sequence: int, code: CommandCode) -> StatusImage:
@@ -161,7 +160,7 @@ class ModbusSession:
             missing = [name.value for name, given in status.permissions.items() if not given]
             raise PermissionMissing(
                 f"{label} refused: {', '.join(missing) or 'a permission is missing'}",
-                hint="give the permission at the controller",
+                hint="grant the permission at the controller",
                 **self.where,
             )
         fault = f"; controller in fault: {fault_text(status.fault_code)}" if status.fault_code else ""
@@ -170,12 +169,12 @@ class ModbusSession:
     def _not_acknowledged(self, code: CommandCode, allowed_s: float) -> LinkTimeout:
         return LinkTimeout(
             f"{code.label} (command {self._unacknowledged}) not acknowledged within {allowed_s:g} s",
-            hint="the controller's program does not handle commands",
+            hint="check that the controller's program runs and handles commands",
             **self.where,
         )
 
     def _check_status(self, status: StatusImage) -> StatusImage:
-        """Watch the heartbeat and the acknowledgement of an image."""
+        """Check the heartbeat and the acknowledgement of an image."""
         self._peer.observe(status.heartbeat)
         if status.acknowledge == self._unacknowledged != 0:
             self._results[status.acknowledge] = status.result
@@ -185,7 +184,7 @@ class ModbusSession:
         elif status.acknowledge not in self._results:
             raise ProtocolError(
                 f"stale or foreign sequence number {status.acknowledge} acknowledged, last sent {self._sequence}",
-                hint="the controller restarted, or another client commands it; one master only",
+                hint="the controller restarted, or another client sends commands; only one master is allowed",
                 **self.where,
             )
         return status
@@ -198,7 +197,7 @@ class ModbusSession:
         if status.is_consistent:
             return status
         raise ProtocolError(
-            f"status image stays half-written: heartbeat {status.heartbeat}, copy {status.heartbeat_copy}",
+            f"the status image remains half-written: heartbeat {status.heartbeat}, copy {status.heartbeat_copy}",
             register=self.settings.blocks.status,
             **self.where,
         )

@@ -1,4 +1,4 @@
-"""What the configuration of a `modbus-cnc` device may say; defaults are those of the register map."""
+"""Settings of a `modbus-cnc` device; the defaults are those of the register map."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ READ_SELECTOR_REGISTERS = 2
 
 TCP_TIMEOUT_S = 0.5
 SERIAL_TIMEOUT_S = 0.25
-"""Beyond the line's own time: a lost answer must leave room for the next heartbeat within the controller's second."""
+"""Time limit in s, on top of the transmission time: after a lost answer the next heartbeat must still reach the
+controller within its watchdog time of one second."""
 
 BROADCAST_UNIT = 0
 LAST_SERIAL_UNIT = 247
@@ -29,7 +30,7 @@ Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
 class BlockAddresses(BaseModel):
-    """First register of each block, as it goes over the wire (0-based)."""
+    """First register of each block, as transmitted (0-based)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -54,7 +55,7 @@ class BlockAddresses(BaseModel):
         return {name: range(first, first + sizes[name]) for name, first in self}
 
     def writable(self) -> tuple[range, ...]:
-        """The allow-list: nothing else is ever written."""
+        """Return the allow-list of registers; no others are ever written."""
         ranges = self.ranges()
         return tuple(ranges[name] for name in ("command", "descriptor", "data_window", "read_selector"))
 
@@ -79,12 +80,15 @@ class ModbusCncSettings(BaseModel):
 
     host: str | None = Field(default=None, min_length=1, description="host name or address of the controller")
     port: int = Field(default=502, ge=1, le=65535)
-    serial: SerialLine | None = Field(default=None, description="the serial line instead of host and port")
+    serial: SerialLine | None = Field(default=None, description="serial line, instead of host and port")
     unit: int = Field(default=1, ge=0, le=255, description="Modbus unit id; 1 to 247 on a serial line")
     timeout_s: float = Field(
-        default=TCP_TIMEOUT_S, gt=0.0, le=10.0, description="for an answer; on a serial line beyond the line's own time"
+        default=TCP_TIMEOUT_S,
+        gt=0.0,
+        le=10.0,
+        description="for an answer; on a serial line, on top of the transmission time",
     )
-    retries: int = Field(default=1, ge=0, le=10, description="for requests that may be sent again")
+    retries: int = Field(default=1, ge=0, le=10, description="number of retries of requests that may be sent again")
     combined_function: bool = Field(default=True, description="use function 23 (write and read in one)")
 
     blocks: BlockAddresses = BlockAddresses()
@@ -93,20 +97,20 @@ class ModbusCncSettings(BaseModel):
     word_order: Literal["high-first", "low-first"] = "high-first"
     byte_order: Literal["high-first", "low-first"] = Field(
         default="high-first",
-        description="of the bytes in each register of values of more than one; u16 are always high-first",
+        description="byte order within each register of multi-register values; u16 are always high-first",
     )
 
-    poll_interval_s: float = Field(
-        default=0.4, gt=0.0, le=0.5, description="between two status reads while something moves"
-    )
+    poll_interval_s: float = Field(default=0.4, gt=0.0, le=0.5, description="between two status reads during a motion")
     touch_poll_interval_s: float = Field(
         default=0.2, gt=0.0, le=0.5, description="the same during a touch, whose end cannot be predicted"
     )
     fine_poll_interval_s: float = Field(default=0.01, gt=0.0, le=0.5, description="near the end of a wait")
     acknowledge_within_s: Seconds = 1.0
     heartbeat_lost_after_s: Seconds = 1.0
-    motion_margin_s: Seconds = Field(default=5.0, description="beyond 1.5 times the predicted duration")
-    held_at_most_s: Seconds = Field(default=600.0, description="how long a feed hold at the panel is waited for")
+    motion_margin_s: Seconds = Field(default=5.0, description="on top of 1.5 times the predicted duration")
+    held_at_most_s: Seconds = Field(
+        default=600.0, description="longest wait for the release of a feed hold at the panel"
+    )
     table_within_s: Seconds = Field(default=10.0, description="for one step of a table transfer")
     latch_tolerance_mm: float = Field(
         default=1.0, gt=0.0, description="largest distance of a latched position from the commanded path"
@@ -114,7 +118,7 @@ class ModbusCncSettings(BaseModel):
     temperatures: tuple[str, ...] = Field(
         default=("artefact", "ambient", "machine"),
         max_length=8,
-        description="names in the order of the registers; an empty name is a sensor that is not used",
+        description="names in the order of the registers; an empty name marks an unused sensor",
     )
 
     @model_validator(mode="before")
@@ -127,12 +131,12 @@ class ModbusCncSettings(BaseModel):
     @model_validator(mode="after")
     def _one_link(self) -> Self:
         if (self.host is None) == (self.serial is None):
-            raise ValueError("one of host (Modbus TCP) and serial (Modbus RTU) must be given, and not both")
+            raise ValueError("set either host (Modbus TCP) or serial (Modbus RTU), not both")
         if self.serial is not None and "port" in self.model_fields_set:
             raise ValueError("port is the TCP port; the serial port is serial.port")
         if self.serial is not None and not BROADCAST_UNIT < self.unit <= LAST_SERIAL_UNIT:
             raise ValueError(
-                f"unit {self.unit} is not one of a serial line: 1 to {LAST_SERIAL_UNIT} (0 would be everybody)"
+                f"unit {self.unit} is not valid on a serial line: set 1 to {LAST_SERIAL_UNIT} (0 is broadcast)"
             )
         return self
 

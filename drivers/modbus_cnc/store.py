@@ -1,4 +1,4 @@
-"""Two banks of compensation tables: staged through the data window, activated in two steps."""
+"""Compensation store with two banks: tables are staged through the data window and activated in two steps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COARSEST_POLL_S = 0.1
 
 
 class ModbusStore:
-    """Plays CompensationStore for the session's controller."""
+    """Compensation store of the session's controller."""
 
     def __init__(self, session: ModbusSession, limits: ControllerLimits) -> None:
         self._session = session
@@ -58,19 +58,25 @@ class ModbusStore:
         return None if pending == NO_BANK else pending
 
     def read_table(self, bank: int) -> TableImage | None:
-        """None for bank 0 and for a bank without a complete table; StoreError if that is the active one."""
+        """Return the table of `bank`; None for bank 0 or a bank without a complete table.
+
+        Raises StoreError if the active bank holds no complete table.
+        """
         if bank == 0:
             return None
         self._require_known(bank)
         status = self._session.status()
         if status.bank_state(bank) is not BankState.COMPLETE:
             if bank == status.active_bank:
-                raise self._error(f"active bank {bank} holds no complete table")
+                raise self._error(f"the active bank {bank} holds no complete table")
             return None
         return self._reader.read(bank)[0]
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Transfer, commit, read back. Raises ChecksumMismatch, ReadBackMismatch; the active bank is safe."""
+        """Transfer a table, commit it and read it back; the active bank is not touched.
+
+        Raises ChecksumMismatch, ReadBackMismatch.
+        """
         self._require_stageable(bank, table)
         data = table_bytes(table)
         crc = crc32(data)
@@ -84,9 +90,9 @@ class ModbusStore:
         self._verify_read_back(bank, descriptor, data)
 
     def activate(self, bank: int) -> None:
-        """Arm with the CRC-32 of the table just read, confirm with the nonce, wait until the bank is shown.
+        """Arm with the CRC-32 of the table just read, confirm with the nonce, and wait until the bank is active.
 
-        Where activation is not immediate the bank is shown as pending when this returns.
+        If activation is not immediate, the bank is pending when this returns.
         """
         crc = 0
         if bank != 0:
@@ -97,7 +103,7 @@ class ModbusStore:
         status = self._table_command(CommandBlock(CommandCode.TABLE_ARM, bank=bank, crc=crc))
         if status.armed_bank != bank or status.armed_nonce == 0:
             raise self._protocol_error(
-                f"armed bank {bank}, controller shows bank {status.armed_bank} nonce {status.armed_nonce}"
+                f"armed bank {bank}, but the controller shows bank {status.armed_bank} nonce {status.armed_nonce}"
             )
         status = self._table_command(CommandBlock(CommandCode.TABLE_ACTIVATE, bank=bank, nonce=status.armed_nonce))
         immediate = self._limits.activation is Activation.IMMEDIATE
@@ -111,7 +117,7 @@ class ModbusStore:
         session = self._session
         data = session.layouts.block.reordered(block) + number.to_bytes(2, "big")
         status = session.write_and_read_status(session.settings.blocks.data_window, data, idempotent=True)
-        self._await(status, lambda image: self._block_taken(number, image), f"data block {number} to be taken")
+        self._await(status, lambda image: self._block_taken(number, image), f"data block {number} to be accepted")
 
     def _block_taken(self, number: int, status: StatusImage) -> bool:
         if status.block_acknowledge == number:
@@ -119,14 +125,16 @@ class ModbusStore:
         if status.block_result not in (0, ACCEPTED):
             raise self._error(f"data block {number} refused: {result_text(status.block_result)}")
         if status.block_acknowledge != number - 1:
-            raise self._protocol_error(f"wrote data block {number}, controller acknowledges {status.block_acknowledge}")
+            raise self._protocol_error(
+                f"wrote data block {number}, but the controller acknowledges {status.block_acknowledge}"
+            )
         return False
 
     def _commit(self, bank: int, crc: int) -> None:
         status = self._table_command(CommandBlock(CommandCode.TABLE_COMMIT, bank=bank, crc=crc))
         if status.staged_bank != bank or status.bank_state(bank) is not BankState.COMPLETE:
             raise self._protocol_error(
-                f"committed bank {bank}, controller shows staged bank {status.staged_bank}, "
+                f"committed bank {bank}, but the controller shows staged bank {status.staged_bank}, "
                 f"state {status.bank_state(bank).name.lower()}"
             )
 
@@ -166,7 +174,7 @@ class ModbusStore:
         try:
             return self._session.layouts.descriptor.pack(descriptor)
         except ValueError as error:
-            raise self._error(f"table does not fit the controller's registers: {error}") from error
+            raise self._error(f"the table does not fit the controller's registers: {error}") from error
 
     def _require_known(self, bank: int) -> None:
         if bank not in self._limits.banks:

@@ -1,4 +1,4 @@
-"""A compensation table as bytes: blocks for the data window, CRC-32, and back."""
+"""Conversion of a compensation table to bytes and back: blocks for the data window, CRC-32."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from drivers.modbus_cnc.registers import TableDescriptor
 from drivers.roles import TableImage
 
 BLOCK_BYTES = 240
-"""120 registers: 60 counts, 20 nodes."""
+"""Size of a data block: 120 registers hold 60 counts, that is 20 nodes."""
 
 
 def table_bytes(table: TableImage) -> bytes:
-    """All counts as big-endian int32: x slowest, z fastest, dx dy dz within a node (map, section 8)."""
+    """Return all counts as big-endian int32: x slowest, z fastest, dx dy dz within a node (map, section 8)."""
     return table.counts.astype(">i4").tobytes(order="C")
 
 
@@ -29,7 +29,7 @@ def block_count(nodes: tuple[int, int, int]) -> int:
 
 
 def data_blocks(data: bytes) -> Iterator[bytes]:
-    """Blocks of `BLOCK_BYTES`, the last one filled up with zeros."""
+    """Yield blocks of `BLOCK_BYTES`; the last one is padded with zeros."""
     for start in range(0, len(data), BLOCK_BYTES):
         yield data[start : start + BLOCK_BYTES].ljust(BLOCK_BYTES, b"\x00")
 
@@ -39,6 +39,6 @@ def table_descriptor(bank: int, table: TableImage, crc: int) -> TableDescriptor:
 
 
 def decode_table(descriptor: TableDescriptor, data: bytes) -> TableImage:
-    """`data` holds 12 bytes per node."""
+    """Return the table for a descriptor and its counts; `data` holds 12 bytes per node."""
     counts = np.frombuffer(data, dtype=">i4").astype(np.int32).reshape(*descriptor.nodes, 3)
     return TableImage(descriptor.origin, descriptor.step, descriptor.resolution, counts)

@@ -1,4 +1,4 @@
-"""Tables as files: one for each bank, and one that says which bank acts. A power cut leaves each of them old or new."""
+"""Table files: one for each bank, and one that names the active bank. A power cut leaves each of them old or new."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _ACTIVE = re.compile(r"volcal-active-bank 1\nbank (\d)\ncounts_crc32 ([0-9A-F]{8
 
 
 class BankFiles:
-    """The directory. Raises StoreError, and ChecksumMismatch for a file that is not what was written."""
+    """Directory of the table files. Raises StoreError, and ChecksumMismatch for a file that was changed."""
 
     def __init__(self, directory: Path, where: Mapping[str, str]) -> None:
         self.directory = directory
         self._where = where
 
     def read(self, bank: int) -> TableImage | None:
-        """None where nothing was ever written."""
+        """Return the table of `bank`; None if none was ever written."""
         path = self.directory / f"bank{bank}.table"
         text = read_if_exists(path)
         return None if text is None else parse_table(text, file=str(path), bank=bank, **self._where)
@@ -32,15 +32,15 @@ class BankFiles:
         write_atomically(self.directory / f"bank{bank}.table", format_table(table))
 
     def active(self) -> tuple[int, int]:
-        """The bank that acts and the CRC-32 of its counts; (0, 0) where none was ever activated."""
+        """Return the active bank and the CRC-32 of its counts; (0, 0) if none was ever activated."""
         text = read_if_exists(self._active_path)
         if text is None:
             return 0, 0
         match = _ACTIVE.fullmatch(text)
         if match is None:
             raise StoreError(
-                "the file that says which bank acts is none",
-                hint="look at it; without it no bank acts",
+                "the file that names the active bank is invalid",
+                hint="check it, or delete it: then no bank is active",
                 file=str(self._active_path),
                 **self._where,
             )
@@ -59,8 +59,8 @@ class BankFiles:
             self.directory.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise StoreError(
-                f"the directory of the banks cannot be made: {error.strerror or error}",
-                hint="check banks.directory and the rights there",
+                f"the directory of the banks cannot be created: {error.strerror or error}",
+                hint="check banks.directory and its permissions",
                 file=str(self.directory),
                 **self._where,
             ) from error

@@ -1,4 +1,4 @@
-"""What the numbers after ``error:`` and ``ALARM:`` mean.
+"""Texts for the numbers after ``error:`` and ``ALARM:``.
 
 Sources: gnea/grbl doc/csv/error_codes_en_US.csv and alarm_codes_en_US.csv (GRBL 1.1); grblHAL/core errors.h and
 alarms.h for the numbers beyond them. The words are ours.
@@ -40,7 +40,7 @@ ERRORS = {
     31: "axis words that nothing uses",
     32: "arc without axis words in its plane",
     33: "target cannot be reached, or is where the axes are",
-    34: "arc radius cannot be",
+    34: "impossible arc radius",
     35: "arc without offset in its plane",
     36: "words that nothing uses",
     37: "tool length offset on another axis",
@@ -75,7 +75,7 @@ ALARMS = {
     10: "emergency stop",
     11: "homing required",
     12: "limit switch active",
-    13: "probe tripped in a move that was no probing",
+    13: "probe tripped in a move that was not a probe cycle",
     14: "spindle fault",
     15: "homing could not square the gantry",
     16: "self-test failed",
@@ -84,9 +84,9 @@ ALARMS = {
 }
 
 POSITION_KEPT = frozenset({ALARM_SOFT_LIMIT, ALARM_PROBE_STATE, ALARM_NO_CONTACT, 13})
-"""After these the machine still knows where it is, and may be unlocked without homing."""
+"""Alarms that do not lose the position: the machine may be unlocked without homing."""
 NEEDS_RESET = frozenset({ALARM_HARD_LIMIT, ALARM_SOFT_LIMIT, 10, 17})
-"""Nothing but a soft reset is answered after these."""
+"""Alarms after which the controller responds only to a soft reset."""
 
 
 def error_text(code: int) -> str:
@@ -94,7 +94,7 @@ def error_text(code: int) -> str:
 
 
 def alarm_text(code: int | None) -> str:
-    """`None`: the controller is locked and has not said why."""
+    """Return the text of an alarm code; None means that the controller is locked and has not given the reason."""
     if code is None:
         return "alarm lock: not homed since it was switched on or reset"
     return f"{ALARMS.get(code, 'an alarm that is not listed')} (alarm {code})"

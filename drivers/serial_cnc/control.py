@@ -1,4 +1,4 @@
-"""Hold, resume, stop, reset: what acts at once, and what a stop leaves to be finished."""
+"""Hold, resume, stop and reset, including the second phase of a stop after the axes have come to rest."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
 CLOSE_WITHIN_S = 1.0
 CLOSE_POLL_S = 0.05
 DOOR_CLOSED_AGAIN = "Door:0"
-"""The controller waits to resume."""
+"""State with the door closed again, in which the controller waits for a resume."""
 
 
 class MotionControl:
-    """A stop is a feed hold, which keeps the position, and a soft reset once the axes rest, which throws the rest of
-    the motion away. The hold acts at once; the reset is sent by whoever looks next. In a braking axis it would cost
-    the position (alarm 3)."""
+    """Hold, resume, stop and reset of the controller.
+
+    A stop is a feed hold, which keeps the position, followed by a soft reset once the axes are at rest, which discards
+    the rest of the motion. The hold is sent at once, the reset at a later status query: during braking it would lose
+    the position (alarm 3).
+    """
 
     def __init__(self, conversation: Conversation, tracker: StatusTracker, clock: Clock) -> None:
         self._conversation = conversation
@@ -28,7 +31,7 @@ class MotionControl:
 
     @property
     def stopping(self) -> bool:
-        """A stop was asked for, and the axes do not rest yet."""
+        """True if a stop was requested and the axes are not yet at rest."""
         return self._stopping
 
     def hold(self) -> None:
@@ -38,13 +41,13 @@ class MotionControl:
         self._conversation.realtime(RESUME)
 
     def stop(self) -> None:
-        """Does not wait for rest: it is called where sleeping is not possible."""
+        """Send the feed hold. Does not wait for standstill, because callers may be unable to sleep."""
         self._stopping = True
         self._conversation.realtime(CANCEL_JOG + HOLD)
         self.read_status()
 
     def read_status(self) -> TrackedStatus:
-        """A report; finishes a stop if the axes have come to rest."""
+        """Query the status; complete a pending stop if the axes have come to rest."""
         status = self._tracker.read_status()
         if self._stopping and status.state is not MotionState.MOVING:
             if status.state is not MotionState.FAULT:
@@ -53,14 +56,14 @@ class MotionControl:
         return status
 
     def finish(self) -> None:
-        """Before the line is closed: a real machine comes to rest by itself, and then forgets what was held."""
+        """Complete a pending stop before the line is closed, waiting in wall time for the axes to come to rest."""
         deadline_s = wall_seconds() + CLOSE_WITHIN_S
         while self._stopping and wall_seconds() < deadline_s:
             self.read_status()
             self._conversation.drain_for(CLOSE_POLL_S)
 
     def require_ready(self, within_s: float) -> TrackedStatus:
-        """A report that lets a motion begin. PermissionMissing or CommandRejected where it does not."""
+        """Return a status in which a motion can start; raise PermissionMissing or CommandRejected if it cannot."""
         deadline = Deadline.after(self._clock, within_s)
         status = self.read_status()
         while self._stopping:
@@ -78,14 +81,16 @@ class MotionControl:
         if status.state is not MotionState.IDLE:
             raise CommandRejected(
                 f"the controller is not idle: {status.word}",
-                hint="resume or reset what is held there, then start again",
+                hint="resume or reset the held motion at the controller, then start again",
                 **self._conversation.where,
             )
         return status
 
     def reset(self) -> None:
-        """Unlock after an alarm that has kept the position, or after a door that is closed again. CommandRejected where
-        homing is needed."""
+        """Unlock after an alarm that did not lose the position, or after the door was closed again.
+
+        Raises CommandRejected if homing is needed.
+        """
         status = self.read_status()
         if status.word == DOOR_CLOSED_AGAIN:
             self._discard_motion()
@@ -101,7 +106,7 @@ class MotionControl:
         self.unlock()
 
     def _discard_motion(self) -> TrackedStatus:
-        """A soft reset of axes that rest: what was planned is gone, the position stays."""
+        """Discard the planned motion by a soft reset with the axes at rest, which keeps the position."""
         self._conversation.reset()
         self._tracker.expect_restart()
         return self._tracker.read_status()

@@ -1,4 +1,4 @@
-"""The `$` settings of the controller, and which of them make probing wrong.
+"""The `$` settings of the controller, with checks for those that would falsify probing.
 
 Sources: gnea/grbl, doc/markdown/settings.md; for the bits beyond GRBL's, grblHAL/core settings.h (`reportmask_t`).
 """
@@ -20,16 +20,16 @@ NEEDED = (REPORT_MASK, REPORT_INCHES, SOFT_LIMITS, HOMING, *(b + a for b in (100
 
 ALWAYS_ON_MS = 255
 FINEST_STEP_MM = 0.0011
-"""A latch is a whole number of steps, and is told with three decimals."""
+"""Coarsest acceptable step in mm: a latched position is a whole number of steps, reported with three decimals."""
 HAL_FIELDS = {1: "machine position", 16: "input pins", 32: "work offset", 128: "probe result"}
 HAL_ORIGIN_AT_HOME = 8
-"""Of ``$22`` in grblHAL: the machine's zero is where it homes, as in a GRBL built so (``Z`` in ``[OPT:``)."""
+"""Bit of ``$22`` in grblHAL: machine zero is at the home position (in GRBL a build option, ``Z`` in ``[OPT:``)."""
 AXES = "XYZ"
 
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """What ``$$`` and ``$I`` have told. `hal`: grblHAL, whose masks have more bits."""
+    """Settings from the answers to ``$$`` and ``$I``. `hal` is True for grblHAL, whose masks have more bits."""
 
     values: Mapping[int, float]
     version: str
@@ -38,7 +38,7 @@ class ControllerSettings:
 
     @classmethod
     def of(cls, lines: Iterable[MessageLine | SettingLine]) -> ControllerSettings:
-        """Settings that are no numbers (names, passwords) are left out."""
+        """Return the settings contained in `lines`; those that are not numbers (names, passwords) are omitted."""
         values: dict[int, float] = {}
         version = options = ""
         hal = False
@@ -66,7 +66,7 @@ class ControllerSettings:
 
     @property
     def position_in_machine(self) -> bool:
-        """Reports give MPos and not WPos."""
+        """True if reports give MPos instead of WPos."""
         return bool(int(self.values[REPORT_MASK]) & 1)
 
     @property
@@ -77,7 +77,10 @@ class ControllerSettings:
         return 1.0 / self.values[STEPS + axis]
 
     def limits(self, axis_zero_mm: tuple[float, float, float]) -> AxisLimits:
-        """Travel in axis positions; the machine's zero is at the upper end unless it is set where it homes."""
+        """Return travel and dynamics in axis positions.
+
+        The machine's zero is at the upper end of travel unless it is set at the home position.
+        """
         at_home = int(self.values[HOMING]) & HAL_ORIGIN_AT_HOME if self.hal else "Z" in self.options.split(",")[0]
         lower, upper = [], []
         for axis, zero in enumerate(axis_zero_mm):
@@ -90,9 +93,9 @@ class ControllerSettings:
         return AxisLimits(_triple(lower), _triple(upper), _triple(rates), _triple(accelerations))
 
     def fatal(self) -> str:
-        """What nobody may probe with: positions would be misread or the limits are unknown. Empty: nothing."""
+        """Return the reason why probing is impossible (misread positions, unknown limits); an empty string if none."""
         if self.missing:
-            return f"the controller does not tell ${', $'.join(map(str, self.missing))}"
+            return f"the controller does not report ${', $'.join(map(str, self.missing))}"
         if self.inches:
             return "$13=1: positions are reported in inches, to 2.5 µm; set $13=0"
         if not self.position_in_machine:
@@ -102,7 +105,7 @@ class ControllerSettings:
         return ""
 
     def findings(self, *, referenced_by_hand: bool) -> Iterator[DiagnosticFinding]:
-        """One line for each group of settings, good or bad; what is bad says what to set."""
+        """Yield one finding for each group of settings; a bad one says which value to set."""
         fatal = self.fatal()
         if fatal:
             yield DiagnosticFinding("settings", ok=False, text=fatal)
@@ -116,7 +119,7 @@ class ControllerSettings:
         yield DiagnosticFinding(
             "soft limits",
             ok=soft,
-            text="on" if soft else "$20=0: nothing in the controller guards the travel; set $20=1",
+            text="on" if soft else "$20=0: the controller does not guard the travel; set $20=1",
         )
         yield self._steps()
         yield self._idle()
@@ -140,13 +143,13 @@ class ControllerSettings:
         text = ", ".join(f"{axis} {1e3 * size:.3g} µm" for axis, size in zip(AXES, sizes, strict=True))
         fine = max(sizes) <= FINEST_STEP_MM
         return DiagnosticFinding(
-            "steps", ok=fine, text=text if fine else f"{text}: a touch is latched no finer ($100 to $102)"
+            "steps", ok=fine, text=text if fine else f"{text}: limits the resolution of a touch ($100 to $102)"
         )
 
     def _idle(self) -> DiagnosticFinding:
         delay = self.values.get(IDLE_DELAY, float(ALWAYS_ON_MS))
         on = delay >= ALWAYS_ON_MS
-        text = f"$1={delay:g}" + ("" if on else ": motors are released at rest, and axes may settle; set $1=255")
+        text = f"$1={delay:g}" + ("" if on else ": motors are released at rest and axes may shift; set $1=255")
         return DiagnosticFinding("motors at rest", ok=on, text=text)
 
 

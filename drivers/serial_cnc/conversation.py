@@ -1,8 +1,8 @@
-"""Everything that is said over the line passes here: what waits for an answer, and what the controller has told.
+"""All traffic with a GRBL controller: lines awaiting their answers, and data received from the controller.
 
-There is no thread: the controller answers a status query at any time and in its order, so whoever asks one has also
-read everything that came before it. Waiting is the caller's, on the clock; here every wait is for an answer that
-comes at once, and bounded in wall time.
+There is no thread. The controller answers a status query at any time and in order, so the caller that receives the
+answer has also read everything sent before it. Longer waits are up to the caller, on the clock; every wait in this
+module is for an immediate answer and bounded in wall time.
 """
 
 from __future__ import annotations
@@ -29,17 +29,18 @@ from drivers.serial_cnc.lines import (
 from drivers.serial_cnc.settings import SerialCncSettings
 
 QUERY, HOLD, RESUME, SOFT_RESET, CANCEL_JOG = b"?", b"!", b"~", b"\x18", b"\x85"
-"""Real-time characters: not part of the stream, no end of line, no answer of their own."""
+"""Real-time characters: outside the line stream, without line end and without an answer of their own."""
 
 SYNCHRONISE = "="
-"""No controller knows such a line: it is refused, does nothing, and spoils what an earlier user has left half-sent."""
+"""Invalid line: the controller refuses it and does nothing. It also invalidates a line that a previous user left
+half-sent."""
 BOOT_QUERY_EVERY_S = 0.25
 LATE_WITHIN_S = 0.02
 
 
 @dataclass
 class SentLine:
-    """A line that was sent, and its answer once it has come."""
+    """Line that was sent, with its answer once that has arrived."""
 
     line: str
     answer: AnswerLine | None = None
@@ -50,7 +51,10 @@ class SentLine:
 
 
 class Conversation:
-    """Raises LinkLost, LinkTimeout and ProtocolError, each naming device and link."""
+    """Conversation with one controller over its line.
+
+    Raises LinkLost, LinkTimeout and ProtocolError, each naming device and link.
+    """
 
     def __init__(self, line: SerialPort, settings: SerialCncSettings) -> None:
         self.line = line
@@ -68,7 +72,7 @@ class Conversation:
     # ------------------------------------------------------------------ open
 
     def open(self) -> StatusReport:
-        """Connect and wait for a first report. Before anything is asked, `synchronise`. Moves nothing."""
+        """Connect and wait for a first status report. Call `synchronise` before sending lines. Moves nothing."""
         self.line.open()
         self._pending.clear()
         self._messages.clear()
@@ -87,14 +91,14 @@ class Conversation:
             try:
                 self._read_for(BOOT_QUERY_EVERY_S, before)
             except ProtocolError as error:
-                garbled = error.message  # a board that boots says all sorts of things
+                garbled = error.message  # a booting board may send any text
             if self._reports > before and self._last_report is not None:
                 return self._last_report
             if wall_seconds() >= deadline_s:
                 break
         if garbled:
             raise ProtocolError(
-                f"this does not talk like a GRBL: {garbled}", hint="check baud and what is connected", **self.where
+                f"this is not a GRBL controller: {garbled}", hint="check baud and the connected device", **self.where
             )
         raise LinkTimeout(
             f"no status report within {self.settings.boot_within_s:g} s",
@@ -103,8 +107,10 @@ class Conversation:
         )
 
     def synchronise(self) -> None:
-        """Agree on which answer belongs to which line, on a controller that is idle or locked: late answers to lines of
-        an earlier user end here, since the refusal of our own line is the last of them."""
+        """Synchronise lines and answers with a controller that is idle or locked.
+
+        Late answers to lines of a previous user are discarded: the refusal of our own invalid line is the last answer.
+        """
         self.line.write(SYNCHRONISE.encode() + b"\n")
         deadline_s = wall_seconds() + self.settings.answer_within_s
         while wall_seconds() < deadline_s:
@@ -115,13 +121,13 @@ class Conversation:
                 self._synchronised = True
                 return
         raise LinkTimeout(
-            "the controller reports its status and answers no line",
-            hint="is another program's motion under way? reset the controller",
+            "the controller reports its status but does not answer lines",
+            hint="check for a motion started by another program; reset the controller",
             **self.where,
         )
 
     def _next_line_or_raw(self, within_s: float) -> Line | bytes | None:
-        """The next line; its bytes where it is the tail of something that was said before."""
+        """Return the next line, parsed; its bytes if it is garbled, such as the tail of an earlier line."""
         raw = self.line.read_line(within_s)
         if raw is None:
             return None
@@ -130,10 +136,10 @@ class Conversation:
         except GarbledLineError:
             return raw
 
-    # ------------------------------------------------------------------ ask and tell
+    # ------------------------------------------------------------------ requests
 
     def report(self) -> StatusReport:
-        """Ask for the status. Asking again does no harm, so a lost or garbled answer is asked for again."""
+        """Query the status. A status query is idempotent, so it is repeated after a lost or garbled answer."""
         last: ProtocolError | None = None
         for _ in range(self.settings.repeats + 1):
             before = self._reports
@@ -150,23 +156,26 @@ class Conversation:
             raise last
         raise LinkTimeout(
             f"no status report within {self.settings.answer_within_s:g} s",
-            hint="the controller is off, hangs, or is homing",
+            hint="check whether the controller is off, hangs, or is homing",
             **self.where,
         )
 
     def send(self, line: str) -> SentLine:
-        """Send a line; its answer comes later. Never more than the controller's receive buffer holds."""
+        """Send a line without waiting for its answer. Waits while the controller's receive buffer has no room."""
         ticket = SentLine(line)
         deadline_s = wall_seconds() + self.settings.answer_within_s
         while self._pending and self._buffered(line) >= self.settings.receive_buffer:
             if not self._read_one(deadline_s):
-                raise LinkTimeout("the controller takes no further line: its buffer is full", **self.where)
+                raise LinkTimeout("the controller accepts no further line: its buffer is full", **self.where)
         self._pending.append(ticket)
         self.line.write(line.encode("ascii") + b"\n")
         return ticket
 
     def ask(self, line: str) -> list[MessageLine | SettingLine]:
-        """Send a line that is answered at once; what was told before its ``ok``. CommandRejected for an error."""
+        """Send a line that is answered at once, and return the lines received before its ``ok``.
+
+        Raises CommandRejected for an ``error``.
+        """
         self._messages.clear()
         ticket = self.send(line)
         self.await_answer(ticket)
@@ -188,9 +197,7 @@ class Conversation:
         error = ticket.answer.error if ticket.answer is not None else None
         if error is None:
             return
-        hint = (
-            "clear the alarm: home the machine, or $X where its position is certain" if error in LOCKED_ERRORS else ""
-        )
+        hint = "clear the alarm: home the machine, or $X if its position is certain" if error in LOCKED_ERRORS else ""
         raise CommandRejected(
             f"the controller refused {ticket.line!r}: {error_text(error)}", hint=hint, error=error, **self.where
         )
@@ -199,24 +206,26 @@ class Conversation:
         self.line.write(character)
 
     def reset(self) -> None:
-        """Soft reset, and wait for the welcome. Whatever was under way has no answer any more."""
+        """Send a soft reset and wait for the welcome line. Lines still awaiting an answer will get none."""
         restarts = self.restarts
         self.alarm = None
         self.line.write(SOFT_RESET)
         deadline_s = wall_seconds() + self.settings.answer_within_s
         while self.restarts == restarts:
             if not self._read_one(deadline_s):
-                raise LinkTimeout("no welcome after a soft reset", hint="reset the controller by hand", **self.where)
+                raise LinkTimeout(
+                    "no welcome line after a soft reset", hint="reset the controller by hand", **self.where
+                )
 
     def clear_alarm(self) -> None:
-        """A report shows that there is none any more."""
+        """Clear the stored alarm, after a report has shown that there is none any more."""
         self.alarm = None
 
     def drain_for(self, wall_s: float) -> None:
-        """Take what comes within so short a wall time."""
+        """Process at most one line that arrives within `wall_s` of wall time."""
         self._read_one(wall_seconds() + wall_s)
 
-    # ------------------------------------------------------------------ what comes
+    # ------------------------------------------------------------------ receiving
 
     def _buffered(self, line: str) -> int:
         return sum(len(ticket.line) + 1 for ticket in self._pending) + len(line) + 1
@@ -227,7 +236,7 @@ class Conversation:
             continue
 
     def _read_one(self, deadline_s: float) -> bool:
-        """Take one line in; False if none has come by then."""
+        """Receive and process one line; return False if none arrives in time."""
         raw = self.line.read_line(deadline_s - wall_seconds())
         if raw is None:
             return False
@@ -265,10 +274,10 @@ class Conversation:
     def _answer(self, answer: AnswerLine) -> None:
         if not self._pending:
             if not self._synchronised:
-                return  # to a line of an earlier user
+                return  # answer to a line of a previous user
             said = "ok" if answer.error is None else f"error:{answer.error}"
             raise ProtocolError(
-                f"{said!r} from the controller, and no line waits for an answer",
+                f"{said!r} from the controller, but no line waits for an answer",
                 hint="an answer came twice, or another program uses this line",
                 **self.where,
             )

@@ -1,6 +1,6 @@
-"""The table at one point: what is added to a commanded position, and the way back.
+"""Correction from a table at one point, and its inverse.
 
-The same rule as a controller with a table has: trilinear between nodes, the border's value outside.
+The rule is that of a controller with tables: trilinear between nodes, the value at the border outside the grid.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ import numpy as np
 from drivers.roles import TableImage, Vector
 
 ITERATIONS = 8
-"""The table's slope is far below 1 (gates allow 0.5 µm/mm): each step gains three digits or more."""
+"""Fixed-point steps of the inverse. The table's slope is far below 1 (gates allow 0.5 µm/mm), so each step gains three
+digits or more."""
 
 
 class Correction:
-    """A table, or none: then nothing is corrected. mm, axis positions as the controller displays them."""
+    """Correction by a table; without a table it is zero. Displayed axis positions, mm."""
 
     def __init__(self, table: TableImage | None) -> None:
         self._table = table
@@ -25,14 +26,16 @@ class Correction:
             self._last = np.array(table.shape) - 1
 
     def at(self, position_mm: Vector) -> Vector:
-        """(3,): what is added there."""
+        """Return the correction at a displayed position, shape (3,), mm."""
         if self._table is None:
             return np.zeros(3)
+        # Grid coordinates, limited to the grid; `cell` is the lower node of the cell, `share` the position within it.
         steps = np.clip((position_mm - self._origin) / self._step, 0.0, self._last)
         cell = np.minimum(steps.astype(np.intp), np.maximum(self._last - 1, 0))
         share = steps - cell
         upper = np.minimum(cell + 1, self._last)
         values = self._values[cell[0] : upper[0] + 1, cell[1] : upper[1] + 1, cell[2] : upper[2] + 1]
+        # Trilinear interpolation, one axis after the other: v = v0 + share (v1 - v0).
         for axis in range(3):
             first = values[0]
             values = first + share[axis] * (values[-1] - first)
@@ -40,11 +43,14 @@ class Correction:
         return result
 
     def apply(self, position_mm: Vector) -> Vector:
-        """Displayed -> what the axes are sent to."""
+        """Return the commanded position for a displayed one: commanded = displayed + correction(displayed)."""
         return position_mm + self.at(position_mm)
 
     def remove(self, sent_mm: Vector) -> Vector:
-        """What the axes were sent to -> displayed."""
+        """Return the displayed position for a commanded one, the inverse of `apply`.
+
+        Fixed-point iteration: displayed = commanded - correction(displayed).
+        """
         if self._table is None:
             return sent_mm
         displayed = sent_mm

@@ -1,4 +1,7 @@
-"""The device: Machine, Probe and CompensationStore behind a GRBL, and Thermometer by what a person has read."""
+"""Device for a GRBL controller with the roles Machine, Probe and CompensationStore.
+
+As Thermometer it returns temperatures that a person has read and entered in the settings.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ from drivers.serial_cnc.store import BankStore
 
 
 class SerialCnc:
-    """Composes the parts over one conversation; those that need the controller's settings exist while it is open."""
+    """GRBL controller. The parts that need the controller's settings exist while the device is open."""
 
     def __init__(self, settings: SerialCncSettings, context: DeviceContext) -> None:
         address = SerialAddress(settings.port, settings.baud)
@@ -107,7 +110,7 @@ class SerialCnc:
         self._open.control.reset()
 
     def stop(self) -> None:
-        """Does nothing on a device that is closed; a port that was lost is opened again for it."""
+        """Stop the motion, reopening the port first if it was lost. Does nothing if the device is closed."""
         if self._parts is None:
             return
         if not self._conversation.line.connected:
@@ -115,7 +118,7 @@ class SerialCnc:
         self._parts.control.stop()
 
     def probe_status(self) -> ProbeStatus:
-        """The controller has one input for the probe: nothing tells whether it is loaded or its battery is full."""
+        """Return the probe status. The controller reports only the deflection, so loaded and healthy are assumed."""
         return ProbeStatus(loaded=True, healthy=True, deflected=self._open.control.read_status().deflected)
 
     def touch_towards(self, target_mm: Vector, *, feed_mm_per_s: float) -> Touch | Miss:
@@ -130,7 +133,7 @@ class SerialCnc:
         return self._store.active_bank()
 
     def pending_bank(self) -> int | None:
-        """An activation acts at once."""
+        """Return None: activation is immediate."""
         return None
 
     def read_table(self, bank: int) -> TableImage | None:
@@ -143,11 +146,11 @@ class SerialCnc:
         self._store.activate(bank)
 
     def temperatures_c(self) -> Mapping[str, float]:
-        """What a person has read and written into the settings."""
+        """Return the temperatures entered in the settings, in °C."""
         if not self._settings.stated_temperatures_c:
             raise DeviceError(
                 "this controller has no thermometer and no temperature is stated",
-                hint="give the role to another device, or write stated_temperatures_c",
+                hint="assign the role to another device, or set stated_temperatures_c",
                 **self._where,
             )
         return dict(self._settings.stated_temperatures_c)
@@ -159,12 +162,12 @@ class SerialCnc:
     @property
     def _open(self) -> _Parts:
         if self._parts is None:
-            raise LinkLost("device is not open", hint="open it first", **self._where)
+            raise LinkLost("the device is not open", hint="open it first", **self._where)
         return self._parts
 
 
 class _Parts:
-    """What can be built only once the controller has told its settings."""
+    """Parts of the device that can be created only after the controller has reported its settings."""
 
     def __init__(
         self,

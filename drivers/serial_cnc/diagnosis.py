@@ -1,4 +1,4 @@
-"""Self-diagnosis for `volcal doctor`: reads only, moves nothing."""
+"""Self-diagnosis for `volcal doctor`; reads only, moves nothing."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from drivers.serial_cnc.store import BankStore
 
 LATENCY_READS = 20
 SLOW_ROUND_TRIP_S = 0.1
-"""A quarter of the poll interval."""
+"""Limit of the median round trip in s: a quarter of the poll interval."""
 
 
 def diagnose(
     conversation: Conversation, settings: SerialCncSettings, store: BankStore, directory: Path
 ) -> list[DiagnosticFinding]:
-    """Findings in the order in which a person would look; an error ends the list as a finding of its own."""
+    """Return the findings in troubleshooting order; a device error becomes a finding of its own."""
     findings: list[DiagnosticFinding] = []
     opened_here = not conversation.line.connected
     try:
@@ -54,7 +54,7 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
     yield DiagnosticFinding("travel", ok=True, text=travel)
     tracker = StatusTracker(conversation, controller, by_hand=settings.referenced_by_hand)
     tracker.set_work_offset(identity.parameters, identity.modes)
-    yield _latency(tracker.read_status)  # so many that every field that comes now and then has come
+    yield _latency(tracker.read_status)  # enough reports to contain every occasional field
     status = tracker.read_status()
     yield DiagnosticFinding(
         "state", ok=not status.fault, text=status.word + (f": {status.fault}" if status.fault else "")
@@ -62,7 +62,9 @@ def _findings(conversation: Conversation, settings: SerialCncSettings) -> Iterat
     yield DiagnosticFinding(
         "permissions", ok=not status.missing, text=f"missing: {status.missing}" if status.missing else "all given"
     )
-    text = "deflected: touching something, or $6 is wrong" if status.deflected else "free; the controller tells no more"
+    text = (
+        "deflected: touching something, or $6 is wrong" if status.deflected else "free; the controller reports no more"
+    )
     yield DiagnosticFinding("probe", ok=not status.deflected, text=text)
     offset = ", ".join(f"{value:.3f}" for value in tracker.work_offset().tolist())
     yield DiagnosticFinding("work offset", ok=True, text=f"{offset} mm")
@@ -85,7 +87,7 @@ def _latency(status: Callable[[], object]) -> DiagnosticFinding:
 
 
 def _tables(store: BankStore, directory: Path, *, status: bool) -> DiagnosticFinding:
-    """The controller has no tables, and must not seem to have any."""
+    """Report the tables in files, making clear that the controller itself has none."""
     try:
         if status and directory.exists():
             store.open()
@@ -93,6 +95,6 @@ def _tables(store: BankStore, directory: Path, *, status: bool) -> DiagnosticFin
         return DiagnosticFinding("tables", ok=False, text=str(error))
     text = (
         f"none in the controller; files in {directory}, active {store.active_bank()}: the driver corrects what it "
-        "commands, part programs act corrected only after `volcal gcode correct`"
+        "commands, part programs are corrected only by `volcal gcode correct`"
     )
     return DiagnosticFinding("tables", ok=True, text=text)

@@ -1,4 +1,4 @@
-"""From displayed axis positions to machine coordinates and back.
+"""Conversion between displayed axis positions and machine coordinates.
 
 displayed + correction = sent; sent + axis zero = machine coordinates (``MPos``); machine - work offset = work.
 """
@@ -18,7 +18,7 @@ LIMIT_TOLERANCE_MM = 1e-6
 
 
 class CoordinateFrames:
-    """`axis_zero_mm`: machine coordinates at which the axes of the machine file read 0."""
+    """Coordinate conversion. `axis_zero_mm` are the machine coordinates at which the displayed positions are 0."""
 
     def __init__(
         self, limits: AxisLimits, axis_zero_mm: tuple[float, float, float], store: BankStore, where: Mapping[str, str]
@@ -30,7 +30,7 @@ class CoordinateFrames:
         self._where = where
 
     def to_machine(self, displayed_mm: Vector) -> Vector:
-        """Never beyond the travel: at its very end a correction outwards is left out."""
+        """Convert to machine coordinates, limited to the travel: at its end an outward correction is omitted."""
         sent = np.clip(self._store.correction.apply(displayed_mm), self._lower, self._upper)
         result: Vector = sent + self._zero
         return result
@@ -39,14 +39,14 @@ class CoordinateFrames:
         return self._store.correction.remove(machine_mm - self._zero)
 
     def require_reachable(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """CommandRejected for what is no motion, or outside the travel."""
+        """Raise CommandRejected for a target outside the travel or an invalid target or feed."""
         if not np.all(np.isfinite(target_mm)) or not (feed_mm_per_s is None or 0.0 < feed_mm_per_s < math.inf):
             raise CommandRejected(f"to {target_mm} with feed {feed_mm_per_s}: not a motion", **self._where)
         for axis, value, low, high in zip("XYZ", target_mm.tolist(), self._lower, self._upper, strict=True):
             if not low - LIMIT_TOLERANCE_MM <= value <= high + LIMIT_TOLERANCE_MM:
                 raise CommandRejected(
                     f"{axis} {value:.3f} mm is outside the travel, {low:g} to {high:g} mm",
-                    hint="the travel is that of $130 to $132, moved by axis_zero_mm",
+                    hint="the travel follows from $130 to $132, shifted by axis_zero_mm",
                     axis=axis,
                     **self._where,
                 )

@@ -1,4 +1,4 @@
-"""What a controller tells of itself before anything is asked of it: build, settings, offsets, modes. Reads only."""
+"""Identity of a controller: build, settings, offsets, modes. Reads only."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from drivers.serial_cnc.lines import MessageLine
 MOVING = "Run"
 POLL_S = 0.2
 RESPONSIVE_STATES = frozenset({"Idle", "Alarm"})
-"""States in which the controller answers everything."""
+"""States in which the controller answers every query."""
 
 
 @dataclass(frozen=True)
 class ControllerIdentity:
-    """`parameters`: the lines of ``$#``; `modes`: the words of ``$G``."""
+    """Settings of the controller, its parameters (lines of ``$#``) and its modes (words of ``$G``)."""
 
     settings: ControllerSettings
     parameters: list[MessageLine]
@@ -26,19 +26,19 @@ class ControllerIdentity:
 
 
 def await_rest(conversation: Conversation, clock: Clock, within_s: float) -> None:
-    """What an earlier user has left under way may end first; on the clock. Leaves it where it does not."""
+    """Wait, on the clock, for a motion that a previous user has left running; return after `within_s` in any case."""
     deadline = Deadline.after(clock, within_s)
     while conversation.report().state == MOVING and not deadline.expired:
         clock.sleep(POLL_S)
 
 
 def read_identity(conversation: Conversation) -> ControllerIdentity:
-    """Raises CommandRejected where something else runs on the controller, ProtocolError where it is no GRBL."""
+    """Read the identity. Raises CommandRejected if the controller is busy, ProtocolError if it is not a GRBL."""
     report = conversation.report()
     if report.state not in RESPONSIVE_STATES:
         raise CommandRejected(
-            f"the controller is in state {report.state}: it tells its settings only while idle",
-            hint="end, resume or reset what runs there, then start again",
+            f"the controller is in state {report.state}: it reports its settings only while idle",
+            hint="finish, resume or reset the activity there, then start again",
             **conversation.where,
         )
     conversation.synchronise()

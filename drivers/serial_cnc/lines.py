@@ -1,4 +1,4 @@
-"""Lines of a GRBL by class. A line tells by itself what it is; nothing here depends on what was asked.
+"""Parsing of the lines that a GRBL controller sends. The class of a line follows from the line alone.
 
 Source: gnea/grbl, doc/markdown/interface.md ("Message Summary").
 """
@@ -15,30 +15,30 @@ Triple = tuple[float, float, float]
 
 
 class GarbledLineError(ValueError):
-    """A line of no class, or one whose content is not what its class allows."""
+    """A line of no known class, or with content that its class does not allow."""
 
 
 @dataclass(frozen=True)
 class AnswerLine:
-    """`ok`, or `error:n`: exactly one for each line that was sent."""
+    """`ok`, or `error:n`: exactly one answer for each line sent."""
 
     error: int | None
 
 
 @dataclass(frozen=True)
 class StatusReport:
-    """What ``?`` is answered with. `fields` are the ones after the state: ``{"FS": "500,0"}``."""
+    """Answer to ``?``. `fields` holds the fields after the state: ``{"FS": "500,0"}``."""
 
     state: str
     substate: int | None
     fields: Mapping[str, str]
 
     def triple(self, name: str) -> Triple | None:
-        """A field of coordinates; GarbledLineError where it has none."""
+        """Return a field of three coordinates; None if absent. Raises GarbledLineError if it has other content."""
         return _triple(self.fields[name]) if name in self.fields else None
 
     def pair(self, name: str) -> tuple[float, float] | None:
-        """The first two numbers of a field; GarbledLineError where it has none."""
+        """Return the first two numbers of a field; None if absent. Raises GarbledLineError if it has fewer."""
         if name not in self.fields:
             return None
         values = _numbers(self.fields[name])
@@ -84,14 +84,14 @@ class SettingLine:
 
 @dataclass(frozen=True)
 class WelcomeLine:
-    """Says that the controller has just begun anew."""
+    """Line sent by the controller after a restart."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class StartupLine:
-    """A line that the controller has given itself, with its own answer in it."""
+    """Startup block that the controller has executed by itself; it contains its own answer."""
 
     text: str
 
@@ -107,7 +107,7 @@ _STATE: Final = re.compile(r"(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep|Tool
 
 
 def parse_line(raw: bytes) -> Line:  # noqa: PLR0911  one line a class
-    """Raises GarbledLineError."""
+    """Parse one line. Raises GarbledLineError."""
     try:
         text = raw.decode("ascii")
     except UnicodeDecodeError:
@@ -123,7 +123,7 @@ def parse_line(raw: bytes) -> Line:  # noqa: PLR0911  one line a class
     if text.startswith("[") and text.endswith("]"):
         return _bracketed(text[1:-1])
     if match := _SETTING.fullmatch(text):
-        # GRBL built for terminals adds what the setting means: "$100=250.000 (x, step/mm)".
+        # GRBL builds for terminals append a description of the setting: "$100=250.000 (x, step/mm)".
         name, value = match[1], match[2].split(" (", 1)[0].strip()
         return StartupLine(text) if name.startswith("N") else SettingLine(int(name), value)
     if _WELCOME.fullmatch(text):
@@ -166,7 +166,7 @@ def _bracketed(text: str) -> ProbeResult | MessageLine:
 
 
 def _triple(text: str) -> Triple:
-    """The first three of three or more numbers (further axes are not ours)."""
+    """Return the first three of three or more numbers; further axes are ignored."""
     values = _numbers(text)
     if len(values) < 3:
         raise GarbledLineError(f"not coordinates: {text!r}")

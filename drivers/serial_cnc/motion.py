@@ -1,7 +1,7 @@
-"""One motion from its line to its end.
+"""Motions, from the line sent to the end of the motion.
 
-``ok`` to a motion means that it is planned. Its end is the ``ok`` to ``G4 P0``, which the controller answers once
-everything planned is done; a probe cycle is answered at its own end.
+The ``ok`` to a motion line means that the motion is planned. Its end is the ``ok`` to ``G4 P0``, which the controller
+sends once all planned motions are complete; a probe cycle is answered at its own end.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from drivers.serial_cnc.polling import DurationPrediction, PollSchedule
 from drivers.serial_cnc.status_tracker import StatusTracker, TrackedStatus
 
 PREAMBLE = "G21G90G94"
-"""Millimetres, absolute, mm/min: every line says so itself, whatever somebody else has left."""
+"""Millimetres, absolute, mm/min: stated in every line, since another user may have left other modes."""
 BARRIER = "G4P0"
 PROBE_PROTECTED_ALARM = 13
 ANSWER_LOST_AFTER = 4
-"""Looks that find the axes idle while the answer is still missing."""
+"""Number of status reports with idle axes after which a missing answer counts as lost."""
 
 
 @dataclass(frozen=True)
 class MotionOrder:
-    """A line and what it is meant to do. Machine coordinates."""
+    """Motion line with its expected result, in machine coordinates."""
 
     line: str
     what: str
@@ -49,7 +49,7 @@ class MotionOrder:
 
 
 class SerialMotion:
-    """Carries out orders. Whatever exception leaves a wait, a stop is sent before it travels on."""
+    """Carries out motion orders. If an exception ends a wait, a stop is sent before the exception propagates."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class SerialMotion:
         return self._control.require_ready(self._settings.motion_margin_s)
 
     def move_straight(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """G0 or G1 to displayed positions, without a look at the probe."""
+        """Move to a displayed position with G0 or G1, without checking the probe."""
         start = self.require_ready().position_mm
         goal = self._frames.to_machine(target_mm)
         word = "G0" if feed_mm_per_s is None else "G1"
@@ -82,7 +82,7 @@ class SerialMotion:
         self.require_at(goal, self.execute(order, start), "move")
 
     def execute(self, order: MotionOrder, start_mm: Vector) -> TrackedStatus:
-        """Send and wait for the end; the report after it."""
+        """Send an order, wait for its end and return the status after it."""
         conversation = self._conversation
         conversation.probe_results.clear()
         unexpected_restarts = self._tracker.unexpected_restarts
@@ -107,12 +107,12 @@ class SerialMotion:
         if off_mm > self._settings.position_tolerance_mm:
             raise MotionFault(
                 f"{what} ended {off_mm:.3f} mm from its target",
-                hint="did somebody reset, hold or jog the machine? compare the work offset",
+                hint="check whether the machine was reset, held or jogged, and compare the work offset",
                 **self.where,
             )
 
     def _await_planned(self, ticket: SentLine) -> None:
-        """`ok` comes at once. An alarm in its place is told by the next look."""
+        """Wait for the immediate ``ok``. If an alarm comes instead, the next status report gives its cause."""
         try:
             self._conversation.await_answer(ticket)
         except (LinkTimeout, ProtocolError):
@@ -159,25 +159,25 @@ class SerialMotion:
         self._tracker.position_lost = True
         raise MotionFault(
             f"the controller has restarted in the middle of a {what}",
-            hint="power, USB or reset button; home the machine before anything else",
+            hint="check power, USB cable and reset button; home the machine before anything else",
             **self.where,
         )
 
     def _require_sound(self, status: TrackedStatus, what: str) -> None:
-        """The alarms and lost permissions that end a motion, each as its own error."""
+        """Raise the matching error if an alarm has ended the motion."""
         if status.state is not MotionState.FAULT:
             return
         if status.alarm == ALARM_PROBE_STATE:
             self._control.unlock()
-            raise CommandRejected(f"the probe is deflected before a {what}", hint="back off first", **self.where)
+            raise CommandRejected(f"the probe is deflected before a {what}", hint="withdraw it first", **self.where)
         if status.alarm == PROBE_PROTECTED_ALARM:
             self._control.unlock()
-            raise GuardTripped(f"probe tripped in a {what}", hint="see what the probe touched", **self.where)
+            raise GuardTripped(f"the probe tripped in a {what}", hint="check what the probe touched", **self.where)
         raise MotionFault(f"{what} ended in an alarm: {status.fault}", hint="see the controller", **self.where)
 
     def _require_resumed(self, held: Deadline, status: TrackedStatus) -> None:
         if not status.permissions[Permission.DOORS_CLOSED]:
-            raise PermissionMissing("the door was opened in motion", hint="close it, start again", **self.where)
+            raise PermissionMissing("the door was opened in motion", hint="close it and start again", **self.where)
         if held.expired:
             raise MotionFault(
                 f"motion held at the machine for more than {self._settings.held_at_most_s:g} s",
@@ -188,7 +188,7 @@ class SerialMotion:
     def _require_answer(self, idle: int, ticket: SentLine) -> None:
         if idle >= ANSWER_LOST_AFTER:
             raise ProtocolError(
-                f"the axes rest, and no answer to {ticket.line!r} has come",
+                f"the axes are at rest, but no answer to {ticket.line!r} has come",
                 hint="it was lost on the line: check cable, shield and baud",
                 **self.where,
             )
@@ -198,11 +198,11 @@ class SerialMotion:
             if self._conversation.line.connected:
                 self._control.stop()
         except DeviceError as failure:
-            error.add_note(f"a feed hold was sent and its effect is not known: {failure}")
+            error.add_note(f"a feed hold was sent, but its effect is unknown: {failure}")
 
 
 def axis_words(position_mm: Vector) -> str:
-    """Four decimals: the controller rounds to its steps, not this."""
+    """Return the axis words, with four decimals so that only the controller rounds, to its steps."""
     return "".join(f"{axis}{value:.4f}" for axis, value in zip("XYZ", position_mm.tolist(), strict=True))
 
 

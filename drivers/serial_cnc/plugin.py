@@ -12,7 +12,7 @@ def create(settings: SerialCncSettings, context: DeviceContext) -> SerialCnc:
 
 
 def claims(settings: SerialCncSettings) -> dict[str, str]:
-    """A serial port has one owner."""
+    """Claim the serial port, which can have only one owner."""
     return {f"serial port {settings.port}": "port"}
 
 

@@ -1,4 +1,4 @@
-"""How long a motion will take, and how often to look while it does."""
+"""Predicted duration of a motion, and the schedule of status queries during it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from drivers.serial_cnc.settings import SerialCncSettings
 from drivers.straight_move import move_duration_s
 
 DURATION_FACTOR = 1.5
-"""A motion may take this many times its predicted duration (look-ahead, junctions), plus the margin."""
+"""Allowed multiple of the predicted duration of a motion (look-ahead, junctions); the margin is added."""
 COARSEST_FINE_S = 0.1
 JUST_AFTER_S = 0.001
-"""A look aimed at the very end would come too early half the time."""
+"""Time in s after the predicted end at which to query: a query exactly at the end would be too early half the time."""
 
 
 class DurationPrediction:
@@ -21,7 +21,7 @@ class DurationPrediction:
         self._limits = limits
 
     def of(self, start_mm: Vector, goal_mm: Vector, feed_mm_per_s: float | None, slowest_share: float) -> float:
-        """Seconds; `slowest_share`: what the overrides leave of a speed."""
+        """Return the duration in s; `slowest_share` is the speed factor that the overrides leave."""
         at_full_speed_s = move_duration_s(
             start_mm.tolist(),
             goal_mm.tolist(),
@@ -33,7 +33,7 @@ class DurationPrediction:
 
 
 class PollSchedule:
-    """Coarse looks until the predicted end, then fine ones that grow coarser again."""
+    """Schedule of status queries: coarse until the predicted end, then fine with growing intervals."""
 
     def __init__(self, clock: Clock, settings: SerialCncSettings, predicted_s: float, slice_s: float) -> None:
         self._clock = clock
@@ -45,11 +45,11 @@ class PollSchedule:
 
     @property
     def past_predicted_end(self) -> bool:
-        """Whether the predicted end has passed."""
+        """True if the predicted end has passed."""
         return self._clock.now() >= self._end_s
 
     def restart(self) -> None:
-        """Time spent held does not count."""
+        """Restart the deadline after a hold, since time on hold does not count."""
         self.deadline = Deadline.after(self._clock, self._allowed_s)
 
     def pause_s(self) -> float:

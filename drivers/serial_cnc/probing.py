@@ -1,7 +1,7 @@
-"""Probe cycles: touches, guarded moves, and the way off what the probe rests on.
+"""Probe cycles: touches, guarded moves, and backing off with a deflected probe.
 
-G38.3 ends where the probe trips or where it was sent, without an alarm; G38.5 the same for a probe that comes free.
-Their targets are work coordinates, since G53 does not go with them; their results are machine coordinates.
+G38.3 ends at the trip or at its target, without an alarm; G38.5 likewise ends when the probe comes free. Their targets
+are in work coordinates, since G53 cannot be combined with them; their results are in machine coordinates.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 
 UNTIL_CONTACT, UNTIL_FREE = "G38.3", "G38.5"
 SHORTEST_MM = 5e-4
-"""A probe cycle of no length is an error for the controller (33)."""
+"""Shortest probe cycle in mm; the controller rejects a probe cycle of zero length (error 33)."""
 
 
 @dataclass(frozen=True)
 class ProbeCycleResult:
-    """A probe cycle: its result, and the report after it."""
+    """Result of a probe cycle, and the status after it."""
 
     result: ProbeResult
     status: TrackedStatus
 
 
 class SerialProbing:
-    """A latch is believed only when it is the only one, and lies on the path of its touch."""
+    """Probe cycles. A latched position is accepted only if it is the only one and lies on the path of its touch."""
 
     def __init__(
         self, conversation: Conversation, tracker: StatusTracker, motion: SerialMotion, frames: CoordinateFrames
@@ -49,7 +49,7 @@ class SerialProbing:
         status = self._motion.require_ready()
         if status.deflected:
             raise CommandRejected(
-                "the probe is deflected before the touch", hint="back off first", **self._motion.where
+                "the probe is deflected before the touch", hint="withdraw it first", **self._motion.where
             )
         goal = self._frames.to_machine(target_mm)
         if _distance(status.position_mm, goal) < SHORTEST_MM:
@@ -59,7 +59,7 @@ class SerialProbing:
         return Touch(position) if ended.result.tripped else Miss(position)
 
     def move_guarded(self, target_mm: Vector, feed_mm_per_s: float | None) -> None:
-        """A move that stops when the probe trips. A deflected probe is led off first, never further on."""
+        """Move, and stop if the probe trips. A deflected probe is backed off first and never pressed further."""
         status = self._motion.require_ready()
         goal = self._frames.to_machine(target_mm)
         if status.deflected:
@@ -71,30 +71,32 @@ class SerialProbing:
         if ended.result.tripped:
             x, y, z = self._frames.to_displayed(np.array(ended.result.position)).tolist()
             raise GuardTripped(
-                f"probe tripped in a move that was no touch, at X {x:.3f} Y {y:.3f} Z {z:.3f}",
-                hint="something stands in the way, or mount and artefact are not where the plan has them",
+                f"the probe tripped in a move that was not a touch, at X {x:.3f} Y {y:.3f} Z {z:.3f}",
+                hint="check for an obstacle, and that mount and artefact are where the plan expects them",
                 **self._motion.where,
             )
 
     def _back_off(self, status: TrackedStatus, goal: Vector, feed_mm_per_s: float | None) -> TrackedStatus:
-        """Towards the goal until the probe comes free; MotionFault where it does not within `free_within_mm`."""
+        """Move towards the goal until the probe comes free; MotionFault if it does not within `free_within_mm`."""
         start, path = status.position_mm, goal - status.position_mm
         length = float(np.linalg.norm(path))
         if length < SHORTEST_MM:
             return status
         if self._press_direction is not None and float(path @ self._press_direction) > 0.0:
             raise CommandRejected(
-                "the probe is deflected and the move would press on", hint="move it free", **self._motion.where
+                "the probe is deflected and the move would press it further", hint="move it free", **self._motion.where
             )
         share = min(1.0, self._settings.free_within_mm / length)
         free_target = start + share * path
-        ended = self._cycle(UNTIL_FREE, "way off", start, free_target, self._feed(start, free_target, feed_mm_per_s))
+        ended = self._cycle(
+            UNTIL_FREE, "move to free the probe", start, free_target, self._feed(start, free_target, feed_mm_per_s)
+        )
         if ended.result.tripped:
             self._press_direction = None
         elif share < 1.0:
             raise MotionFault(
                 f"the probe is still deflected after {self._settings.free_within_mm:g} mm",
-                hint="look at the stylus and at the probe's wiring ($6), and move it free by hand",
+                hint="check the stylus and the probe's wiring ($6), and move it free by hand",
                 **self._motion.where,
             )
         return ended.status
@@ -115,7 +117,7 @@ class SerialProbing:
         else:
             self._motion.require_at(goal, status, what)
             if _distance(np.array(result.position), status.position_mm) > self._settings.position_tolerance_mm:
-                raise self._error(f"{what} has missed, and its result is not where the axes are")
+                raise self._error(f"{what} ended without a trip, but its result is not the position of the axes")
         return ProbeCycleResult(result, status)
 
     def _require_on_path(self, result: ProbeResult, start: Vector, goal: Vector) -> None:
@@ -125,7 +127,7 @@ class SerialProbing:
             raise self._error(f"latched position is {off_mm:.3f} mm off the commanded path (allowed {allowed_mm:g} mm)")
 
     def _feed(self, start: Vector, goal: Vector, feed_mm_per_s: float | None) -> float:
-        """A probe cycle needs a feed; the rapid one of a move is what its axes can do along it."""
+        """Return the feed of a probe cycle, which must have one: for a rapid, the axes' limit along the path."""
         if feed_mm_per_s is not None:
             return feed_mm_per_s
         shares = (np.abs(goal - start) / _distance(goal, start)).tolist()

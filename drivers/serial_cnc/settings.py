@@ -12,7 +12,7 @@ Triple = tuple[float, float, float]
 
 
 class BankSettings(BaseModel):
-    """The compensation tables: files, since the controller has none. `directory` is relative to the settings file."""
+    """Files of the compensation tables, since the controller has none. `directory` is relative to the settings file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -29,7 +29,7 @@ class SerialCncSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     port: str = Field(
-        min_length=1, description="as /dev/serial/by-id/…, which stays the same when another is plugged in"
+        min_length=1, description="for example /dev/serial/by-id/…, which does not change if others are plugged in"
     )
     baud: int = Field(default=115200, ge=1200, le=4_000_000)
     axis_zero_mm: Triple = Field(
@@ -37,31 +37,33 @@ class SerialCncSettings(BaseModel):
         description="machine coordinates (MPos) at which the axes of the machine file read 0",
     )
     referenced_by_hand: bool = Field(
-        default=False, description="without homing switches: somebody puts the axes on their marks and answers for it"
+        default=False, description="without homing switches: a person sets the axes to their marks and is responsible"
     )
 
     answer_within_s: Annotated[float, Field(gt=0.0, le=30.0)] = Field(
         default=2.0, description="wall time for an answer that comes at once"
     )
     boot_within_s: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
-        default=6.0, description="wall time for the first answer: many boards restart when the port is opened"
+        default=6.0, description="wall time for the first answer; many boards restart when the port is opened"
     )
     repeats: int = Field(default=2, ge=0, le=10, description="status queries sent again after a lost or garbled one")
-    receive_buffer: int = Field(default=128, ge=80, le=65536, description="bytes that the controller keeps")
+    receive_buffer: int = Field(
+        default=128, ge=80, le=65536, description="size of the controller's receive buffer in bytes"
+    )
     poll_interval_s: float = Field(default=0.4, gt=0.0, le=0.5, description="between two status queries in motion")
     touch_poll_interval_s: float = Field(default=0.2, gt=0.0, le=0.5)
     fine_poll_interval_s: float = Field(default=0.01, gt=0.0, le=0.5, description="near the end of a wait")
-    motion_margin_s: Seconds = Field(default=5.0, description="beyond 1.5 times the predicted duration")
-    left_moving_s: Seconds = Field(
-        default=30.0, description="for a motion that is still under way when the device opens"
+    motion_margin_s: Seconds = Field(default=5.0, description="on top of 1.5 times the predicted duration")
+    left_moving_s: Seconds = Field(default=30.0, description="for a motion still in progress when the device opens")
+    held_at_most_s: Seconds = Field(default=600.0, description="longest wait for the release of a feed hold")
+    latch_tolerance_mm: float = Field(
+        default=1.0, gt=0.0, description="largest distance of a latched position from its path"
     )
-    held_at_most_s: Seconds = Field(default=600.0, description="how long a feed hold at the machine is waited for")
-    latch_tolerance_mm: float = Field(default=1.0, gt=0.0, description="of a latched position from the commanded path")
-    position_tolerance_mm: float = Field(default=0.02, gt=0.0, description="of the axes from where a move should end")
+    position_tolerance_mm: float = Field(default=0.02, gt=0.0, description="largest distance of the axes from a target")
     free_within_mm: float = Field(
-        default=5.0, gt=0.0, le=50.0, description="on a way back a deflected probe must come free within this"
+        default=5.0, gt=0.0, le=50.0, description="distance within which a deflected probe must come free on withdrawal"
     )
     stated_temperatures_c: dict[str, Annotated[float, Field(ge=-50.0, le=100.0)]] = Field(
-        default_factory=dict, description="read by a person; the controller has no sensor"
+        default_factory=dict, description="entered by a person; the controller has no sensor"
     )
     banks: BankSettings = BankSettings()

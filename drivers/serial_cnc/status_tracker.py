@@ -1,4 +1,4 @@
-"""What the reports tell together: fields that come only now and then are kept until they come again."""
+"""Combined state of the controller: fields that only some status reports contain are stored until the next update."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from drivers.serial_cnc.conversation import Conversation
 from drivers.serial_cnc.lines import GarbledLineError, MessageLine, StatusReport, Triple
 
 REPORTS_UNTIL_OFFSET = 40
-"""GRBL tells its work offset in every tenth or thirtieth report, and in the first one after a reset."""
+"""Number of reports within which the work offset must come. GRBL sends it in every tenth or thirtieth report, and in
+the first one after a reset."""
 COORDINATE_SYSTEMS = frozenset(f"G{number}" for number in range(54, 60))
 NO_PART_PROGRAM = frozenset({"Idle", "Alarm", "Check", "Sleep", "Door"})
 NOT_AUTOMATIC = frozenset({"Check", "Sleep", "Jog", "Home", "Tool"})
@@ -23,7 +24,7 @@ NOT_AUTOMATIC = frozenset({"Check", "Sleep", "Jog", "Home", "Tool"})
 
 @dataclass(frozen=True)
 class TrackedStatus:
-    """One report, and what was known besides. `position_mm`: machine coordinates, (3,)."""
+    """Status report completed with stored fields. `position_mm` is in machine coordinates, shape (3,)."""
 
     word: str
     state: MotionState
@@ -32,7 +33,7 @@ class TrackedStatus:
     permissions: Mapping[Permission, bool]
     alarm: int | None
     overrides: tuple[int, int]
-    """Of feed and rapids, percent."""
+    """Feed override and rapid override, percent."""
 
     @property
     def fault(self) -> str:
@@ -40,7 +41,7 @@ class TrackedStatus:
 
     @property
     def slowest_share(self) -> float:
-        """By how much at most an override makes motions slower, as a factor up to 1."""
+        """Smallest speed factor, at most 1, that the overrides apply to a motion."""
         return max(min(100, *self.overrides), 1) / 100.0
 
     @property
@@ -49,7 +50,7 @@ class TrackedStatus:
 
 
 class StatusTracker:
-    """Owns what is remembered of the controller while the device is open."""
+    """Holds the state of the controller that is known from its reports while the device is open."""
 
     def __init__(self, conversation: Conversation, settings: ControllerSettings, *, by_hand: bool) -> None:
         self._conversation = conversation
@@ -63,13 +64,16 @@ class StatusTracker:
         self._alarm: int | None = None
         self._in_alarm = False
         self.own_motion = False
-        """Whether what moves is a motion of this driver."""
+        """True while a motion of this driver is in progress."""
         self.position_lost = False
         self.unexpected_restarts = 0
-        """Restarts that nobody here has asked for."""
+        """Number of restarts that this driver did not request."""
 
     def set_work_offset(self, lines: list[MessageLine], modes: str) -> None:
-        """The work offset out of the answers to ``$#`` and ``$G``. Told in another form, it will come with a report."""
+        """Set the work offset from the answers to ``$#`` and ``$G``.
+
+        If they have another form, the offset is taken from a later status report.
+        """
         offsets = {message.kind: message for message in lines}
         system = next((word for word in modes.split() if word in COORDINATE_SYSTEMS), None)
         try:
@@ -80,7 +84,11 @@ class StatusTracker:
         self._offset = (x, y, z)
 
     def read_status(self) -> TrackedStatus:
-        """Ask for a report. A critical alarm silences the controller until it is reset, which moves nothing."""
+        """Query the status and return it.
+
+        After a critical alarm the controller answers nothing until it is reset; the reset is done here and moves
+        nothing.
+        """
         conversation = self._conversation
         try:
             report = None if conversation.alarm in NEEDS_RESET else conversation.report()
@@ -98,18 +106,18 @@ class StatusTracker:
         return self._interpret(report)
 
     def expect_restart(self) -> None:
-        """Called after a reset of our own: what it wipes out is forgotten, the position is kept."""
+        """Discard the state that our own reset has cleared; the position is retained. Call it after the reset."""
         self._note_restart(expected=True)
 
     def work_offset(self) -> Vector:
-        """(3,): machine = work + this. Asks until it has been told."""
+        """Return the work offset, shape (3,): machine = work + offset. Queries the status until it is known."""
         for _ in range(REPORTS_UNTIL_OFFSET):
             if self._offset is not None:
                 return np.array(self._offset)
             self.read_status()
         raise ProtocolError(
             f"no work offset (WCO) in {REPORTS_UNTIL_OFFSET} reports",
-            hint="switch it on in the report mask $10",
+            hint="enable it in the report mask $10",
             **self._conversation.where,
         )
 
@@ -142,7 +150,7 @@ class StatusTracker:
             return
         self.unexpected_restarts += 1
         if not self._settings.homes:
-            self.position_lost = True  # switched off and on, it counts from wherever it stands
+            self.position_lost = True  # after power-up, it counts from its present position
 
     def _note_fields(self, report: StatusReport) -> None:
         self._offset = report.triple("WCO") or self._offset
@@ -195,5 +203,5 @@ def _motion_state(report: StatusReport) -> MotionState:
 
 
 def _tool_offset(message: MessageLine) -> Triple:
-    """GRBL tells a length, along Z; grblHAL all three."""
+    """Return the tool offset: GRBL sends only a length, along Z, grblHAL all three components."""
     return message.triple() if "," in message.text else (0.0, 0.0, message.number())

@@ -1,8 +1,8 @@
-"""Two banks of tables in files, for a controller that has none.
+"""Compensation store with two banks in files, for a controller without tables.
 
-While a bank is active the driver corrects what it commands and takes the correction out of what it latches. That is
-what `volcal gcode correct` does to a part program, so a verification measures what corrected programs will do; a
-program that was not corrected runs uncorrected.
+While a bank is active, the driver corrects commanded positions and removes the correction from latched ones.
+`volcal gcode correct` does the same to a part program, so a verification measures the accuracy of corrected programs.
+A program that was not corrected runs uncorrected.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from drivers.tables.text import counts_crc32
 
 BANKS = (1, 2)
 MAX_SLOPE = 0.1
-"""So that taking a correction out of a latch converges: each step gains a digit at least."""
+"""Largest slope of a table in mm/mm, so that the inversion of a correction converges by at least a digit per step."""
 
 
 class BankStore:
-    """Plays CompensationStore. `require_rest` raises while something moves: there the display would jump."""
+    """Compensation store in files. `require_rest` raises while an axis moves, as the displayed position would jump."""
 
     def __init__(
         self, settings: BankSettings, files: BankFiles, where: Mapping[str, str], require_rest: Callable[[], None]
@@ -44,7 +44,7 @@ class BankStore:
         self.correction = Correction(None)
 
     def open(self) -> None:
-        """Take up the bank that acted last. StoreError where its table is not the one that was activated."""
+        """Load the bank that was last active. Raises StoreError if its table is not the one that was activated."""
         bank, crc = self._files.active()
         self._active, self.correction = bank, Correction(self._verified_table(bank, crc) if bank else None)
 
@@ -75,7 +75,7 @@ class BankStore:
             )
 
     def activate(self, bank: int) -> None:
-        """Read the table back, prove its CRC-32, record it as active, and only then correct with it."""
+        """Read the table back, check its CRC-32, record the bank as active, and only then apply the table."""
         table = None
         if bank != 0:
             self._require_known(bank)
@@ -88,16 +88,16 @@ class BankStore:
 
     def _verified_table(self, bank: int, crc: int) -> TableImage:
         if bank not in BANKS:
-            raise self._error(f"bank {bank} is recorded as active, and there is none")
+            raise self._error(f"bank {bank} is recorded as active, but there is no such bank")
         table = self._files.read(bank)
         if table is None:
             raise self._error(
-                f"bank {bank} is active and its file is gone", hint="restore it, or remove the file 'active'"
+                f"bank {bank} is active, but its file is missing", hint="restore it, or remove the file 'active'"
             )
         if counts_crc32(table.counts) != crc:
             raise ChecksumMismatch(
                 f"bank {bank} is active with CRC-32 {crc:08x}, its file has {counts_crc32(table.counts):08x}",
-                hint="the file was exchanged behind the driver's back; restore it, or remove the file 'active'",
+                hint="another program has changed the file; restore it, or remove the file 'active'",
                 bank=bank,
                 **self._where,
             )

@@ -180,7 +180,7 @@ def test_the_golden_exception_is_a_typed_error(script: Script) -> None:
     [
         ([answer(1, "03 04 0001 0002")], "requested 1 registers, but the answer holds 4 bytes"),
         ([answer(1, "03 04 0001")], "requested 1 registers"),
-        ([answer(1, "17 02 0001")], "answered with function 23"),
+        ([answer(1, "17 02 0001")], "was answered with function 23"),
         ([answer(1, "63 02 0001")], "cannot be decoded"),
         ([answer(1, "83 04")], "exception 4, device failure"),
     ],
@@ -220,7 +220,7 @@ def test_another_unit_answering_is_no_answer(script: Script) -> None:
 
 @pytest.mark.parametrize("script", [[answer(1, "10 0834 0001")]], indirect=True)
 def test_a_write_answered_for_other_registers(script: Script) -> None:
-    with closing(link_to(script)) as link, pytest.raises(ProtocolError, match="for other registers"):
+    with closing(link_to(script)) as link, pytest.raises(ProtocolError, match="names other registers"):
         link.write(2100, b"\x00\x01\x00\x02", idempotent=True)
 
 

@@ -211,8 +211,8 @@ def test_every_peer_passes_the_doctor(cnc: ModbusCnc) -> None:
 @pytest.mark.parametrize(
     ("order", "options", "text"),
     [
-        ("low", {}, "limits of the controller make no sense"),
-        ("high", {"byte_order": "low-first"}, "limits of the controller make no sense"),
+        ("low", {}, "the controller reports implausible limits"),
+        ("high", {"byte_order": "low-first"}, "the controller reports implausible limits"),
         ("high", {"blocks": {"status": 1001}}, "exception 2, illegal register address"),
         ("high", {"blocks": {"limits": 1500}}, "exception 2, illegal register address"),
     ],

@@ -157,7 +157,7 @@ def test_what_is_not_idempotent_is_sent_once() -> None:
     ("answer", "text"),
     [
         (framed("12 03 06 AE41 5652 4340"), "unit 18 answered instead of unit 17"),
-        (framed("11 10 0001 0002"), "function 3 answered with function 16"),
+        (framed("11 10 0001 0002"), "function 3 was answered with function 16"),
         (framed("11 03 04 AE41 5652"), "requested 3 registers, but the answer holds 4 bytes"),
         (framed("11 03 08 AE41 5652 4340 0000"), "requested 3 registers, but the answer holds 8 bytes"),
         (READ_17, "the line echoes the request"),

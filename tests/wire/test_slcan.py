@@ -184,7 +184,7 @@ def test_the_opening_is_no_refusal_and_a_refused_frame_is(peer: SlcanPeerBus) ->
 def test_an_adapter_has_one_owner(peer: SlcanPeerBus) -> None:
     address = CanAddress.of("slcan", peer.port, READY)
     first = open_bus(address)
-    with pytest.raises(LinkLost, match=r"cannot open the CAN bus.*nobody else has it open"):
+    with pytest.raises(LinkLost, match=r"cannot open the CAN bus.*no other program has it open"):
         open_bus(address)
     first.shutdown()
     open_bus(address).shutdown()

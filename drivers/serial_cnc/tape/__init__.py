@@ -1,1 +1,1 @@
-"""Parameters and tables in tape format over RS-232: punched by the controller, read by it, compared after a write."""
+"""Parameters and tables in tape format over RS-232: received, sent, and compared after a write."""

@@ -1,4 +1,4 @@
-r"""A tape: ``%``, blocks of words each ended by LF, ``%``.
+r"""Tape format: ``%``, blocks of words, each ended by LF, ``%``.
 
 ::
 
@@ -26,18 +26,18 @@ BITS = re.compile(r"[01]{8}")
 
 
 class TapeError(ValueError):
-    """A text that is no tape; says in which block."""
+    """The text is not a valid tape; the message names the block."""
 
 
 @dataclass(frozen=True)
 class Word:
-    """A letter and its number as it was written: leading zeros mean something in bit parameters."""
+    """Letter and number as written; leading zeros are significant in bit parameters."""
 
     letter: str
     text: str
 
     def same_as(self, other: Word) -> bool:
-        """Eight binary digits digit by digit, other numbers by their value."""
+        """Compare eight binary digits as text, other numbers by value."""
         if self.letter != other.letter:
             return False
         if BITS.fullmatch(self.text) or BITS.fullmatch(other.text):
@@ -53,7 +53,7 @@ Block = tuple[Word, ...]
 
 @dataclass(frozen=True)
 class Tape:
-    """The blocks between the two marks."""
+    """Tape, as the blocks between its two marks."""
 
     blocks: tuple[Block, ...]
 
@@ -63,10 +63,10 @@ class Tape:
 
 
 def parse_tape(text: str) -> Tape:
-    """What stands before the first mark (a label) and after the second one is left out. Raises TapeError."""
+    """Parse a tape, ignoring text before the first mark (a label) and after the second. Raises TapeError."""
     first, second = text.find(MARK), text.find(MARK, text.find(MARK) + 1)
     if first < 0 or second < 0:
-        raise TapeError(f"a tape begins and ends with {MARK}; there are {text.count(MARK)}")
+        raise TapeError(f"a tape begins and ends with {MARK}; found {text.count(MARK)} of them")
     blocks = []
     lines = text[first + 1 : second].split(END_OF_BLOCK)
     for number, line in enumerate(lines, start=1):
@@ -82,7 +82,7 @@ def _block(line: str, number: int) -> Block:
     while position < len(bare):
         match = _WORD.match(bare, position)
         if match is None:
-            raise TapeError(f"block {number} is no row of words: {line!r}")
+            raise TapeError(f"block {number} is not a sequence of words: {line!r}")
         words.append(Word(match[1], match[2]))
         position = match.end()
     return tuple(words)
@@ -90,7 +90,7 @@ def _block(line: str, number: int) -> Block:
 
 @dataclass(frozen=True)
 class TapeDifference:
-    """A parameter that reads back as something else; `found` is None where it is missing."""
+    """Parameter that reads back with another value; `found` is None if it is missing."""
 
     number: int
     axis: str
@@ -103,8 +103,10 @@ class TapeDifference:
 
 
 def differences(expected: Tape, found: Tape) -> list[TapeDifference]:
-    """Every value of `expected` that `found` has not, or not so. What `found` has besides is no difference. TapeError
-    for a block that is no parameter."""
+    """Return the values of `expected` that are missing or different in `found`; additional values are ignored.
+
+    Raises TapeError for a block that is not a parameter.
+    """
     actual = dict(_values(found.blocks))
     found_differences = []
     for (number, axis), word in _values(expected.blocks):
@@ -115,7 +117,7 @@ def differences(expected: Tape, found: Tape) -> list[TapeDifference]:
 
 
 def _values(blocks: Iterable[Block]) -> Iterable[tuple[tuple[int, str], Word]]:
-    """(parameter, axis or spindle) and its value. A second value of the same one is told apart by its count."""
+    """Yield ((parameter, axis or spindle), value) for each value on the tape."""
     for block in blocks:
         number: int | None = None
         axis = ""

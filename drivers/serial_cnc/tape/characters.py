@@ -1,6 +1,6 @@
-"""Characters as a tape has them: ISO code, seven bits and even parity in the eighth, and the four device controls.
+"""Tape characters: ISO code of seven bits with even parity in the eighth, and the four device controls.
 
-With its parity DC3 is 0x93, so the handshake of an ordinary serial driver (0x13) does not see it: it is done here.
+With parity, DC3 is 0x93, which an ordinary serial driver's handshake (0x13) does not recognise; it is handled here.
 
 Source: FANUC B-63503EN/02 (Series 0i connection manual, hardware), 5.3 "RS-232-C interface": one parity bit among
 eight, DC1 to DC4, two stop bits; ISO 646 for the characters.
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 IGNORED = frozenset({0x00, 0x0D, 0x7F, 0x20})
-"""Blank tape, carriage return, a punched-out character, space: they mean nothing on a tape."""
+"""Characters without meaning on a tape: blank tape, carriage return, deleted (punched-out) character, space."""
 
 
 class DeviceControl(IntEnum):
-    """Without their parity bit."""
+    """Device control characters, without parity bit."""
 
     READER_START = 0x11
     PUNCH_ON = 0x12
@@ -29,7 +29,7 @@ _CONTROLS = {control.value: control for control in DeviceControl}
 
 @dataclass(frozen=True)
 class ParityFault:
-    """A character whose holes are odd in number."""
+    """Character with an odd number of holes."""
 
     byte: int
 
@@ -38,12 +38,12 @@ Character = str | DeviceControl | ParityFault
 
 
 def with_even_parity(byte: int) -> int:
-    """Seven bits with even parity in the eighth."""
+    """Return the seven-bit code `byte` with even parity in bit 7."""
     return byte | (byte.bit_count() & 1) << 7
 
 
 def encode(text: str) -> bytes:
-    """ASCII text to a tape's characters. Raises UnicodeEncodeError for what is no ASCII."""
+    """Encode ASCII text as tape characters. Raises UnicodeEncodeError for other text."""
     return bytes(with_even_parity(byte) for byte in text.encode("ascii"))
 
 
@@ -52,7 +52,7 @@ def encode_control(control: DeviceControl) -> bytes:
 
 
 def decode(data: bytes) -> list[Character]:
-    """One entry for each byte that means something."""
+    """Decode tape bytes into one entry per significant byte."""
     characters: list[Character] = []
     for byte in data:
         seven = byte & 0x7F

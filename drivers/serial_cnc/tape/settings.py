@@ -1,4 +1,4 @@
-"""Settings of the punch/read line."""
+"""Settings of the serial line for punching and reading tapes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
 class TapeSettings(BaseModel):
-    """The defaults are those that the controller's manuals give: 4800 baud, eight bits with parity among them, two stop
-    bits."""
+    """Settings of the tape line. Defaults from the controller's manuals: 4800 baud, eight bits including parity, two
+    stop bits."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -19,6 +19,6 @@ class TapeSettings(BaseModel):
     baud: int = Field(default=4800, ge=50, le=115200)
     stop_bits: Literal[1, 2] = 2
     operator_within_s: Seconds = Field(default=300.0, description="until READ or PUNCH is pressed at the controller")
-    stopped_within_s: Seconds = Field(default=60.0, description="how long the controller may keep a DC3 standing")
-    silent_within_s: Seconds = Field(default=10.0, description="within a tape, from one character to the next")
+    stopped_within_s: Seconds = Field(default=60.0, description="longest pause that the controller may request by DC3")
+    silent_within_s: Seconds = Field(default=10.0, description="longest gap between two characters of a tape")
     longest_tape: int = Field(default=1_000_000, ge=100, description="characters")

@@ -1,8 +1,8 @@
-"""Both directions of a punch/read line.
+"""Tape transfer in both directions over a punch/read line.
 
-*Punch*: the controller sends DC2, the tape, DC4. *Read*: it sends DC1 when READ is pressed, takes the tape, stops and
-starts the sender by DC3 and DC1 as its memory fills, and sends DC3 at the end. Who starts is the operator, at the
-controller: nothing here can make it punch or read.
+*Punch*: the controller sends DC2, the tape, DC4. *Read*: it sends DC1 when READ is pressed, reads the tape, stops and
+restarts the sender with DC3 and DC1 as its memory fills, and sends DC3 at the end. The operator starts both at the
+controller; this module cannot make it punch or read.
 
 Source: FANUC B-63503EN/02, 5.3: meaning of DC1 to DC4; DC3 stops a sender within ten characters.
 """
@@ -20,7 +20,7 @@ from drivers.serial_cnc.tape.characters import Character, DeviceControl, ParityF
 from drivers.serial_cnc.tape.settings import TapeSettings
 
 AT_ONCE = 8
-"""Characters between two looks for a DC3: it must stop us within ten."""
+"""Characters sent between two checks for DC3, which must stop the sender within ten."""
 BITS_OF_CHARACTER = 11
 POLL_S = 0.02
 SHOWN_DIFFERENCES = 5
@@ -29,9 +29,9 @@ Announce = Callable[[str], None]
 
 
 class PunchRead:
-    """A context that holds the line. `announce` tells a person what to press.
+    """Context manager that owns the line. `announce` asks the operator to press a key.
 
-    Raises LinkLost, LinkTimeout, ProtocolError; DeadlineExpired where nobody pressed anything.
+    Raises LinkLost, LinkTimeout, ProtocolError, and DeadlineExpired if no key was pressed in time.
     """
 
     def __init__(self, settings: TapeSettings, clock: Clock, announce: Announce, *, device: str = "") -> None:
@@ -50,7 +50,7 @@ class PunchRead:
         self._port.close()
 
     def receive(self) -> Tape:
-        """What the controller punches. Slowed down by nobody: it is taken as fast as it comes."""
+        """Receive the tape that the controller punches, without flow control."""
         self._announce("press PUNCH at the controller")
         characters = self._from_first_mark()
         text = MARK
@@ -64,7 +64,10 @@ class PunchRead:
             self._refuse(str(error))
 
     def send(self, tape: Tape) -> None:
-        """Send once READ is pressed. An error leaves a part of the tape in the controller, and says how much."""
+        """Send a tape after READ was pressed.
+
+        After an error part of the tape is in the controller; a note on the error says how much.
+        """
         data = encode(tape.text())
         self._announce("press READ at the controller")
         self._await_start()
@@ -85,7 +88,7 @@ class PunchRead:
             raise
 
     def write(self, tape: Tape) -> None:
-        """Send, have it punched back, compare. Raises ReadBackMismatch naming the parameters that differ."""
+        """Send a tape, receive it back and compare. Raises ReadBackMismatch naming the parameters that differ."""
         self.send(tape)
         self.compare(tape, self.receive())
 
@@ -100,14 +103,14 @@ class PunchRead:
         more = f" and {len(different) - SHOWN_DIFFERENCES} more" if len(different) > SHOWN_DIFFERENCES else ""
         raise ReadBackMismatch(
             f"{len(different)} values read back differently from what was written: {shown}{more}",
-            hint="is writing of parameters enabled (PWE)? read the backup back in before the machine is used",
+            hint="check that parameter writing is enabled (PWE); restore the backup before using the machine",
             **self.where,
         )
 
-    # ------------------------------------------------------------------ the controller sends
+    # ------------------------------------------------------------------ punch: the controller sends
 
     def _from_first_mark(self) -> list[Character]:
-        """Everything up to the first mark is leader; the characters that came right behind it."""
+        """Discard the leader up to the first mark, and return the characters received after the mark."""
         deadline = Deadline.after(self._clock, self._settings.operator_within_s)
         while True:
             characters = self._received()
@@ -117,7 +120,7 @@ class PunchRead:
             self._require_pressed(deadline, "PUNCH")
 
     def _next_text(self, held: list[Character], text: str) -> str:
-        """The text that has come, of `held` first; waits for some."""
+        """Return the text received, starting with the characters in `held`; wait if there is none."""
         deadline = Deadline.after(self._clock, self._settings.silent_within_s)
         while not held:
             held.extend(self._received())
@@ -125,7 +128,7 @@ class PunchRead:
                 raise LinkTimeout(
                     f"the punched tape breaks off after {text.count(chr(10))} blocks: silent for "
                     f"{self._settings.silent_within_s:g} s",
-                    hint="was RESET pressed, or the cable drawn? punch again",
+                    hint="check whether RESET was pressed or the cable unplugged, then punch again",
                     **self.where,
                 )
             if not held:
@@ -143,7 +146,7 @@ class PunchRead:
         held.clear()
         return new
 
-    # ------------------------------------------------------------------ the controller takes
+    # ------------------------------------------------------------------ read: the controller receives
 
     def _await_start(self) -> None:
         deadline = Deadline.after(self._clock, self._settings.operator_within_s)
@@ -151,22 +154,22 @@ class PunchRead:
             self._require_pressed(deadline, "READ")
 
     def _obey_flow_control(self, sent: int, *, ended: bool = False) -> None:
-        """Go on unless the controller has stopped us; then wait until it lets us go on. At the end it need not."""
+        """Return at once unless the controller has sent DC3; then wait for DC1, except at the end of the tape."""
         stopped = self._last_flow_control(self._received()) is DeviceControl.READER_STOP
         deadline = Deadline.after(self._clock, self._settings.stopped_within_s)
         while stopped and not ended:
             if deadline.expired:
                 raise LinkTimeout(
-                    f"the controller has stopped the transfer (DC3) after {sent} characters and not let it go on "
+                    f"the controller has stopped the transfer (DC3) after {sent} characters and not resumed it "
                     f"within {self._settings.stopped_within_s:g} s",
-                    hint="look at its alarm: memory full, write protection, a format it does not know",
+                    hint="check its alarm: memory full, write protection, unknown format",
                     **self.where,
                 )
             self._clock.sleep(POLL_S)
             stopped = self._last_flow_control(self._received()) is not DeviceControl.READER_START
 
     def _last_flow_control(self, characters: list[Character]) -> DeviceControl | None:
-        """The last of reader start and reader stop; None where neither has come."""
+        """Return the last reader start or reader stop among `characters`; None if there is neither."""
         words = [c for c in characters if c in (DeviceControl.READER_START, DeviceControl.READER_STOP)]
         for character in characters:
             if isinstance(character, ParityFault):
@@ -183,7 +186,7 @@ class PunchRead:
         if deadline.expired:
             raise DeadlineExpired(
                 f"{key} was not pressed within {self._settings.operator_within_s:g} s",
-                hint="or the line is wired or set differently: baud, stop bits, ISO code, device number",
+                hint="press it, or check the wiring and settings: baud, stop bits, ISO code, device number",
                 **self.where,
             )
         self._clock.sleep(POLL_S)

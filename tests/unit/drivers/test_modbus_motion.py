@@ -127,7 +127,7 @@ def test_a_latch_of_another_touch_is_not_believed(cnc: ModbusCnc, plc: FakePlc) 
 
     plc.trip_at_mm = 4.0
     plc.disturb = restore_old_latch
-    with pytest.raises(ProtocolError, match="stale latch: it belongs to touch 999, not to 1"):
+    with pytest.raises(ProtocolError, match="stale latch: it belongs to touch 999, not to touch 1"):
         cnc.touch_towards(np.array([100.0, 210.0, 300.0]), feed_mm_per_s=5.0)
 
 
@@ -316,7 +316,7 @@ def test_without_function_23_it_uses_16_and_3(plc: FakePlc, clock: VirtualClock)
 
 def test_a_frozen_controller_is_a_lost_link(cnc: ModbusCnc, plc: FakePlc) -> None:
     plc.heartbeat_runs = False
-    with pytest.raises(LinkLost, match="heartbeat has stood"):
+    with pytest.raises(LinkLost, match="heartbeat has been stuck"):
         cnc.move_to(np.array([3100.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
 
 
@@ -368,7 +368,7 @@ def test_a_killed_controller_is_a_lost_link_at_once(cnc: ModbusCnc, plc: FakePlc
     clock.subscribe(lambda now_s: plc.hang_up() if now_s > 0.7 else None)
     with pytest.raises(LinkLost, match=r"connection lost.*link modbus-tcp 127\.0\.0\.1"):
         cnc.move_to(np.array([250.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=False)
-    with pytest.raises(LinkLost, match="no connection"):
+    with pytest.raises(LinkLost, match="cannot connect"):
         cnc.stop()
 
 
@@ -389,11 +389,11 @@ def test_a_fault_of_the_lost_heartbeat_is_cleared_when_the_agent_is_back(plc: Fa
     ("address", "fmt", "value"),
     [(1100, "d", np.nan), (1112, "d", -1.0), (1124, "d", 0.0), (1154, "d", 0.0), (1162, "H", 9)],
 )
-def test_limits_that_make_no_sense_are_refused(
+def test_implausible_limits_are_refused(
     plc: FakePlc, clock: VirtualClock, address: int, fmt: str, value: float
 ) -> None:
     plc.set_words(address, fmt, value)
-    with pytest.raises(ProtocolError, match="limits of the controller make no sense"), opened(plc, clock):
+    with pytest.raises(ProtocolError, match="the controller reports implausible limits"), opened(plc, clock):
         pass
 
 
@@ -424,11 +424,11 @@ def test_doctor_reports_what_is_wrong(plc: FakePlc, clock: VirtualClock) -> None
         finding.subject: finding.text for finding in ModbusCnc(settings, clock, "cnc").diagnose() if not finding.ok
     }
     assert wrong == {
-        "heartbeat": "stands at 0",
+        "heartbeat": "stuck at 0",
         "permissions": "missing: controller in automatic mode",
         "probe": "loaded, not healthy",
     }
     plc.close()
     (lost,) = ModbusCnc(settings, clock, "cnc").diagnose()
     assert not lost.ok
-    assert "no connection" in lost.text
+    assert "cannot connect" in lost.text

@@ -112,7 +112,7 @@ def test_a_heartbeat_is_judged_only_while_it_is_watched() -> None:
         clock.sleep(0.5)
         heartbeat.observe(5)
     clock.sleep(0.4)
-    with pytest.raises(LinkLost, match=r"stood at 5 for 1\.4 s .*device cnc"):
+    with pytest.raises(LinkLost, match=r"stuck at 5 for 1\.4 s .*device cnc"):
         heartbeat.observe(5)
 
 
@@ -126,8 +126,8 @@ def test_one_link_and_its_own_timeout() -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({}, "one of host"),
-        ({"host": "cnc", "serial": {"port": "/dev/ttyS0"}}, "one of host"),
+        ({}, "set either host"),
+        ({"host": "cnc", "serial": {"port": "/dev/ttyS0"}}, "set either host"),
         ({"port": 502, "serial": {"port": "/dev/ttyS0"}}, "the serial port is serial.port"),
         ({"unit": 0, "serial": {"port": "/dev/ttyS0"}}, "1 to 247"),
         ({"unit": 248, "serial": {"port": "/dev/ttyS0"}}, "1 to 247"),

@@ -154,7 +154,7 @@ def test_a_store_that_changes_data_after_the_commit_is_found_by_reading_back(cnc
         blocks[1] = b"\x01" + blocks[1][1:]
 
     plc.corrupt_data = flip
-    with pytest.raises(ChecksumMismatch, match="CRC-32 of what was read"):
+    with pytest.raises(ChecksumMismatch, match="CRC-32 of the data read"):
         cnc.stage(1, table_of((5, 5, 2)))
 
 
@@ -239,7 +239,7 @@ def test_an_arm_that_shows_another_bank_is_not_confirmed(cnc: ModbusCnc, plc: Fa
 
     plc._arm = arm_another  # type: ignore[method-assign]
     cnc.stage(1, table_of((2, 2, 2)))
-    with pytest.raises(ProtocolError, match="armed bank 1, controller shows bank 2"):
+    with pytest.raises(ProtocolError, match="armed bank 1, but the controller shows bank 2"):
         cnc.activate(1)
     assert 34 not in plc.commands
 

@@ -155,12 +155,12 @@ class TestFiles:
 
     def test_lost_file_is_noticed(self, tmp_path: Path) -> None:
         (self.staged(tmp_path) / "bank1.table").unlink()
-        with rig(tmp_path) as grbl, pytest.raises(StoreError, match="its file is gone"):
+        with rig(tmp_path) as grbl, pytest.raises(StoreError, match="its file is missing"):
             grbl.device.open()
 
     def test_file_that_says_nothing_of_use(self, tmp_path: Path) -> None:
         (self.staged(tmp_path) / "active").write_text("1")
-        with rig(tmp_path) as grbl, pytest.raises(StoreError, match="which bank acts"):
+        with rig(tmp_path) as grbl, pytest.raises(StoreError, match="names the active bank"):
             grbl.device.open()
 
     def test_power_cut_before_the_rename_leaves_the_old_table(

@@ -164,7 +164,7 @@ class TestFaultsOnTheLine:
     def test_peer_that_is_none(self, tmp_path: Path) -> None:
         with rig(tmp_path) as grbl:
             grbl.line.on_line = lambda _: b"login: \r\n"
-            with pytest.raises(ProtocolError, match="does not talk like a GRBL"):
+            with pytest.raises(ProtocolError, match="is not a GRBL controller"):
                 grbl.device.open()
 
     def test_two_masters_are_refused(self, grbl: Rig, tmp_path: Path) -> None:
@@ -435,7 +435,7 @@ class TestProbing:
     def test_pressing_on_is_refused(self, grbl: Rig) -> None:
         centre = grbl.before()
         grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
-        with pytest.raises(CommandRejected, match="press on"):
+        with pytest.raises(CommandRejected, match="press it further"):
             grbl.device.move_to(centre, feed_mm_per_s=5.0, guarded=True)
 
     def test_probe_that_stays_deflected_ends_the_way_back(self, grbl: Rig) -> None:

@@ -115,7 +115,7 @@ def test_what_is_no_grid() -> None:
     assert "along X" in table_defect(image(steep), 0.0099)
     assert "no nodes" in table_defect(image(np.zeros((0, 2, 2, 3))), 1.0)
     for step in (0.0, -1.0, float("nan"), float("inf")):
-        assert "no grid" in table_defect(image(np.zeros((2, 2, 2, 3)), step=step), 1.0)
+        assert "do not define a grid" in table_defect(image(np.zeros((2, 2, 2, 3)), step=step), 1.0)
 
 
 def test_file_is_whole_or_not_there(tmp_path: Path) -> None:
