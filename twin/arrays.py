@@ -1,4 +1,4 @@
-"""The array type of the mathematics and the checks at its doors."""
+"""Array type of the mathematics and validation of its arguments."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ Array = NDArray[np.float64]
 
 
 def as_points(values: ArrayLike, name: str) -> Array:
-    """(n, 3) finite float64; one point (3,) becomes (1, 3). DataError names the first bad row."""
+    """Return `values` as finite float64 (n, 3); one point (3,) becomes (1, 3). DataError names the first bad row."""
     points = np.atleast_2d(np.asarray(values, dtype=np.float64))
     if points.ndim != 2 or points.shape[1] != 3:
         raise DataError(f"{name} has shape {points.shape}, expected (n, 3)")
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise DataError(f"{name} holds a value that is not finite", row=row)
+        raise DataError(f"{name} contains a value that is not finite", row=row)
     return points
 
 
 def as_vector(values: ArrayLike, size: int, name: str) -> Array:
-    """(size,) finite float64; DataError otherwise."""
+    """Return `values` as finite float64 (size,); DataError otherwise."""
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (size,):
         raise DataError(f"{name} has shape {vector.shape}, expected ({size},)")
     if not np.isfinite(vector).all():
-        raise DataError(f"{name} holds a value that is not finite", index=int(np.argmin(np.isfinite(vector))))
+        raise DataError(f"{name} contains a value that is not finite", index=int(np.argmin(np.isfinite(vector))))
     return vector

@@ -5,11 +5,11 @@
     TwinError (ValueError)
     ├── ModelError     chain, ranges, orders, axis positions outside a grid
     ├── DataError      measured or calibrated values that cannot be used
-    ├── FormatError    the text of a neutral file: names file, key or row and column
-    └── SingularSet    the measurements cannot determine what is asked for
+    ├── FormatError    text of a neutral file; names file, key or row and column
+    └── SingularSet    the measurements do not determine the requested quantities
 
-Same shape as the errors of devices and runs (message, named locations, hint), but a separate trunk: the mathematics
-does not import the drivers (docs/decisions/0018).
+The shape is that of the device error tree (message, named locations, hint), but the tree is separate, so that the
+mathematics does not depend on the devices.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Self
 
 
 class TwinError(ValueError):
-    """Root of the tree. `where` holds named locations (file, key, row, column, axis), `hint` what to do."""
+    """Root of the tree. `where` maps names to locations (file, key, row, column, axis); `hint` says what to do."""
 
     def __init__(self, message: str, *, hint: str = "", **where: str | int) -> None:
         super().__init__(message)
@@ -27,7 +27,7 @@ class TwinError(ValueError):
         self.where: dict[str, str] = {name: str(value) for name, value in where.items()}
 
     def at(self, **where: str | int) -> Self:
-        """Add locations known to a caller (a file, a key); names already present are kept."""
+        """Add locations known to the caller (a file, a key); existing entries are kept."""
         for name, value in where.items():
             self.where.setdefault(name, str(value))
         return self

@@ -142,7 +142,7 @@ class TestWrongInput:
         [
             ("1,45,0", ["cannot tell machine from artefact", "p.csv", "at least two positions"]),
             ("1,45,0\n1,45,up", ["'up' is not a finite number", "p.csv", "row 3", "elevation_deg"]),
-            ("7,45,0\n1,0,45", ["station 7 has no place", "p.csv", "1, 2, 3, 4"]),
+            ("7,45,0\n1,0,45", ["station 7 has no location", "p.csv", "1, 2, 3, 4"]),
             ("1,90,0\n2,90,0", ["none of 2 positions has three balls within reach", "p.csv"]),
             ("", ["no position is listed", "p.csv"]),
         ],

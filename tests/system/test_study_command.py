@@ -134,7 +134,7 @@ class TestBadInput:
     def test_a_position_at_a_station_that_has_no_place(self, tmp_path: Path) -> None:
         listed = tmp_path / "far.csv"
         listed.write_text("station,azimuth_deg,elevation_deg\n1,45,0\n7,0,0\n")
-        refused(here(*SMALL, "--set", listed, "--out", tmp_path), 2, "station 7 has no place")
+        refused(here(*SMALL, "--set", listed, "--out", tmp_path), 2, "station 7 has no location")
 
     def test_a_folder_that_cannot_be_written(self, tmp_path: Path) -> None:
         (tmp_path / "taken").write_text("")

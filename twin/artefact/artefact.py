@@ -1,7 +1,7 @@
-"""A ball artefact: calibrated ball centres, what temperature and gravity make of them.
+"""Ball artefact: calibrated ball centres, and the effect of temperature and gravity on them.
 
-Artefact frame: origin in the middle of the bar on its axis, bar axis +X, holders (posts) along -Y, Z upwards
-at elevation 0. Any other ball artefact (plate, tetrahedron, cross) is just another list of centres.
+Artefact frame: origin in the middle of the bar on its axis, bar axis +X, holders (posts) along -Y, Z upwards at
+elevation 0. Any other ball artefact (plate, tetrahedron, cross) is just another list of centres.
 """
 
 from __future__ import annotations
@@ -16,14 +16,18 @@ from twin.errors import DataError
 
 STEEL_CTE_PER_K = 11.5e-6
 REFERENCE_TEMPERATURE_C = 20.0
-"""ISO 1."""
+"""Standard reference temperature of ISO 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Artefact:
-    """`balls` (N, 3) mm at the reference temperature and free of gravity; `covariance` (3N, 3N) mm², ball by
-    ball. `sag_mm`: how far the ends hang below the middle when the bar lies level. `members` (N,): where several
-    artefacts go into one estimate, to which of them each ball belongs; empty for one alone."""
+    """Calibrated ball artefact.
+
+    `balls` (N, 3) mm at the reference temperature and free of gravity; `covariance` (3N, 3N) mm², ball by ball.
+    `sag_mm`: distance by which the ends hang below the middle with the bar horizontal. `members` (N,): if several
+    artefacts are combined in one estimate, the number of the artefact that each ball belongs to; empty for a single
+    artefact.
+    """
 
     name: str
     certificate: str
@@ -60,11 +64,12 @@ class Artefact:
 
     @property
     def half_length_mm(self) -> float:
-        """Largest distance of a ball from the middle along the bar."""
+        """Largest distance of a ball from the middle along the bar in mm."""
         return float(np.abs(self.balls[:, 0]).max())
 
     def at(self, temperature_c: float, elevation_rad: float) -> Array:
-        """Ball centres (N, 3) mm in the artefact frame, expanded and bent by gravity."""
+        """Return ball centres (N, 3) mm in the artefact frame, with thermal expansion and gravity sag."""
+        # thermal expansion p (1 + α ΔT); gravity acts across the bar with cos(elevation)
         stretched = self.balls * (1.0 + self.cte_per_k * (temperature_c - self.reference_temperature_c))
         if self.sag_mm:
             along = np.abs(self.balls[:, 0]) / max(self.half_length_mm, 1e-9)
@@ -87,7 +92,7 @@ def ball_bar(
     cte_standard_uncertainty_per_k: float = 0.0,
     sag_mm: float = 0.0,
 ) -> Artefact:
-    """Bar of equally pitched balls; the length between the end balls does not depend on their number."""
+    """Return a bar of equally spaced balls; the length between the end balls does not depend on their number."""
     return Artefact(
         name=name,
         certificate=certificate,
@@ -103,9 +108,9 @@ def ball_bar(
 
 
 def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: float) -> Array:
-    """(balls, 3) mm: ball i stands a holder's length off the bar axis.
+    """Return ball centres (balls, 3) mm; each ball is one holder length off the bar axis.
 
-    Tilting holders by θ sets the balls off by holder·sin θ, in turn up (+Z), out (-Y), down (-Z) and in (+Y).
+    Tilting the holders by θ offsets the balls by holder·sin θ, in turn up (+Z), out (-Y), down (-Z) and in (+Y).
     """
     if balls < 2:
         raise DataError(f"a ball bar needs at least two balls, got {balls}")
@@ -121,7 +126,9 @@ def bar_balls(balls: int, length_mm: float, tilt_rad: float, holder_length_mm: f
 
 
 def _droop(along: Array) -> Array:
-    """Shape of a uniformly loaded cantilever from the middle support (0) to its end (1), 1 at the end."""
+    """Return the shape of a uniformly loaded cantilever from the middle support (0) to its end (1), scaled to 1 at the
+    end.
+    """
     return along**2 * (6.0 - 4.0 * along + along**2) / 3.0
 
 
@@ -132,7 +139,7 @@ def _refuse_overlap(balls: Array, diameter_mm: float, name: str) -> None:
         first, second = (int(index) for index in np.unravel_index(np.argmin(distance), distance.shape))
         raise DataError(
             f"balls {first} and {second} are {distance.min():.3f} mm apart, less than their diameter",
-            hint="Centres are in mm; is one listed twice?",
+            hint="Centres are in mm; check whether one is listed twice",
             artefact=name,
         )
 

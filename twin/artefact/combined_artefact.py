@@ -1,9 +1,9 @@
-"""Several artefacts of one kind in one estimate: each its own certificate, one material.
+"""Several artefacts of one kind in one estimate: one material, each with its own certificate.
 
-A position holds balls of one artefact only and has a pose of its own, so that the artefacts need not know of each
-other: their balls are listed one after the other, each in the frame of its own, and nothing ties their certificates.
-The error of the expansion coefficient is common to all, as of bars from one melt; were it not, the common one would
-still be the more cautious for the scales, which a common strain moves and strains of both signs do not.
+A position contains balls of one artefact only and has its own pose, so the artefacts are independent: their balls are
+listed one artefact after the other, each in its own frame, and their certificates are uncorrelated. The error of the
+expansion coefficient is common to all, as for bars from one melt. Even if it were not, the common error is the more
+cautious assumption for the scales: a common strain changes them, strains of both signs cancel.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ KIND_FIELDS = (
 
 
 def combine_artefacts(artefacts: Sequence[Artefact]) -> Artefact:
-    """Balls of all, those of the first first. DataError for none, and for artefacts of different kinds."""
+    """Combine the balls of all artefacts in the given order; DataError for none and for different kinds."""
     if not artefacts:
-        raise DataError("no artefact at all")
+        raise DataError("no artefact given")
     first = artefacts[0]
     for other in artefacts[1:]:
         _require_one_kind(first, other)
@@ -53,11 +53,11 @@ def _require_one_kind(first: Artefact, other: Artefact) -> None:
     if other.count != first.count:
         raise DataError(
             f"'{other.name}' has {other.count} balls, '{first.name}' has {first.count}",
-            hint="artefacts of one run must be of one kind",
+            hint="all artefacts of one run must be of the same kind",
         )
     for name in KIND_FIELDS:
         if getattr(other, name) != getattr(first, name):
             raise DataError(
                 f"'{other.name}' has {name} = {getattr(other, name):g}, '{first.name}' has {getattr(first, name):g}",
-                hint="artefacts of one run must be of one kind: only their ball centres and certificates may differ",
+                hint="all artefacts of one run must be of one kind; only ball centres and certificates may differ",
             )

@@ -1,4 +1,4 @@
-"""Aligning a predicted pose to the two balls that were found first."""
+"""Alignment of a predicted pose to the first two balls found."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from twin.errors import DataError
 
 
 def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Array, found_last: Array) -> Array:
-    """Move `predicted` (N, 3) rigidly so that balls `first` and `last` come to where they were found.
+    """Move `predicted` (N, 3) rigidly so that balls `first` and `last` coincide with their measured centres. Units: mm.
 
-    The middle of the two is matched and the line through them turned by the smallest rotation that makes it
-    parallel to the line found (Rodrigues); a rotation about that line cannot be seen from two balls and stays
-    as predicted. Units: mm in, mm out. Raises DataError where the two predicted or found balls coincide.
+    The middle of the two is matched, and the line through them is rotated by the smallest rotation that makes it
+    parallel to the measured line (Rodrigues). Two balls do not determine the rotation about that line; it stays as
+    predicted. Raises DataError if the two predicted or the two measured balls coincide.
     """
     line, found_line = predicted[last] - predicted[first], found_last - found_first
     length, found_length = np.linalg.norm(line), np.linalg.norm(found_line)
@@ -26,7 +26,8 @@ def align_to_end_balls(predicted: Array, first: int, last: int, found_first: Arr
 
 
 def _smallest_rotation(source: Array, target: Array) -> Array:
-    """Rotation about source × target, (3, 3); unit vectors that are not opposite."""
+    """Return the rotation (3, 3) about source × target of unit vectors that are not opposite."""
+    # R = 1 + K + K² / (1 + cos), K the cross-product matrix of v = source × target (Rodrigues)
     v = np.cross(source, target)
     cosine = float(source @ target)
     k = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -1,8 +1,8 @@
-"""Held-out positions against what an estimate predicts for them.
+"""Comparison of held-out positions with the prediction of an estimate.
 
-What is compared is free of the pose: from the ball centres of a position the best rigid placement of the
-calibrated artefact is taken out, and what is left is a deviation of the machine (and noise). Its covariance is
-that of the estimate, of the misfit that the estimate states, of the certificate and of the touches.
+The comparison does not depend on the pose: the best rigid placement of the calibrated artefact is subtracted from the
+ball centres of each position, and the residual is a deviation of the machine (plus noise). Its covariance is that of
+the estimate, of the stated misfit, of the certificate and of the touches.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class HeldOutResiduals:
-    """`placed_mm` (n, 3): the calibrated balls in their best place; `residuals_mm` (n, 3): what was found, less that.
+    """Residuals of held-out positions.
 
-    `rms_mm`: root of the mean squared residual of a ball, scaled to the freedom that the poses leave.
+    `placed_mm` (n, 3): calibrated balls in their best placement; `residuals_mm` (n, 3): measured minus placed.
+    `rms_mm`: root of the mean squared residual of a ball, scaled for the degrees of freedom used by the poses.
     """
 
     placed_mm: Array
@@ -35,7 +36,7 @@ class HeldOutResiduals:
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """`predicted_mm`: the rms that the covariance leads one to expect; χ² per degree of freedom."""
+    """Result of the χ² test: rms expected from the covariance (`predicted_mm`), χ² per degree of freedom."""
 
     predicted_mm: float
     chi2_normalised: float
@@ -43,10 +44,10 @@ class HeldOutTest:
 
 
 def held_out_residuals(observations: Observations, tool_points: Array, artefact: Artefact) -> HeldOutResiduals:
-    """Place the calibrated artefact through `tool_points` (n, 3), position by position, and see what is left.
+    """Fit the calibrated artefact to `tool_points` (n, 3) position by position and return the residuals.
 
-    `tool_points` mm, workpiece frame: where the controller says that the stylus centre was, one for each row.
-    Raises DataError for a position with fewer than three balls.
+    `tool_points` mm, workpiece frame: stylus centre according to the controller, one for each row. Raises DataError for
+    a position with fewer than three balls.
     """
     placed = np.zeros((observations.size, 3))
     freedom = 0
@@ -64,14 +65,14 @@ def held_out_residuals(observations: Observations, tool_points: Array, artefact:
 def held_out_test(
     observations: Observations, result: HeldOutResiduals, artefact: Artefact, field_covariance: Array
 ) -> HeldOutTest:
-    """Compare `result` with what its covariance leads one to expect.
+    """Compare `result` with the residuals expected from the covariance.
 
-    `field_covariance` (3n, 3n) mm², row by row x, y, z: of the deviation that is left at the observed points
+    `field_covariance` (3n, 3n) mm², row by row x, y, z: covariance of the residual deviation at the observed points
     (estimate and misfit). Touch noise and certificate are added here.
     """
     n = observations.size
     total = field_covariance.copy()
-    carried = np.zeros((3 * n, 3 * artefact.count))
+    rotations = np.zeros((3 * n, 3 * artefact.count))
     bases = []
     for row in range(n):
         total[3 * row : 3 * row + 3, 3 * row : 3 * row + 3] += observations.covariance[row]
@@ -79,10 +80,11 @@ def held_out_test(
         rotation = _rotation(_balls(observations, artefact, rows), result.placed_mm[rows])
         for row in rows:
             ball = int(observations.ball[row])
-            carried[3 * row : 3 * row + 3, 3 * ball : 3 * ball + 3] = rotation
+            rotations[3 * row : 3 * row + 3, 3 * ball : 3 * ball + 3] = rotation
         bases.append(_pose_free_basis(result.placed_mm[rows], rows, n))
+    # Residuals in the subspace free of the poses: r = Bᵀe, C = Bᵀ(field + touches + R C_cert Rᵀ)B, χ² = rᵀC⁻¹r
     basis = np.concatenate(bases, axis=1)
-    covariance = basis.T @ (total + carried @ artefact.covariance @ carried.T) @ basis
+    covariance = basis.T @ (total + rotations @ artefact.covariance @ rotations.T) @ basis
     left = basis.T @ result.residuals_mm.reshape(-1)
     chi2 = float(left @ np.linalg.solve(covariance, left))
     predicted = float(np.sqrt(3.0 * np.trace(covariance) / len(left)))
@@ -94,21 +96,21 @@ def _by_position(observations: Observations) -> list[Indices]:
 
 
 def _balls(observations: Observations, artefact: Artefact, rows: Indices) -> Array:
-    """Calibrated centres (m, 3) in the artefact frame at the temperature and elevation of these rows."""
+    """Return the calibrated centres (m, 3) in the artefact frame at the temperature and elevation of these rows."""
     temperature = float(observations.temperature_c[rows].mean())
     balls: Array = artefact.at(temperature, float(observations.elevation_rad[rows[0]]))
     return balls[observations.ball[rows]]
 
 
 def _rotation(balls: Array, points: Array) -> Array:
-    """Best rotation (3, 3) from `balls` to `points`, both (m, 3) (Kabsch)."""
+    """Return the best rotation (3, 3) from `balls` to `points`, both (m, 3) (Kabsch)."""
     u, _, vt = np.linalg.svd((points - points.mean(axis=0)).T @ (balls - balls.mean(axis=0)))
     rotation: Array = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     return rotation
 
 
 def _pose_free_basis(placed: Array, rows: Indices, count: int) -> Array:
-    """Orthonormal columns (3n, 3m - 6) square to every small rigid motion of the balls of one position."""
+    """Return orthonormal columns (3n, 3m - 6) orthogonal to every small rigid motion of the balls of one position."""
     arms = placed - placed.mean(axis=0)
     motions = np.zeros((len(rows), 3, 6))
     motions[:, [0, 1, 2], [0, 1, 2]] = 1.0

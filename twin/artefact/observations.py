@@ -1,4 +1,4 @@
-"""What a run has measured: where the machine stood when the stylus centre coincided with each ball centre."""
+"""Measurements of a run: axis positions at which the stylus centre coincided with each ball centre."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from twin.errors import DataError
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Ball centres found, one row each (n rows).
+    """Measured ball centres, one row each (n rows).
 
-    `position` (n,) pose of the artefact, counted from 0; `ball` (n,) index into the artefact's list; `tool` (n,) index
-    into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm machine coordinates, no tool offset added;
-    `covariance` (n, 3, 3) mm² of one fitted centre; `temperature_c` (n,) of the artefact; `elevation_rad` (n,) of
-    the mount; `thermal_regressors` (n, w) K: thermal change of the machine since the start of the run at the instant
-    of each row, one column per regressor (w = 0: the machine did not change).
+    `position` (n,): pose of the artefact, counted from 0; `ball` (n,): index into the artefact's list; `tool` (n,):
+    index into `tool_offsets` (T, 3) mm; `axis_positions` (n, 3) mm: machine coordinates without tool offset;
+    `covariance` (n, 3, 3) mm² of one fitted centre; `temperature_c` (n,) of the artefact; `elevation_rad` (n,) of the
+    mount; `thermal_regressors` (n, w) K: thermal change of the machine since the start of the run at the instant of
+    each row, one column per regressor (w = 0: the machine did not change).
 
     Raises DataError naming the row (from 0) if a value cannot be used.
     """
@@ -55,17 +55,17 @@ class Observations:
 
     @property
     def used_tool_offsets(self) -> Array:
-        """(U, 3) mm of the tools with which at least one ball was found."""
+        """Offsets (U, 3) mm of the tools with which at least one ball was measured."""
         return np.asarray(self.tool_offsets[np.unique(self.tool)])
 
     def where(self, mask: np.ndarray[Any, Any]) -> Observations:
-        """The rows that `mask` (n,) bool or index selects."""
+        """Return the rows selected by `mask` (n,), bool or index."""
         rows = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "tool_offsets"}
         return Observations(**rows, tool_offsets=self.tool_offsets)
 
     def _check_shapes(self) -> None:
         n = len(self.ball)
-        wanted = {
+        expected = {
             "position": (n,),
             "tool": (n,),
             "axis_positions": (n, 3),
@@ -73,19 +73,19 @@ class Observations:
             "temperature_c": (n,),
             "elevation_rad": (n,),
         }
-        for name, shape in wanted.items():
+        for name, shape in expected.items():
             found = getattr(self, name).shape
             if found != shape:
                 raise DataError(f"{name} has the shape {found}, expected {shape}", column=name)
         if self.thermal_regressors.ndim != 2 or len(self.thermal_regressors) != n:
             raise DataError(
-                f"thermal_regressors has the shape {self.thermal_regressors.shape}, expected ({n}, ways)",
+                f"thermal_regressors has the shape {self.thermal_regressors.shape}, expected ({n}, w)",
                 column="thermal_regressors",
             )
         if self.tool_offsets.ndim != 2 or self.tool_offsets.shape[1] != 3:
             raise DataError(f"tool_offsets has the shape {self.tool_offsets.shape}, expected (T, 3)")
         if n == 0:
-            raise DataError("no ball centre at all", hint="measure at least two positions")
+            raise DataError("no ball centre given", hint="measure at least two positions")
 
     def _check_values(self) -> None:
         for name in ("axis_positions", "covariance", "temperature_c", "elevation_rad", "thermal_regressors"):
@@ -106,15 +106,15 @@ class Observations:
 
     def _check_duplicates(self) -> None:
         seen: dict[tuple[object, ...], int] = {}
-        when = map(tuple, self.thermal_regressors.tolist())
-        keys = zip(self.position.tolist(), self.tool.tolist(), self.ball.tolist(), when, strict=True)
+        thermal_states = map(tuple, self.thermal_regressors.tolist())
+        keys = zip(self.position.tolist(), self.tool.tolist(), self.ball.tolist(), thermal_states, strict=True)
         for row, key in enumerate(keys):
             first = seen.setdefault(key, row)
             if first != row:
                 raise DataError(
                     f"ball {key[2]} of position {key[0]} was already given in row {first}",
                     row=row,
-                    hint="keep one centre per position, tool and ball (a machine that drifts: and instant)",
+                    hint="keep one centre per position, tool and ball (with thermal drift: and per instant)",
                 )
 
 
@@ -126,7 +126,7 @@ def _whole_numbers(name: str, values: ArrayLike) -> np.ndarray[Any, np.dtype[np.
 
 
 def _positive_definite(covariance: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """(n,) bool by the leading minors (Sylvester) of the correlation matrix."""
+    """Return (n,) bool, True if positive definite, from the leading minors (Sylvester) of the correlation matrix."""
     diagonal = np.einsum("nii->ni", covariance)
     positive = (diagonal > 0.0).all(axis=1)
     deviation = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))

@@ -1,7 +1,7 @@
-"""Where the artefact is put: position sets, the mount that holds it, what the travel can reach.
+"""Position sets of the artefact, the mount that holds it and the reach of the travel.
 
-Azimuth is about Z from +X, elevation from the XY plane, both those of the mount. At (0, 0) the bar lies along
-X and its holders point along -Y, against the approaching probe.
+Azimuth is about Z from +X, elevation from the XY plane, both those of the mount. At (0, 0) the bar is parallel to X and
+its holders point along -Y, towards the approaching probe.
 """
 
 from __future__ import annotations
@@ -23,12 +23,14 @@ POSITION_SETS: dict[str, tuple[tuple[float, float], ...]] = {
     "S2": tuple((az, el) for el in (SPACE_DIAGONAL_DEG, -SPACE_DIAGONAL_DEG) for az in (45.0, -45.0)),
     "S3": ((45.0, 0.0), (-45.0, 0.0), (0.0, 45.0), (0.0, -45.0), (90.0, 45.0), (90.0, -45.0)),
 }
-"""(azimuth, elevation) in degrees: along the axes; along space diagonals; crossed in XY, ZX and YZ."""
+"""Pairs (azimuth, elevation) in degrees: along the axes; along space diagonals; crossed in XY, ZX and YZ."""
 
 
 @dataclass(frozen=True)
 class Position:
-    """One orientation of the artefact at one station (counted from 1); `tool`: with which, None for that of the run."""
+    """One orientation of the artefact at one station (counted from 1), with the named tool; None: the tool of
+    the run.
+    """
 
     station: int
     azimuth_deg: float
@@ -47,10 +49,10 @@ class Position:
 
 @dataclass(frozen=True)
 class MountGeometry:
-    """The mount and what it holds, for placing the bar and for collisions; mm.
+    """Geometry of the mount and of the bar on it, for placing the bar and for collision checks; mm.
 
-    `shaft_mm`: from the vertical azimuth axis to the middle of the bar axis, along the holders. The pedestal
-    stands under the azimuth axis from the table (`table_z_mm`, workpiece frame) to `head_mm` above the place.
+    `shaft_mm`: from the vertical azimuth axis to the middle of the bar axis, along the holders. The pedestal is under
+    the azimuth axis, from the table (`table_z_mm`, workpiece frame) to `head_mm` above the mount location.
     """
 
     shaft_mm: float = 120.0
@@ -70,18 +72,18 @@ class MountGeometry:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Maps the artefact frame to the workpiece frame: p = centre + rotation @ b. mm."""
+    """Transform from the artefact frame to the workpiece frame: p = centre + rotation @ b. mm."""
 
     centre: Array
     rotation: Array
 
     def apply(self, points: Array) -> Array:
-        """(n, 3) in the artefact frame -> (n, 3) in the workpiece frame."""
+        """Transform points (n, 3) from the artefact frame to the workpiece frame."""
         return self.centre + points @ self.rotation.T
 
 
 def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
-    """Positions of `S1`, `S1+S3`, … at stations 1…n: all of station 1 first. TwinError for unknown names."""
+    """Parse `S1`, `S1+S3`, … into positions at stations 1…n, station 1 first. TwinError for unknown names."""
     if stations < 1:
         raise DataError(f"at least one station is needed, got {stations}")
     orientations = [pair for name in expression.split("+") for pair in _named_set(name, expression)]
@@ -90,7 +92,7 @@ def parse_position_set(expression: str, stations: int) -> tuple[Position, ...]:
 
 
 def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, elevation_rad: float) -> Pose:
-    """Pose of the bar: axis along (cos az cos el, sin az cos el, sin el), holders along Rz(az)·(0, -1, 0).
+    """Return the pose of the bar: axis along (cos az cos el, sin az cos el, sin el), holders along Rz(az)·(0, -1, 0).
 
     `location_mm` (3,): the point of the azimuth axis at the height of the bar's middle.
     """
@@ -102,7 +104,7 @@ def mount_pose(location_mm: Array, geometry: MountGeometry, azimuth_rad: float, 
 
 
 def station_locations(count: int, x_range: tuple[float, float], half_span_mm: float, y_mm: float, z_mm: float) -> Array:
-    """(count, 3) mm: places along X, evenly spaced, the outer ones `half_span_mm` inside the travel."""
+    """Return `count` locations (count, 3) mm evenly spaced along X, the outer ones `half_span_mm` inside the travel."""
     low, high = x_range[0] + half_span_mm, x_range[1] - half_span_mm
     if count < 1 or high < low:
         raise DataError(
@@ -113,7 +115,9 @@ def station_locations(count: int, x_range: tuple[float, float], half_span_mm: fl
 
 
 def is_reachable(ball_axis_positions: Array, lower: Array, upper: Array, margin_mm: Array) -> NDArray[np.bool_]:
-    """(n,) bool: which axis positions (n, 3) keep `margin_mm` (3,) (approach, retract) from the ends."""
+    """Return (n,) bool: axis positions (n, 3) that are at least `margin_mm` (3,) inside the travel (approach,
+    retract).
+    """
     inside = (ball_axis_positions >= lower + margin_mm) & (ball_axis_positions <= upper - margin_mm)
     return np.asarray(inside.all(axis=1), dtype=np.bool_)
 

@@ -1,9 +1,9 @@
-"""Pretravel of a touch-trigger probe by direction: low-order harmonics about the stylus, from one densely touched ball.
+"""Direction-dependent pretravel of a touch-trigger probe: harmonics about the stylus, from one densely touched ball.
 
-A probe on three seats trips later in some directions than in others (lobing). What all directions have in common acts
-as a smaller stylus radius, what is a first harmonic acts as a displaced stylus centre; neither can be told from the
-ball, both are common to all balls. The map holds what is left: it refers every touch to the sphere that was fitted
-through the whole qualification.
+A probe on three seats triggers later in some directions than in others (lobing). The part common to all directions acts
+as a smaller stylus radius, the first harmonic acts as a displaced stylus centre. Neither can be separated from the
+ball, and both are common to all balls. The map contains the remainder: it refers every touch to the sphere that was
+fitted through the whole qualification.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from twin.artefact.touch_pattern import perpendiculars
 from twin.errors import DataError
 
 HIGHEST_ORDER = 3
-"""Waves about the stylus: three seats give three lobes; rings of eight carry no more."""
+"""Highest harmonic about the stylus: three seats give three lobes; rings of eight touches resolve no more."""
 
 
 @dataclass(frozen=True, eq=False)
 class PretravelMap:
-    """`coefficients_mm` of centre (3), radius (1) and the harmonics, about the stylus axis `stylus_axis` (3,).
+    """Pretravel by direction: `coefficients_mm` of centre (3), radius (1) and the harmonics about `stylus_axis` (3,).
 
-    `noise_mm`: rms of what the harmonics left of the residuals, per degree of freedom; it is touch noise where the
-    harmonics suffice. `largest_mm`: peak of the map over the touches it was made from.
+    `noise_mm`: rms of the residuals left by the harmonics, per degree of freedom; it is touch noise if the harmonics
+    suffice. `largest_mm`: peak of the map over the touches it was fitted to.
     """
 
     stylus_axis: Array
@@ -35,29 +35,30 @@ class PretravelMap:
     largest_mm: float
 
     def offsets_mm(self, directions: Array) -> Array:
-        """(k,) for approach directions (k, 3): by how much farther out than the sphere a touch latches."""
+        """Return (k,) mm for approach directions (k, 3): distance outside the sphere at which a touch triggers."""
         return np.asarray(_terms(directions, self.stylus_axis) @ self.coefficients_mm)
 
     def corrected(self, points: Array, directions: Array) -> Array:
-        """Latched points (k, 3) brought to where a probe without lobing would have latched."""
+        """Return latched points (k, 3) corrected to those of a probe without lobing."""
         return np.asarray(points + self.offsets_mm(directions)[:, None] * directions)
 
 
 def fit_pretravel(directions: Array, residuals_mm: Array, stylus_axis: Array) -> PretravelMap:
-    """Harmonics through the residuals (k,) of a sphere fitted with free radius to touches along `directions` (k, 3).
+    """Fit harmonics to the residuals (k,) of a sphere fitted with free radius to touches along `directions` (k, 3).
 
-    The harmonics are made square to centre and radius over these touches, so that the sphere stays the one that was
-    fitted. DataError where the touches are too few or lie on too few rings.
+    The harmonics are made orthogonal to centre and radius over these touches, so that the fitted sphere does not
+    change. DataError if the touches are too few or on too few rings.
     """
     terms = _terms(directions, stylus_axis)
     touches, unknowns = terms.shape
     sphere, harmonics = terms[:, :4], terms[:, 4:]
+    # H⊥ = H - S S⁺ H: remove from the harmonics what centre and radius would absorb
     absorbed = np.linalg.lstsq(sphere, harmonics, rcond=None)[0]
     square = harmonics - sphere @ absorbed
     if touches <= unknowns or np.linalg.matrix_rank(square) < square.shape[1]:
         raise DataError(
-            f"{touches} touches do not carry a pretravel map of {square.shape[1]} harmonics",
-            hint="qualify with three rings of eight and the pole",
+            f"{touches} touches do not determine a pretravel map of {square.shape[1]} harmonics",
+            hint="qualify with three rings of eight touches and the pole",
         )
     found = np.linalg.lstsq(square, residuals_mm, rcond=None)[0]
     left = residuals_mm - square @ found
@@ -70,10 +71,11 @@ def fit_pretravel(directions: Array, residuals_mm: Array, stylus_axis: Array) ->
 
 
 def _terms(directions: Array, stylus_axis: Array) -> Array:
-    """(k, 18): outward normal, 1, and for each order 0 … 3 the two lowest harmonics that no centre and no radius holds.
+    """Return (k, 18): outward normal, 1, and for each order 0 … 3 the two lowest harmonics independent of centre and
+    radius.
 
-    With h the height towards the ram, w the distance from the stylus axis and a the angle about it: wᵐ cos(ma) and
-    wᵐ sin(ma) times two powers of h.
+    With h the height towards the ram, w the distance from the stylus axis and a the angle about it: wᵐ cos(ma) and wᵐ
+    sin(ma) times two powers of h.
     """
     first, second = perpendiculars(stylus_axis)
     normals = -directions
@@ -89,7 +91,9 @@ def _terms(directions: Array, stylus_axis: Array) -> Array:
 
 
 def direction_at(stylus_axis: Array, latitude_rad: float, angle_rad: float) -> Array:
-    """(3,) approach direction of a touch at a latitude above the equator (the ram's side) and an angle about it."""
+    """Return the approach direction (3,) of a touch at a latitude above the equator (ram side) and an angle about the
+    stylus.
+    """
     first, second = perpendiculars(stylus_axis)
     sideways = math.cos(angle_rad) * first + math.sin(angle_rad) * second
     return np.asarray(math.sin(latitude_rad) * stylus_axis - math.cos(latitude_rad) * sideways)

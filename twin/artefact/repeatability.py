@@ -1,4 +1,4 @@
-"""How far repeated readings scatter, and how well a few of them say so."""
+"""Repeatability of readings, with the confidence interval of a standard deviation from few readings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from twin.errors import DataError
 class RepeatabilityEstimate:
     """Sample standard deviation `sigma` of `count` readings, in the unit of the readings.
 
-    The true one lies between `lower` and `upper` with `confidence`, if the readings are normal and independent.
+    The true one is between `lower` and `upper` with probability `confidence`, if the readings are normal and
+    independent.
     """
 
     sigma: float
@@ -25,15 +26,17 @@ class RepeatabilityEstimate:
     upper: float
 
     def exceeds(self, limit: float, confidence: float) -> bool:
-        """Whether the true standard deviation exceeds `limit` with one-sided `confidence`."""
+        """Return True if the true standard deviation exceeds `limit` with one-sided `confidence`."""
         return self.sigma * _factor(confidence, self.count - 1) > limit
 
 
 def estimate_repeatability(readings: Sequence[float], confidence: float = 0.95) -> RepeatabilityEstimate:
-    """Scatter of two or more readings with its two-sided interval: s·√(ν / χ²). DataError for fewer."""
+    """Estimate the repeatability of two or more readings with its two-sided interval s·√(ν / χ²). DataError
+    for fewer.
+    """
     count = len(readings)
     if count < 2:
-        raise DataError(f"{count} readings do not scatter", hint="two or more are needed")
+        raise DataError(f"{count} readings have no standard deviation", hint="two or more are needed")
     mean = math.fsum(readings) / count
     sigma = math.sqrt(math.fsum((value - mean) ** 2 for value in readings) / (count - 1))
     tail = 0.5 * (1.0 - confidence)
@@ -42,5 +45,5 @@ def estimate_repeatability(readings: Sequence[float], confidence: float = 0.95) 
 
 
 def _factor(probability: float, freedom: int) -> float:
-    """√(ν / χ²) with χ² the quantile at `probability`."""
+    """Return √(ν / χ²) with χ² the quantile at `probability`."""
     return math.sqrt(freedom / (2.0 * float(gammaincinv(0.5 * freedom, probability))))

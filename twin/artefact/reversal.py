@@ -1,8 +1,8 @@
-"""Reversal of a linear axis from touches of oblique places of one ball, the axis pre-loaded from either side.
+"""Reversal value of a linear axis from touches of oblique points of one ball, the axis preloaded from either side.
 
-The tip is led against a place whose normal leans towards the axis asked for, by another axis alone. Coming from the
-other side, the pre-loaded axis stands elsewhere by its lost motion, and the ball is met earlier or later by that times
-the tangent of the slope. What the touch itself loses (pretravel, play of the axis that moves) is the same both times.
+The tip is moved by another axis alone against a point whose normal leans towards the tested axis. Preloaded from the
+other side, the tested axis stands elsewhere by its lost motion, so the ball is met earlier or later by the lost motion
+times the tangent of the slope. Losses of the touch itself (pretravel, play of the moving axis) are the same both times.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from twin.errors import DataError
 
 AXIS_COUNT = 3
 SLOPE = math.sqrt(0.5)
-"""Places at 45°: the lost motion shows in full in the axis that moves."""
+"""Component of the normal of touched points at 45°: the full lost motion appears in the moving axis."""
 
 
 @dataclass(frozen=True)
 class ObliqueTouch:
-    """A place on the ball, and how it is touched: `along` moves, `axis` has been pre-loaded before (0, 1, 2: X, Y, Z).
+    """Point on the ball and its touch: `along` moves, `axis` was preloaded (0, 1, 2: X, Y, Z).
 
-    `normal` (3,): from the ball's centre to the place; `direction` (3,): unit vector of the touch.
+    `normal` (3,): from the ball's centre to the point; `direction` (3,): unit vector of the touch.
     """
 
     axis: int
@@ -35,15 +35,19 @@ class ObliqueTouch:
 
     @property
     def ratio(self) -> float:
-        """By how much the latched position of `along` grows for each mm of lost motion of `axis`, reached upwards
-        instead of downwards."""
+        """Change of the latched position of `along` per mm of lost motion of `axis`, preloaded upwards instead of
+        downwards.
+        """
         return float(self.normal[self.axis] / self.normal[self.along])
 
 
 @dataclass(frozen=True)
 class LostMotion:
-    """mm; positive where the axis lags behind its drive. Deviation reached downwards less that reached upwards: the
-    reversal value of ISO 230-2 with the opposite sign. `sigma_mm`: its standard uncertainty."""
+    """Lost motion in mm, positive if the axis lags behind its drive, with its standard uncertainty `sigma_mm`.
+
+    It is the deviation after moving downwards minus that after moving upwards: the reversal value of ISO 230-2 with the
+    opposite sign.
+    """
 
     value_mm: float
     sigma_mm: float
@@ -51,9 +55,9 @@ class LostMotion:
 
 
 def plan_oblique_touches(axis: int, stylus_axis: Array) -> tuple[ObliqueTouch, ObliqueTouch]:
-    """Two mirrored places that tell of `axis`, both before the ball, where a straight stylus gets to.
+    """Return two mirrored points sensitive to `axis`, both on the side of the ball that a straight stylus reaches.
 
-    `stylus_axis` (3,): unit vector along a machine axis, from the ram towards the tip. DataError for a slanting one.
+    `stylus_axis` (3,): unit vector along a machine axis, from the ram towards the tip. DataError if it is oblique.
     """
     ahead = int(np.argmax(np.abs(stylus_axis)))
     front = np.zeros(AXIS_COUNT)
@@ -62,33 +66,35 @@ def plan_oblique_touches(axis: int, stylus_axis: Array) -> tuple[ObliqueTouch, O
         raise DataError("the stylus does not point along a machine axis")
     beside = axis if axis != ahead else next(other for other in range(AXIS_COUNT) if other != ahead)
     along = ahead if axis != ahead else beside
-    first, second = (_place(axis, along, front, beside, side) for side in (1.0, -1.0))
+    first, second = (_touch_point(axis, along, front, beside, side) for side in (1.0, -1.0))
     return first, second
 
 
 def fit_lost_motion(
     ratios: Sequence[float],
     upwards: Sequence[bool],
-    places: Sequence[int],
+    points: Sequence[int],
     latched_mm: Sequence[float],
     floor_mm: float,
 ) -> LostMotion:
-    """Least squares over all touches of an axis, with a level of its own for each place.
+    """Fit the lost motion to all touches of an axis by least squares, with a separate level for each touched point.
 
-    `latched_mm`: of the axis that moved; `upwards`: whether the pre-loaded axis came from below. Of the scatter found
-    and `floor_mm`, known of the probe, the larger one counts. DataError where a place was touched from one side only.
+    `latched_mm`: positions of the moving axis; `upwards`: True if the preloaded axis came from below. The standard
+    uncertainty uses the larger of the observed scatter and `floor_mm`, known of the probe. DataError if every point was
+    touched from one side only.
     """
-    place = np.asarray(places)
+    point = np.asarray(points)
+    # reading_i = level(point) ± ½ ratio_i · lost motion; the levels are removed by centring per point
     lever = 0.5 * np.asarray(ratios) * np.where(np.asarray(upwards), 1.0, -1.0)
     reading = np.asarray(latched_mm, dtype=np.float64)
-    numbers = np.unique(place)
+    numbers = np.unique(point)
     for number in numbers:
-        here = place == number
+        here = point == number
         lever[here] -= lever[here].mean()
         reading[here] -= reading[here].mean()
     strength = float(lever @ lever)
     if not strength > 0.0:
-        raise DataError("every place was touched from one side only", hint="pre-load the axis from both sides")
+        raise DataError("every point was touched from one side only", hint="preload the axis from both sides")
     value = float(lever @ reading) / strength
     freedom = len(reading) - len(numbers) - 1
     left = reading - value * lever
@@ -96,7 +102,7 @@ def fit_lost_motion(
     return LostMotion(value, max(scatter, floor_mm) / math.sqrt(strength), len(reading))
 
 
-def _place(axis: int, along: int, front: Array, beside: int, side: float) -> ObliqueTouch:
+def _touch_point(axis: int, along: int, front: Array, beside: int, side: float) -> ObliqueTouch:
     normal = SLOPE * front
     normal[beside] = SLOPE * side
     direction = np.zeros(AXIS_COUNT)

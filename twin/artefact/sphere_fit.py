@@ -1,8 +1,8 @@
-"""Centre of a ball from touched points: least squares with a known or a free radius, with covariance.
+"""Ball centre from touched points: least squares with a known or a free radius, with covariance.
 
 Gauss-Newton on the geometric distances, started from the algebraic sphere, so that two steps are enough. A ball has
-five to twenty-five points and this runs once per ball also in dry runs: sums over so few points are quicker in plain
-floats than as arrays (measured: 5 points in a quarter of the time), only the 3×3 or 4×4 solutions go to LAPACK.
+five to twenty-five points, and this runs once per ball, in dry runs too. Sums over so few points are faster in plain
+floats than as arrays (measured: 5 points in a quarter of the time); only the 3×3 or 4×4 solutions use LAPACK.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from twin.arrays import Array
 from twin.errors import DataError
 
 _MAX_STEPS = 25
-# Each step leaves about (residual / radius) < 1e-3 of itself, so the rest after a step this small is rounding.
+# A step reduces the error to about (residual / radius) < 1e-3 of itself; after a step this small only rounding is left.
 _SMALL_STEP = 1e-7
 _DEGENERATE = 1e-9  # smallest over largest squared Cholesky pivot of the scaled normal equations
 _ROUNDING = 1e-7  # a spread below this part of the coordinates is rounding
@@ -27,8 +27,11 @@ Points = list[list[float]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SphereFit:
-    """`centre` (3,) mm; `radius` mm; `covariance` (3, 3) mm², or (4, 4) with the radius last where it was free;
-    `residuals` (n,) mm, distance to the centre minus radius; `form` mm, peak to valley of the residuals."""
+    """Fitted sphere: `centre` (3,) mm, `radius` mm, `residuals` (n,) mm, `form` mm.
+
+    `covariance` (3, 3) mm² of the centre, or (4, 4) with the radius last if it was free. Residuals are distance to the
+    centre minus radius; `form` is their peak-to-valley value.
+    """
 
     centre: Array
     radius: float
@@ -38,15 +41,16 @@ class SphereFit:
 
     @property
     def centre_covariance(self) -> Array:
-        """(3, 3) mm²."""
+        """Covariance (3, 3) mm² of the centre."""
         return self.covariance[:3, :3]
 
 
 def fit_sphere(points: Array, sigma_mm: float, radius: float | None = None, near: Array | None = None) -> SphereFit:
-    """Sphere through `points` (n, 3) mm, each with the standard uncertainty `sigma_mm` along the surface normal.
+    """Fit a sphere to `points` (n, 3) mm, each with the standard uncertainty `sigma_mm` along the surface normal.
 
-    `radius` mm known, or None to estimate it. `near` (3,) mm, a guess of the centre, decides between the two mirror
-    solutions when the points lie in one plane (known radius only). Raises DataError for points that fix no sphere.
+    `radius` mm if known, or None to estimate it. `near` (3,) mm, a guess of the centre, selects one of the two mirror
+    solutions if the points are coplanar (known radius only). Raises DataError for points that do not determine a
+    sphere.
     """
     points = np.asarray(points, dtype=np.float64)
     _check(points, sigma_mm, radius)
@@ -74,7 +78,7 @@ def _check(points: Array, sigma_mm: float, radius: float | None) -> None:
     unknowns = 4 if radius is None else 3
     if len(points) < unknowns:
         raise DataError(
-            f"{len(points)} touched points cannot fix {unknowns} unknowns",
+            f"{len(points)} touched points do not determine {unknowns} unknowns",
             hint="touch the ball more often, or give its radius",
         )
     if not isfinite(points.sum()):
@@ -86,18 +90,18 @@ def _check(points: Array, sigma_mm: float, radius: float | None) -> None:
 
 
 def _frame(points: Points) -> tuple[list[float], float]:
-    """Middle of the points (3 values) and their largest distance from it, mm."""
+    """Return the middle of the points (3 values) and their largest distance from it, mm."""
     origin = [sum(values) / len(points) for values in zip(*points, strict=True)]
     spread = max(dist(p, origin) for p in points)
     if spread <= _ROUNDING * max(1.0, *map(abs, origin)):
-        raise DataError("all touched points coincide", hint="touch the ball at different places")
+        raise DataError("all touched points coincide", hint="touch the ball at different points")
     return origin, spread
 
 
 def _algebraic(points: Points) -> list[float]:
-    """Centre of the algebraic sphere |p|² = 2 p·c + (r² - |c|²), exact for points without error.
+    """Return the centre of the algebraic sphere |p|² = 2 p·c + (r² - |c|²), exact for points without error.
 
-    The points' middle is the origin, so the constant drops out of the normal equations.
+    The middle of the points is the origin, so the constant drops out of the normal equations.
     """
     xx = xy = xz = yy = yz = zz = bx = by = bz = 0.0
     for x, y, z in points:
@@ -110,7 +114,7 @@ def _algebraic(points: Points) -> list[float]:
 
 
 def _gauss_newton(points: Points, centre: list[float], radius: float | None) -> tuple[list[float], float, Array]:
-    """Centre, radius and the Cholesky factor of the normal equations at the least-squares solution."""
+    """Return centre, radius and the Cholesky factor of the normal equations at the least-squares solution."""
     free = radius is None
     current = sum(dist(p, centre) for p in points) / len(points) if radius is None else radius
     for _ in range(_MAX_STEPS):
@@ -122,18 +126,19 @@ def _gauss_newton(points: Points, centre: list[float], radius: float | None) -> 
             return centre, current, factor
     raise DataError(
         "the touched points do not lie on a ball of this radius",
-        hint="check the ball diameter and the stylus radius, and look for a false touch",
+        hint="check the ball diameter and the stylus radius, and look for a false trigger",
     )
 
 
 def _step(points: Points, centre: list[float], radius: float, free: bool) -> tuple[list[float], Array]:
+    # Normal equations of the step: residual d - r, its gradient -(unit normal) for the centre, -1 for the radius.
     cx, cy, cz = centre
     xx = xy = xz = yy = yz = zz = sx = sy = sz = bx = by = bz = total = 0.0
     for px, py, pz in points:
         x, y, z = px - cx, py - cy, pz - cz
         distance = sqrt(x * x + y * y + z * z)
         if distance == 0.0:
-            raise DataError("a touched point lies in the centre of the ball")
+            raise DataError("a touched point is at the centre of the ball")
         x, y, z, residual = x / distance, y / distance, z / distance, distance - radius
         xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
         yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
@@ -146,12 +151,12 @@ def _step(points: Points, centre: list[float], radius: float, free: bool) -> tup
 
 
 def _solve(normal: list[list[float]], right: list[float]) -> tuple[list[float], Array]:
-    """Solution and lower Cholesky factor; DataError when the equations are singular."""
+    """Return the solution and the lower Cholesky factor; DataError if the equations are singular."""
     factor, solution, info = dposv(normal, right, lower=1)
     pivots = [float(factor[i, i]) ** 2 for i in range(len(right))]
     if info != 0 or min(pivots) < _DEGENERATE * max(pivots):
         raise DataError(
-            "the touched points lie in one plane or on one line and fix no ball centre",
+            "the touched points are coplanar or collinear and do not determine a ball centre",
             hint="spread the touches over the ball: the pole and a ring",
         )
     return solution.tolist(), factor

@@ -1,4 +1,4 @@
-"""In which ways a machine may have changed from instant to instant: the regressors of its drift, in kelvin."""
+"""Thermal regressors of a run: time series in kelvin along which a machine may drift."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import numpy as np
 from twin.arrays import Array
 
 SECOND_REGRESSOR_SHARE = 0.4
-"""Share of the whole change of temperature that what lags may have gone along the next power of the time."""
+"""Share of the total temperature change that lagging parts may follow along the next power of time."""
 SMOOTHING_HALF_WINDOW_S = 150.0
 
 
 def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: float) -> Array:
-    """(n, w) K: how far a machine had drifted at instants (n,) since the first of them.
+    """Return (n, w) K: thermal regressors at instants (n,), zero at the first instant.
 
-    First along with its thermometer (n,), or where there is none as the time, by `change_k`; then along the next power
-    of the time, for what has a lag of its own.
+    The first regressor is the reading of the machine's thermometer (n,), or `change_k` times the relative time if there
+    is none. The second is the next power of time, for parts with a thermal lag of their own.
     """
     first = int(np.argmin(instants_s))
     time = (instants_s - instants_s[first]) / max(float(np.ptp(instants_s)), 1.0)
@@ -23,13 +23,14 @@ def thermal_regressors(instants_s: Array, machine_c: Array | None, change_k: flo
         columns = [change_k * time, SECOND_REGRESSOR_SHARE * change_k * time**2]
     else:
         columns = [smooth_readings(instants_s, machine_c), SECOND_REGRESSOR_SHARE * change_k * time]
-    course = np.stack(columns, axis=1)
-    return np.asarray(course - course[first])
+    regressors = np.stack(columns, axis=1)
+    return np.asarray(regressors - regressors[first])
 
 
 def smooth_readings(instants_s: Array, values: Array, half_window_s: float = SMOOTHING_HALF_WINDOW_S) -> Array:
-    """(n,) readings without most of their noise: a straight line through those near in time, at each instant."""
+    """Return (n,) readings with most of their noise removed: a local straight-line fit at each instant."""
     away = (instants_s[None, :] - instants_s[:, None]) / half_window_s
+    # Epanechnikov weights 1 - t²; the value at t = 0 of the weighted line through the neighbours
     weight = np.clip(1.0 - away**2, 0.0, None)
     total, first, second = (np.einsum("ij,ij->i", weight, away**power) for power in (0, 1, 2))
     level, slope = weight @ values, (weight * away) @ values

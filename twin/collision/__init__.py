@@ -1,1 +1,1 @@
-"""Bodies, swept volumes and collision-free paths of the probe."""
+"""Collision bodies, swept volumes and collision-free paths of the probe."""

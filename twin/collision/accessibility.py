@@ -1,4 +1,4 @@
-"""Which balls a straight probe can touch by its pattern: nothing in the way there, at contact and in between."""
+"""Accessibility of balls for a straight probe: no collision at the touch points, during approach and in between."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, Point, point, translate_point
 
 STYLUS_AXIS = np.array([0.0, 1.0, 0.0])
-"""The probe geometry describes probes that point along +Y."""
+"""Direction of the stylus; the probe geometry describes probes that point along +Y."""
 
 AT_CONTACT_MM = 0.5
-"""Clearance from start to rest: there the ball itself says where the tip is, and its holder is fixed to it."""
+"""Clearance in mm during the touch itself; the ball locates the tip there, and its holder is fixed to the ball."""
 
 FIVE_TOUCHES = approach_directions(5, STYLUS_AXIS)
 
@@ -36,9 +36,9 @@ def measuring_scene(
     elevation_rad: float,
     further: Sequence[Body] = (),
 ) -> tuple[Array, Scene]:
-    """Nominal ball centres (N, 3) mm in the workpiece frame, and the scene of all bodies, for one position.
+    """Return nominal ball centres (N, 3) mm in the workpiece frame and the scene of all bodies, for one position.
 
-    `further`: what else stands in the workspace.
+    `further`: other bodies in the workspace.
     """
     pose = mount_pose(location_mm, geometry, azimuth_rad, elevation_rad)
     around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, location_mm, pose), *further)
@@ -55,37 +55,41 @@ def accessible_balls(
     clearance_mm: float = 1.0,
     overtravel_mm: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """(N,) bool: balls that can be touched along every one of `directions` (k, 3), the pole first.
+    """Return (N,) bool: balls that can be touched along every one of `directions` (k, 3), the pole first.
 
-    `contact_mm` is ball and tip radius together; a touch begins `approach_mm` outside contact and comes to rest
-    `overtravel_mm` behind it. Checked is the whole way: along the stylus from the plane before the ball to where the
-    touch begins, from there to rest, and in that plane from one touch to the next. Probe and ram reach straight back
-    along -Y from every place of the tip, so that on the way in along Y the tip alone sweeps anything new: a tip drawn
-    out backwards stands for it.
+    `contact_mm` is ball radius plus tip radius; a touch begins `approach_mm` outside contact and stops `overtravel_mm`
+    beyond it. The whole path is checked: along the stylus from the plane before the ball to the start of the touch,
+    from there to the stop, and in that plane from one touch to the next. Probe and ram extend straight back along -Y
+    from every tip position, so during the approach along Y only the tip sweeps new volume; a tip elongated backwards
+    represents it.
     """
+    # Tip centres relative to the ball centre: start of each touch, and its projection into the plane before the ball.
     out = contact_mm + approach_mm
     starts = -directions * out
     before = starts.copy()
     before[:, 1] = -out
     touching = _legs(starts, -directions * (contact_mm - overtravel_mm))
     between = _legs(before[:-1], before[1:])
-    drawn_out = {way: Scene(_with_long_tip(scene.moving, way), scene.obstacles) for way in _ways_in(starts, before)}
-    begins = list(zip(_ways_in(starts, before), (point(start) for start in starts), strict=True))
+    elongated = {
+        length: Scene(_with_long_tip(scene.moving, length), scene.obstacles)
+        for length in _approach_lengths(starts, before)
+    }
+    begins = list(zip(_approach_lengths(starts, before), (point(start) for start in starts), strict=True))
 
-    longest = drawn_out[max(drawn_out)]
+    longest = elongated[max(elongated)]
 
     def free(index: int, centre: Point) -> bool:
-        meant = {(TIP, ball_name(index)), ("stem", ball_name(index))}
+        expected = {(TIP, ball_name(index)), ("stem", ball_name(index))}
         lower, upper = translate_point(centre, (-out, -out, -out)), translate_point(centre, (out, 0.0, out))
-        if not any(_unmeant(longest, lower, upper, clearance_mm, meant)):
+        if not any(_unexpected_pairs(longest, lower, upper, clearance_mm, expected)):
             return True
         return all(
-            drawn_out[way].clearance(translate_point(centre, begin), ignored=meant, at_most=clearance_mm)
+            elongated[length].clearance(translate_point(centre, begin), ignored=expected, at_most=clearance_mm)
             >= clearance_mm
-            for way, begin in begins
+            for length, begin in begins
         ) and not any(
             scene.first_hit(
-                translate_point(centre, a), translate_point(centre, b), clearance_mm=apart_mm, ignored=meant
+                translate_point(centre, a), translate_point(centre, b), clearance_mm=apart_mm, ignored=expected
             )
             for legs, apart_mm in ((touching, min(clearance_mm, AT_CONTACT_MM)), (between, clearance_mm))
             for a, b in legs
@@ -98,9 +102,9 @@ def _legs(starts: Array, ends: Array) -> list[_Leg]:
     return [(point(start), point(end)) for start, end in zip(starts, ends, strict=True)]
 
 
-def _ways_in(starts: Array, before: Array) -> list[float]:
-    """Along the stylus, mm; rounded so that each latitude has one."""
-    return [round(way, 6) for way in (starts - before)[:, 1].tolist()]
+def _approach_lengths(starts: Array, before: Array) -> list[float]:
+    """Return the approach length along the stylus in mm for each touch, rounded so that each latitude has one value."""
+    return [round(length, 6) for length in (starts - before)[:, 1].tolist()]
 
 
 def _with_long_tip(moving: tuple[Body, ...], length_mm: float) -> list[Body]:
@@ -109,7 +113,9 @@ def _with_long_tip(moving: tuple[Body, ...], length_mm: float) -> list[Body]:
     return [long_tip if body.name == TIP else body for body in moving]
 
 
-def _unmeant(scene: Scene, lower: Point, upper: Point, clearance_mm: float, meant: set[tuple[str, str]]) -> list[bool]:
-    """One entry for each pair of bodies whose boxes meet somewhere between; no exact distance is asked for."""
+def _unexpected_pairs(
+    scene: Scene, lower: Point, upper: Point, clearance_mm: float, expected: set[tuple[str, str]]
+) -> list[bool]:
+    """Return one entry per pair of bodies whose boxes overlap in the region, without computing exact distances."""
     pairs = scene.near_pairs(lower, upper, clearance_mm)
-    return [True for i, j in pairs if (scene.moving[i].name, scene.obstacles[j].name) not in meant]
+    return [True for i, j in pairs if (scene.moving[i].name, scene.obstacles[j].name) not in expected]

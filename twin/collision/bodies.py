@@ -1,7 +1,7 @@
-"""The bodies that can collide: probe and ram on one side, artefact, mount and table on the other.
+"""Collision bodies: probe and ram on one side, artefact, mount and table on the other.
 
-The moving bodies are given relative to the stylus tip centre and the probe points along +Y, as the ram does;
-machine axes only translate, so they never turn. The standing ones are in the workpiece frame.
+Moving bodies are given relative to the stylus tip centre, with the probe along +Y like the ram; machine axes only
+translate, so the bodies never rotate. Stationary bodies are given in the workpiece frame.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Body:
 
 @dataclass(frozen=True)
 class ProbeGeometry:
-    """Lengths along the tool from the tip centre back to the ram's face; mm.
+    """Lengths along the tool from the tip centre back to the ram face; mm.
 
-    `reach_mm` is the whole length (the tool offset along Y); what is not stem is probe body. Square ram.
+    `reach_mm` is the total length (the tool offset along Y); everything behind the stem is probe body. Square ram.
     """
 
     tip_radius_mm: float = 3.0
@@ -54,7 +54,7 @@ class ProbeGeometry:
             )
 
     def bodies(self) -> tuple[Body, ...]:
-        """Tip, stem, probe body and ram relative to the tip centre."""
+        """Return tip, stem, probe body and ram relative to the tip centre."""
         stem_end, ram_face, half = -self.stem_length_mm, -self.reach_mm, self.ram_half_width_mm
         body_front, body_back = stem_end - self.body_radius_mm, ram_face + self.body_radius_mm
         return (
@@ -66,18 +66,21 @@ class ProbeGeometry:
 
 
 def ball_name(index: int) -> str:
-    """Balls are counted from 0, as in the artefact's file."""
+    """Return the name of a ball; balls are counted from 0, as in the artefact file."""
     return f"ball {index}"
 
 
 def post_name(index: int) -> str:
-    """The holder of a ball."""
+    """Return the name of the holder of a ball."""
     return f"post {index}"
 
 
 def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> tuple[Body, ...]:
-    """Balls, posts and bar as they stand with `pose`. The bar comes in pieces from post to post: the boxes
-    around short pieces of a slanting bar keep a broad search sharp."""
+    """Return balls, posts and bar at `pose`.
+
+    The bar is divided into pieces from post to post: the boxes around short pieces of an oblique bar are tighter, which
+    makes the box test more selective.
+    """
     centres = pose.apply(artefact.balls)
     feet_frame = artefact.balls.copy()
     feet_frame[:, 1:] = 0.0
@@ -91,11 +94,11 @@ def artefact_bodies(artefact: Artefact, geometry: MountGeometry, pose: Pose) -> 
 
 
 def mount_bodies(geometry: MountGeometry, location_mm: Array, pose: Pose) -> tuple[Body, ...]:
-    """Shaft, pedestal and table under the mount at `location_mm` (3,)."""
-    place = point(location_mm)
-    x, y, z = place
+    """Return shaft, pedestal and table for a mount at `location_mm` (3,)."""
+    location = point(location_mm)
+    x, y, z = location
     return (
-        Body("shaft", Capsule(place, point(pose.centre), geometry.shaft_radius_mm)),
+        Body("shaft", Capsule(location, point(pose.centre), geometry.shaft_radius_mm)),
         Body(
             "pedestal",
             Capsule((x, y, geometry.table_z_mm), (x, y, z + geometry.head_mm), geometry.pedestal_radius_mm),

@@ -1,4 +1,4 @@
-"""What the probe and ram hit on a straight move: a broad search by boxes, then exact distances."""
+"""Collisions of probe and ram on a straight move: box test first, then exact distances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NOTHING: Mapping[tuple[str, str], float] = {}
 
 @dataclass(frozen=True)
 class Hit:
-    """The first contact of a move: how far along it (0..1), and which two bodies."""
+    """First contact of a move: fraction of the move (0..1) and the two bodies."""
 
     fraction: float
     moving: str
@@ -25,9 +25,9 @@ class Hit:
 
 
 class Scene:
-    """Moving bodies (relative to the tip centre) among standing ones; build anew when those move.
+    """Moving bodies (relative to the tip centre) among stationary ones; create a new scene if those move.
 
-    Kept are the boxes around the moving bodies, and axis by axis what the boxes around the standing ones span.
+    The boxes around the moving bodies and the sorted extents of the boxes around the stationary ones are precomputed.
     """
 
     def __init__(self, moving: Sequence[Body], obstacles: Sequence[Body]) -> None:
@@ -45,9 +45,9 @@ class Scene:
         clearance_mm: float = 0.0,
         ignored: Collection[tuple[str, str]] = (),
     ) -> Hit | None:
-        """First contact (within `clearance_mm`) when the tip centre goes straight from `start` to `end`.
+        """Return the first contact (within `clearance_mm`) of a straight move of the tip centre from `start` to `end`.
 
-        `ignored` holds (moving, obstacle) names that are meant to touch. Exact for translation; mm.
+        `ignored`: (moving, obstacle) names that are allowed to touch. Exact for translation; mm.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         first: Hit | None = None
@@ -63,10 +63,10 @@ class Scene:
     def is_free(
         self, start: Point, end: Point, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float] = _NOTHING
     ) -> bool:
-        """Whether every two bodies keep `clearance_mm` from each other while the tip goes from `start` to `end`.
+        """Return True if every two bodies keep `clearance_mm` from each other on the move from `start` to `end`.
 
-        `reduced_mm`: (moving, obstacle) names → what these two keep instead, where that is less. Bodies that are nearer
-        at the start may go away from each other, as in `first_hit`.
+        `reduced_mm`: (moving, obstacle) names → smaller clearance of that pair. Bodies that are closer at the start may
+        move apart, as in `first_hit`.
         """
         displacement = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         for i, j in self.near_pairs(start, end, clearance_mm):
@@ -77,13 +77,13 @@ class Scene:
         return True
 
     def shifted(self, by: Point) -> Scene:
-        """The same with everything that stands moved by `by`."""
+        """Return the same scene with all stationary bodies translated by `by`."""
         return Scene(self.moving, [Body(body.name, body.shape.moved(by)) for body in self.obstacles])
 
     def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = (), at_most: float = math.inf) -> float:
-        """Smallest distance in mm of any two bodies with the tip centre at `tip`; negative where they overlap.
+        """Return the smallest distance in mm of any two bodies with the tip centre at `tip`; negative if they overlap.
 
-        Distances beyond `at_most` are of no interest: then `at_most` is the answer, and found faster.
+        Distances beyond `at_most` are not computed: the result is then `at_most`, which is faster.
         """
         smallest = at_most
         for i, j in self.near_pairs(tip, tip, at_most):
@@ -93,11 +93,12 @@ class Scene:
         return smallest
 
     def near_pairs(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:
-        """Indices (moving, obstacle) of the pairs whose surrounding boxes, swept along the move, meet."""
+        """Return indices (moving, obstacle) of the pairs whose boxes, swept along the move, overlap."""
         (x0, y0, z0), (x1, y1, z1) = start, end
         x0, x1 = (x0 - clearance_mm, x1 + clearance_mm) if x0 < x1 else (x1 - clearance_mm, x0 + clearance_mm)
         y0, y1 = (y0 - clearance_mm, y1 + clearance_mm) if y0 < y1 else (y1 - clearance_mm, y0 + clearance_mm)
         z0, z1 = (z0 - clearance_mm, z1 + clearance_mm) if z0 < z1 else (z1 - clearance_mm, z0 + clearance_mm)
+        # Overlap per axis is a bit set of obstacles; the sets of the three axes are intersected.
         along_x, along_y, along_z = self._spans
         pairs = []
         for i, ((lx, ly, lz), (ux, uy, uz)) in enumerate(self._boxes):
@@ -115,10 +116,10 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class _Spans:
-    """What bodies span on one axis. A set of bodies is a number, bit j for body j.
+    """Extents of bodies on one axis. A set of bodies is an integer with bit j for body j.
 
-    `lowers`: their lower bounds in order, and `begun[n]` the bodies of the first n; `uppers`: their upper bounds in
-    order, and `left[n]` all bodies but those of the first n.
+    `lowers`: lower bounds in ascending order; `begun[n]`: the bodies of the first n. `uppers`: upper bounds in
+    ascending order; `left[n]`: all bodies except those of the first n.
     """
 
     lowers: Sequence[float]
@@ -135,5 +136,5 @@ class _Spans:
         return cls([low for low, _ in from_below], [*begun], [high for high, _ in from_above], [*left][::-1])
 
     def met(self, low: float, high: float) -> int:
-        """The bodies that span something between `low` and `high`, the ends included."""
+        """Return the bodies whose extent overlaps `low` to `high`, ends included."""
         return self.begun[bisect_right(self.lowers, high)] & self.left[bisect_left(self.uppers, low)]

@@ -1,8 +1,9 @@
-"""The fastest way of the tip between two places among standing bodies that is proved to be free.
+"""Fastest collision-free path of the tip between two points among stationary bodies.
 
-A way is a row of straight moves, each from rest to rest. Candidates are ordered by what they cost; the first one that
-keeps its clearance all along, by the exact swept distance of every pair of bodies, is the fastest of them. A shortest
-path among obstacles need not be among the candidates; a free one always is, as long as the caller names one.
+A path is a sequence of straight moves, each from rest to rest. Candidates are ordered by duration; the first that keeps
+its clearance along all moves, by the exact swept distance of every pair of bodies, is the fastest of them. The
+candidates need not include the shortest path among the obstacles, but they always include a free one if the caller
+names one.
 """
 
 from __future__ import annotations
@@ -22,36 +23,36 @@ from twin.collision.motion_law import travel_times
 from twin.collision.sphere_prefilter import SceneSpheres, SpherePrefilter
 
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
-"""How far before the nearer end the candidates go back."""
+"""Retract distances of the candidates before the nearer end, in mm."""
 CORNER_FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
-"""Where between both ends a way with one corner has it."""
+"""Position of the corner of one-corner candidates as a fraction of the distance between both ends."""
 _SHARES = np.array(CORNER_FRACTIONS)[:, None, None]
 
 RETRACT_SLANT = 0.2
-"""Sideways on the way back from a surface: the stylus comes free of it at once."""
+"""Lateral motion per retract distance away from a surface, so that the stylus leaves the surface at once."""
 
 
 @dataclass(frozen=True)
 class AxisDynamics:
-    """Of the axes X, Y, Z; `command_s` comes on top of each move."""
+    """Rapid speed and acceleration of the axes X, Y, Z; `command_s` is added for each move."""
 
     rapid_mm_per_s: Point
     acceleration_mm_per_s2: Point
     command_s: float = 0.0
 
     def seconds(self, corners: Array) -> Array:
-        """(n,) of ways through `corners` (n, k, 3), the ends included."""
+        """Return the duration (n,) in s of paths through `corners` (n, k, 3), the ends included."""
         return np.asarray(self.moving_seconds(corners) + self.command_s * (corners.shape[1] - 1))
 
     def moving_seconds(self, corners: Array) -> Array:
-        """The same without what commands take."""
+        """Return the duration without the time for commands."""
         moves = travel_times(corners[:, :-1], corners[:, 1:], self.rapid_mm_per_s, self.acceleration_mm_per_s2)
         return np.asarray(moves.sum(axis=1))
 
 
 @dataclass(frozen=True)
 class Clearances:
-    """What a way keeps: `clearance_mm` between all bodies but the pairs (moving, obstacle) in `reduced_mm`."""
+    """Required clearances: `clearance_mm` for all pairs of bodies except those (moving, obstacle) in `reduced_mm`."""
 
     clearance_mm: float
     reduced_mm: Mapping[tuple[str, str], float] = field(default_factory=dict)
@@ -59,7 +60,7 @@ class Clearances:
 
 @dataclass(frozen=True)
 class FreePath:
-    """Corners between start and end, and the seconds of the whole."""
+    """Corners between start and end, and the total duration in s."""
 
     corners: tuple[Point, ...]
     seconds: float
@@ -67,15 +68,17 @@ class FreePath:
 
 @dataclass(frozen=True, eq=False)
 class PathCandidates:
-    """Ways to choose from: `corners` (n, k, 3), and how many of them each has, (n,), at least one; one that has fewer
-    than k repeats its last one."""
+    """Candidate paths: `corners` (n, k, 3) and their number per path, `counts` (n,), at least one.
+
+    A path with fewer than k corners repeats its last one.
+    """
 
     corners: Array
     counts: NDArray[np.int_]
 
     @classmethod
     def of(cls, groups: Sequence[Array]) -> PathCandidates:
-        """`groups`: arrays (n, k, 3) of n candidates with k corners each."""
+        """Combine arrays (n, k, 3) of n candidates with k corners each."""
         total, most = sum(map(len, groups)), max(group.shape[1] for group in groups)
         corners, counts, begin = np.empty((total, most, 3)), np.empty(total, dtype=np.int_), 0
         for group in groups:
@@ -85,18 +88,18 @@ class PathCandidates:
         return cls(corners, counts)
 
     def select(self, mask: NDArray[np.bool_]) -> PathCandidates:
-        """Those of which is so, (n,) bool."""
+        """Return the candidates selected by `mask` (n,) bool."""
         return PathCandidates(self.corners[mask], self.counts[mask])
 
     def inside(self, lower: Array, upper: Array) -> PathCandidates:
-        """Those of which no corner is beyond a bound, (3,) each."""
+        """Return the candidates with all corners within the bounds, (3,) each."""
         within = (self.corners >= lower) & (self.corners <= upper)
         return self.select(np.asarray(within.reshape(len(within), -1).all(axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
 class PrefilteredScene:
-    """A scene, with what is known of it at a glance."""
+    """Scene together with its spheres for a fast collision test."""
 
     scene: Scene
     spheres: SceneSpheres
@@ -107,7 +110,7 @@ class PrefilteredScene:
 
 
 def direct_path(scene: Scene, dynamics: AxisDynamics, start: Point, end: Point, apart: Clearances) -> FreePath | None:
-    """The straight way, where it is free: none is faster."""
+    """Return the straight path if it is free; no other path is faster."""
     if not scene.is_free(start, end, apart.clearance_mm, apart.reduced_mm):
         return None
     return FreePath((), float(dynamics.seconds(np.array([[start, end]]))[0]))
@@ -121,7 +124,7 @@ def fastest_path(
     candidates: PathCandidates,
     apart: Clearances,
 ) -> FreePath | None:
-    """The fastest of the candidates that is free; None where none is. Of equals the earlier one."""
+    """Return the fastest free candidate, None if none is free; of equal candidates the earlier one."""
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
     spheres = SpherePrefilter(among.spheres, apart.clearance_mm, apart.reduced_mm)
@@ -129,10 +132,11 @@ def fastest_path(
 
     def free(leg: tuple[Point, Point]) -> bool:
         if leg not in proved:
-            hit = spheres.surely_hit(*leg)
+            hit = spheres.certainly_hits(*leg)
             proved[leg] = not hit and among.scene.is_free(*leg, apart.clearance_mm, apart.reduced_mm)
         return proved[leg]
 
+    # Ascending duration: the first candidate proved free is the fastest.
     for index in np.argsort(seconds, kind="stable").tolist():
         corners = candidates.corners[index, : candidates.counts[index]].tolist()
         between = tuple((x, y, z) for x, y, z in corners)
@@ -142,25 +146,30 @@ def fastest_path(
 
 
 def _legs(start: Point, corners: tuple[Point, ...], end: Point) -> list[tuple[Point, Point]]:
-    """Each as it has to be looked along. Both ends are given and may be nearer to something than a way should be: a
-    leg is looked along from there, so that bodies which part do not count."""
+    """Return the moves in the direction in which each has to be checked.
+
+    Both ends are given and may be closer to a body than the clearance. A move is therefore checked starting from its
+    given end, so that bodies that move apart do not count.
+    """
     return [(end, corners[-1]), *pairwise((start, *corners))]
 
 
 def _stops(start: Point, corners: Array, end: Point) -> Array:
-    """(n, k + 2, 3): corners (n, k, 3) and both ends."""
+    """Return corners (n, k, 3) with both ends, as (n, k + 2, 3)."""
     stops = np.empty((len(corners), corners.shape[1] + 2, 3))
     stops[:, 0], stops[:, 1:-1], stops[:, -1] = start, corners, end
     return stops
 
 
 def retract_candidates(start: Point, end: Point, back: Array, least: float, aside: Array | None = None) -> list[Array]:
-    """Candidates (n, k, 3) for `fastest_path`: with one corner, and out, across and in, for each of `RETRACTS_MM`.
+    """Return candidates (n, k, 3) for `fastest_path`: one corner, or out, across and in, for each of `RETRACTS_MM`.
 
-    `back` (3,): unit vector along a machine axis in which the probe draws back, to no less than `least` against it.
-    `aside` (3,): by so much it moves away from what it touches first, and by `RETRACT_SLANT` while it draws back.
+    `back` (3,): unit vector along a machine axis in which the probe retracts, at most to the coordinate `least` against
+    it. `aside` (3,): displacement away from the touched surface at the start; it grows by `RETRACT_SLANT` during the
+    retract.
     """
     first, last = np.array(start), np.array(end)
+    # Coordinates against `back`; each retract gives a plane in which the probe crosses over.
     begins, ends = float(first @ -back), float(last @ -back)
     planes = np.array(sorted({max(min(begins, ends) - retract, least) for retract in RETRACTS_MM}))
     out = first + (begins - planes)[:, None] * back

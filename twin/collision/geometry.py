@@ -1,8 +1,8 @@
-"""Capsules and boxes: how far apart they are, and when one that moves in a straight line meets another.
+"""Capsules and boxes: their distances, and the first contact of one that moves in a straight line.
 
-Points are (x, y, z) in mm. The distance between two convex bodies is convex in a translation of one of them,
-so the tangent of the distance lies below it: walking to the root of the tangent never passes the first
-contact, and converges to it quadratically. That is why `swept_contact` is exact and needs few evaluations.
+Points are (x, y, z) in mm. The distance between two convex bodies is convex in a translation of one of them, so the
+tangent of the distance is below it: stepping to the root of the tangent never passes the first contact and converges to
+it quadratically. That is why `swept_contact` is exact and needs few evaluations.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ Separation = tuple[float, Point]
 """Distance between two surfaces (negative inside) and the unit vector from the second body to the first."""
 
 _Axes = tuple[float, float, float, float, float, float, float, float, float, float]
-"""Two segments u and v, their products u·u, v·v, u·v, and (u·u)(v·v) - (u·v)², 0 where they are parallel."""
+"""Two segments u and v, their products u·u, v·v, u·v, and (u·u)(v·v) - (u·v)², 0 if they are parallel."""
 
 CONTACT_TOLERANCE_MM = 1e-6
-_MOST_TANGENTS = 60
+_MAX_TANGENTS = 60
 _TINY = 1e-12
-_NOWHERE: Point = (0.0, 0.0, 0.0)
+_ORIGIN: Point = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """All points within `radius` of the segment a-b; a sphere where a = b."""
+    """All points within `radius` of the segment a-b; a sphere if a = b."""
 
     a: Point
     b: Point
     radius: float
 
     def __post_init__(self) -> None:
-        # a sum is finite only where all of it is; this is asked of every body of every pose
+        # a sum is finite only if all its terms are; cheap, because every body of every pose is checked
         if not (self.radius >= 0.0 and math.isfinite(sum(self.a) + sum(self.b))):
             raise DataError(f"a capsule needs finite ends and a radius of at least 0, got {self}")
 
@@ -79,7 +79,7 @@ def sphere(centre: Point, radius: float) -> Capsule:
 
 
 def point(values: Iterable[float]) -> Point:
-    """Three plain floats from an array, a list or a generator."""
+    """Return three plain floats from an array, a list or a generator."""
     x, y, z = values.tolist() if isinstance(values, np.ndarray) else values
     return float(x), float(y), float(z)
 
@@ -89,9 +89,9 @@ def translate_point(p: Point, q: Point) -> Point:
 
 
 def capsule_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    """Distance between the axes a0-a1 and b0-b1, vectorised: (..., 3) mm each, broadcast; (...) mm.
+    """Return the distance (...) mm between the axes a0-a1 and b0-b1, (..., 3) mm each, vectorised with broadcasting.
 
-    Subtract both radii for the distance of the surfaces. Ericson, Real-Time Collision Detection, 5.1.9.
+    Subtract both radii to obtain the distance of the surfaces. Ericson, Real-Time Collision Detection, 5.1.9.
     """
     d1, d2, r = a1 - a0, b1 - b0, a0 - b0
     a, e, f = _dot(d1, d1), _dot(d2, d2), _dot(d2, r)
@@ -106,28 +106,29 @@ def capsule_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
 
 
 def separation(first: Shape, second: Shape) -> Separation:
-    """Distance of the surfaces in mm and the unit vector from the second body to the first."""
-    return _separation_at(first, _NOWHERE, second)
+    """Return the distance of the surfaces in mm and the unit vector from the second body to the first."""
+    return _separation_at(first, _ORIGIN, second)
 
 
 def swept_contact(
-    moving: Shape, obstacle: Shape, displacement: Point, clearance_mm: float = 0.0, start: Point = _NOWHERE
+    moving: Shape, obstacle: Shape, displacement: Point, clearance_mm: float = 0.0, start: Point = _ORIGIN
 ) -> float | None:
-    """Fraction of `displacement` (0..1) at which the bodies come within `clearance_mm`, or None.
+    """Return the fraction of `displacement` (0..1) at which the bodies come within `clearance_mm`, or None.
 
-    `moving` is taken as if moved by `start` first. Bodies that already are within the clearance there count only where
-    the motion brings them closer.
+    `moving` is first translated by `start`. Bodies that are already within the clearance there count only if the motion
+    brings them closer.
     """
     if isinstance(moving, Capsule) and isinstance(obstacle, Capsule):
         return _swept_capsules(moving, obstacle, displacement, clearance_mm, start)
     fraction = 0.0
-    for _ in range(_MOST_TANGENTS):
+    for _ in range(_MAX_TANGENTS):
         here = (
             start[0] + displacement[0] * fraction,
             start[1] + displacement[1] * fraction,
             start[2] + displacement[2] * fraction,
         )
         distance, (nx, ny, nz) = _separation_at(moving, here, obstacle)
+        # Newton step on the distance along the motion: fraction -= (distance - clearance) / (normal · displacement)
         slope = nx * displacement[0] + ny * displacement[1] + nz * displacement[2]
         if slope >= 0.0:
             return None
@@ -143,13 +144,13 @@ def swept_contact(
 def _swept_capsules(
     moving: Capsule, obstacle: Capsule, displacement: Point, clearance_mm: float, start: Point
 ) -> float | None:
-    """`swept_contact` of two capsules by the same tangents; what no translation changes is reckoned once."""
+    """Compute `swept_contact` of two capsules with the same tangents; translation invariants are computed once."""
     reach = moving.radius + obstacle.radius + clearance_mm
     axes = _axes(moving, obstacle)
     (ax, ay, az), (bx, by, bz), (wx, wy, wz) = moving.a, obstacle.a, displacement
     rx, ry, rz = ax + start[0] - bx, ay + start[1] - by, az + start[2] - bz
     fraction = 0.0
-    for _ in range(_MOST_TANGENTS):
+    for _ in range(_MAX_TANGENTS):
         x, y, z = _gap_of_axes(axes, rx + wx * fraction, ry + wy * fraction, rz + wz * fraction)
         distance = math.sqrt(x * x + y * y + z * z)
         if distance < _TINY:
@@ -167,12 +168,12 @@ def _swept_capsules(
 
 
 def _separation_at(first: Shape, by: Point, second: Shape) -> Separation:
-    """`separation` with the first body moved by `by`; no body is made for it, since this is asked a million times."""
+    """Compute `separation` with the first body translated by `by`, without creating a body (called very often)."""
     if isinstance(first, Capsule):
         a, b = translate_point(first.a, by), translate_point(first.b, by)
         if isinstance(second, Capsule):
             (ax, ay, az), (cx, cy, cz) = a, second.a
-            distance, normal = _direction(_NOWHERE, _gap_of_axes(_axes(first, second), ax - cx, ay - cy, az - cz))
+            distance, normal = _direction(_ORIGIN, _gap_of_axes(_axes(first, second), ax - cx, ay - cy, az - cz))
             return distance - first.radius - second.radius, normal
         return _capsule_from_box(a, b, first.radius, second.lower, second.upper)
     lower, upper = translate_point(first.lower, by), translate_point(first.upper, by)
@@ -193,7 +194,8 @@ def _axes(first: Capsule, second: Capsule) -> _Axes:
 
 
 def _gap_of_axes(axes: _Axes, x: float, y: float, z: float) -> Point:
-    """Vector to the first axis from the second where they are closest; (x, y, z) is that from start to start.
+    """Return the vector from the second axis to the first at their closest points; (x, y, z) is that from start to
+    start.
 
     Ericson, Real-Time Collision Detection, 5.1.9, in plain floats: ten times as fast as arrays of three.
     """
@@ -219,7 +221,11 @@ def _capsule_from_box(a: Point, b: Point, radius: float, lower: Point, upper: Po
 
 
 def _closest_on_segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -> Point:
-    """The squared distance along a segment is convex, with kinks where it crosses a face's plane."""
+    """Return the point of the segment closest to the box.
+
+    The squared distance along a segment is convex, with kinks at the planes of the faces; the root of its piecewise
+    linear slope is the minimum.
+    """
     d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     kinks = [0.0, 1.0]
     for start, step, low, high in zip(a, d, lower, upper, strict=True):
@@ -239,7 +245,7 @@ def _closest_on_segment_to_box(a: Point, b: Point, lower: Point, upper: Point) -
 
 
 def _slope_to_box(a: Point, d: Point, s: float, lower: Point, upper: Point) -> float:
-    """Half the derivative of the squared distance at a + s·d; linear between two kinks."""
+    """Return half the derivative of the squared distance at a + s·d; linear between two kinks."""
     here = (a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2])
     inside = _clamped_into(here, lower, upper)
     return sum((p - q) * step for p, q, step in zip(here, inside, d, strict=True))
@@ -254,7 +260,9 @@ def _between_boxes(lower: Point, upper: Point, second: Box) -> Separation:
 
 
 def _direction(origin: Point, target: Point) -> Separation:
-    """Distance and unit vector from `origin` to `target`; where they coincide no motion counts as away."""
+    """Return distance and unit vector from `origin` to `target`; NaN if they coincide, so that no motion counts as
+    away.
+    """
     x, y, z = target[0] - origin[0], target[1] - origin[1], target[2] - origin[2]
     distance = math.sqrt(x * x + y * y + z * z)
     if distance < _TINY:
@@ -276,6 +284,6 @@ def _dot(u: Array, v: Array) -> Array:
 
 
 def _ratio(numerator: Array, denominator: Array) -> Array:
-    """0 where a segment is a point and the parameter on it means nothing."""
+    """Return numerator / denominator, 0 where a segment is a point and its parameter is undefined."""
     safe = np.where(denominator > _TINY, denominator, 1.0)
     return np.where(denominator > _TINY, numerator / safe, 0.0)

@@ -1,7 +1,7 @@
-"""Motion laws: how far along its path an axis is at any time, in closed form.
+"""Motion laws: distance of an axis along its path as a function of time, in closed form.
 
-A law is a row of phases of constant acceleration, so that any instant can be asked for in any order and the
-end is known when the motion begins. mm (or degrees) and s.
+A law is a sequence of phases of constant acceleration, so any instant can be evaluated in any order and the end is
+known when the motion begins. mm (or degrees) and s.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twin.arrays import Array
 from twin.collision.geometry import Point
 
 _NO_TIME_S = 1e-300
-"""Less than any move takes; what does not move takes 0 / this."""
+"""Shorter than any move; without motion the ramp is 0 / this."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,10 @@ class Phase:
         return self.speed + self.acceleration * t
 
     def time_at(self, distance: float) -> float:
-        """First instant at `distance`, which this phase must cover: 2s / (v + √(v² + 2as)) loses no digits."""
+        """Return the first instant at `distance`, which must be within this phase.
+
+        The form 2s / (v + √(v² + 2as)) of the root loses no digits.
+        """
         left = max(distance - self.distance, 0.0)
         root = math.sqrt(max(self.speed**2 + 2.0 * self.acceleration * left, 0.0))
         denominator = self.speed + root
@@ -51,7 +54,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class MotionLaw:
-    """Distance along a path over time; it stands still before its first and after its last phase."""
+    """Distance along a path over time; at rest before its first and after its last phase."""
 
     phases: tuple[Phase, ...]
 
@@ -75,19 +78,19 @@ class MotionLaw:
         return self._phase_at(instant_s).speed_at(instant_s)
 
     def time_at(self, distance: float) -> float:
-        """First instant at which `distance` is reached; the end for one that is never reached."""
+        """Return the first instant at which `distance` is reached, or the end if it is never reached."""
         for phase in self.phases:
             if distance <= phase.distance_at(phase.end_s):
                 return phase.time_at(distance)
         return self.end_s
 
     def truncated_at(self, instant_s: float) -> MotionLaw:
-        """The same, stopped dead at `instant_s`, as by a crash."""
+        """Return the law stopped instantly at `instant_s`, as in a collision."""
         kept = self._until(instant_s)
         return MotionLaw(kept or (Phase(instant_s, 0.0, self.distance_at(instant_s), 0.0, 0.0),))
 
     def braked_from(self, instant_s: float, deceleration: float) -> MotionLaw:
-        """The same until `instant_s`, then brought to rest."""
+        """Return the law unchanged until `instant_s` and then decelerated to rest."""
         speed = self.speed_at(instant_s)
         brake = Phase(instant_s, speed / deceleration, self.distance_at(instant_s), speed, -deceleration)
         return MotionLaw((*self._until(instant_s), brake))
@@ -113,8 +116,9 @@ class MotionLaw:
 
 
 def trapezoid(start_s: float, length: float, speed: float, acceleration: float) -> MotionLaw:
-    """From rest to rest over `length`; a triangle where `speed` is not reached."""
+    """Return the law from rest to rest over `length`; triangular if `speed` is not reached."""
     top, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
+    # distance of one ramp: v² / 2a
     ramp = 0.5 * top * top / acceleration
     return MotionLaw(
         (
@@ -126,7 +130,7 @@ def trapezoid(start_s: float, length: float, speed: float, acceleration: float) 
 
 
 def travel_time_s(length: float, speed: float, acceleration: float) -> float:
-    """How long `trapezoid` takes."""
+    """Return the duration of `trapezoid` in s."""
     _, ramp_s, cruise_s = _ramp_and_cruise(length, speed, acceleration)
     return ramp_s + cruise_s + ramp_s
 
@@ -134,25 +138,27 @@ def travel_time_s(length: float, speed: float, acceleration: float) -> float:
 def travel_times(
     starts: Array, ends: Array, speed_per_axis: Sequence[float], acceleration_per_axis: Sequence[float]
 ) -> Array:
-    """(...) seconds of straight moves from rest to rest, (..., 3) mm each, every axis within its own speed and
-    acceleration: what `travel_time_s` says of `straight_path` paths, for many at once."""
-    ways = np.abs(np.asarray(ends, dtype=np.float64) - starts)
-    # Seconds that a way of this length takes at an axis' own acceleration alone, and at its speed alone.
-    accelerating = _largest(ways / np.asarray(acceleration_per_axis))
-    cruising = _largest(ways / np.asarray(speed_per_axis))
+    """Return the durations (...) in s of straight moves from rest to rest, (..., 3) mm each.
+
+    Every axis keeps its own speed and acceleration limit. Same as `travel_time_s` on `straight_path`, for many moves.
+    """
+    lengths = np.abs(np.asarray(ends, dtype=np.float64) - starts)
+    # L / a (in s²) and L / v (in s) of the limiting axis: with a = L / accelerating and v = L / cruising along the path
+    accelerating = _largest(lengths / np.asarray(acceleration_per_axis))
+    cruising = _largest(lengths / np.asarray(speed_per_axis))
     reached = np.sqrt(accelerating)
-    # With a = L / accelerating and v = L / cruising: a ramp lasts v / a, and beyond two of them the axis cruises.
+    # A ramp lasts v / a. Triangle if √(L / a) <= v / a: 2 √(L / a); trapezoid otherwise: L / v + v / a.
     ramp = accelerating / np.maximum(cruising, _NO_TIME_S)
     return np.asarray(np.where(reached <= ramp, 2.0 * reached, cruising + ramp))
 
 
 def _largest(per_axis: Array) -> Array:
-    """(...) of (..., 3): by columns, since an array operation for each three numbers would cost more than they do."""
+    """Return the maximum over the last axis of (..., 3), by columns: faster than one reduction per three numbers."""
     return np.asarray(np.maximum(np.maximum(per_axis[..., 0], per_axis[..., 1]), per_axis[..., 2]))
 
 
 def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[float, float, float]:
-    """Top speed, seconds of one ramp and seconds at top speed."""
+    """Return top speed, duration of one ramp and duration at top speed."""
     top = min(speed, math.sqrt(acceleration * length))
     cruise_s = max(length - top * top / acceleration, 0.0) / top if top > 0.0 else 0.0
     return top, top / acceleration, cruise_s
@@ -160,7 +166,7 @@ def _ramp_and_cruise(length: float, speed: float, acceleration: float) -> tuple[
 
 @dataclass(frozen=True)
 class StraightPath:
-    """Straight line of axis positions: `direction` is a unit vector."""
+    """Straight line of axis positions; `direction` is a unit vector."""
 
     start: Point
     direction: Point
@@ -175,7 +181,7 @@ class StraightPath:
         )
 
     def limit_along(self, per_axis: Sequence[float]) -> float:
-        """Largest speed (or acceleration) along the path that keeps every axis within its own."""
+        """Return the largest speed (or acceleration) along the path at which every axis keeps its own limit."""
         largest = math.inf
         for limit, part in zip(per_axis, self.direction, strict=True):
             if part != 0.0 and limit < largest * abs(part):
@@ -184,7 +190,7 @@ class StraightPath:
 
 
 def straight_path(start: Point, target: Point) -> StraightPath:
-    """Path from `start` to `target`; of no length and no direction where they are the same."""
+    """Return the path from `start` to `target`; zero length and direction if they coincide."""
     x, y, z = target[0] - start[0], target[1] - start[1], target[2] - start[2]
     length = math.sqrt(x * x + y * y + z * z)
     if length == 0.0:
@@ -193,7 +199,10 @@ def straight_path(start: Point, target: Point) -> StraightPath:
 
 
 def entry_distance(tip: Point, path: StraightPath, centre: Point, reach: float) -> float | None:
-    """Distance along `path` at which a tip that starts at `tip` comes within `reach` of `centre` from outside."""
+    """Return the distance along `path` at which a tip starting at `tip` comes within `reach` of `centre` from
+    outside.
+    """
+    # |m + s d|² = reach²: s² + 2 (m·d) s + (m² - reach²) = 0; the first root, in the form without cancellation
     mx, my, mz = tip[0] - centre[0], tip[1] - centre[1], tip[2] - centre[2]
     dx, dy, dz = path.direction
     closing = mx * dx + my * dy + mz * dz

@@ -1,4 +1,4 @@
-"""What else stands in the workspace while one station is measured: the other mounts, and what they carry, parked."""
+"""Bodies in the workspace while one station is measured: the other mounts with their artefacts, parked."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ def neighbour_bodies(
     own_artefacts: Mapping[int, Artefact],
     parked_deg: tuple[float, float],
 ) -> dict[int, tuple[Body, ...]]:
-    """Station → bodies of all other stations' mounts at azimuth and elevation `parked_deg`, named after their station.
+    """Map each station to the bodies of all other stations' mounts, parked at azimuth and elevation `parked_deg`.
 
-    A mount whose station has no artefact of its own is bare: the one that is carried is measured elsewhere.
+    Body names contain their station. The mount of a station without its own artefact is empty, because the carried
+    artefact is being measured elsewhere.
     """
     parked = {
         station: _named(station, _standing(geometry, place, own_artefacts.get(station), parked_deg))

@@ -1,7 +1,7 @@
-"""Spheres that pass spheres: whether a straight move certainly brings two too near to each other, in closed form.
+"""Closed-form test of spheres passing spheres: straight moves that certainly bring two of them too close together.
 
-Nearly every way that is not free brings the stylus tip too near to a ball, mostly to the same as the way before: what
-says so in a microsecond is asked before the exact search.
+Nearly every path that is not free brings the stylus tip too close to a ball, mostly the same ball as the previous path.
+This test takes a microsecond and is done before the exact search.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from twin.collision.collision import Scene
 from twin.collision.geometry import Capsule, Point
 
 CERTAINTY_MARGIN_MM = 1e-6
-"""What comes too near by less is left to the exact search: its own tolerance."""
+"""Penetration in mm below which the decision is left to the exact search; equal to the tolerance of that search."""
 _CLOSING_MM2 = 1e-6
 
 
 @dataclass(frozen=True)
 class SphereBody:
-    """A body that is a sphere."""
+    """Body that is a sphere."""
 
     name: str
     centre: Point
@@ -29,7 +29,7 @@ class SphereBody:
 
 @dataclass(frozen=True)
 class SceneSpheres:
-    """Of a scene."""
+    """Moving and stationary spheres of a scene."""
 
     moving: tuple[SphereBody, ...]
     standing: tuple[SphereBody, ...]
@@ -40,7 +40,7 @@ class SceneSpheres:
 
 
 class SpherePrefilter:
-    """Fast test for pairs of spheres that come closer than their clearance; a subset of `Scene.is_free`.
+    """Fast test for pairs of spheres that come closer than their clearance; a subset of the test of `Scene.is_free`.
 
     Every pair keeps `clearance_mm`, or less if `reduced_mm` lists it. The pair that collided last is tested first.
     """
@@ -58,20 +58,23 @@ class SpherePrefilter:
             for standing in spheres.standing
         ]
 
-    def surely_hit(self, start: Point, end: Point) -> bool:
-        """Whether the exact search finds two spheres too near while the tip goes from `start` to `end`; where it is not
-        so, it may find something yet."""
+    def certainly_hits(self, start: Point, end: Point) -> bool:
+        """Return True if two spheres certainly come too close on the move from `start` to `end`.
+
+        False is not a proof: the exact search may still find a collision.
+        """
         x, y, z = start
         dx, dy, dz = end[0] - x, end[1] - y, end[2] - z
         square = dx * dx + dy * dy + dz * dz
-        for place, (cx, cy, cz, reach) in enumerate(self._reaches):
+        # Minimum of |a + s d|² over s in [0, 1], at s = -a·d / d²; only pairs that approach each other count.
+        for index, (cx, cy, cz, reach) in enumerate(self._reaches):
             ax, ay, az = x - cx, y - cy, z - cz
             closing = -(ax * dx + ay * dy + az * dz)
             if closing <= _CLOSING_MM2:
                 continue
             nearest = min(closing / square, 1.0)
             if ax * ax + ay * ay + az * az + nearest * (nearest * square - 2.0 * closing) < reach * reach:
-                self._reaches.insert(0, self._reaches.pop(place))
+                self._reaches.insert(0, self._reaches.pop(index))
                 return True
         return False
 

@@ -1,8 +1,9 @@
-"""What a turning artefact may reach: how deep the probe may stand before it, whatever the mount does on the way.
+"""Swept volume of a rotating artefact: the depth to which the probe may stay in front of it during any rotation.
 
-Both axes of a mount turn at once, and which is ahead is nobody's promise; a mount may also stop half way. So the swept
-set is that of every pair of angles between the old and the new ones. Bodies are covered by balls, angles are sampled,
-and each ball is inflated by as much as its points can move between two samples: the set is never too small.
+Both axes of a mount rotate at once, neither is guaranteed to lead, and a mount may also stop halfway. The swept set is
+therefore that of every pair of angles between the old and the new ones. Bodies are covered by spheres, angles are
+sampled, and each sphere is inflated by the largest motion of its points between two samples, so the set is never too
+small.
 """
 
 from __future__ import annotations
@@ -28,21 +29,24 @@ MountAngles = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class SphereCover:
-    """Balls around everything that turns: `centres` (n, 3) in the artefact frame, `radii` (n,)."""
+    """Spheres that enclose all rotating bodies: `centres` (n, 3) in the artefact frame, `radii` (n,)."""
 
     centres: Array
     radii: Array
 
     @property
     def reach_mm(self) -> float:
-        """From the place of the mount; nothing that turns is farther away."""
+        """Largest distance of any rotating point from the mount location."""
         return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
 
 
 def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCover:
-    """Balls, posts and bar in slabs along the bar, and the shaft; centres relative to the place of the mount."""
+    """Cover balls, posts and bar with spheres in slabs along the bar, and the shaft; centres relative to the mount
+    location.
+    """
     points, radii = _covered(artefact, mount)
     slab = np.floor(points[:, 0] / SLAB_MM).astype(int)
+    # One sphere per slab: centred on the slab's bounding box, radius to the farthest enclosed point.
     centres, sizes = [], []
     for number in np.unique(slab):
         inside, sized = points[slab == number], radii[slab == number]
@@ -59,16 +63,16 @@ def cover_turning_bodies(artefact: Artefact, mount: MountGeometry) -> SphereCove
 
 @dataclass(frozen=True, eq=False)
 class TurnSweep:
-    """How deep (along +Y) the tip may stand at every place (x, z), all relative to the place of the mount.
+    """Largest depth (along +Y) of the tip at each point (x, z) of a grid, relative to the mount location.
 
-    `deepest` (k, k): tip centre; infinite where nothing comes by.
+    `deepest` (k, k): y of the tip centre; infinite where nothing passes.
     """
 
     reach_mm: float
     deepest: Array
 
     def at(self, x: Array, z: Array) -> Array:
-        """Largest y of the tip centre at (x, z) of the same shape."""
+        """Return the largest y of the tip centre at (x, z), arrays of the same shape."""
         middle = len(self.deepest) // 2
         column = np.rint(np.asarray(x) / CELL_MM).astype(int) + middle
         row = np.rint(np.asarray(z) / CELL_MM).astype(int) + middle
@@ -85,14 +89,15 @@ def turn_sweep(
     *,
     clearance_mm: float,
 ) -> TurnSweep:
-    """For a turn between two pairs of azimuth and elevation, in any order and at any speeds.
+    """Compute the swept depth of a turn between two pairs of azimuth and elevation, in any order and at any speeds.
 
-    `standing`: what is there besides and does not turn, relative to the place of the mount.
+    `standing`: shapes that do not rotate, relative to the mount location.
     """
     half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
     front = _front(*_turned(cover, start_deg, end_deg), half)
     for shape in standing:
-        _stand(front, shape, half)
+        _add_box(front, shape, half)
+    # Tip, probe body and ram each stay `clearance_mm` behind the front, dilated by their own radius.
     tip = _dilated(front, probe.tip_radius_mm + clearance_mm) - probe.tip_radius_mm
     body = _dilated(front, probe.body_radius_mm + clearance_mm) + probe.stem_length_mm
     ram = _dilated(front, probe.ram_half_width_mm + clearance_mm) + probe.reach_mm
@@ -100,7 +105,9 @@ def turn_sweep(
 
 
 def _covered(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
-    """Points of the artefact with what has to be covered around them; spaced so that they cover what is between."""
+    """Return points of the artefact and the radii to be covered around them, dense enough to cover everything in
+    between.
+    """
     balls = artefact.balls
     feet = balls.copy()
     feet[:, 1:] = 0.0
@@ -120,22 +127,25 @@ def _covered(artefact: Artefact, mount: MountGeometry) -> tuple[Array, Array]:
 def _turned(
     cover: SphereCover, start_deg: MountAngles, end_deg: MountAngles
 ) -> tuple[tuple[Array, Array, Array], Array]:
-    """x, y and z (azimuths, elevations, m) of the balls at every sample of the angles, and their radii (m,) with what
-    may happen between two samples."""
+    """Return x, y, z (azimuths, elevations, m) of the spheres at every sample of the angles, and their radii (m,).
+
+    The radii are enlarged by the motion between two samples.
+    """
     (azimuths, half_azimuth), (elevations, half_elevation) = (
         _samples(a, b) for a, b in zip(start_deg, end_deg, strict=True)
     )
     x, y, z = cover.centres.T
-    # Elevation turns the bar about its own Y, which runs through the place; azimuth then turns about the vertical.
+    # Elevation rotates the bar about its own Y axis through the mount location; azimuth then rotates about Z.
     ce, se = np.cos(elevations)[:, None], np.sin(elevations)[:, None]
     across, up = x * ce - z * se, x * se + z * ce
     ca, sa = np.cos(azimuths)[:, None, None], np.sin(azimuths)[:, None, None]
+    # A point at distance r from the axis moves at most r · (half step) between a sample and the nearest angle.
     radii = cover.radii + np.hypot(x, z) * half_elevation + np.sqrt(x**2 + y**2 + z**2) * half_azimuth
     return (across * ca - y * sa, across * sa + y * ca, up[None]), radii
 
 
 def _front(centres: tuple[Array, Array, Array], radii: Array, half: int) -> Array:
-    """Nearest y of all balls over each cell; those of about the same size are spread sideways together."""
+    """Return the nearest y of all spheres over each cell; spheres of similar size are dilated sideways together."""
     x, y, z = centres
     width = 2 * half + 1
     front = np.full((width, width), np.inf)
@@ -155,33 +165,35 @@ def _cells(lengths_mm: Array) -> NDArray[np.intp]:
 
 
 def _samples(start_deg: float, end_deg: float) -> tuple[Array, float]:
-    """Angles in rad, both ends included, and half of their step."""
+    """Return angles in rad, both ends included, and half of their step."""
     count = math.ceil(abs(end_deg - start_deg) / STEP_DEG) + 1
     angles = np.radians(np.linspace(start_deg, end_deg, count))
     return angles, 0.5 * math.radians(abs(end_deg - start_deg)) / max(count - 1, 1)
 
 
 def _dilated(front: Array, by_mm: float) -> Array:
-    """The nearest of everything within `by_mm` sideways; a cell more, since places are rounded to cells."""
+    """Return the minimum within `by_mm` sideways; one more cell is included because positions are rounded to cells."""
     reach = math.ceil(by_mm / CELL_MM) + 1
     return _least_around(_least_around(front, reach).T, reach).T
 
 
 def _least_around(values: Array, reach: int) -> Array:
-    """Along the first axis the smallest of each and its `reach` neighbours on both sides: windows of twice the width
-    are the smaller of two, so that a wide one takes few steps."""
-    width, wanted = 1, 2 * reach + 1
+    """Return along the first axis the minimum of each value and its `reach` neighbours on both sides.
+
+    The minimum over a window of twice the width is the smaller of two windows, so a wide window takes few steps.
+    """
+    width, target = 1, 2 * reach + 1
     beside = np.full((reach, *values.shape[1:]), np.inf)
     least = np.concatenate([beside, values, beside])
-    while 2 * width <= wanted:
+    while 2 * width <= target:
         least = np.minimum(least[:-width], least[width:])
         width *= 2
-    rest = wanted - width
+    rest = target - width
     return np.asarray(np.minimum(least[: len(values)], least[rest : rest + len(values)]))
 
 
-def _stand(front: Array, shape: Shape, half: int) -> None:
-    """What stands is taken for the box around it."""
+def _add_box(front: Array, shape: Shape, half: int) -> None:
+    """Lower `front` to the front face of the bounding box of a stationary shape."""
     (x0, y0, z0), (x1, _, z1) = shape.lower, shape.upper
     last = len(front) - 1
     columns, rows = (

@@ -1,7 +1,7 @@
-"""The order in which places are visited that costs least: exact for few of them, improved by exchanges for more.
+"""Order of visiting points at least cost: exact for few points, improved by exchanges for more.
 
-Costs need not be the same both ways and may be dear to know: they are asked for one by one, through the caller's
-function, and an exchange whose new legs cost more at the least than the old ones do is never asked about.
+Costs may differ between the two directions and may be expensive to compute. They are requested one by one from the
+caller's function, and an exchange is not evaluated if the lower bound of its new legs exceeds the cost of the old ones.
 """
 
 from __future__ import annotations
@@ -17,57 +17,57 @@ _LEAST_GAIN = 1e-9
 
 
 def shortest_tour(
-    places: Sequence[Node],
+    nodes: Sequence[Node],
     start: Node,
     end: Node | None,
     cost: Callable[[Node, Node], float],
-    least: Callable[[Node, Node], float],
+    lower_bound: Callable[[Node, Node], float],
 ) -> list[Node]:
-    """`places` in the order that costs least from `start` to `end` (None: wherever it ends).
+    """Return `nodes` in the order of least cost from `start` to `end` (None: any end).
 
-    `least(a, b)`: a lower bound of `cost(a, b)` that is cheap to know. Up to `MAX_EXACT_NODES` places the answer is the
-    best there is (Held and Karp 1962); beyond, no exchange of two legs and no move of up to three places makes the
-    answer better. Of equals the earlier in `places`.
+    `lower_bound(a, b)`: a lower bound of `cost(a, b)` that is cheap to compute. Up to `MAX_EXACT_NODES` the result is
+    optimal (Held and Karp 1962); beyond, no exchange of two legs and no move of up to three nodes improves it. Of equal
+    orders the one earlier in `nodes` is returned.
     """
-    if len(places) <= MAX_EXACT_NODES:
-        return _exact(places, start, end, cost)
-    return _improved(_nearest(places, start, least), start, end, cost, least)
+    if len(nodes) <= MAX_EXACT_NODES:
+        return _exact(nodes, start, end, cost)
+    return _improved(_nearest(nodes, start, lower_bound), start, end, cost, lower_bound)
 
 
 def _stops(order: Sequence[Node], start: Node, end: Node | None) -> list[Node]:
     return [start, *order, *([] if end is None else [end])]
 
 
-def _exact(places: Sequence[Node], start: Node, end: Node | None, cost: Callable[[Node, Node], float]) -> list[Node]:
-    """Best ways through every subset, by its last place."""
-    costs = [[0.0 if a is b else cost(a, b) for b in places] for a in places]
+def _exact(nodes: Sequence[Node], start: Node, end: Node | None, cost: Callable[[Node, Node], float]) -> list[Node]:
+    """Find the best order by dynamic programming over subsets and their last node (Held and Karp)."""
+    costs = [[0.0 if a is b else cost(a, b) for b in nodes] for a in nodes]
     best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {
-        (1 << index, index): (cost(start, place), (index,)) for index, place in enumerate(places)
+        (1 << index, index): (cost(start, node), (index,)) for index, node in enumerate(nodes)
     }
-    for subset in range(1, 1 << len(places)):
-        for last in range(len(places)):
+    for subset in range(1, 1 << len(nodes)):
+        for last in range(len(nodes)):
             if (subset, last) not in best:
                 continue
-            paid, way = best[subset, last]
-            for after in range(len(places)):
+            spent, path = best[subset, last]
+            for after in range(len(nodes)):
                 if subset >> after & 1:
                     continue
-                further = (paid + costs[last][after], (*way, after))
+                extended = (spent + costs[last][after], (*path, after))
                 reached = (subset | 1 << after, after)
-                if reached not in best or further[0] < best[reached][0] - _LEAST_GAIN:
-                    best[reached] = further
-    whole = (1 << len(places)) - 1
-    ends = [best[whole, last] for last in range(len(places))]
+                if reached not in best or extended[0] < best[reached][0] - _LEAST_GAIN:
+                    best[reached] = extended
+    whole = (1 << len(nodes)) - 1
+    ends = [best[whole, last] for last in range(len(nodes))]
     if end is not None:
-        ends = [(paid + cost(places[way[-1]], end), way) for paid, way in ends]
-    return [places[index] for index in min(ends, default=(0.0, ()))[1]]
+        ends = [(spent + cost(nodes[path[-1]], end), path) for spent, path in ends]
+    return [nodes[index] for index in min(ends, default=(0.0, ()))[1]]
 
 
-def _nearest(places: Sequence[Node], start: Node, least: Callable[[Node, Node], float]) -> list[Node]:
-    """Always on to the nearest that is left."""
-    left, order, here = list(places), list[Node](), start
+def _nearest(nodes: Sequence[Node], start: Node, lower_bound: Callable[[Node, Node], float]) -> list[Node]:
+    """Return the nearest-neighbour order: always continue to the nearest remaining node."""
+    left, order, here = list(nodes), list[Node](), start
     while left:
-        here = min(left, key=lambda place: least(here, place))
+        here = min(left, key=lambda node: lower_bound(here, node))
         left.remove(here)
         order.append(here)
     return order
@@ -78,12 +78,12 @@ def _improved(
     start: Node,
     end: Node | None,
     cost: Callable[[Node, Node], float],
-    least: Callable[[Node, Node], float],
+    lower_bound: Callable[[Node, Node], float],
 ) -> list[Node]:
     better: list[Node] | None = order
     while better is not None:
         order, old = better, {leg: cost(*leg) for leg in pairwise(_stops(better, start, end))}
-        exchanged = (one for one in _exchanged(order) if _cheaper(_stops(one, start, end), old, cost, least))
+        exchanged = (one for one in _exchanged(order) if _cheaper(_stops(one, start, end), old, cost, lower_bound))
         better = next(exchanged, None)
     return order
 
@@ -92,19 +92,20 @@ def _cheaper(
     stops: list[Node],
     old: Mapping[tuple[Node, Node], float],
     cost: Callable[[Node, Node], float],
-    least: Callable[[Node, Node], float],
+    lower_bound: Callable[[Node, Node], float],
 ) -> bool:
-    """Whether the way over `stops` costs less than one of legs that cost as `old` says; those that both have do not
-    matter."""
+    """Return True if the tour over `stops` costs less than the tour with the legs `old`; common legs cancel."""
     legs = list(pairwise(stops))
     new = [leg for leg in legs if leg not in old]
     kept = set(legs)
-    saved = sum([paid for leg, paid in old.items() if leg not in kept]) - _LEAST_GAIN
-    return sum([least(*leg) for leg in new]) < saved and sum([cost(*leg) for leg in new]) < saved
+    saved = sum([spent for leg, spent in old.items() if leg not in kept]) - _LEAST_GAIN
+    return sum([lower_bound(*leg) for leg in new]) < saved and sum([cost(*leg) for leg in new]) < saved
 
 
 def _exchanged(order: list[Node]) -> Iterator[list[Node]]:
-    """Every part turned round (2-opt), and every part of up to three places elsewhere (or-opt)."""
+    """Yield every order with one part reversed (2-opt) and every order with up to three nodes moved elsewhere
+    (or-opt).
+    """
     count = len(order)
     for first in range(count):
         for last in range(first + 2, count + 1):

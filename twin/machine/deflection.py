@@ -1,4 +1,4 @@
-"""Deflection of a machine under gravity, as a grid of tool point displacements over the axis positions."""
+"""Gravity deflection of a machine as a grid of tool point displacements over the axis positions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twin.arrays import Array, as_points
 from twin.errors import ModelError
 from twin.machine.kinematic_chain import AXES
 
-_ROUNDING_MM = 1e-6  # a position computed to lie on the border may miss it by its last digits
+_ROUNDING_MM = 1e-6  # a position computed to be on the border may miss it by its last digits
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,15 @@ class DeflectionGrid:
         return self.x, self.y, self.z
 
     def at(self, axis_positions: ArrayLike) -> Array:
-        """Displacement (n, 3) in mm, trilinear; ModelError names the first point outside the grid."""
+        """Return the displacement (n, 3) in mm by trilinear interpolation; ModelError names the first point outside the
+        grid.
+        """
         points = as_points(axis_positions, "axis positions")
         self._check_inside(points)
         (i, u), (j, v), (k, w) = (_cell(nodes, points[:, axis]) for axis, nodes in enumerate(self.nodes))
         base = (i * self.y.size + j) * self.z.size + k
         flat = self.values.reshape(-1, 3)
+        # trilinear: sum over the 8 corners of (1-u or u)(1-v or v)(1-w or w) times the corner value
         displacement = np.zeros_like(points)
         for step_x, share_x in ((0, 1.0 - u), (self.y.size * self.z.size, u)):
             for step_y, share_y in ((0, 1.0 - v), (self.z.size, v)):
@@ -55,7 +58,7 @@ class DeflectionGrid:
         return displacement
 
     def covers(self, ranges_mm: tuple[tuple[float, float], ...]) -> bool:
-        """Whether every axis range lies inside the grid."""
+        """Return True if every axis range lies inside the grid."""
         return all(
             nodes[0] <= low + _ROUNDING_MM and high <= nodes[-1] + _ROUNDING_MM
             for nodes, (low, high) in zip(self.nodes, ranges_mm, strict=True)
@@ -69,17 +72,17 @@ class DeflectionGrid:
             point = ", ".join(f"{value:.3f}" for value in points[row])
             nodes = self.nodes[axis]
             message = f"axis position ({point}) lies outside the deflection grid, {nodes[0]:g} to {nodes[-1]:g} mm"
-            hint = "Give a grid that covers the whole travel"
+            hint = "Provide a grid that covers the whole travel"
             raise ModelError(message, hint=hint, axis=AXES[axis], row=row)
 
 
 @dataclass(frozen=True)
 class CantileverStructure:
-    """A moving-column machine as beams. Loads in N, lengths in mm, bending stiffness E I in N mm².
+    """Moving-column machine modelled as beams. Loads in N, lengths in mm, bending stiffness E I in N mm².
 
-    The ram overhangs the column by `overhang_mm` at the lower end of Y and by the travel more beyond it; its
-    axis stands `column_foot_mm` above the column foot at the lower end of Z. The column's saddle rides on two
-    trucks `wheelbase_mm` apart on a bed that stands on supports `support_pitch_mm` apart.
+    The ram overhangs the column by `overhang_mm` at the lower end of Y; travel in Y adds to the overhang. The ram axis
+    is `column_foot_mm` above the column foot at the lower end of Z. The column's saddle rides on two trucks
+    `wheelbase_mm` apart, on a bed whose supports are `support_pitch_mm` apart.
     """
 
     ram_load_n_per_mm: float = 3.0
@@ -106,11 +109,12 @@ CASE_STUDY_NODES = (
 
 
 def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStructure | None = None) -> DeflectionGrid:
-    """Grid of plausible deflections of a cantilever moving-column machine, from Euler-Bernoulli beams.
+    """Return plausible deflections of a cantilever moving-column machine, from Euler-Bernoulli beams.
 
-    Column bent by the ram's moment (uy and a nod about X that grow with height: the cross-effect), ram bent
-    by its own weight and the head, joints of ram and column foot turning with the moment, and the local
-    yielding of bed and column rails. Zero in the middle of the grid, where the machine was levelled.
+    Four effects are added: bending of the column by the ram's moment (uy and a rotation about X that grow with height,
+    the cross-effect), bending of the ram under its own weight and the head, rotation of the ram joint and the column
+    foot joint under the moment, and local compliance of the bed and the column rails. The deflection is zero in the
+    middle of the grid, where the machine was levelled.
     """
     parts = structure or CantileverStructure()
     x3, y3, z3 = np.meshgrid(x, y, z, indexing="ij")
@@ -118,6 +122,8 @@ def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStr
     height = parts.column_foot_mm + (z3 - z[0])
     moment = _ram_moment(parts, reach)
     sag, pitch, roll = _bed(parts, x3, moment)
+    # Column as a cantilever with end moment M at height h: slope M h / EI, deflection M h² / 2EI;
+    # the foot joint adds the slope M c and the deflection M c h.
     column_nod = moment * (height / parts.column_stiffness_n_mm2 + parts.foot_joint_rad_per_n_mm) + roll
     column_lean = moment * height**2 / (2.0 * parts.column_stiffness_n_mm2)
     column_lean += (moment * parts.foot_joint_rad_per_n_mm + roll) * height
@@ -135,19 +141,19 @@ def cantilever_deflection(x: Array, y: Array, z: Array, structure: CantileverStr
 
 
 def _ram_moment(parts: CantileverStructure, reach: Array) -> Array:
-    """Moment of the overhanging ram about the column, N mm."""
+    """Return the moment of the overhanging ram about the column in N mm."""
     return 0.5 * parts.ram_load_n_per_mm * reach**2 + parts.head_weight_n * reach
 
 
 def _ram_droop(parts: CantileverStructure, reach: Array) -> Array:
-    """Sag of the ram's end under its own weight and the head: w L^4 / 8EI + P L^3 / 3EI."""
+    """Return the sag of the ram's end in mm under its own weight and the head: w L^4 / 8EI + P L^3 / 3EI."""
     own = parts.ram_load_n_per_mm * reach**4 / (8.0 * parts.ram_stiffness_n_mm2)
     head: Array = parts.head_weight_n * reach**3 / (3.0 * parts.ram_stiffness_n_mm2)
     return own + head
 
 
 def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Array, Array]:
-    """Sag (mm), pitch about Y, roll about -X (rad) of the saddle on a bed yielding between its supports."""
+    """Return sag (mm), pitch about Y and roll about -X (rad) of the saddle on a bed yielding between its supports."""
     half = 0.5 * parts.wheelbase_mm
     front, rear = (np.sin(np.pi * (x + arm) / parts.support_pitch_mm) ** 2 for arm in (half, -half))
     sag = 0.5 * parts.bed_sag_mm * (front + rear)
@@ -157,13 +163,13 @@ def _bed(parts: CantileverStructure, x: Array, moment: Array) -> tuple[Array, Ar
 
 
 def _column_rail_wave(parts: CantileverStructure, z: Array, moment: Array) -> Array:
-    """Waviness in Y of the column rails between their screws; the more the ram leans on them, the larger."""
+    """Return the waviness in Y (mm) of the column rails between their screws; it grows with the moment of the ram."""
     wave: Array = np.sin(2.0 * np.pi * z / parts.column_rail_pitch_mm) * (0.5 + moment / moment.max())
     return parts.column_rail_wave_mm * wave
 
 
 def _cell(nodes: Array, positions: Array) -> tuple[NDArray[np.intp], Array]:
-    """Index of the cell that holds each position and the share (0 ... 1) of the way through it."""
+    """Return the index of the cell that contains each position and the fraction (0 … 1) of the cell before it."""
     inside = np.minimum(np.maximum(positions, nodes[0]), nodes[-1])
     cell = np.minimum(np.searchsorted(nodes, inside, side="right") - 1, nodes.size - 2)
     low = nodes[cell]

@@ -1,7 +1,7 @@
-"""Deflections of several makes, drawn at random: what no Legendre series of one axis holds.
+"""Random deflection fields of several structures that no Legendre series of one axis can represent.
 
-None of these fields is made of what the misfit of an identification is made of (products of Legendre polynomials):
-beams, sines of any pitch, exponentials and random waves, so that a coverage that is found among them means something.
+The misfit model of an identification consists of products of Legendre polynomials. None of these fields does: they are
+beams, sines of any pitch, exponentials and random waves. A coverage found with them is therefore meaningful.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from twin.arrays import Array
 from twin.machine.deflection import DeflectionGrid
 from twin.machine.error_model import Ranges
 
-_NODES = (41, 14, 16)  # fine enough for the shortest rail wave along X: eight to a pitch
+_NODES = (41, 14, 16)  # fine enough for the shortest rail wave along X: eight nodes per pitch
 _UM = 1e-3
-_RAIL_PITCHES = (0.24, 1.2)  # shortest and longest, of half the axis
+_RAIL_PITCHES = (0.24, 1.2)  # shortest and longest, in units of half the axis range
 _SMOOTH_WAVES = 60
 
 DeflectionGenerator = Callable[[Ranges, np.random.Generator], DeflectionGrid]
 
 
 def portal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """A cross-beam along X that sags between its columns, twists under what hangs on it, and shortens as it bends."""
+    """Draw a cross-beam along X that sags between its columns, twists under its load and shortens as it bends."""
     (x, y, z), shape = _normalised()
     bow = np.cos(0.5 * np.pi * x)
     sag, twist, pull = rng.uniform((1.0, -3.0, -2.0), (6.0, 3.0, 2.0)) * _UM
@@ -35,7 +35,7 @@ def portal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Deflection
 
 
 def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """Rails that wave between their screws: each axis in each direction a sine of its own pitch, with a lever."""
+    """Draw rails that wave between their screws: per axis and direction one sine with its own pitch and lever arm."""
     places, shape = _normalised()
     field = np.zeros((*shape, 3))
     for axis in range(3):
@@ -48,7 +48,7 @@ def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGr
 
 
 def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """A bed that bows, a column warmer at its foot, and how the two carry what stands on them."""
+    """Draw a thermally bowed bed and a column warmer at its foot, with their effect on the parts they carry."""
     (x, y, z), shape = _normalised()
     bed, foot, nod, lean, sway, roll = rng.uniform(-3.0, 3.0, 6) * _UM
     field = np.zeros((*shape, 3))
@@ -59,7 +59,7 @@ def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Deflectio
 
 
 def smooth_random_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
-    """A random field without any structure: many plane waves of one correlation length (0.2 to 0.8 of the axes)."""
+    """Draw an unstructured random field: plane waves of one correlation length (0.2 to 0.8 of the axes)."""
     places, shape = _normalised()
     flat = np.stack(places, axis=-1).reshape(-1, 3)
     length = np.exp(rng.uniform(*np.log((0.4, 1.6))))
@@ -72,7 +72,7 @@ def smooth_random_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Def
 
 
 def _normalised() -> tuple[tuple[Array, Array, Array], tuple[int, int, int]]:
-    """Node places along X, Y, Z, each from -1 to 1, and the shape of the grid."""
+    """Return the node positions along X, Y, Z, each normalised to [-1, 1], and the shape of the grid."""
     x, y, z = np.meshgrid(*(np.linspace(-1.0, 1.0, count) for count in _NODES), indexing="ij")
     return (x, y, z), _NODES
 

@@ -1,4 +1,4 @@
-"""The deviation of the tool point to first order in the parameters: an analytic basis of the field."""
+"""Analytic basis of the tool point deviation, to first order in the parameters."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from twin.machine.legendre import legendre_values, normalised
 
 _X, _Y, _Z = 0, 1, 2
 
-_CHUNK = 128  # points whose functions stay in the cache
-Places = np.ndarray[Any, np.dtype[np.int64]]
+_CHUNK = 128  # number of points whose functions fit into the processor cache
+ColumnIndices = np.ndarray[Any, np.dtype[np.int64]]
 
 
 def deviation_basis(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, scale: Array | None = None
 ) -> Array:
-    """Derivative (n, 3, p) of the deviation with respect to the parameters at zero; C-contiguous.
+    """Return the derivative (n, 3, p) of the deviation with respect to the parameters at zero; C-contiguous.
 
-    `scale` (p,): the unit of each parameter; mm and rad when left out. Each parameter moves the tool point by one of
-    twelve effects (three shifts, three turns of each axis) times a function of the axis positions.
+    `scale` (p,) is the unit of each parameter; without it, mm and rad. Each parameter moves the tool point by one of
+    twelve effects (three translations, and three rotations of each axis) times a function of the axis positions.
     """
     points = as_points(axis_positions, "axis positions")
     arms = _nominal_arms(model, points, as_vector(tool_offset, 3, "tool offset"))
     effect, row = _columns(model)
+    # column j of the basis = effect(j) (3,) times function(j) of the axis positions
     effects, functions = _effects(arms), _functions(model, points)
     basis = np.empty((len(points), 3, model.size))
     for start in range(0, len(points), _CHUNK):
@@ -45,24 +46,25 @@ def deviation_basis(
 def linear_deviation(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
 ) -> Array:
-    """Deviation (n, 3) in mm to first order in the parameters (p,)."""
+    """Return the deviation (n, 3) in mm to first order in the parameters (p,)."""
     vector = as_vector(parameters, model.size, "parameters")
     deviation: Array = deviation_basis(model, axis_positions, tool_offset) @ vector
     return deviation
 
 
 def cross_arguments(model: ErrorModel, y: Array, z: Array) -> tuple[Array, Array]:
-    """v and w of the cross-effect: shares of the ranges of Y and Z."""
+    """Return the arguments v and w of the cross-effect: normalised positions of Y and Z in their ranges."""
     (y_low, y_high), (z_low, z_high) = model.ranges_mm[_Y], model.ranges_mm[_Z]
     return (y - y_low) / (y_high - y_low), (z - z_low) / (z_high - z_low)
 
 
 def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple[Array, Array, Array]:
-    """Per axis X, Y, Z the nominal vector (n, 3) from the point its rotations act about to the tool point."""
+    """Return for X, Y, Z the nominal vector (n, 3) from the centre of the axis' rotations to the tool point."""
     arms = {}
     arm = np.repeat(tool_offset[None, :], len(points), axis=0)
     for letter in model.chain.axes:
         axis = AXES.index(letter)
+        # The rotations of an axis on the tool side act before its travel, those on the workpiece side after it.
         carried = arm.copy()
         arm[:, axis] += points[:, axis]
         arms[letter] = carried if letter in model.chain.tool_side else arm.copy()
@@ -70,10 +72,11 @@ def _nominal_arms(model: ErrorModel, points: Array, tool_offset: Array) -> tuple
 
 
 def _effects(arms: tuple[Array, Array, Array]) -> Array:
-    """(n, 3, 12): unit shifts along X, Y, Z, then for each axis the unit turns about X, Y, Z, e x arm."""
+    """Return (n, 3, 12): unit translations along X, Y, Z, then for each axis unit rotations about X, Y, Z (e x arm)."""
     effects = np.zeros((len(arms[0]), 3, 12))
     for axis, arm in enumerate(arms):
         for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            # rotation about axis `one`: e x arm has the components (two: -arm_three, three: arm_two)
             effects[:, one, one] = 1.0
             effects[:, three, 3 + 3 * axis + one] = arm[:, two]
             effects[:, two, 3 + 3 * axis + one] = -arm[:, three]
@@ -81,7 +84,7 @@ def _effects(arms: tuple[Array, Array, Array]) -> Array:
 
 
 def _functions(model: ErrorModel, points: Array) -> Array:
-    """(n, f): the Legendre polynomials of X, of Y, of Z, then -z, z, -y of the squareness, then the cross-effect."""
+    """Return (n, f): Legendre polynomials of X, of Y, of Z, then -z, z, -y of the squareness, then the cross-effect."""
     columns = [
         legendre_values(normalised(points[:, axis], model.ranges_mm[axis]), model.highest_order[axis])
         for axis in range(3)
@@ -96,8 +99,8 @@ def _functions(model: ErrorModel, points: Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _columns(model: ErrorModel) -> tuple[Places, Places]:
-    """For each parameter (p,) its column of `_effects` and its column of `_functions`."""
+def _columns(model: ErrorModel) -> tuple[ColumnIndices, ColumnIndices]:
+    """Return for each parameter (p,) its column in `_effects` and its column in `_functions`."""
     starts = np.cumsum([0, *(order + 1 for order in model.highest_order)]).tolist()
     effect, row = np.empty(model.size, dtype=np.int64), np.empty(model.size, dtype=np.int64)
     for error, block in model.block.items():

@@ -1,27 +1,26 @@
-"""Which parameters a machine model has, and how they become the 18 error motions at an axis position.
+"""Parameters of a machine model and their relation to the 18 error motions at an axis position.
 
-Names are those of ISO 230-1: E, direction of the error (X, Y, Z displacement, A, B, C rotation), axis in
-motion. Each of the 18 error motions is a Legendre series on the axis range normalised to [-1, 1]. Left out by
-construction is what is only a rigid motion or only a squareness: constants everywhere (order 0) and the slope
-of a straightness (order 1).
+Names are those of ISO 230-1: E, direction of the error (X, Y, Z displacement, A, B, C rotation), axis in motion. Each
+of the 18 error motions is a Legendre series on the axis range normalised to [-1, 1]. Terms that are only a rigid motion
+or only a squareness are left out by construction: all constants (order 0) and the slope of a straightness (order 1).
 
-Squareness, the one place where its sign is stated: rotation of the direction of travel of the second-named
-axis about the lettered axis, right-handed, from the nominal direction. To first order
+The sign of squareness is defined here and nowhere else: rotation of the direction of travel of the second-named axis
+about the lettered axis, right-handed, from the nominal direction. To first order
 
     A0Z  z-travel, about X:  d = (0, -A0Z z, 0)
     B0Z  z-travel, about Y:  d = (B0Z z, 0, 0)
     C0Y  y-travel, about Z:  d = (-C0Y y, 0, 0)
 
-It turns the direction of travel only, not what the carriage carries.
+A squareness rotates only the direction of travel, not the parts that the carriage carries.
 
-Cross-effect of column and ram (the ram's weight bends the column), with v = (y - y0)/Ly and
-w = (z - z0)/Lz from the lower end and length of the ranges of Y and Z, added to EYZ and EAZ:
+Cross-effect of column and ram (the ram's weight bends the column), with v = (y - y0)/Ly and w = (z - z0)/Lz from the
+lower end and length of the ranges of Y and Z, added to EYZ and EAZ:
 
     E_YZ(y, z) = (b0 + b1 w + b2 w²) v     b in mm
     E_AZ(y, z) = (c0 + c1 w) v             c in rad
 
-b0 is off by default because b0 v is a scale error of Y (EYY[1]), c0 because c0 v gives a vertical
-displacement that EZY[2] and A0Z already describe; both but for a rigid motion, on a ram that carries the tool.
+b0 is off by default because b0 v is a scale error of Y (EYY[1]); c0 is off because c0 v gives a vertical displacement
+that EZY[2] and A0Z already describe. Both statements hold up to a rigid motion, for a ram that carries the tool.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ Ranges = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One coefficient. `error` is the ISO name or CROSS; `order` the Legendre order, else 0."""
+    """One coefficient. `error` is the ISO name or CROSS; `order` is the Legendre order, 0 for other terms."""
 
     name: str
     error: str
@@ -61,7 +60,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Chain, axis ranges, Legendre order of each error motion and cross-effect terms in use."""
+    """Kinematic chain, axis ranges, Legendre order of each error motion and active cross-effect terms."""
 
     chain: Chain
     ranges_mm: Ranges
@@ -81,7 +80,7 @@ class ErrorModel:
         order: int = 5,
         cross_effect: tuple[str, ...] = DEFAULT_CROSS_EFFECT,
     ) -> ErrorModel:
-        """The same order for all 18 error motions."""
+        """Return a model with the same order for all 18 error motions."""
         return cls(chain, ranges_mm, dict.fromkeys(ERROR_MOTIONS, order), cross_effect)
 
     @cached_property
@@ -100,15 +99,15 @@ class ErrorModel:
         return len(self.parameters)
 
     def index(self, name: str) -> int:
-        """Place of the parameter called `name`; ModelError when the model has none."""
-        place = self._places.get(name)
-        if place is None:
-            raise ModelError(f"the model has no parameter '{name}'", hint="Names are such as EYX[2], A0Z, CROSS[b1]")
-        return place
+        """Return the index of the parameter called `name`; ModelError if the model has none."""
+        index = self._indices.get(name)
+        if index is None:
+            raise ModelError(f"the model has no parameter '{name}'", hint="Example names: EYX[2], A0Z, CROSS[b1]")
+        return index
 
     @cached_property
-    def _places(self) -> dict[str, int]:
-        return {name: place for place, name in enumerate(self.names)}
+    def _indices(self) -> dict[str, int]:
+        return {name: index for index, name in enumerate(self.names)}
 
     @cached_property
     def block(self) -> Mapping[str, slice]:
@@ -127,7 +126,7 @@ class ErrorModel:
         return highest[0], highest[1], highest[2]
 
     def coefficients(self, axis: int, values: Array) -> Array:
-        """(6, highest order + 1) Legendre coefficients of the error motions of one axis."""
+        """Return the Legendre coefficients (6, highest order + 1) of the error motions of one axis."""
         table = np.zeros((6, max(self.highest_order) + 1))
         for row, direction in enumerate(DIRECTIONS):
             error = f"E{direction}{AXES[axis]}"
@@ -136,24 +135,24 @@ class ErrorModel:
         return table
 
     def squareness(self, values: Array) -> tuple[float, float, float]:
-        """A0Z, B0Z, C0Y in rad."""
+        """Return A0Z, B0Z, C0Y in rad."""
         start = self.block[ERROR_MOTIONS[-1]].stop
         return float(values[start]), float(values[start + 1]), float(values[start + 2])
 
     def cross_terms(self, values: Array) -> Mapping[str, float]:
-        """b0, b1, b2 (mm) and c0, c1 (rad), those not in use as zero."""
+        """Return b0, b1, b2 (mm) and c0, c1 (rad); terms not in use are zero."""
         terms = dict.fromkeys(CROSS_TERMS, 0.0)
         terms.update(zip(self.cross_effect, values[self.size - len(self.cross_effect) :].tolist(), strict=True))
         return terms
 
 
 def series_orders(error: str, highest: int) -> range:
-    """Legendre orders present: 1 ... N, for a straightness 2 ... N."""
+    """Return the Legendre orders of a series: 1 … N, for a straightness 2 … N."""
     return range(2 if error_motion_kind(error) == "straightness" else 1, highest + 1)
 
 
 def error_motion_kind(error: str) -> Literal["positioning", "straightness", "rotation"]:
-    """Kind of one of the 18 error motions."""
+    """Return the kind of one of the 18 error motions."""
     if error[1] in "ABC":
         return "rotation"
     return "positioning" if error[1] == error[2] else "straightness"
@@ -183,7 +182,7 @@ def _check_orders(orders: Mapping[str, int]) -> None:
     unknown = sorted(set(orders) - set(ERROR_MOTIONS))
     if unknown:
         hint = f"The 18 error motions are {', '.join(ERROR_MOTIONS)}"
-        raise ModelError(f"'{unknown[0]}' is no error motion of a linear axis", hint=hint)
+        raise ModelError(f"'{unknown[0]}' is not an error motion of a linear axis", hint=hint)
     for error in ERROR_MOTIONS:
         if error not in orders:
             raise ModelError("no Legendre order given", error=error)
@@ -196,4 +195,4 @@ def _check_cross_effect(terms: tuple[str, ...]) -> None:
         if term not in CROSS_TERMS:
             raise ModelError(f"unknown cross-effect term '{term}'", hint=f"Known: {', '.join(CROSS_TERMS)}")
         if terms.count(term) > 1:
-            raise ModelError(f"cross-effect term '{term}' stands twice")
+            raise ModelError(f"cross-effect term '{term}' is listed twice")

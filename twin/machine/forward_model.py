@@ -1,13 +1,13 @@
-"""The tool point of a machine with errors: the exact product along the chain, and its linear field.
+"""Tool point of a machine with errors: the exact product along the chain, and its linear field.
 
-Both give the deviation of the tool centre point relative to the workpiece from its nominal place (axis
-positions + tool offset), in mm, in the axes of the machine.
+Both give the deviation of the tool centre point relative to the workpiece from its nominal position (axis positions +
+tool offset), in mm, in the axes of the machine.
 
-From the workpiece to the tool the exact model is a product of homogeneous transforms. An axis q on the tool
-side contributes `Trans(q u) Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA)`, u being its direction of travel turned
-by the squareness. An axis on the workpiece side carries the workpiece: its errors, too, are those of the
-tool relative to the workpiece, and act in a frame that travels with the carriage, hence
-`Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA) Trans(q u)`: the arm of its rotations contains its own travel.
+From the workpiece to the tool the exact model is a product of homogeneous transforms. An axis q on the tool side
+contributes `Trans(q u) Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA)`, where u is its direction of travel rotated by the
+squareness. An axis on the workpiece side carries the workpiece. Its errors, too, are those of the tool relative to the
+workpiece, but they act in a frame that travels with the carriage, hence `Trans(EX, EY, EZ) Rz(EC) Ry(EB) Rx(EA) Trans(q
+u)`: the lever arm of its rotations contains its own travel.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from twin.machine.legendre import as_power_series
 
 __all__ = ["deviation_basis", "exact_deviation", "linear_deviation"]
 
-_CHUNK = 6000  # points: more fall out of the cache, fewer pay too often for the calls
-_SMALL_ANGLE_RAD = 2e-4  # below it the first term left out is under 7e-17, half a unit in the last place of cos
+_CHUNK = 6000  # points: more do not fit into the cache, with fewer the call overhead dominates
+_SMALL_ANGLE_RAD = 2e-4  # below it the first neglected term is under 7e-17, half a unit in the last place of cos
 _Y, _Z = 1, 2
 
 Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class _Numbers:
-    """A parameter vector unpacked.
+class _UnpackedParameters:
+    """Parameter vector in the form that the evaluation needs.
 
-    `series` (3, 6, order + 1): coefficients of powers per axis and error motion; `travel`: directions of travel
-    less the nominal ones; `cross`: b0, b1, b2, c0, c1.
+    `series` (3, 6, order + 1): coefficients of powers per axis and error motion; `travel`: directions of travel minus
+    the nominal ones; `cross`: b0, b1, b2, c0, c1.
     """
 
     series: Array
@@ -49,14 +49,17 @@ class _Numbers:
 
 
 class _Workspace:
-    """Rows for `count` points, filled anew for every chunk and axis: fresh pages cost more than the arithmetic."""
+    """Preallocated rows for `count` points, refilled for every chunk and axis.
+
+    Allocating fresh memory pages would cost more than the arithmetic.
+    """
 
     def __init__(self, count: int, terms: int) -> None:
         self.positions = np.empty((3, count))
         self.powers = np.empty((terms, count))
         self.motions = np.empty((6, count))
         self.sines = np.empty((3, count))
-        self.less_one = np.empty((3, count))
+        self.cosine_minus_one = np.empty((3, count))
         self.arm = np.empty((3, count))
         self.deviation = np.empty((3, count))
         self.point = np.empty((3, count))
@@ -67,9 +70,9 @@ class _Workspace:
 def exact_deviation(
     model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike, parameters: ArrayLike
 ) -> Array:
-    """Deviation (n, 3) in mm by the exact product of transforms, for positions (n, 3), parameters (p,).
+    """Return the deviation (n, 3) in mm by the exact product of transforms, for positions (n, 3), parameters (p,).
 
-    Deviation and nominal arm are carried apart, so that no digits are lost on the 4 m of travel.
+    Deviation and nominal arm are carried separately, so that no digits are lost over 4 m of travel.
     """
     points = as_points(axis_positions, "axis positions")
     offset = as_vector(tool_offset, 3, "tool offset")
@@ -78,14 +81,14 @@ def exact_deviation(
     size = min(len(points), _CHUNK)
     rows = _Workspace(size, numbers.series.shape[2])
     for start in range(0, len(points), _CHUNK):
-        chunk = slice(min(start, len(points) - size), start + size)  # the last one overlaps the one before
+        chunk = slice(min(start, len(points) - size), start + size)  # the last chunk overlaps the previous one
         np.copyto(rows.positions, points[chunk].T)
         _carry_tool_point(model, offset, numbers, rows)
         deviation[chunk] = rows.deviation.T
     return deviation
 
 
-def _unpack(model: ErrorModel, values: Array) -> _Numbers:
+def _unpack(model: ErrorModel, values: Array) -> _UnpackedParameters:
     a, b, c = model.squareness(values)
     cos_a1, cos_b1, cos_c1 = (-2.0 * math.sin(0.5 * angle) ** 2 for angle in (a, b, c))
     z_turned = (  # Ry(B0Z) Rx(A0Z) e_z - e_z
@@ -93,27 +96,27 @@ def _unpack(model: ErrorModel, values: Array) -> _Numbers:
         -math.sin(a),
         cos_a1 + cos_b1 + cos_a1 * cos_b1,
     )
-    places = _series_places(model)
+    positions = _series_positions(model)
     series = np.zeros((3, 6, max(model.highest_order) + 1))
-    series.reshape(-1)[places] = values[: len(places)]
+    series.reshape(-1)[positions] = values[: len(positions)]
     series = as_power_series(series)
     travel = ((0.0, 0.0, 0.0), (-math.sin(c), cos_c1, 0.0), z_turned)
-    return _Numbers(series, travel, tuple(model.cross_terms(values).values()))
+    return _UnpackedParameters(series, travel, tuple(model.cross_terms(values).values()))
 
 
 @lru_cache(maxsize=16)
-def _series_places(model: ErrorModel) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Where the leading parameters, those of the series, stand in a flat (3, 6, highest order + 1) table."""
+def _series_positions(model: ErrorModel) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Return the indices of the leading (series) parameters in a flat (3, 6, highest order + 1) table."""
     terms = max(model.highest_order) + 1
-    places = []
+    positions = []
     for row, error in enumerate(ERROR_MOTIONS):
         orders = series_orders(error, model.orders[error])
-        places += [row * terms + order for order in orders]
-    return np.array(places, dtype=np.int64)
+        positions += [row * terms + order for order in orders]
+    return np.array(positions, dtype=np.int64)
 
 
-def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _Numbers, rows: _Workspace) -> None:
-    """Carry the tool point from frame to frame towards the workpiece; leaves the result in rows.deviation."""
+def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _UnpackedParameters, rows: _Workspace) -> None:
+    """Carry the tool point from frame to frame towards the workpiece; the result is left in `rows.deviation`."""
     rows.arm[:] = tool_offset[:, None]
     rows.deviation[:] = 0.0
     for letter in model.chain.axes:
@@ -129,8 +132,8 @@ def _carry_tool_point(model: ErrorModel, tool_offset: Array, numbers: _Numbers, 
         rows.deviation += rows.motions[:3]
 
 
-def _fill_error_motions(axis: int, model: ErrorModel, numbers: _Numbers, rows: _Workspace) -> None:
-    """EX, EY, EZ (mm), EA, EB, EC (rad) of one axis."""
+def _fill_error_motions(axis: int, model: ErrorModel, numbers: _UnpackedParameters, rows: _Workspace) -> None:
+    """Fill `rows.motions` with EX, EY, EZ (mm), EA, EB, EC (rad) of one axis."""
     low, high = model.ranges_mm[axis]
     powers = rows.powers
     powers[0] = 1.0
@@ -148,12 +151,12 @@ def _fill_error_motions(axis: int, model: ErrorModel, numbers: _Numbers, rows: _
 
 
 def _fill_sines(rows: _Workspace) -> None:
-    """sin and cos - 1 to double precision; small angles by their series, several times as fast."""
+    """Fill sin and cos - 1 to double precision; small angles use their series, which is several times as fast."""
     angles = rows.motions[3:]
-    square = np.multiply(angles, angles, out=rows.less_one)
+    square = np.multiply(angles, angles, out=rows.cosine_minus_one)
     if square.max(initial=0.0) > _SMALL_ANGLE_RAD**2:
         np.sin(angles, out=rows.sines)
-        rows.less_one[:] = -2.0 * np.sin(0.5 * angles) ** 2
+        rows.cosine_minus_one[:] = -2.0 * np.sin(0.5 * angles) ** 2
         return
     np.multiply(square, -1.0 / 6.0, out=rows.sines)
     rows.sines *= angles
@@ -161,8 +164,9 @@ def _fill_sines(rows: _Workspace) -> None:
     square *= -0.5
 
 
-def _travel(axis: int, numbers: _Numbers, rows: _Workspace) -> None:
+def _travel(axis: int, numbers: _UnpackedParameters, rows: _Workspace) -> None:
     positions, arm = rows.positions[axis], rows.arm[axis]
+    # nominal travel goes into the arm, q (u - e_q) into the deviation
     arm += positions
     for component, share in enumerate(numbers.travel[axis]):
         if share != 0.0:
@@ -171,13 +175,13 @@ def _travel(axis: int, numbers: _Numbers, rows: _Workspace) -> None:
 
 
 def _rotate(rows: _Workspace) -> None:
-    """Turn arm + deviation by Rz(EC) Ry(EB) Rx(EA) and book the change as deviation.
+    """Rotate arm + deviation by Rz(EC) Ry(EB) Rx(EA) and add the change to the deviation.
 
-    The cosines come less one, so that nothing is subtracted from the long arm.
+    The cosines are stored minus one, so that nothing is subtracted from the long arm.
     """
     x, y, z = np.add(rows.arm, rows.deviation, out=rows.point)
     change_y, change_z, last_z, change_x, last_x, last_y = rows.changes
-    about_x, about_y, about_z = zip(rows.sines, rows.less_one, strict=True)
+    about_x, about_y, about_z = zip(rows.sines, rows.cosine_minus_one, strict=True)
     _turn((y, z), about_x, (change_y, change_z), rows.product)
     y += change_y
     z += change_z
@@ -193,9 +197,9 @@ def _rotate(rows: _Workspace) -> None:
 def _turn(
     components: tuple[Array, Array], angle: tuple[Array, Array], changes: tuple[Array, Array], product: Array
 ) -> None:
-    """Changes of two components under the rotation (sine, cosine less one) of the first towards the second."""
-    (first, second), (sine, less_one) = components, angle
-    np.multiply(less_one, first, out=changes[0])
+    """Compute the changes of two components under a rotation (sine, cosine - 1) of the first towards the second."""
+    (first, second), (sine, cosine_minus_one) = components, angle
+    np.multiply(cosine_minus_one, first, out=changes[0])
     np.subtract(changes[0], np.multiply(sine, second, out=product), out=changes[0])
     np.multiply(sine, first, out=changes[1])
-    np.add(changes[1], np.multiply(less_one, second, out=product), out=changes[1])
+    np.add(changes[1], np.multiply(cosine_minus_one, second, out=product), out=changes[1])

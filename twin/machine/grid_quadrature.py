@@ -1,9 +1,9 @@
-"""Sums of polynomial fields over a grid of axis positions, from far fewer points.
+"""Sums of polynomial fields over a grid of axis positions, computed from far fewer points.
 
 The columns of a deviation basis are polynomials in the axis positions, of degree d in one of them. Over the points of
 one axis a polynomial of degree 2 d + 1 is summed exactly by d + 1 Gauss nodes of the discrete measure that has weight 1
-at every point (Golub and Welsch 1969): of 60×20×20 points 7×7×7 are left. A field that is no polynomial is gathered on
-the nodes by their Lagrange polynomials: summed against columns of degree d it is the same as on the grid.
+at every point (Golub and Welsch 1969): 60×20×20 points reduce to 7×7×7. A field that is not a polynomial is projected
+onto the nodes with their Lagrange polynomials; its sum with columns of degree d is then the same as on the grid.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from twin.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class GridQuadrature:
-    """Over `count` points Σ a(X)ᵀ b(X) = Σ `weights` a(`nodes`)ᵀ b(`nodes`) for columns a, b of the degrees given.
+    """Quadrature rule Σ a(X)ᵀ b(X) = Σ `weights` a(`nodes`)ᵀ b(`nodes`) over `count` points, up to the given degrees.
 
     `nodes` (m, 3) mm, `weights` (m,). `lagrange`: Lagrange polynomials of the nodes at the points, (points, nodes) for
-    each axis; None where the nodes are the points.
+    each axis; None if the nodes are the points.
     """
 
     count: int
@@ -30,7 +30,10 @@ class GridQuadrature:
 
     @classmethod
     def for_points(cls, points: Array, degrees: tuple[int, int, int]) -> GridQuadrature:
-        """For points (n, 3), columns of these degrees in x, y, z. Points that are no grid are summed one by one."""
+        """Return the rule for points (n, 3) and columns of these degrees in x, y, z.
+
+        Points that do not form a grid are their own nodes.
+        """
         lines = _lines(points)
         if lines is None:
             return cls(len(points), points, np.ones(len(points)), None)
@@ -40,7 +43,7 @@ class GridQuadrature:
         return cls(len(points), nodes, weights, tuple(rule[2] for rule in rules))
 
     def gather(self, field: Array) -> Array:
-        """(m, 3): what a field (n, 3) at the points is on the nodes; Σ a(X)ᵀ f(X) = Σ a(nodes)ᵀ gathered."""
+        """Return a field (n, 3) at the points projected onto the nodes (m, 3): Σ a(X)ᵀ f(X) = Σ a(nodes)ᵀ gathered."""
         if self.lagrange is None:
             return field
         gathered = field.reshape(*(len(polynomials) for polynomials in self.lagrange), 3)
@@ -50,7 +53,7 @@ class GridQuadrature:
 
 
 def _lines(points: Array) -> tuple[Array, Array, Array] | None:
-    """The nodes along x, y, z of points (n, 3) on a grid, x slowest and z fastest; None where they are on none."""
+    """Return the nodes along x, y, z of points (n, 3) on a grid, x slowest and z fastest; None if they form no grid."""
     x, y, z = points.T
     deep = int(np.argmax(np.append(y != y[0], True) | np.append(x != x[0], True)))
     plane = int(np.argmax(np.append(x != x[0], True)))
@@ -64,13 +67,18 @@ def _lines(points: Array) -> tuple[Array, Array, Array] | None:
 
 
 def _gauss(line: Array, degree: int) -> tuple[Array, Array, Array]:
-    """Nodes (d + 1), weights and Lagrange polynomials at the points (n, d + 1); the points where they are no more."""
+    """Return the Gauss rule of one axis: nodes (d + 1,), weights, Lagrange polynomials at the points (n, d + 1).
+
+    If the points are no more than d + 1, they are the nodes.
+    """
     if len(line) <= degree + 1:
         return line, np.ones(len(line)), np.eye(len(line))
     middle, half = 0.5 * (line[0] + line[-1]), 0.5 * (line[-1] - line[0])
+    # Golub-Welsch: with orthonormal p_0 ... p_d on the points, the eigenvalues of the matrix of x in this basis
+    # (the Jacobi matrix) are the nodes.
     at = (line - middle) / half
     orthonormal = np.linalg.qr(np.polynomial.legendre.legvander(at, degree))[0]
     nodes, vectors = np.linalg.eigh(orthonormal.T @ (at[:, None] * orthonormal))
-    # column j of `vectors` holds p_k(node j) times the root of its weight; p_0 is the same at every point
+    # column j of `vectors` is p_k(node j) times the square root of its weight; p_0 is the same at every point
     roots = vectors[0] / orthonormal[0, 0]
     return middle + half * nodes, roots**2, orthonormal @ (vectors * roots)

@@ -12,7 +12,9 @@ _HINT = "Write the chain from tool to workpiece with each axis once, such as too
 
 @dataclass(frozen=True)
 class Chain:
-    """`tool_side`: axes from the tool to the bed; `workpiece_side`: axes from the bed to the workpiece."""
+    """Kinematic chain. `tool_side`: axes from the tool to the bed; `workpiece_side`: axes from the bed to the
+    workpiece.
+    """
 
     tool_side: tuple[str, ...]
     workpiece_side: tuple[str, ...]
@@ -21,9 +23,9 @@ class Chain:
         axes = self.tool_side + self.workpiece_side
         for axis in axes:
             if axis not in AXES:
-                raise ModelError(f"'{axis}' is no linear axis", hint=_HINT, chain=str(self))
+                raise ModelError(f"'{axis}' is not a linear axis", hint=_HINT, chain=str(self))
             if axes.count(axis) > 1:
-                raise ModelError(f"axis {axis} stands twice", hint=_HINT, chain=str(self))
+                raise ModelError(f"axis {axis} is listed twice", hint=_HINT, chain=str(self))
         for axis in AXES:
             if axis not in axes:
                 raise ModelError(f"axis {axis} is missing", hint=_HINT, chain=str(self))
@@ -38,13 +40,13 @@ class Chain:
 
 
 def parse_chain(text: str) -> Chain:
-    """Chain from text such as `tool-Y-Z-X-bed-workpiece`; either case. ModelError otherwise."""
+    """Parse a chain such as `tool-Y-Z-X-bed-workpiece`, in either case; ModelError otherwise."""
     links = [link.strip().lower() for link in text.split("-")]
-    for word, place, where in (("tool", links[0], "begin"), ("workpiece", links[-1], "end")):
-        if place != word:
+    for word, link, where in (("tool", links[0], "begin"), ("workpiece", links[-1], "end")):
+        if link != word:
             raise ModelError(f"the chain must {where} with '{word}'", hint=_HINT, chain=text)
     if links.count("bed") != 1:
-        raise ModelError("the chain must hold 'bed' exactly once", hint=_HINT, chain=text)
+        raise ModelError("the chain must contain 'bed' exactly once", hint=_HINT, chain=text)
     bed = links.index("bed")
     tool_side = tuple(link.upper() for link in links[1:bed])
     workpiece_side = tuple(link.upper() for link in links[bed + 1 : -1])

@@ -11,18 +11,19 @@ from twin.arrays import Array
 
 
 def normalised(positions: Array, axis_range: tuple[float, float]) -> Array:
-    """Axis positions (n,) in mm brought to [-1, 1] over `axis_range`; outside the range the line goes on."""
+    """Map axis positions (n,) in mm linearly so that `axis_range` becomes [-1, 1]; positions outside map beyond it."""
     low, high = axis_range
     return (positions - 0.5 * (low + high)) * (2.0 / (high - low))
 
 
 def legendre_values(argument: Array, order: int) -> Array:
-    """P_0 ... P_order at `argument` of any shape: (order + 1, *shape). Bonnet's recurrence (DLMF 18.9.1)."""
+    """Return P_0 … P_order at `argument` of any shape, as (order + 1, *shape), by Bonnet's recurrence (DLMF 18.9.1)."""
     values = np.empty((order + 1, *argument.shape))
     values[0] = 1.0
     if order > 0:
         values[1] = argument
     for k in range(1, order):
+        # (k + 1) P_{k+1} = (2k + 1) x P_k - k P_{k-1}
         row = values[k + 1]
         np.multiply(argument, values[k], out=row)
         row *= (2.0 * k + 1.0) / (k + 1.0)
@@ -31,10 +32,10 @@ def legendre_values(argument: Array, order: int) -> Array:
 
 
 def as_power_series(coefficients: Array) -> Array:
-    """The same series (m, order + 1) in powers of the argument instead of Legendre polynomials.
+    """Convert Legendre series (m, order + 1) to series in powers of the argument.
 
-    Powers cost one product each to evaluate. On [-1, 1] the digits lost are those of the largest power
-    coefficient (8 at order 5, 1e5 at order 15), of errors that are tens of micrometres: under 1e-12 mm.
+    Powers cost one product each to evaluate. On [-1, 1] the loss of precision is set by the largest power coefficient
+    (8 at order 5, 1e5 at order 15). For errors of tens of micrometres it is under 1e-12 mm.
     """
     series: Array = coefficients @ _to_powers(coefficients.shape[-1])
     return series

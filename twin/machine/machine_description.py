@@ -1,4 +1,4 @@
-"""What a machine file means: a machine as the twin, the planner and the simulator see it."""
+"""Machine as described by a machine file, as used by the twin, the planner and the simulator."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class MachineDescription:
-    """`model` holds chain and axis ranges; `limits` (mm) are the travel limits, which contain the ranges.
+    """Complete description of one machine.
 
-    `tools` are tool offsets (3,) in mm from the ram reference to the stylus centre. `amplitudes` are the
-    family's half-widths as written in the file, so that a machine of another order can be drawn from it.
+    `model` contains the chain and axis ranges; `limits` (mm) are the travel limits, which contain the ranges. `tools`
+    are tool offsets (3,) in mm from the ram reference to the stylus centre. `amplitudes` are the family's half-widths
+    as written in the file, so that a machine of another order can be drawn from them.
     """
 
     name: str
@@ -37,33 +38,37 @@ class MachineDescription:
     def __post_init__(self) -> None:
         for axis, (low, high), travel in zip(AXES, self.model.ranges_mm, self.limits, strict=True):
             if not travel[0] <= low < high <= travel[1]:
-                message = f"range [{low:g}, {high:g}] leaves the travel [{travel[0]:g}, {travel[1]:g}]"
+                message = f"range [{low:g}, {high:g}] exceeds the travel [{travel[0]:g}, {travel[1]:g}]"
                 raise ModelError(message, key=f"axes.{axis}.travel_mm")
         if not self.tools:
-            raise ModelError("the machine has no tool", hint="Give at least one, such as [tools.probe]")
+            raise ModelError("the machine has no tool", hint="Define at least one, such as [tools.probe]")
         for name, offset in self.tools.items():
             as_vector(offset, 3, f"offset of tool {name}")
         if self.deflection is not None and not self.deflection.covers(self.limits):
             spans = ", ".join(
                 f"{axis} {nodes[0]:g} to {nodes[-1]:g}" for axis, nodes in zip(AXES, self.deflection.nodes, strict=True)
             )
-            hint = "Outside a grid nothing is extrapolated: export it over the whole travel"
+            hint = "The grid is not extrapolated: export it over the whole travel"
             message = f"the deflection grid ({spans} mm) does not cover the travel"
             raise ModelError(message, hint=hint, key="deflection.grid")
 
     def with_order(self, order: int) -> MachineDescription:
-        """The same machine with the same Legendre order for all 18 error motions, its family from the amplitudes."""
+        """Return the same machine with one Legendre order for all 18 error motions, its family taken from the
+        amplitudes.
+        """
         orders = dict.fromkeys(ERROR_MOTIONS, order)
         return self.with_model(ErrorModel(self.model.chain, self.model.ranges_mm, orders, self.model.cross_effect))
 
     def with_model(self, model: ErrorModel) -> MachineDescription:
-        """The same machine described by another model; ModelError for one of other axes."""
+        """Return the same machine described by another model; ModelError if the chain or the axis ranges differ."""
         if (model.chain, model.ranges_mm) != (self.model.chain, self.model.ranges_mm):
-            raise ModelError(f"the model is not of the machine {self.name}: its chain or its axis ranges differ")
+            raise ModelError(
+                f"the model does not belong to the machine {self.name}: its chain or its axis ranges differ"
+            )
         return replace(self, model=model, family=family_from_amplitudes(model, self.amplitudes))
 
     def tool(self, name: str) -> Array:
-        """Offset (3,) of the tool called `name`; ModelError names the known ones."""
+        """Return the offset (3,) of the tool called `name`; ModelError lists the known tools."""
         if name not in self.tools:
             raise ModelError(f"the machine has no tool '{name}'", hint=f"Known tools: {', '.join(self.tools)}")
         return self.tools[name]

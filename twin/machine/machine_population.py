@@ -1,4 +1,4 @@
-"""A family of machines: each coefficient drawn from a uniform distribution around zero."""
+"""Family of machines: each coefficient is drawn from a uniform distribution around zero."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEFAULT_DECAY = 0.6
 
 @dataclass(frozen=True)
 class Family:
-    """`half_widths` (p,) in mm or rad: each parameter of `model` is drawn from U(-a_i, a_i)."""
+    """Distribution of machines: parameter i of `model` is uniform in ±a_i, with a = `half_widths` (p,) in mm or rad."""
 
     model: ErrorModel
     half_widths: Array
@@ -33,22 +33,21 @@ class Family:
 
     @property
     def prior_standard_deviation(self) -> Array:
-        """(p,) standard deviation of the uniform distribution, a_i / sqrt(3)."""
+        """Standard deviation (p,) of the uniform distribution, a_i / sqrt(3)."""
         return self.half_widths / math.sqrt(3.0)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """(count, p) parameter vectors."""
+        """Draw `count` parameter vectors (count, p)."""
         return rng.uniform(-1.0, 1.0, (count, self.model.size)) * self.half_widths
 
 
 def family_from_amplitudes(model: ErrorModel, amplitudes: Mapping[str, float | Sequence[float]]) -> Family:
-    """Family from half-widths per kind of error.
+    """Return the family with the given half-widths per kind of error.
 
-    `positioning_um`, `straightness_um`, `rotation_urad`: one value per Legendre order, the lowest order of
-    that kind first (order 1, for a straightness order 2), or a single value for the lowest order. Orders
-    beyond the values given go on from the last one by the factor `decay` (default 0.6) per order.
-    `squareness_urad`, `cross_displacement_um`, `cross_rotation_urad`: one value each. A kind left out is
-    zero.
+    `positioning_um`, `straightness_um`, `rotation_urad`: one value per Legendre order, starting at the lowest order of
+    that kind (order 1, for a straightness order 2), or a single value for the lowest order. Higher orders continue from
+    the last value by the factor `decay` (default 0.6) per order. `squareness_urad`, `cross_displacement_um`,
+    `cross_rotation_urad`: one value each. A kind that is left out is zero.
     """
     known = (*SERIES_KINDS, *SINGLE_KINDS, "decay")
     for name in amplitudes:
@@ -63,16 +62,16 @@ def _half_width(model: ErrorModel, parameter: Parameter, amplitudes: Mapping[str
     values = _as_list(amplitudes.get(kind, 0.0), kind)
     if kind in SINGLE_KINDS:
         return 1e-3 * values[0] if parameter.unit == "mm" else 1e-6 * values[0]
-    place = parameter.order - series_orders(parameter.error, model.orders[parameter.error]).start
+    rank = parameter.order - series_orders(parameter.error, model.orders[parameter.error]).start
     decay = _as_list(amplitudes.get("decay", DEFAULT_DECAY), "decay")[0]
-    width = values[min(place, len(values) - 1)] * decay ** max(0, place - len(values) + 1)
+    width = values[min(rank, len(values) - 1)] * decay ** max(0, rank - len(values) + 1)
     return width * (1e-3 if parameter.unit == "mm" else 1e-6)
 
 
 def _as_list(values: float | Sequence[float], kind: str) -> list[float]:
     numbers = [float(value) for value in (values if isinstance(values, Sequence) else [values])]
     if not numbers or not all(math.isfinite(number) and number >= 0.0 for number in numbers):
-        raise ModelError(f"family amplitude {kind} must hold finite values of at least zero")
+        raise ModelError(f"family amplitude {kind} must contain finite values of at least zero")
     if kind not in SERIES_KINDS and len(numbers) != 1:
-        raise ModelError(f"family amplitude {kind} is one value, not {len(numbers)}")
+        raise ModelError(f"family amplitude {kind} must be one value, got {len(numbers)}")
     return numbers

@@ -12,13 +12,14 @@ from twin.machine.error_model import ERROR_MOTIONS, SQUARENESS, ErrorModel, seri
 
 
 def motion_uncertainty(model: ErrorModel, covariance: Array) -> Mapping[str, float]:
-    """ISO name → mm or rad: of an error motion, the root mean square over the range of its axis; of a squareness, its
-    own. `covariance` (p, p) of the parameters, or their second moments.
+    """Return the standard uncertainty (mm or rad) of each geometric error by its ISO name.
 
-    The mean of P_k P_l over the range is zero, and 1 / (2 k + 1) for k = l, so only variances count.
+    For an error motion it is the root mean square over the range of its axis, for a squareness its own uncertainty.
+    `covariance` (p, p) of the parameters, or their second moments. The mean of P_k P_l over the range is zero for k ≠ l
+    and 1 / (2 k + 1) for k = l, so only variances contribute.
     """
     if covariance.shape != (model.size, model.size):
-        raise DataError(f"the covariance has shape {covariance.shape}, the model {model.size} parameters")
+        raise DataError(f"the covariance has shape {covariance.shape}, but the model has {model.size} parameters")
     variance = np.maximum(np.diagonal(covariance), 0.0)
     found = {}
     for error in ERROR_MOTIONS:

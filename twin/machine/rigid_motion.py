@@ -1,4 +1,7 @@
-"""Fields of small rigid motions, which no free artefact sees and no machine is blamed for."""
+"""Fields of small rigid motions.
+
+A free artefact cannot observe them, and they are not counted as machine errors.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,10 @@ from twin.arrays import Array
 
 
 def rigid_fields(points: Array, middle: Array, size_mm: float) -> Array:
-    """(n, 3, 6) at points (n, 3) mm: three shifts, three turns about `middle` (3,) of unit size at `size_mm`."""
+    """Return six rigid motion fields (n, 3, 6) at points (n, 3) mm: three translations, three rotations.
+
+    The rotations are about `middle` (3,) and scaled to unit length at the distance `size_mm`.
+    """
     x, y, z = ((points - middle) / size_mm).T
     fields = np.zeros((len(points), 3, 6))
     fields[:, [0, 1, 2], [0, 1, 2]] = 1.0

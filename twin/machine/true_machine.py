@@ -1,7 +1,7 @@
-"""A machine as it is: richer than the model that is identified.
+"""True machine of a simulation: richer than the model that is identified.
 
-It has effects that the identified model cannot represent: a higher Legendre order and a deflection grid. Simulators
-stand on one, and studies draw many.
+It has effects that the identified model cannot represent: a higher Legendre order and a deflection grid. Simulators are
+built on one true machine, and studies draw many.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from twin.machine.machine_population import family_from_amplitudes
 
 @dataclass(frozen=True, eq=False)
 class TrueMachine:
-    """`model` None: a machine without error. `parameters` (p,) of its own, richer model."""
+    """True errors of one machine. `model` is None for a machine without errors; `parameters` (p,) belong to `model`."""
 
     model: ErrorModel | None
     parameters: Array
@@ -28,7 +28,7 @@ class TrueMachine:
     deflection: DeflectionGrid | None
 
     def deviation(self, bare_positions: Array) -> Array:
-        """(n, 3) mm of the tool centre point at bare axis positions (n, 3)."""
+        """Return the deviation (n, 3) mm of the tool centre point at uncorrected axis positions (n, 3)."""
         total = np.zeros_like(bare_positions)
         if self.model is not None:
             total += exact_deviation(self.model, bare_positions, self.tool_offset, self.parameters)
@@ -52,7 +52,7 @@ def draw_machine(
     with_deflection: bool,
     rng: np.random.Generator,
 ) -> TrueMachine:
-    """One machine of the family extended to Legendre `order`, its amplitudes decaying as the family's do."""
+    """Draw one machine of the family extended to Legendre `order`; its amplitudes decay as those of the family do."""
     offset = description.tool(tool)
     nominal = description.model
     model = ErrorModel.uniform(nominal.chain, nominal.ranges_mm, order, nominal.cross_effect)

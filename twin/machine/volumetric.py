@@ -1,8 +1,8 @@
-"""Volumetric error: the rms length of the deviation over a grid, as it is and after the best rigid motion.
+"""Volumetric error: rms length of the deviation over a grid, raw and after the best rigid motion.
 
-A rigid motion of the whole workspace is no fault of a machine and is not seen by any free artefact, so every
-volumetric error is given twice. For a field linear in its parameters the mean square is the quadratic form
-E^T (B^T B / n) E: the grid is evaluated once and never again.
+A rigid motion of the whole workspace is not a machine error and no free artefact can observe it, so every volumetric
+error is given twice. For a field that is linear in its parameters the mean square is the quadratic form E^T (B^T B / n)
+E, so the grid has to be evaluated only once.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from twin.machine.grid_quadrature import GridQuadrature
 from twin.machine.kinematic_chain import AXES
 from twin.machine.rigid_motion import rigid_fields
 
-_CHUNK = 2000  # grid points whose basis is held at a time
-_END_TOLERANCE = 1e-9  # of the range
+_CHUNK = 2000  # grid points whose basis is in memory at a time
+_END_TOLERANCE = 1e-9  # relative to the range
 
 
 @dataclass(frozen=True)
 class VolumetricRms:
-    """Rms deviation in mm: `raw_mm` as defined, `aligned_mm` after the best rigid motion of the workspace."""
+    """Rms deviation in mm: `raw_mm` as it is, `aligned_mm` after the best rigid motion of the workspace."""
 
     raw_mm: float
     aligned_mm: float
@@ -42,7 +42,7 @@ class VolumetricRms:
 
 
 def evaluation_grid(ranges_mm: Ranges, shape: tuple[int, int, int] = (60, 20, 20)) -> Array:
-    """Axis positions (n, 3) of a regular grid over the ranges, ends included; x slowest, z fastest.
+    """Return the axis positions (n, 3) of a regular grid over the ranges, ends included; x slowest, z fastest.
 
     Raises ModelError for fewer than two points along an axis.
     """
@@ -51,10 +51,10 @@ def evaluation_grid(ranges_mm: Ranges, shape: tuple[int, int, int] = (60, 20, 20
 
 
 def covering_grid(ranges_mm: Ranges, nodes: tuple[ArrayLike, ArrayLike, ArrayLike]) -> Array:
-    """Axis positions (n, 3) of the grid with these nodes (mm) along X, Y, Z; x slowest, z fastest.
+    """Return the axis positions (n, 3) of the grid with these nodes (mm) along X, Y, Z; x slowest, z fastest.
 
-    Raises ModelError naming the axis where the nodes do not ascend from one end of the range to the other: a rms over
-    less than the workspace is no volumetric error.
+    Raises ModelError naming the axis if the nodes do not ascend from one end of the range to the other: an rms over
+    less than the workspace is not a volumetric error.
     """
     lines = [np.asarray(line, dtype=np.float64) for line in nodes]
     for axis, line, (low, high) in zip(AXES, lines, ranges_mm, strict=True):
@@ -63,7 +63,7 @@ def covering_grid(ranges_mm: Ranges, nodes: tuple[ArrayLike, ArrayLike, ArrayLik
 
 
 def _refuse_gap(axis: str, nodes: Array, low: float, high: float) -> None:
-    hint = f"Give at least two ascending points from {low:g} to {high:g} mm"
+    hint = f"Provide at least two ascending points from {low:g} to {high:g} mm"
     if nodes.ndim != 1 or len(nodes) < 2 or not np.isfinite(nodes).all() or not (np.diff(nodes) > 0.0).all():
         given = "points that do not ascend" if nodes.size > 1 else "1 point" if nodes.size else "no points"
         raise ModelError(f"a grid with {given} does not cover the workspace", hint=hint, axis=axis)
@@ -74,15 +74,15 @@ def _refuse_gap(axis: str, nodes: Array, low: float, high: float) -> None:
 
 
 def rms(deviation: Array) -> float:
-    """Root of the mean squared length of deviations (n, 3)."""
+    """Return the square root of the mean squared length of deviations (n, 3)."""
     return float(np.sqrt(np.mean(np.einsum("ij,ij->i", deviation, deviation))))
 
 
 def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
-    """What is left (n, 3) of `deviation` (n, 3) at tool points (n, 3) after the best small rigid motion.
+    """Return the residual (n, 3) of `deviation` (n, 3) at tool points (n, 3) after the best small rigid motion.
 
-    Translation and small rotation by least squares, equal weights. Where the tool points are few or in line
-    the rotation that is not determined is not used.
+    Translation and small rotation by least squares with equal weights. A rotation that the tool points do not determine
+    (too few, or collinear) is not used.
     """
     field = as_points(deviation, "deviation")
     motions = _rigid_motions(as_points(points, "points"))
@@ -91,7 +91,9 @@ def align_rigidly(points: ArrayLike, deviation: ArrayLike) -> Array:
 
 
 def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) -> Array:
-    """The best small rigid motion of a deviation (n, 3) at tool points (n, 3), as it is at other tool points (m, 3)."""
+    """Fit the best small rigid motion to a deviation (n, 3) at tool points (n, 3) and return it at other
+    points (m, 3).
+    """
     at, field, other = (as_points(each, "points") for each in (points, deviation, elsewhere))
     middle, size_mm = at.mean(axis=0), max(float(np.ptp(at, axis=0).max()), 1.0)
     fields = rigid_fields(at, middle, size_mm).reshape(-1, 6)
@@ -100,17 +102,17 @@ def rigid_part(points: ArrayLike, deviation: ArrayLike, elsewhere: ArrayLike) ->
 
 
 def volumetric_error(points: ArrayLike, deviation: ArrayLike) -> VolumetricRms:
-    """Raw and aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
+    """Return raw and aligned rms of a deviation field (n, 3) at tool points (n, 3)."""
     field = as_points(deviation, "deviation")
     return VolumetricRms(rms(field), rms(align_rigidly(points, field)))
 
 
 @dataclass(frozen=True)
 class QuadraticForm:
-    """Mean square of the linear field (+ a fixed field) over a grid as a function of the parameters.
+    """Mean square over a grid of the linear field (plus a fixed field) as a function of the parameters.
 
-    `raw`, `aligned` (p, p) in mm² per unit of parameters; `raw_linear`, `aligned_linear` (p,) and
-    `raw_constant`, `aligned_constant` belong to the fixed field and are zero without one.
+    `raw`, `aligned` (p, p) in mm² per unit of parameters; `raw_linear`, `aligned_linear` (p,) and `raw_constant`,
+    `aligned_constant` belong to the fixed field and are zero without one.
     """
 
     model: ErrorModel
@@ -125,7 +127,7 @@ class QuadraticForm:
 
     @classmethod
     def build(cls, model: ErrorModel, axis_positions: ArrayLike, tool_offset: ArrayLike) -> QuadraticForm:
-        """Form for grid positions (n, 3) and tool offset (3,)."""
+        """Build the form for grid positions (n, 3) and tool offset (3,)."""
         points = as_points(axis_positions, "axis positions")
         offset = as_vector(tool_offset, 3, "tool offset")
         sums = GridQuadrature.for_points(points, _degrees(model))
@@ -136,11 +138,12 @@ class QuadraticForm:
             weighted = roots[rows] * basis
             gram += weighted.T @ weighted
             shared[: motions.shape[1]] += motions[rows].T @ weighted
+        # raw: BᵀB / n; aligned: Bᵀ(1 - M Mᵀ)B / n with the orthonormal rigid motions M
         raw, aligned = gram / len(points), (gram - shared.T @ shared) / len(points)
         return cls(model, points, offset, raw, aligned, np.zeros(model.size), np.zeros(model.size))
 
     def with_field(self, field: ArrayLike) -> QuadraticForm:
-        """The form of the linear field plus a fixed `field` (n, 3) in mm on the same grid."""
+        """Return the form of the linear field plus a fixed `field` (n, 3) in mm on the same grid."""
         fixed = as_points(field, "field")
         if fixed.shape != self.axis_positions.shape:
             raise DataError(f"the field has {len(fixed)} points, the grid {len(self.axis_positions)}")
@@ -148,6 +151,7 @@ class QuadraticForm:
         roots = np.sqrt(sums.weights).repeat(3)
         motions = _rigid_motions(sums.nodes + self.tool_offset, sums.weights)
         gathered = sums.gather(fixed).reshape(-1)
+        # |B E + f|² = EᵀBᵀB E + 2 fᵀB E + fᵀf; aligned: f without its rigid part M Mᵀf
         rigid = motions.T @ (gathered / roots)
         both = np.stack((gathered, gathered - roots * (motions @ rigid)))
         linear = np.zeros((2, self.model.size))
@@ -163,7 +167,7 @@ class QuadraticForm:
         )
 
     def values(self, parameters: ArrayLike) -> tuple[Array, Array]:
-        """Raw and aligned rms (m,) in mm of m machines, parameters (m, p)."""
+        """Return raw and aligned rms (m,) in mm of m machines with parameters (m, p)."""
         vectors = np.asarray(parameters, dtype=np.float64)
         if vectors.ndim != 2 or vectors.shape[1] != self.model.size:
             raise ModelError(f"parameters have shape {vectors.shape}, expected (m, {self.model.size})")
@@ -172,13 +176,13 @@ class QuadraticForm:
         return np.sqrt(raw), np.sqrt(aligned)
 
     def value(self, parameters: ArrayLike, field: ArrayLike | None = None) -> VolumetricRms:
-        """Volumetric error of one machine (p,). For many machines with one field use `with_field` once."""
+        """Return the volumetric error of one machine (p,). For many machines with one field use `with_field` once."""
         form = self if field is None else self.with_field(field)
         raw, aligned = form.values(as_vector(parameters, self.model.size, "parameters")[None, :])
         return VolumetricRms(float(raw[0]), float(aligned[0]))
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """sqrt(trace(Q P) + fixed field): root of the expected mean square for a covariance P (p, p)."""
+        """Return the root of the expected mean square for a covariance P (p, p): sqrt(trace(Q P) + fixed field)."""
         raw = float(np.einsum("ij,ji->", self.raw, covariance)) + self.raw_constant
         aligned = float(np.einsum("ij,ji->", self.aligned, covariance)) + self.aligned_constant
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
@@ -191,7 +195,7 @@ def _mean_squares(vectors: Array, form: Array, linear: Array, constant: float) -
 
 
 def _basis_chunks(model: ErrorModel, points: Array, offset: Array) -> Iterator[tuple[slice, Array]]:
-    """Rows (of the flattened field) and basis (rows, p) of one part of the grid after the other."""
+    """Yield the row slice (of the flattened field) and the basis (rows, p) of successive chunks of the grid."""
     for start in range(0, len(points), _CHUNK):
         chunk = points[start : start + _CHUNK]
         basis = deviation_basis(model, chunk, offset).reshape(-1, model.size)
@@ -199,9 +203,9 @@ def _basis_chunks(model: ErrorModel, points: Array, offset: Array) -> Iterator[t
 
 
 def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
-    """Orthonormal basis (3n, r) of the small rigid motions of points (n, 3), r = 6 unless in line.
+    """Return an orthonormal basis (3n, r) of the small rigid motions of points (n, 3); r = 6 unless they are collinear.
 
-    `weights` (n,): of each point in a sum of squares; the basis is then that of the fields times their roots.
+    `weights` (n,) are those of the points in a sum of squares; the fields are then multiplied by their square roots.
     """
     middle = points.mean(axis=0)
     size = max(float(np.sqrt(np.mean((points - middle) ** 2))), 1e-12)
@@ -214,6 +218,6 @@ def _rigid_motions(points: Array, weights: Array | None = None) -> Array:
 
 
 def _degrees(model: ErrorModel) -> tuple[int, int, int]:
-    """Highest powers of x, y, z in a column of the basis: that of a series or of the cross-effect, and a lever."""
+    """Return the highest powers of x, y, z in a basis column: a series or the cross-effect, times a lever arm."""
     x, y, z = (max(order, 2) + 1 for order in model.highest_order)
     return x, y, z

@@ -25,9 +25,9 @@ def test_axes_on_both_sides_go_from_tool_to_bed_and_from_bed_to_workpiece():
         ("tool-Y-Z-X-workpiece", "'bed' exactly once"),
         ("tool-bed-Y-Z-X-bed-workpiece", "'bed' exactly once"),
         ("tool-Y-Z-bed-workpiece", "axis X is missing"),
-        ("tool-Y-Z-X-bed-Y-workpiece", "axis Y stands twice"),
-        ("tool-Y-Z-X-bed-A-workpiece", "'A' is no linear axis"),
-        ("tool-Y--X-bed-Z-workpiece", "'' is no linear axis"),
+        ("tool-Y-Z-X-bed-Y-workpiece", "axis Y is listed twice"),
+        ("tool-Y-Z-X-bed-A-workpiece", "'A' is not a linear axis"),
+        ("tool-Y--X-bed-Z-workpiece", "'' is not a linear axis"),
         ("", "begin with 'tool'"),
     ],
 )

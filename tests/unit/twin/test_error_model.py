@@ -60,7 +60,7 @@ def test_wrong_ranges(ranges, says):
 def test_wrong_orders_terms_and_names():
     good = ErrorModel.uniform(CHAIN, RANGES).orders
     for orders, terms, says in (
-        (good | {"EXQ": 2}, (), "'EXQ' is no error motion"),
+        (good | {"EXQ": 2}, (), "'EXQ' is not an error motion"),
         ({"EXX": 2}, (), "no Legendre order"),
         (good | {"EXX": -1}, (), "outside"),
         (good, ("b7",), "unknown cross-effect term"),

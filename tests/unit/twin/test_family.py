@@ -55,7 +55,7 @@ def test_draws_are_uniform_and_reproducible():
         ({"positioning_um": -1.0}, "at least zero"),
         ({"rotation_urad": [1.0, float("nan")]}, "finite"),
         ({"rotation_urad": []}, "finite"),
-        ({"squareness_urad": [1.0, 2.0]}, "one value, not 2"),
+        ({"squareness_urad": [1.0, 2.0]}, "one value, got 2"),
     ],
 )
 def test_wrong_amplitudes(amplitudes, says):

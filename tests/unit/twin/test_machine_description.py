@@ -34,5 +34,5 @@ def test_the_order_of_the_file_gives_the_family_of_the_file() -> None:
 
 def test_a_model_of_other_axes_is_refused() -> None:
     ranges = ((0.0, 3990.0), *MACHINE.model.ranges_mm[1:])
-    with pytest.raises(ModelError, match="not of the machine case-study"):
+    with pytest.raises(ModelError, match="not belong to the machine case-study"):
         MACHINE.with_model(dataclasses.replace(MACHINE.model, ranges_mm=ranges))

@@ -78,5 +78,5 @@ def test_directions_at_a_latitude_are_those_of_a_ring() -> None:
 
 @pytest.mark.parametrize("touches", [5, 13])
 def test_too_few_touches_carry_no_map(touches: int) -> None:
-    with pytest.raises(DataError, match="do not carry"):
+    with pytest.raises(DataError, match="do not determine"):
         fit_pretravel(approach_directions(touches, AXIS), np.zeros(touches), AXIS)

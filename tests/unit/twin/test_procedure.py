@@ -67,7 +67,7 @@ def test_each_position_is_measured_with_its_tool() -> None:
 
 
 def test_an_unknown_station_is_named() -> None:
-    with pytest.raises(DataError, match="station 7 has no place"):
+    with pytest.raises(DataError, match="station 7 has no location"):
         PROCEDURE.plan([Position(7, 0.0, 0.0)])
 
 

@@ -29,5 +29,5 @@ def test_the_interval_holds_the_truth_as_often_as_it_says_and_a_good_probe_is_ra
 
 
 def test_one_reading_does_not_scatter() -> None:
-    with pytest.raises(DataError, match="do not scatter"):
+    with pytest.raises(DataError, match="have no standard deviation"):
         estimate_repeatability([1.0])

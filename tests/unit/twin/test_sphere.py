@@ -71,16 +71,16 @@ def test_a_ring_needs_a_guess_which_side_the_centre_is_on() -> None:
     points = around(ring)
     guess = CENTRE + np.array([1.0, -1.0, 2.0])
     assert fit_sphere(points, 1e-3, 14.0, near=guess).centre == pytest.approx(CENTRE, abs=1e-9)
-    with pytest.raises(DataError, match="one plane"):
+    with pytest.raises(DataError, match="coplanar"):
         fit_sphere(points, 1e-3, 14.0)
 
 
 @pytest.mark.parametrize(
     ("points", "radius", "words"),
     [
-        (around(POLE_AND_RING[:2]), 14.0, "2 touched points cannot fix 3"),
-        (around(POLE_AND_RING[:3]), None, "3 touched points cannot fix 4"),
-        (np.outer(np.arange(5.0), [1.0, 1.0, 1.0]), None, "one line"),
+        (around(POLE_AND_RING[:2]), 14.0, "2 touched points do not determine 3"),
+        (around(POLE_AND_RING[:3]), None, "3 touched points do not determine 4"),
+        (np.outer(np.arange(5.0), [1.0, 1.0, 1.0]), None, "collinear"),
         (np.tile(CENTRE, (5, 1)), 14.0, "coincide"),
         (np.full((5, 3), np.nan), 14.0, "not a finite"),
         (around(POLE_AND_RING), -1.0, "must be positive"),

@@ -27,7 +27,7 @@ def test_the_exact_search_says_the_same_but_for_its_tolerance(
     apart = SpherePrefilter(SceneSpheres.of(scene), clearance_mm, reduced_mm)
     less = {pair: apart_mm - 1e-3 for pair, apart_mm in reduced_mm.items()}
     for start, end in moves:
-        if apart.surely_hit(start, end):
+        if apart.certainly_hits(start, end):
             assert not scene.is_free(start, end, clearance_mm, reduced_mm)
         elif all(abs(np.subtract(start, centre) @ np.subtract(end, start)) > 1e-3 for centre, _ in around):
             assert scene.is_free(start, end, clearance_mm - 1e-3, less)
@@ -37,4 +37,4 @@ def test_what_is_no_sphere_is_left_to_the_exact_search() -> None:
     bar = Body("bar", Capsule((10.0, 0.0, -50.0), (10.0, 0.0, 50.0), 5.0))
     for scene in (Scene([TIP], [bar]), Scene([Body("stem", bar.shape)], [TIP])):
         apart = SpherePrefilter(SceneSpheres.of(scene), 1.0, {})
-        assert not apart.surely_hit((0.0, 0.0, 0.0), (20.0, 0.0, 0.0))
+        assert not apart.certainly_hits((0.0, 0.0, 0.0), (20.0, 0.0, 0.0))
