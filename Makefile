@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts resumes warming linuxcnc gcode schema deb deb-test clean
+.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts resumes warming linuxcnc gcode schema reference deb deb-test clean
 
 setup: $(STAMP)
 
@@ -78,6 +78,10 @@ linuxcnc: setup
 schema: setup
 	mkdir -p config/schema
 	$(BIN)/volcal config schema > config/schema/settings.json
+
+# The reference page of the Python library, from its docstrings.
+reference: setup
+	$(BIN)/python -m volcal.reference > docs/reference/python-api.md
 
 # The Debian package, for the Debian and the Python that this computer has: dist/volcal_*.deb
 deb: setup

@@ -1,1 +1,110 @@
-"""volcal as a library."""
+"""volcal as a library: from measured ball centres to the errors of a machine tool, in a notebook or a script.
+
+Read a machine, an artefact and ball centres; `identify`; `predict` the error with its covariance; `design` positions;
+`simulate` a measurement; build a `compensation_table` and export it for a controller; draw an `error_map`. Lengths are
+in mm unless a name says otherwise; points are axis positions, arrays of shape (n, 3). All values are frozen.
+
+Everything is loaded on first use, so `import volcal` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.artefact.artefact import Artefact as Artefact
+    from twin.artefact.position_set import MountGeometry as MountGeometry
+    from twin.artefact.position_set import Position as Position
+    from twin.collision.bodies import ProbeGeometry as ProbeGeometry
+    from twin.compensation.controllers.export_format import ControllerExport as ControllerExport
+    from twin.compensation.controllers.export_format import ExportOptions as ExportOptions
+    from twin.compensation.table import CompensationTable as CompensationTable
+    from twin.errors import DataError as DataError
+    from twin.errors import FormatError as FormatError
+    from twin.errors import ModelError as ModelError
+    from twin.errors import SingularSet as SingularSet
+    from twin.errors import TwinError as TwinError
+    from twin.formats.ball_file import BallFile as BallFile
+    from twin.formats.estimate_file import StoredEstimate as StoredEstimate
+    from twin.identification.estimate import Estimate as Estimate
+    from twin.identification.options import Options as Options
+    from twin.machine.machine_description import MachineDescription as MachineDescription
+    from twin.machine.volumetric import VolumetricRms as VolumetricRms
+    from volcal.compensation import CONTROLLER_FORMATS as CONTROLLER_FORMATS
+    from volcal.compensation import compensation_table as compensation_table
+    from volcal.compensation import export_table as export_table
+    from volcal.estimation import Prediction as Prediction
+    from volcal.estimation import VolumetricErrors as VolumetricErrors
+    from volcal.estimation import identify as identify
+    from volcal.estimation import predict as predict
+    from volcal.estimation import volumetric_errors as volumetric_errors
+    from volcal.figures import error_map as error_map
+    from volcal.files import read_artefact as read_artefact
+    from volcal.files import read_balls as read_balls
+    from volcal.files import read_estimate as read_estimate
+    from volcal.files import read_machine as read_machine
+    from volcal.files import read_positions as read_positions
+    from volcal.files import read_table as read_table
+    from volcal.files import shipped_file as shipped_file
+    from volcal.files import write_balls as write_balls
+    from volcal.files import write_estimate as write_estimate
+    from volcal.files import write_positions as write_positions
+    from volcal.files import write_table as write_table
+    from volcal.measuring_setup import MeasuringSetup as MeasuringSetup
+    from volcal.measuring_setup import case_study as case_study
+    from volcal.position_design import Design as Design
+    from volcal.position_design import design as design
+    from volcal.position_design import evaluate as evaluate
+    from volcal.simulation import Simulation as Simulation
+    from volcal.simulation import simulate as simulate
+
+_MODULES = {
+    "volcal.files": (
+        "shipped_file",
+        "read_machine",
+        "read_artefact",
+        "read_balls",
+        "read_positions",
+        "read_estimate",
+        "read_table",
+        "write_balls",
+        "write_positions",
+        "write_estimate",
+        "write_table",
+    ),
+    "volcal.measuring_setup": ("MeasuringSetup", "case_study"),
+    "volcal.estimation": ("identify", "predict", "volumetric_errors", "Prediction", "VolumetricErrors"),
+    "volcal.position_design": ("design", "evaluate", "Design"),
+    "volcal.simulation": ("simulate", "Simulation"),
+    "volcal.compensation": ("compensation_table", "export_table", "CONTROLLER_FORMATS"),
+    "volcal.figures": ("error_map",),
+    "twin.machine.machine_description": ("MachineDescription",),
+    "twin.artefact.artefact": ("Artefact",),
+    "twin.artefact.position_set": ("Position", "MountGeometry"),
+    "twin.collision.bodies": ("ProbeGeometry",),
+    "twin.formats.ball_file": ("BallFile",),
+    "twin.identification.options": ("Options",),
+    "twin.identification.estimate": ("Estimate",),
+    "twin.formats.estimate_file": ("StoredEstimate",),
+    "twin.machine.volumetric": ("VolumetricRms",),
+    "twin.compensation.table": ("CompensationTable",),
+    "twin.compensation.controllers.export_format": ("ControllerExport", "ExportOptions"),
+    "twin.errors": ("TwinError", "ModelError", "DataError", "FormatError", "SingularSet"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+__all__ = list(_MODULE_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name of the library on first use. Raises AttributeError for any other."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'volcal' has no attribute '{name}'")
+    value = getattr(import_module(_MODULE_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

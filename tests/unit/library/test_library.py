@@ -1,0 +1,141 @@
+"""The library `import volcal`: its examples run, its pages are current, and importing it loads nothing else."""
+
+from __future__ import annotations
+
+import doctest
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import volcal
+from volcal.reference import PREAMBLE, SECTIONS, page
+
+ROOT = Path(__file__).resolve().parents[3]
+HOW_TO = ROOT / "docs" / "how-to" / "use-volcal-in-a-notebook.md"
+REFERENCE = ROOT / "docs" / "reference" / "python-api.md"
+
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.fixture(scope="module")
+def names(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Any]:
+    """The names with which the examples of the reference page start."""
+    found: dict[str, Any] = {}
+    exec("\n".join(line.removeprefix(">>> ") for line in PREAMBLE.splitlines()), found)  # noqa: S102  our own text
+    return {**found, "folder": tmp_path_factory.mktemp("results")}
+
+
+@pytest.mark.parametrize("module", SECTIONS)
+def test_examples_of_the_docstrings_run(module: str, names: Mapping[str, Any]) -> None:
+    result = doctest.testmod(import_module(module), extraglobs=dict(names))
+    assert result.attempted > 0
+    assert result.failed == 0
+
+
+def test_the_reference_page_is_current() -> None:
+    assert REFERENCE.read_text(encoding="utf-8") == page(), "run `make reference`"
+
+
+def test_the_notebook_page_runs(tmp_path: Path) -> None:
+    """Exactly the first block of the page, in a process and an empty directory of its own."""
+    match = re.search(r"^```python\n(.*?)^```", HOW_TO.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert match is not None
+    assert len([line for line in match[1].splitlines() if line]) <= 10
+    done = subprocess.run([sys.executable, "-c", match[1]], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"VE \d+\.\d µm, expected after compensation \d+\.\d µm\n", done.stdout)
+    assert (tmp_path / "error-map.png").read_bytes().startswith(b"\x89PNG")
+    assert volcal.read_table(tmp_path / "table.csv").corrections.shape[3] == 3
+
+
+def test_import_loads_no_mathematics_and_neither_agent_nor_simulators() -> None:
+    program = "import sys, volcal; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    unwanted = {"numpy", "scipy", "pydantic", "matplotlib", "twin", "agent", "simulators", "drivers"}
+    assert unwanted.isdisjoint(loaded)
+
+
+def test_using_it_loads_neither_agent_nor_simulators_nor_matplotlib() -> None:
+    program = "import sys, volcal\nfor name in volcal.__all__: getattr(volcal, name)\nprint(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    assert {"agent", "simulators", "drivers", "matplotlib"}.isdisjoint(loaded)
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'calibrate'"):
+        _ = volcal.calibrate  # type: ignore[attr-defined]
+
+
+def test_the_shipped_balls_are_those_of_the_simulation() -> None:
+    setup = volcal.case_study()
+    shipped = volcal.read_balls(volcal.shipped_file("examples/case-study-balls.csv"), setup.machine)
+    simulated = volcal.simulate(setup, "S3", seed=1).balls
+    difference = shipped.observations.axis_positions - simulated.observations.axis_positions
+    assert np.abs(difference).max() < 1e-6
+
+
+def test_what_is_written_is_read_back(tmp_path: Path, names: Mapping[str, Any]) -> None:
+    setup, balls, estimate = names["setup"], names["balls"], names["estimate"]
+    again = volcal.read_balls(volcal.write_balls(balls, setup.machine, tmp_path / "balls.csv"), setup.machine)
+    np.testing.assert_allclose(again.observations.axis_positions, balls.observations.axis_positions, atol=1e-7)
+    assert volcal.read_positions(volcal.write_positions(balls.positions, tmp_path / "set.csv")) == balls.positions
+    stored = volcal.read_estimate(volcal.write_estimate(estimate, tmp_path / "estimate.json"))
+    np.testing.assert_array_equal(stored.parameters, estimate.parameters)
+    table = volcal.compensation_table(stored, balls)
+    np.testing.assert_array_equal(table.corrections, volcal.compensation_table(estimate, balls).corrections)
+    read = volcal.read_table(volcal.write_table(table, tmp_path / "table.csv"))
+    np.testing.assert_allclose(read.corrections, table.corrections, atol=1e-7)
+
+
+def test_the_prediction_agrees_with_the_true_machine() -> None:
+    """Normalised by its covariance, the error of a prediction is that of a normal deviate."""
+    setup = volcal.case_study()
+    simulation = volcal.simulate(setup, "S1+S3", seed=5, deflection="as modelled")
+    estimate = volcal.identify(simulation.balls, setup.machine, setup.artefact, order="file")
+    points = np.random.default_rng(1).uniform([0.0, 0.0, 0.0], [4000.0, 1300.0, 1500.0], (40, 3))
+    prediction = volcal.predict(estimate, points)
+    wrong = simulation.true_error(points) - prediction.error_mm
+    assert np.sqrt(np.mean((wrong / prediction.standard_uncertainty_mm) ** 2)) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("position,station\n", ["balls.csv", "column 'azimuth_deg' is missing", "row 1"]),
+        (
+            "position,station,azimuth_deg,elevation_deg,tool,ball,x_mm,y_mm,z_mm,sigma_um,temperature_c\n"
+            "0,1,45,0,probe,0,left,2,3,1,20\n",
+            ["balls.csv", "row 2", "column x_mm", "'left'"],
+        ),
+    ],
+)
+def test_errors_name_file_and_row(tmp_path: Path, text: str, words: list[str]) -> None:
+    path = tmp_path / "balls.csv"
+    path.write_text(text)
+    with pytest.raises(volcal.FormatError) as caught:
+        volcal.read_balls(path, volcal.case_study().machine)
+    assert [word for word in words if word not in str(caught.value)] == []
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(volcal.FormatError, match=r"there is no such file .*nowhere\.toml"):
+        volcal.read_machine(tmp_path / "nowhere.toml")
+    with pytest.raises(volcal.FormatError, match=r"case-study\.toml"):
+        volcal.shipped_file("machines/another.toml")
+
+
+def test_wrong_choices_say_what_is_known(tmp_path: Path, names: Mapping[str, Any]) -> None:
+    table = volcal.compensation_table(names["estimate"], names["balls"])
+    with pytest.raises(volcal.DataError, match="siemens-cec"):
+        volcal.export_table(table, "siemens", tmp_path)
+    with pytest.raises(volcal.DataError, match="count or target_vce_um"):
+        volcal.design(names["setup"])
+    with pytest.raises(volcal.DataError, match="beams"):
+        volcal.simulate(names["setup"], deflection="rubber")

@@ -1,0 +1,86 @@
+"""Compensation tables, and their export to the formats of controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, TableEstimate
+from twin.compensation.controllers.loss import require_same_machine
+from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
+from twin.errors import DataError
+from twin.formats.ball_file import BallFile
+from volcal.estimation import AnyEstimate, tool_offset
+from volcal.files import PathName
+
+CONTROLLER_FORMATS = tuple(WRITERS)
+"""Names of the formats that `export_table` writes."""
+
+
+def compensation_table(
+    estimate: AnyEstimate,
+    balls: BallFile | ArrayLike,
+    *,
+    step_mm: tuple[float, float, float] = (100.0, 100.0, 100.0),
+    anchor_mm: Sequence[float] = (0.0, 0.0, 0.0),
+    tool_offset_mm: ArrayLike | None = None,
+) -> CompensationTable:
+    """Build the table that compensates the estimated error: corrections in mm, added to the commanded axis position.
+
+    `balls`: the measured balls, or axis positions (n, 3) mm, around which nodes count as measured. `step_mm`: largest
+    distance of the nodes. `anchor_mm`: axis position at which the correction is zero; a value outside the workspace is
+    moved to its border. `tool_offset_mm` (3,): the one tool for which the table holds; None is the tool that was
+    measured with. Raises ModelError or DataError for values that cannot be.
+
+    >>> table = volcal.compensation_table(estimate, balls)
+    >>> table.corrections.shape
+    (41, 14, 16, 3)
+    """
+    model = estimate.model
+    ranges = np.array(model.ranges_mm)
+    anchor = Anchor(np.clip(np.asarray(anchor_mm, dtype=np.float64), ranges[:, 0], ranges[:, 1]))
+    measured = balls.observations.axis_positions if isinstance(balls, BallFile) else balls
+    return build_table(
+        model,
+        estimate.parameters,
+        regular_nodes(model.ranges_mm, step_mm),
+        tool_offset(estimate, tool_offset_mm),
+        anchor,
+        MeasuredRegion.around(measured),
+    )
+
+
+def export_table(
+    table: CompensationTable,
+    format_name: str,
+    folder: PathName,
+    *,
+    estimate: AnyEstimate | None = None,
+    options: ExportOptions | None = None,
+) -> ControllerExport:
+    """Write a table into `folder` in the format of a controller and return the export.
+
+    `format_name`: one of `CONTROLLER_FORMATS`. The result states what the format cannot represent (`losses`) and what has
+    to be set by hand (`facts`). `estimate`: the estimate from which the table was built; some formats need it. Raises
+    DataError for an unknown format and for a table that the format cannot take; then nothing is written.
+
+    >>> table = volcal.compensation_table(estimate, balls)
+    >>> export = volcal.export_table(table, "linuxcnc-comp", folder)
+    >>> sorted(export.files)
+    ['ini-lines.txt', 'x.comp', 'y.comp', 'z.comp']
+    """
+    if format_name not in WRITERS:
+        raise DataError(f"unknown format '{format_name}'", hint=f"Known: {', '.join(WRITERS)}")
+    known = None if estimate is None else TableEstimate(estimate.model, estimate.parameters, estimate.covariance)
+    source = ExportSource(table, known)
+    require_same_machine(source)
+    exported = WRITERS[format_name](source, options or ExportOptions())
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for name, text in exported.files.items():
+        (target / name).write_text(text, encoding="utf-8")
+    return exported

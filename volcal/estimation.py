@@ -1,0 +1,123 @@
+"""Identification of a machine from ball centres, and predictions of its error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points, as_vector
+from twin.artefact.artefact import Artefact
+from twin.errors import DataError
+from twin.formats.ball_file import BallFile
+from twin.formats.estimate_file import StoredEstimate
+from twin.identification import Estimate, Options, identify_by_evidence, left_covariance, predicted_vce
+from twin.identification import identify as identify_model
+from twin.machine.forward_model import exact_deviation
+from twin.machine.machine_description import MachineDescription
+from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid
+
+AnyEstimate = Estimate | StoredEstimate
+Order = int | Literal["evidence", "file"]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Error of the bare machine at axis positions, as estimated.
+
+    `points_mm` (n, 3): axis positions. `error_mm` (n, 3): deviation of the tool centre point. `covariance_mm2`
+    (3n, 3n): expected outer product of true less estimated error, point by point x, y, z; it includes what the model
+    cannot represent.
+    """
+
+    points_mm: Array
+    error_mm: Array
+    covariance_mm2: Array
+
+    @property
+    def standard_uncertainty_mm(self) -> Array:
+        """Standard uncertainty (n, 3) of the error, per direction."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance_mm2), 0.0)).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class VolumetricErrors:
+    """Volumetric error over the workspace: `before` of the bare machine as estimated, `after` as expected of the
+    machine compensated by the estimate."""
+
+    before: VolumetricRms
+    after: VolumetricRms
+
+
+def identify(
+    balls: BallFile,
+    machine: MachineDescription,
+    artefact: Artefact,
+    *,
+    order: Order = "evidence",
+    options: Options | None = None,
+) -> Estimate:
+    """Identify the geometric errors of `machine` from ball centres measured on `artefact`.
+
+    `order`: Legendre order of the 18 error motions: a number, "file" for that of the machine file, or "evidence" for
+    the order that the measurements support. `options`: formulation, prior, weights, outliers. Raises SingularSet if the
+    positions cannot determine anything, DataError for balls that the artefact does not have.
+
+    >>> estimate = volcal.identify(balls, setup.machine, setup.artefact, order=5)
+    >>> estimate.rank, estimate.model.size
+    (70, 90)
+    >>> len(estimate.null_directions)
+    20
+    """
+    if isinstance(order, int):
+        machine = machine.with_order(order)
+    elif order == "evidence":
+        return identify_by_evidence(lambda n: machine.with_order(n).family, balls.observations, artefact, options)
+    return identify_model(machine.model, balls.observations, artefact, machine.family, options)
+
+
+def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike | None = None) -> Prediction:
+    """Predict the error of the bare machine, with its covariance, at axis positions (n, 3) mm.
+
+    `tool_offset_mm` (3,): of the tool whose centre point is meant; None is the tool that was measured with. Raises
+    DataError if that is not one tool.
+
+    >>> prediction = volcal.predict(estimate, [[0.0, 0.0, 0.0], [4000.0, 1300.0, 1500.0]])
+    >>> prediction.error_mm.shape, prediction.covariance_mm2.shape
+    ((2, 3), (6, 6))
+    """
+    points = as_points(points_mm, "points")
+    offset = tool_offset(estimate, tool_offset_mm)
+    return Prediction(
+        points_mm=points,
+        error_mm=exact_deviation(estimate.model, points, offset, estimate.parameters),
+        covariance_mm2=left_covariance(estimate, points, offset),
+    )
+
+
+def volumetric_errors(estimate: Estimate, tool_offset_mm: ArrayLike | None = None) -> VolumetricErrors:
+    """Return the volumetric error over the workspace before and after compensation.
+
+    Each is the root mean square of the deviation on a grid of 60 x 20 x 20 points, as it is (`raw_um`) and after the
+    best rigid motion of the workspace (`aligned_um`).
+
+    >>> errors = volcal.volumetric_errors(estimate)
+    >>> errors.after.aligned_um < 0.5 * errors.before.aligned_um
+    True
+    """
+    offset = tool_offset(estimate, tool_offset_mm)
+    grid = evaluation_grid(estimate.model.ranges_mm)
+    before = QuadraticForm.build(estimate.model, grid, offset).value(estimate.parameters)
+    return VolumetricErrors(before, predicted_vce(estimate, grid, offset))
+
+
+def tool_offset(estimate: AnyEstimate, tool_offset_mm: ArrayLike | None) -> Array:
+    """Return the given tool offset (3,) mm, or that of the one tool the estimate was measured with."""
+    if tool_offset_mm is not None:
+        return as_vector(tool_offset_mm, 3, "tool offset")
+    if len(estimate.tool_offsets) != 1:
+        count = len(estimate.tool_offsets)
+        raise DataError(f"the estimate was measured with {count} tools", hint="Give tool_offset_mm of one of them")
+    return np.asarray(estimate.tool_offsets[0], dtype=np.float64)

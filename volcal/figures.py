@@ -1,0 +1,87 @@
+"""Figures of an estimate. matplotlib is imported when the first figure is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array
+from twin.identification import Estimate, field_uncertainty
+from twin.machine.error_model import ErrorModel
+from twin.machine.forward_model import exact_deviation
+from twin.machine.volumetric import evaluation_grid, rigid_part
+from volcal.estimation import tool_offset
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
+SHAPE = (61, 31)
+WIDTH_IN = 10.0
+ROOM_IN = 1.6  # of a figure's height for titles and labels
+
+
+def error_map(
+    estimate: Estimate, *, heights_mm: Sequence[float] | None = None, tool_offset_mm: ArrayLike | None = None
+) -> Figure:
+    """Draw the estimated error and its uncertainty over XY planes of the workspace, and return the matplotlib figure.
+
+    Upper row: length of the deviation in µm after the best rigid motion of the workspace. Lower row: predicted length
+    of what stays after compensation. `heights_mm`: axis positions of Z; None is bottom, middle and top.
+
+    >>> figure = volcal.error_map(estimate)
+    >>> [axes.get_title(loc="left") for axes in figure.axes[:3]]
+    ['Z = 0 mm', 'Z = 750 mm', 'Z = 1500 mm']
+    """
+    from matplotlib.figure import Figure  # noqa: PLC0415  slow to import, and needed for figures only
+
+    model, offset = estimate.model, tool_offset(estimate, tool_offset_mm)
+    heights = np.linspace(*model.ranges_mm[2], 3) if heights_mm is None else np.asarray(heights_mm, dtype=np.float64)
+    points = _planes(model, heights)
+    grid = evaluation_grid(model.ranges_mm)
+    # The rigid motion is that of the grid on which every volumetric error is stated.
+    deviation, everywhere = (
+        exact_deviation(model, positions, offset, estimate.parameters) for positions in (points, grid)
+    )
+    aligned = deviation - rigid_part(grid + offset, everywhere, points + offset)
+    rows = (
+        ("estimated / µm", aligned),
+        ("remaining / µm", field_uncertainty(estimate, points, offset, aligned_over=grid)),
+    )
+    figure = Figure(figsize=(WIDTH_IN, _height_in(model, len(heights))), layout="constrained")
+    panels = figure.subplots(2, len(heights), sharex=True, sharey=True, squeeze=False)
+    for (label, field), row in zip(rows, panels, strict=True):
+        lengths_um = 1e3 * np.linalg.norm(field, axis=1).reshape(len(heights), *SHAPE)
+        images = [_draw(axes, model, plane, lengths_um.max()) for axes, plane in zip(row, lengths_um, strict=True)]
+        figure.colorbar(images[-1], ax=list(row), label=label, pad=0.01, aspect=12)
+        row[0].set_ylabel("Y / mm")
+    for axes, height in zip(panels[0], heights, strict=True):
+        axes.set_title(f"Z = {height:g} mm", loc="left", fontsize=10)
+    for axes in panels[-1]:
+        axes.set_xlabel("X / mm")
+    return figure
+
+
+def _planes(model: ErrorModel, heights: Array) -> Array:
+    """Axis positions (n, 3) of one XY grid for each height, plane by plane."""
+    (x_low, x_high), (y_low, y_high), _ = model.ranges_mm
+    x, y = np.linspace(x_low, x_high, SHAPE[0]), np.linspace(y_low, y_high, SHAPE[1])
+    return np.concatenate([np.stack(np.meshgrid(x, y, [z], indexing="ij"), axis=-1).reshape(-1, 3) for z in heights])
+
+
+def _height_in(model: ErrorModel, count: int) -> float:
+    """Height of two rows of `count` panels at equal scales of X and Y."""
+    spans = np.ptp(np.array(model.ranges_mm[:2]), axis=1)
+    return float(2.0 * (WIDTH_IN - 1.5) / count * spans[1] / spans[0]) + ROOM_IN
+
+
+def _draw(axes: Axes, model: ErrorModel, lengths_um: Array, top_um: float) -> AxesImage:
+    (x_low, x_high), (y_low, y_high), _ = model.ranges_mm
+    extent = (x_low, x_high, y_low, y_high)
+    return axes.imshow(
+        lengths_um.T, origin="lower", extent=extent, vmin=0.0, vmax=top_um, cmap="viridis", interpolation="bilinear"
+    )

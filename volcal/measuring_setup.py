@@ -1,0 +1,115 @@
+"""Set-ups: a machine with an artefact at its stations, before anything is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import MountGeometry, Position, parse_position_set
+from twin.artefact.touch_pattern import centre_covariance
+from twin.collision.accessibility import FIVE_TOUCHES
+from twin.collision.bodies import ProbeGeometry
+from twin.collision.measuring_layout import MeasuringLayout
+from twin.design.procedure import Procedure
+from twin.errors import DataError
+from twin.machine.machine_description import MachineDescription
+from volcal.files import read_artefact, read_machine, shipped_file
+
+CASE_STUDY_STATIONS_MM = (
+    (700.0, 1000.0, 750.0),
+    (1567.0, 1000.0, 750.0),
+    (2433.0, 1000.0, 750.0),
+    (3300.0, 1000.0, 750.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuringSetup:
+    """A machine and an artefact on its mount at stations, each ball touched five times.
+
+    `stations_mm` (S, 3): foot of the mount in the workpiece frame, station 1 first. `tool`: tool of the machine that
+    measures; None is its first. `touch_sigma_um`: standard deviation of one touch. `clearance_mm`: distance to the ends
+    of travel that touching a ball needs beside ball and tip radius. Raises DataError or ModelError for values that
+    cannot be.
+
+    >>> setup = volcal.case_study()
+    >>> setup.machine.name, setup.artefact.count, len(setup.stations_mm)
+    ('case-study', 11, 4)
+    >>> len(setup.position_set("S3"))
+    24
+    """
+
+    machine: MachineDescription
+    artefact: Artefact
+    stations_mm: Array
+    tool: str | None = None
+    touch_sigma_um: float = 1.1
+    clearance_mm: float = 8.0
+    mount: MountGeometry = field(default_factory=MountGeometry)
+    probe: ProbeGeometry = field(default_factory=ProbeGeometry)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stations_mm", as_points(self.stations_mm, "stations"))
+        self.machine.tool(self.tool_name)
+        for name in ("touch_sigma_um", "clearance_mm"):
+            if not getattr(self, name) > 0.0:
+                raise DataError(f"{name} must be positive, not {getattr(self, name):g}", key=name)
+
+    @property
+    def tool_name(self) -> str:
+        """Name of the tool that measures."""
+        return self.tool or next(iter(self.machine.tools))
+
+    @property
+    def tool_offset_mm(self) -> Array:
+        """Offset (3,) in mm of the tool that measures."""
+        return np.asarray(self.machine.tool(self.tool_name), dtype=np.float64)
+
+    def position_set(self, name: str) -> tuple[Position, ...]:
+        """Return the positions of `S1`, `S2`, `S3` or of a union such as `S1+S3` at all stations.
+
+        Raises TwinError for an unknown name.
+        """
+        return parse_position_set(name, len(self.stations_mm))
+
+    @cached_property
+    def procedure(self) -> Procedure:
+        """The set-up as the mathematics of the twin takes it: layout of the tool, covariance of one ball centre."""
+        room_mm = self.artefact.ball_radius_mm + self.probe.tip_radius_mm + self.clearance_mm
+        travel = np.array(self.machine.limits)
+        layout = MeasuringLayout(
+            artefact=self.artefact,
+            mount=self.mount,
+            probe=self.probe,
+            locations_mm=dict(enumerate(self.stations_mm, start=1)),
+            tool_offset_mm=self.tool_offset_mm,
+            lower_mm=travel[:, 0] + room_mm,
+            upper_mm=travel[:, 1] - room_mm,
+            contact_mm=self.artefact.ball_radius_mm + self.probe.tip_radius_mm,
+            approach_mm=self.clearance_mm,
+        )
+        covariance_mm2 = centre_covariance(FIVE_TOUCHES, 1e-3 * self.touch_sigma_um)
+        return Procedure({self.tool_name: layout}, covariance_mm2)
+
+    def at(self, stations_mm: ArrayLike) -> MeasuringSetup:
+        """Return the same set-up with the mount at other stations (S, 3) mm."""
+        return replace(self, stations_mm=as_points(stations_mm, "stations"))
+
+
+def case_study() -> MeasuringSetup:
+    """Return the shipped case study: a moving-column milling machine, a 1500 mm ball bar, four stations along X.
+
+    >>> volcal.case_study().machine.model.ranges_mm
+    ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
+    """
+    return MeasuringSetup(
+        machine=read_machine(shipped_file("machines/case-study.toml")),
+        artefact=read_artefact(shipped_file("artefacts/ball-bar-1500.toml")),
+        stations_mm=np.array(CASE_STUDY_STATIONS_MM),
+        tool="probe",
+    )

@@ -1,0 +1,87 @@
+"""Design of positions: which positions leave the smallest error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.artefact.position_set import Position
+from twin.design.candidates import candidates_of, orientation_grid
+from twin.design.goals import Goal, Positions, Target
+from twin.design.measuring_cost import Prices
+from twin.design.search import Search
+from twin.design.valuation import Valuation, valuation
+from twin.errors import DataError
+from twin.identification import Options
+from twin.machine.volumetric import evaluation_grid
+from volcal.measuring_setup import MeasuringSetup
+
+AS_STATED = Options(estimate_scales=False, outliers="none")
+"""Nothing is measured yet: noise, prior and misfit are taken as stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Positions in the order station, azimuth, elevation, and the volumetric error expected before and after."""
+
+    positions: tuple[Position, ...]
+    valuation: Valuation
+
+
+def design(
+    setup: MeasuringSetup,
+    count: int | None = None,
+    *,
+    target_vce_um: float | None = None,
+    grid_deg: float = 30.0,
+    stations: Sequence[int] | None = None,
+) -> Design:
+    """Choose positions for the smallest expected volumetric compensated error (rigidly aligned).
+
+    Give either `count`, the number of positions, or `target_vce_um`, the error to reach with as few positions as
+    possible. Candidates are all stations, or those of `stations`, with azimuth and elevation on a grid of `grid_deg`.
+    Every position costs the same here; `volcal design` on the command line counts machine minutes and proves the paths
+    free of collisions. Raises DataError for a goal that cannot be reached.
+
+    >>> design = volcal.design(setup, 6, grid_deg=45.0)
+    >>> len(design.positions)
+    6
+    >>> design.valuation.after.aligned_um < design.valuation.before.aligned_um
+    True
+    """
+    goal = _goal(count, target_vce_um)
+    procedure = setup.procedure
+    offered = [
+        Position(station, azimuth, elevation)
+        for station in stations or procedure.stations
+        for azimuth, elevation in orientation_grid(grid_deg)
+    ]
+    grid = evaluation_grid(setup.machine.model.ranges_mm)
+    candidates = candidates_of(procedure, offered, setup.machine.family, AS_STATED, grid, setup.tool_offset_mm)
+    codes = np.array([position.station for position in candidates.positions])
+    chosen = goal.reached(Search(candidates, Prices(np.ones(candidates.count), codes)))
+    return evaluate(setup, [candidates.positions[index] for index in sorted(chosen)])
+
+
+def evaluate(setup: MeasuringSetup, positions: Sequence[Position] | str) -> Design:
+    """Return the volumetric error that measuring `positions` is expected to leave, before anything is measured.
+
+    >>> volcal.evaluate(setup, "S3").valuation.percent > 50.0
+    True
+    """
+    chosen = setup.position_set(positions) if isinstance(positions, str) else tuple(positions)
+    planned = setup.procedure.planned(chosen)
+    grid = evaluation_grid(setup.machine.model.ranges_mm)
+    family, offset = setup.machine.family, setup.tool_offset_mm
+    worth = valuation(family, setup.artefact, planned.observations, AS_STATED, grid, offset)
+    return Design(planned.positions, worth)
+
+
+def _goal(count: int | None, target_vce_um: float | None) -> Goal:
+    if count is not None and target_vce_um is None:
+        return Positions(count)
+    if target_vce_um is not None and count is None:
+        return Target(1e-3 * target_vce_um)
+    raise DataError("a design has one goal", hint="Give either count or target_vce_um")

@@ -1,0 +1,56 @@
+"""Simulated measurements: a machine drawn at random, and the ball centres that it would measure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin.arrays import Array, as_points
+from twin.artefact.position_set import Position
+from twin.errors import DataError
+from twin.formats.ball_file import BallFile
+from twin.machine.true_machine import TrueMachine
+from twin.uncertainty.random_machines import AS_MODELLED, FORMS, make
+from volcal.measuring_setup import MeasuringSetup
+
+DEFLECTIONS = (AS_MODELLED, *FORMS)
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """Ball centres of a simulated measurement, and the machine that only the simulation knows."""
+
+    balls: BallFile
+    true_machine: TrueMachine
+
+    def true_error(self, points_mm: ArrayLike) -> Array:
+        """Return the true deviation (n, 3) mm of the tool centre point at axis positions (n, 3) mm."""
+        return self.true_machine.deviation(as_points(points_mm, "points"))
+
+
+def simulate(
+    setup: MeasuringSetup, positions: Sequence[Position] | str = "S3", *, seed: int = 1, deflection: str = "beams"
+) -> Simulation:
+    """Draw a machine of the prior population and simulate the measurement of `positions` on it.
+
+    The machine is richer than the model that is identified: Legendre order 7 and a deflection, which is one of
+    `none`, `beams` (that of the machine file), `rails`, `smooth`, `portal`, `thermal`. Artefact, thermometer, drift and
+    touches differ from what is stated, within their uncertainties. `deflection="as modelled"` draws a machine that the
+    model can represent exactly, measured as stated. The same seed gives the same numbers. Raises DataError for an
+    unknown deflection and if no position is within reach.
+
+    >>> simulation = volcal.simulate(setup, "S1", seed=3)
+    >>> simulation.balls.observations.size, simulation.true_error([[0.0, 0.0, 0.0]]).shape
+    (78, (1, 3))
+    """
+    if deflection not in DEFLECTIONS:
+        raise DataError(f"unknown deflection '{deflection}'", hint=f"Known: {', '.join(DEFLECTIONS)}")
+    rng = np.random.default_rng(seed)
+    chosen = setup.position_set(positions) if isinstance(positions, str) else tuple(positions)
+    planned = setup.procedure.planned(chosen)
+    drawn = make(setup.machine, setup.tool_offset_mm, deflection, rng)
+    measured = drawn.measured(planned.observations, setup.artefact, rng)
+    return Simulation(BallFile(measured, planned.positions), drawn.truth)
