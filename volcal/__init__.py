@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from twin.artefact.position_set import Position as Position
     from twin.collision.bodies import ProbeGeometry as ProbeGeometry
     from twin.compensation.controllers.export_format import ControllerExport as ControllerExport
-    from twin.compensation.controllers.export_format import ExportOptions as ExportOptions
     from twin.compensation.table import CompensationTable as CompensationTable
     from twin.errors import DataError as DataError
     from twin.errors import FormatError as FormatError
@@ -89,7 +88,7 @@ _MODULES = {
     "twin.formats.estimate_file": ("StoredEstimate",),
     "twin.machine.volumetric": ("VolumetricRms",),
     "twin.compensation.table": ("CompensationTable",),
-    "twin.compensation.controllers.export_format": ("ControllerExport", "ExportOptions"),
+    "twin.compensation.controllers.export_format": ("ControllerExport",),
     "twin.errors": ("TwinError", "ModelError", "DataError", "FormatError", "SingularSet"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.compensation.controllers.export_format import ControllerExport, ExportOptions, ExportSource, TableEstimate
+from twin.compensation.controllers.export_format import ControllerExport, ExportSource, TableEstimate
+from twin.compensation.controllers.format_options import ExportOptions
 from twin.compensation.controllers.loss import require_same_machine
-from twin.compensation.controllers.registry import WRITERS
+from twin.compensation.controllers.registry import FORMATS
 from twin.compensation.table import Anchor, CompensationTable, MeasuredRegion, build_table, regular_nodes
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from volcal.estimation import AnyEstimate, tool_offset
 from volcal.files import PathName
 
-CONTROLLER_FORMATS = tuple(WRITERS)
+CONTROLLER_FORMATS = tuple(FORMATS)
 """Names of the formats that `export_table` writes."""
 
 
@@ -60,27 +61,39 @@ def export_table(
     folder: PathName,
     *,
     estimate: AnyEstimate | None = None,
-    options: ExportOptions | None = None,
+    opposite_sign: bool = False,
+    **options: object,
 ) -> ControllerExport:
     """Write a table into `folder` in the format of a controller and return the export.
 
-    `format_name`: one of `CONTROLLER_FORMATS`. The result states what the format cannot represent (`losses`) and what has
-    to be set by hand (`facts`). `estimate`: the estimate from which the table was built; some formats need it. Raises
-    DataError for an unknown format and for a table that the format cannot take; then nothing is written.
+    `format_name`: one of `CONTROLLER_FORMATS`. The result states what the format cannot represent (`losses`) and what
+    has to be set by hand (`facts`). `estimate`: the estimate of the table; some formats need it. `opposite_sign`: write
+    every value with the other sign than documented. `options`: those of the format, by the names of the options of
+    `volcal table export` with underscores. Raises DataError for an unknown format or option and for a table that the
+    format cannot represent; then nothing is written.
 
     >>> table = volcal.compensation_table(estimate, balls)
     >>> export = volcal.export_table(table, "linuxcnc-comp", folder)
     >>> sorted(export.files)
     ['ini-lines.txt', 'x.comp', 'y.comp', 'z.comp']
     """
-    if format_name not in WRITERS:
-        raise DataError(f"unknown format '{format_name}'", hint=f"Known: {', '.join(WRITERS)}")
+    if format_name not in FORMATS:
+        raise DataError(f"unknown format '{format_name}'", hint=f"Known: {', '.join(FORMATS)}")
+    _refuse_unknown(options, format_name)
     known = None if estimate is None else TableEstimate(estimate.model, estimate.parameters, estimate.covariance)
     source = ExportSource(table, known)
     require_same_machine(source)
-    exported = WRITERS[format_name](source, options or ExportOptions())
+    exported = FORMATS[format_name].export(source, ExportOptions(options, opposite_sign))
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name, text in exported.files.items():
         (target / name).write_text(text, encoding="utf-8")
     return exported
+
+
+def _refuse_unknown(options: Mapping[str, object], format_name: str) -> None:
+    declared = [option.key for option in FORMATS[format_name].options]
+    for key in options:
+        if key not in declared:
+            hint = f"Options of the format: {', '.join(declared) or 'none'}"
+            raise DataError(f"the format '{format_name}' has no option '{key}'", hint=hint)

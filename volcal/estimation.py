@@ -13,7 +13,7 @@ from twin.artefact.artefact import Artefact
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.formats.estimate_file import StoredEstimate
-from twin.identification import Estimate, Options, identify_by_evidence, left_covariance, predicted_vce
+from twin.identification import Estimate, Options, identify_by_evidence, predicted_vce, residual_covariance
 from twin.identification import identify as identify_model
 from twin.machine.forward_model import exact_deviation
 from twin.machine.machine_description import MachineDescription
@@ -93,7 +93,7 @@ def predict(estimate: Estimate, points_mm: ArrayLike, tool_offset_mm: ArrayLike 
     return Prediction(
         points_mm=points,
         error_mm=exact_deviation(estimate.model, points, offset, estimate.parameters),
-        covariance_mm2=left_covariance(estimate, points, offset),
+        covariance_mm2=residual_covariance(estimate, points, offset),
     )
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.artefact.position_set import Position
-from twin.design.candidates import candidates_of, orientation_grid
-from twin.design.goals import Goal, Positions, Target
-from twin.design.measuring_cost import Prices
-from twin.design.search import Search
+from twin.design.candidates import build_candidates, orientation_grid
+from twin.design.goals import Goal, PositionCountGoal, TargetErrorGoal
+from twin.design.measuring_cost import MeasuringCosts
+from twin.design.search import ExchangeSearch
 from twin.design.valuation import Valuation, valuation
 from twin.errors import DataError
 from twin.identification import Options
@@ -59,9 +59,9 @@ def design(
         for azimuth, elevation in orientation_grid(grid_deg)
     ]
     grid = evaluation_grid(setup.machine.model.ranges_mm)
-    candidates = candidates_of(procedure, offered, setup.machine.family, AS_STATED, grid, setup.tool_offset_mm)
+    candidates = build_candidates(procedure, offered, setup.machine.family, AS_STATED, grid, setup.tool_offset_mm)
     codes = np.array([position.station for position in candidates.positions])
-    chosen = goal.reached(Search(candidates, Prices(np.ones(candidates.count), codes)))
+    chosen = goal.select(ExchangeSearch(candidates, MeasuringCosts(np.ones(candidates.count), codes)))
     return evaluate(setup, [candidates.positions[index] for index in sorted(chosen)])
 
 
@@ -72,7 +72,7 @@ def evaluate(setup: MeasuringSetup, positions: Sequence[Position] | str) -> Desi
     True
     """
     chosen = setup.position_set(positions) if isinstance(positions, str) else tuple(positions)
-    planned = setup.procedure.planned(chosen)
+    planned = setup.procedure.plan(chosen)
     grid = evaluation_grid(setup.machine.model.ranges_mm)
     family, offset = setup.machine.family, setup.tool_offset_mm
     worth = valuation(family, setup.artefact, planned.observations, AS_STATED, grid, offset)
@@ -81,7 +81,7 @@ def evaluate(setup: MeasuringSetup, positions: Sequence[Position] | str) -> Desi
 
 def _goal(count: int | None, target_vce_um: float | None) -> Goal:
     if count is not None and target_vce_um is None:
-        return Positions(count)
+        return PositionCountGoal(count)
     if target_vce_um is not None and count is None:
-        return Target(1e-3 * target_vce_um)
+        return TargetErrorGoal(1e-3 * target_vce_um)
     raise DataError("a design has one goal", hint="Give either count or target_vce_um")

@@ -13,10 +13,10 @@ from twin.artefact.position_set import Position
 from twin.errors import DataError
 from twin.formats.ball_file import BallFile
 from twin.machine.true_machine import TrueMachine
-from twin.uncertainty.random_machines import AS_MODELLED, FORMS, make
+from twin.uncertainty.random_machines import AS_MODELLED, DEFLECTION_FORMS, draw_random_machine
 from volcal.measuring_setup import MeasuringSetup
 
-DEFLECTIONS = (AS_MODELLED, *FORMS)
+DEFLECTIONS = (AS_MODELLED, *DEFLECTION_FORMS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def simulate(
         raise DataError(f"unknown deflection '{deflection}'", hint=f"Known: {', '.join(DEFLECTIONS)}")
     rng = np.random.default_rng(seed)
     chosen = setup.position_set(positions) if isinstance(positions, str) else tuple(positions)
-    planned = setup.procedure.planned(chosen)
-    drawn = make(setup.machine, setup.tool_offset_mm, deflection, rng)
+    planned = setup.procedure.plan(chosen)
+    drawn = draw_random_machine(setup.machine, setup.tool_offset_mm, deflection, rng)
     measured = drawn.measured(planned.observations, setup.artefact, rng)
     return Simulation(BallFile(measured, planned.positions), drawn.truth)

@@ -135,6 +135,8 @@ def test_wrong_choices_say_what_is_known(tmp_path: Path, names: Mapping[str, Any
     table = volcal.compensation_table(names["estimate"], names["balls"])
     with pytest.raises(volcal.DataError, match="siemens-cec"):
         volcal.export_table(table, "siemens", tmp_path)
+    with pytest.raises(volcal.DataError, match="has no option 'colour'"):
+        volcal.export_table(table, "neutral", tmp_path, colour="red")
     with pytest.raises(volcal.DataError, match="count or target_vce_um"):
         volcal.design(names["setup"])
     with pytest.raises(volcal.DataError, match="beams"):
