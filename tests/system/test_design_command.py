@@ -102,15 +102,15 @@ def test_people_are_shown_what_a_machine_reads():
         ((), ["no goal is given", "exactly one of --slot, --positions or --target-vce"]),
         (("--slot", "20min", "--positions", "4"), ["2 goals are given", "exactly one"]),
         (("--slot", "0min"), ["above zero"]),
-        (("--positions", "1"), ["cannot tell machine from artefact"]),
+        (("--positions", "1"), ["cannot separate machine errors from artefact errors"]),
         (("--slot", "0.05h", *COARSE), ["3 min are too short", "shortest two take", "min"]),
-        (("--target-vce", "0.2", *COARSE), ["0.20 µm cannot be reached", "µm are left"]),
+        (("--target-vce", "0.2", *COARSE), ["0.20 µm cannot be reached", "µm remain"]),
         (("--positions", "4", "--grid-deg", "7"), ["7° does not divide 90°"]),
         (("--positions", "4", "--out", "set.txt"), ["written as CSV", "set.csv"]),
         (("--positions", "4", "--tool", "hammer"), ["no tool 'hammer'", "probe"]),
         (("--positions", "4", "--touches", "6"), ["no pattern of 6 touches", "--touches"]),
         (("--positions", "4", "--machine", "nowhere.toml"), ["no such file", "nowhere.toml"]),
-        (("--positions", "900", *COARSE), ["positions can be measured, 900 are asked for"]),
+        (("--positions", "900", *COARSE), ["positions can be measured, but 900 were requested"]),
     ],
 )
 def test_wrong_input_is_one_clear_line(arguments: tuple[str, ...], words: list[str]):

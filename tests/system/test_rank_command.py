@@ -140,10 +140,10 @@ class TestWrongInput:
     @pytest.mark.parametrize(
         ("rows", "words"),
         [
-            ("1,45,0", ["cannot tell machine from artefact", "p.csv", "at least two positions"]),
+            ("1,45,0", ["cannot separate machine errors from artefact errors", "p.csv", "at least two positions"]),
             ("1,45,0\n1,45,up", ["'up' is not a finite number", "p.csv", "row 3", "elevation_deg"]),
             ("7,45,0\n1,0,45", ["station 7 has no location", "p.csv", "1, 2, 3, 4"]),
-            ("1,90,0\n2,90,0", ["none of 2 positions has three balls within reach", "p.csv"]),
+            ("1,90,0\n2,90,0", ["none of the 2 positions has three balls within reach", "p.csv"]),
             ("", ["no position is listed", "p.csv"]),
         ],
         ids=["identifies nothing", "no number", "no such station", "out of reach", "empty"],

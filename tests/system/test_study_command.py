@@ -124,7 +124,7 @@ class TestBadInput:
         listed = tmp_path / "one.csv"
         listed.write_text("station,azimuth_deg,elevation_deg\n1,45,0\n")
         done = here(*SMALL, "--set", listed, "--out", tmp_path / "out", "--workers", "2")
-        refused(done, 2, "cannot tell machine from artefact")
+        refused(done, 2, "cannot separate machine errors from artefact errors")
         assert not (tmp_path / "out").exists()
 
     def test_a_set_that_leaves_the_field_open_without_prior(self, tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ POSITIONS = {
     "station without a place": ("7,0,0", 2, ["station 7", "p.csv", "stations.places_mm"]),
     "out of reach": ("1,90,0", 2, ["no position has three balls within the travel"]),
     "one out of reach": ("1,45,0\n1,0,45\n1,90,0", 2, ["position 3", "0 balls within reach", "p.csv"]),
-    "one position only": ("1,45,0", 2, ["cannot tell machine from artefact", "p.csv"]),
+    "one position only": ("1,45,0", 2, ["cannot separate machine errors from artefact errors", "p.csv"]),
     "no number": ("1,45,up", 2, ["'up' is not a finite number", "p.csv", "row 2", "column elevation_deg"]),
     "twice": ("1,45,0\n1,45,0", 2, ["p.csv", "row 3"]),
     "none": ("", 2, ["no position is listed", "p.csv"]),
@@ -192,7 +192,7 @@ def test_run_that_preflight_refuses_writes_no_result(monkeypatch, tmp_path: Path
     assert outcome["state"] == "refused"
     assert outcome["touches"] == 0
     assert outcome["report"] is None
-    assert "cannot tell machine from artefact" in result.stderr
+    assert "cannot separate machine errors from artefact errors" in result.stderr
     left = sorted(path.name for path in (tmp_path / "state").iterdir())
     assert left == ["history.sqlite", "journal.sqlite", "run.lock"]
 

@@ -1,1 +1,1 @@
-"""Design of positions: which ones to measure so that the compensated machine becomes as good as it can in the time."""
+"""Optimal design: the positions that minimise the error after compensation within the available machine time."""

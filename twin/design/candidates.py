@@ -1,4 +1,4 @@
-"""Positions that could be measured, each reduced to what it tells of the shared unknowns."""
+"""Candidate positions, each reduced to the information it gives about the shared unknowns."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from twin.machine.volumetric import VolumetricRms
 
 Indices = NDArray[np.intp]
 
-_SEEN = 1e-13  # of the largest information of a position: what is below it the prior knows better by far
+_SEEN = 1e-13  # of the largest information of a position: below it the prior is far more informative
 
 
 @dataclass(frozen=True, eq=False)
 class CandidatePositions:
-    """N positions in the order of station, azimuth, elevation, tool.
+    """N candidate positions in the order of station, azimuth, elevation, tool.
 
-    `balls` (N,) within reach of each; `factors` (N, r, P) W of each, WᵀW its information about the shared unknowns z
-    with its pose projected out (rows of zero where it tells less than others); `precision` (P, P) of z before anything
-    is measured; `form` the criterion.
+    `balls` (N,): number of measurable balls; `factors` (N, r, P): factors W with WᵀW the information about the shared
+    unknowns z after projecting out the pose (padded with zero rows to equal rank); `precision` (P, P): prior precision
+    of z; `form`: the design criterion.
     """
 
     positions: tuple[Position, ...]
@@ -46,27 +46,28 @@ class CandidatePositions:
         return len(self.positions)
 
     def covariance(self, chosen: Sequence[int] | Indices) -> Array:
-        """(P, P) of z once the `chosen` ones have been measured."""
+        """Return the covariance (P, P) of z after measuring the `chosen` candidates."""
         rows = self.factors[np.asarray(chosen, dtype=np.intp)].reshape(-1, self.factors.shape[2])
-        inverse = np.linalg.inv(self.precision + rows.T @ rows)
+        inverse = np.linalg.inv(self.precision + rows.T @ rows)  # C = (D + Σ WᵀW)⁻¹
         return np.asarray(0.5 * (inverse + inverse.T))
 
     def vce(self, chosen: Sequence[int] | Indices) -> VolumetricRms:
-        """Expected volumetric compensated error once the `chosen` ones have been measured; of none: what there is."""
+        """Return the expected VCE after measuring the `chosen` candidates; if none are chosen, that of the prior."""
         return self.form.expected(self.covariance(chosen))
 
 
 def orientation_grid(step_deg: float) -> tuple[tuple[float, float], ...]:
-    """Azimuth and elevation in degrees, all around and from nadir to zenith. DataError for a step not dividing 90°.
+    """Return azimuths and elevations in degrees on a full grid, from nadir to zenith. Raise DataError if the step does
+    not divide 90°.
 
-    Holders make the artefact lopsided, so no two of them are the same: turned by half a turn and mirrored in elevation,
-    the bar lies along the same line with its balls on the other side of the mount.
+    No two orientations are equivalent, because the ball holders make the artefact asymmetric: rotated by half a turn
+    and mirrored in elevation, the bar lies along the same line but its balls are on the other side of the mount.
     """
     steps = 90.0 / step_deg if step_deg > 0.0 else 0.0
     if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-9):
         raise DataError(
-            f"a grid of {step_deg:g}° does not divide 90°",
-            hint="choose for instance 10, 15, 22.5, 30 or 45",
+            f"the grid step {step_deg:g}° does not divide 90°",
+            hint="choose for example 10, 15, 22.5, 30 or 45",
             key="grid",
         )
     count = round(steps)
@@ -83,11 +84,12 @@ def build_candidates(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> CandidatePositions:
-    """What each of `positions` tells; those with fewer than three balls within reach are left out, doubles count once.
+    """Return the candidates among `positions`; duplicates and positions with fewer than three measurable balls are left
+    out.
 
-    `grid` (n, 3) mm and `tool_offset` (3,): where and for which tool the error field is to become small. Formulation
-    and scales of `options` do not matter: ball centres, and noise, prior and misfit as stated. DataError where nothing
-    is within reach.
+    `grid` (n, 3) in mm and `tool_offset` (3,) define the error field to be minimised. The formulation and scales of
+    `options` have no effect: ball centres are used, with noise, prior and misfit as stated. Raise DataError if no
+    position can be measured.
     """
     planned = procedure.plan(sorted(set(positions), key=_order))
     problem = build_problem(family, planned.observations, procedure.artefact, options)
@@ -109,7 +111,7 @@ def _balls(planned: PlannedMeasurement) -> Indices:
 
 
 def _factors(problem: IdentificationProblem) -> Array:
-    """(N, r, P): the rows of each position turned so that the six that its pose has taken fall away."""
+    """Return the factors (N, r, P): equations of each position, rotated so that those used up by its pose vanish."""
     size = problem.blocks.size
     rows = CentreEquations.build(problem, unit_weights=False).projected(size)
     rows = problem.layout.pad(rows).reshape(problem.layout.positions, -1, size)

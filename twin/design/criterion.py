@@ -1,4 +1,4 @@
-"""The criterion: mean square of what stays of the error field, as a quadratic form of all shared unknowns."""
+"""Design criterion: expected mean square of the residual error field as a quadratic form of all shared unknowns."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from twin.machine.grid_quadrature import GridQuadrature
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import VolumetricRms
 
-_CHUNK = 2000  # grid points whose fields are held at a time
+_CHUNK = 2000  # grid points whose fields are held in memory at a time
 _CROSS_DEGREE = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """`raw`, `aligned` (P, P) mm²: trace(form · C) is the expected mean square, over a grid, of the field whose
-    unknowns z (P,) have the covariance C; aligned after the best rigid motion. Certificate and strain are no field.
-    `beside` mm²: mean square of what is too short in space for the modes of the misfit, which no set can change.
+    """Quadratic forms `raw` and `aligned` (P, P) in mm² of the design criterion.
+
+    trace(form · C) is the mean square over a grid, expected if the unknowns z (P,) have covariance C; `aligned` is
+    taken after the best rigid motion. Certificate and strain do not contribute to the field. `unresolved_mm2`: mean
+    square of the misfit too short in wavelength for its modes, the same for every set.
     """
 
     raw: Array
@@ -31,7 +33,7 @@ class Criterion:
 
     @classmethod
     def build(cls, unknowns: Unknowns, axis_positions: ArrayLike, tool_offset: ArrayLike) -> Criterion:
-        """Form over a grid of axis positions (n, 3) mm for the tool (3,) mm whose field counts."""
+        """Build the forms over a grid of axis positions (n, 3) in mm for the tool offset (3,) in mm."""
         grid, offset = as_points(axis_positions, "axis positions"), as_vector(tool_offset, 3, "tool offset")
         fields = _Fields(unknowns, offset)
         sums = GridQuadrature.for_points(grid, fields.degrees)
@@ -46,6 +48,7 @@ class Criterion:
             gram += field.T @ field
             shared += rigid.T @ field
             motion += rigid.T @ rigid
+        # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
         aligned = gram - shared.T @ np.linalg.lstsq(motion, shared, rcond=1e-12)[0]
         return cls(
             raw=fields.embed(gram / len(grid)),
@@ -54,14 +57,14 @@ class Criterion:
         )
 
     def expected(self, covariance: Array) -> VolumetricRms:
-        """Root of the expected mean squares for a covariance (P, P)."""
+        """Return the roots of the expected mean squares for a covariance (P, P)."""
         raw, aligned = (float(np.vdot(form, covariance)) + self.unresolved_mm2 for form in (self.raw, self.aligned))
         return VolumetricRms(float(np.sqrt(max(raw, 0.0))), float(np.sqrt(max(aligned, 0.0))))
 
 
 @dataclass(frozen=True, eq=False)
 class _Fields:
-    """The unknowns that are fields: parameters and misfit."""
+    """Unknowns that contribute to the field: parameters and misfit."""
 
     unknowns: Unknowns
     offset: Array
@@ -78,7 +81,8 @@ class _Fields:
 
     @property
     def degrees(self) -> tuple[int, int, int]:
-        """In x, y, z, at most: of the series and their levers, of the cross-effect, of the modes."""
+        """Upper bounds of the polynomial degrees in x, y, z: of the series with their levers, the cross-effect and the
+        modes."""
         unknowns = self.unknowns
         highest = np.maximum(np.array(unknowns.model.highest_order) + 1, _CROSS_DEGREE)
         if unknowns.modes is not None:
@@ -88,12 +92,12 @@ class _Fields:
 
     @property
     def unresolved_mm2(self) -> float:
-        """mm², three directions, scales as stated."""
+        """Unresolved misfit in mm², sum over three directions, with scales as stated."""
         modes = self.unknowns.modes
         return 0.0 if modes is None else 3.0 * self.unknowns.misfit_mm**2 * float(modes.left_out.sum())
 
     def at(self, points: Array) -> Array:
-        """(n, 3, size) mm per unit of each."""
+        """Return the fields (n, 3, size) in mm per unit of each unknown."""
         unknowns = self.unknowns
         basis = deviation_basis(unknowns.model, points, self.offset)
         fields = basis * unknowns.scale
@@ -103,7 +107,7 @@ class _Fields:
         return np.concatenate((fields, unknowns.misfit_mm * unknowns.modes.at(points, at_hand)), axis=2)
 
     def embed(self, form: Array) -> Array:
-        """(P, P) from (size, size)."""
+        """Embed a form (size, size) into one of all unknowns (P, P)."""
         full = np.zeros((self.unknowns.blocks.size,) * 2)
         full[np.ix_(self.indices, self.indices)] = form
         return full

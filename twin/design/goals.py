@@ -1,4 +1,4 @@
-"""What a design is to reach: a number of positions, a slot of time, or a volumetric compensated error."""
+"""Goals of a design: a number of positions, a time slot, or a volumetric compensated error."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from twin.design.search import ExchangeSearch, FeasibleMask, Mask, Selection
 from twin.errors import DataError
 
 FEWEST_POSITIONS = 2
-"""Fewer cannot tell machine from artefact, whatever the prior says."""
+"""Minimum number of positions; with fewer, machine and artefact errors cannot be separated, whatever the prior."""
 
 
 @dataclass(frozen=True)
 class PositionCountGoal:
-    """So many positions; time does not matter. DataError for one alone."""
+    """Select `count` positions regardless of time. Raise DataError if `count` is 1."""
 
     count: int
 
     def __post_init__(self) -> None:
         if self.count < FEWEST_POSITIONS:
             raise DataError(
-                f"{self.count} position(s) cannot tell machine from artefact",
-                hint="ask for two or more",
+                f"{self.count} position(s) cannot separate machine errors from artefact errors",
+                hint="request at least two positions",
                 key="positions",
             )
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Indices of the chosen candidates. DataError where there are not as many."""
+        """Return the indices of the chosen candidates. Raise DataError if there are not enough candidates."""
         if self.count > search.candidates.count:
             raise _too_few(search.candidates.count, self.count)
         room = _up_to(self.count, search.candidates.count)
@@ -43,18 +43,19 @@ class PositionCountGoal:
 
 @dataclass(frozen=True)
 class TimeSlotGoal:
-    """As good as it can be within so many machine minutes."""
+    """Minimise the expected VCE within `minutes` of machine time."""
 
     minutes: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Indices of the chosen candidates. DataError where two positions take longer, saying how long."""
+        """Return the indices of the chosen candidates. Raise DataError, stating the minimum, if two positions do not
+        fit."""
         shortest = search.costs.cheapest_pairs()
         if self.minutes < shortest.min():
             raise DataError(
-                f"{self.minutes:g} min are too short: machine and artefact are told apart by two positions, and the "
-                f"shortest two take {shortest.min():.1f} min",
-                hint="give a longer slot, fewer touches or fewer balls",
+                f"{self.minutes:g} min are too short: separating machine and artefact errors takes two positions, and "
+                f"the shortest two take {shortest.min():.1f} min",
+                hint="allow a longer slot, or use fewer touches or fewer balls",
                 key="slot",
             )
 
@@ -68,13 +69,13 @@ class TimeSlotGoal:
 
 @dataclass(frozen=True)
 class TargetErrorGoal:
-    """As short as it can be with an expected VCE (mm, aligned) no larger than this."""
+    """Minimise the machine time subject to an expected VCE (aligned) of at most `vce_mm`."""
 
     vce_mm: float
 
     def select(self, search: ExchangeSearch) -> tuple[int, ...]:
-        """Indices of the chosen candidates. DataError where all of them together do not reach it, saying what they
-        do."""
+        """Return the indices of the chosen candidates. Raise DataError, stating the best VCE, if all candidates cannot
+        reach it."""
         candidates = search.candidates
         wanted = self.vce_mm**2 - candidates.form.unresolved_mm2
         floor = candidates.vce(range(candidates.count)).aligned_mm
@@ -95,19 +96,19 @@ def _up_to(count: int, candidates: int) -> FeasibleMask:
 
 
 def _last(search: ExchangeSearch, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Selection:
-    """The last of the selections grown; the given one where there is no room at all."""
+    """Return the last selection grown, or the given one if nothing can be added."""
     return deque(chain([selection], search.grow(selection, room, per_minute=per_minute)), maxlen=1).pop()
 
 
 def _settled(search: ExchangeSearch, room: FeasibleMask) -> Selection:
-    """Grown by gain per minute and by gain alone, and the better of the two once each is exchanged and filled up."""
+    """Return the better of two greedy selections, by gain per minute and by gain, each exchanged and filled up."""
     start = Selection.of(search.candidates)
     grown = [_last(search, start, room, per_minute=per_minute) for per_minute in (True, False)]
     return min((_filled(search, selection, room) for selection in grown), key=lambda one: one.value)
 
 
 def _filled(search: ExchangeSearch, selection: Selection, room: FeasibleMask) -> Selection:
-    """Exchanged, and filled up with what room that made, until neither helps."""
+    """Alternate exchanging and filling up the freed time until neither changes the selection."""
     while True:
         exchanged = search.exchange(selection, room)
         filled = _last(search, exchanged, room, per_minute=False)
@@ -117,7 +118,7 @@ def _filled(search: ExchangeSearch, selection: Selection, room: FeasibleMask) ->
 
 
 def _thinned(search: ExchangeSearch, selection: Selection, wanted: float) -> Selection:
-    """Exchange, and do without whatever the value allows; ends when nothing more can be spared."""
+    """Alternate exchanging and removing positions that the target does not need, until none can be removed."""
     while True:
         minutes = search.costs.total(selection.chosen)
 
@@ -142,17 +143,17 @@ def _spared(selection: Selection, wanted: float) -> Selection:
 
 def _unattainable(wanted_mm: float, floor_mm: float, positions: int) -> DataError:
     return DataError(
-        f"a VCE of {1e3 * wanted_mm:.2f} µm cannot be reached: with all {positions} positions that can be measured "
-        f"{1e3 * floor_mm:.2f} µm are left",
-        hint="what stays is noise, certificate and what no table holds; take more touches, a better certificate or "
-        "another target",
+        f"a VCE of {1e3 * wanted_mm:.2f} µm cannot be reached: with all {positions} measurable positions "
+        f"{1e3 * floor_mm:.2f} µm remain",
+        hint="noise, certificate and errors that no table can represent remain; use more touches, a better "
+        "certificate or a larger target",
         key="target-vce",
     )
 
 
 def _too_few(found: int, wanted: int) -> DataError:
     return DataError(
-        f"only {found} positions can be measured, {wanted} are asked for",
-        hint="take a finer grid or more stations",
+        f"only {found} positions can be measured, but {wanted} were requested",
+        hint="use a finer grid or more stations",
         key="positions",
     )

@@ -1,9 +1,9 @@
-"""Which positions to hold out for the proof: those that would have told most of what the set leaves.
+"""Selection of held-out positions for the verification: those that would add most to what the set determines.
 
-The proof should be able to fail. Where a set has left the field uncertain, and where that matters for the volumetric
-error, a further position would lower the expected VCE² most; there an estimate that is wrong shows most clearly. So the
-criterion is that of the set itself, carried on after it: the gain of each group of positions, given everything chosen
-before, the groups already held out included, so that two of them do not look at the same thing.
+The verification should be able to fail. If a set leaves the field uncertain in a way that matters for the volumetric
+error, the position that would lower the expected VCE² most is also the one where a wrong estimate shows most clearly.
+The criterion is therefore that of the set itself, continued after it: the gain of each group of positions given
+everything chosen before, including groups already held out, so that two groups do not test the same error.
 """
 
 from __future__ import annotations
@@ -20,14 +20,18 @@ from twin.errors import DataError
 def most_informative_groups(
     candidates: CandidatePositions, chosen: Sequence[int], groups: Sequence[Sequence[int]], count: int
 ) -> list[list[int]]:
-    """The best `count` of `groups` (indices measured together, such as one orientation at all stations), one after the
-    other. Groups that share a position with `chosen` are left out. DataError where too few are left."""
+    """Return the `count` most informative of `groups`, chosen one after another.
+
+    A group holds indices measured together, such as one orientation at all stations. Groups that share a position with
+    `chosen` are skipped. Raise DataError if too few remain.
+    """
     taken = set(chosen)
     left = [list(group) for group in groups if not taken & set(group)]
     if len(left) < count:
         raise DataError(
-            f"{count} orientations are to be held out, {len(left)} are left that the verification's stations reach",
-            hint="take a finer grid, fewer stations in `verification.stations`, or fewer positions",
+            f"{count} orientations are to be held out, but only {len(left)} can be measured at the verification's "
+            "stations",
+            hint="use a finer grid, fewer stations in `verification.stations`, or fewer positions",
         )
     measured, telling = list(chosen), []
     for _ in range(count):
@@ -40,7 +44,7 @@ def most_informative_groups(
 
 
 def _gain(factors: Array, form: Array, covariance: Array) -> float:
-    """trace(Q C Wᵀ (1 + W C Wᵀ)⁻¹ W C) of factors (g, r, P) measured together."""
+    """Return trace(Q C Wᵀ (1 + W C Wᵀ)⁻¹ W C) for the factors (g, r, P) of a group measured together."""
     rows = factors.reshape(-1, factors.shape[2])
     carried = rows @ covariance
     taken = np.linalg.solve(np.eye(len(rows)) + carried @ rows.T, carried)

@@ -1,14 +1,15 @@
-"""What a set-up will see of a machine, before anything is measured, and the field that stays hidden from it.
+"""Identifiability of a machine by a planned set-up, and the part of the error field that stays hidden from it.
 
-Take the parameters z in units of their prior, z ~ N(0, 1), and C (p, p) for their posterior covariance, marginal over
-certificate, thermal strain and misfit. The estimate answers a machine z with (1 - C) z in the mean over all noise: C z
-is the part of the machine that it does not follow, whether because nothing shows it or because noise hides it. Of C z
-the projection on the null space N of the measurements stays however often they are repeated. So over the prior
+Take the parameters z in units of their prior, z ~ N(0, 1), and let C (p, p) be their posterior covariance, marginal
+over certificate, thermal strain and misfit. For a machine z the mean of the estimate over all noise is (1 - C) z: C z
+is the part of the machine that the estimate does not follow, either because the measurements do not depend on it or
+because noise hides it. The projection of C z on the null space N of the measurements stays however often they are
+repeated. Over the prior this gives
 
-    unseen field   covariance C C,     tends to the blind field as noise tends to nothing
+    unseen field   covariance C C,     tends to the blind field as the noise tends to zero
     blind field    covariance N Nᵀ
 
-and the mean square over the workspace is a quadratic form of them, for the tools that measure and for any other one.
+and the mean square over the workspace is a quadratic form of them, for the measuring tools and for any other one.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from twin.machine.volumetric import QuadraticForm
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedTool:
-    """A tool whose field over a grid is looked at. `measured`: the set is measured with it."""
+    """Tool for which the field over a grid is evaluated. `measured`: the set is measured with this tool."""
 
     name: str
     form: QuadraticForm
@@ -36,10 +37,10 @@ class EvaluatedTool:
 
 @dataclass(frozen=True, eq=False)
 class UnseenField:
-    """Rms over the workspace in mm, after the best rigid motion, of the field at one tool offset (3,) mm.
+    """Rms over the workspace in mm, after the best rigid motion, of the field at one tool offset (3,) in mm.
 
-    `prior_mm`: the family without any compensation; `unseen_mm`: what the estimate will not follow; `blind_mm`: the
-    part of it that no repetition brings to light.
+    `prior_mm`: field of the family without compensation; `unseen_mm`: part that the estimate will not follow;
+    `blind_mm`: part of that which no repetition can reveal.
     """
 
     tool: str
@@ -52,8 +53,11 @@ class UnseenField:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Rank, null directions and conditioning of the measurements alone; standard deviations (p,) of the parameters
-    before and after in mm or rad; the unseen field at each viewpoint."""
+    """Identifiability of the parameters by a set-up.
+
+    Rank, null directions and conditioning of the measurements alone; standard deviations (p,) of the parameters before
+    and after in mm or rad; the unseen field for each evaluated tool.
+    """
 
     model: ErrorModel
     rank: int
@@ -70,19 +74,21 @@ class Identifiability:
 
     @property
     def unseen_mm(self) -> float:
-        """Rms of the unseen field over workspace and viewpoints."""
+        """Rms of the unseen field over the workspace and the evaluated tools."""
         return float(np.sqrt(np.mean([at.unseen_mm**2 for at in self.fields])))
 
     @property
     def blind_mm(self) -> float:
-        """Rms of the blind field over workspace and viewpoints."""
+        """Rms of the blind field over the workspace and the evaluated tools."""
         return float(np.sqrt(np.mean([at.blind_mm**2 for at in self.fields])))
 
 
 def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedTool]) -> Identifiability:
-    """What the measurements behind `estimate` see. Its values do not matter, only where the balls were.
+    """Return the identifiability given by the measurements behind `estimate`; only the ball positions matter, not the
+    values.
 
-    Holds for full weights with the family as prior: then the covariance of the estimate is that of the posterior.
+    This holds for full weights with the family as prior, since then the covariance of the estimate is the posterior
+    one.
     """
     return Identifiability(
         model=estimate.model,
@@ -96,9 +102,10 @@ def assess_identifiability(estimate: Estimate, viewpoints: Sequence[EvaluatedToo
 
 
 def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
-    """(p, p) of the part of a drawn machine that an estimate with posterior covariance (p, p) does not follow.
+    """Return the covariance (p, p) of the part of a random machine that the estimate does not follow.
 
-    In units of `prior_scale` (p,) it is C C; a parameter that the family excludes has no part in it.
+    `covariance` (p, p) is the posterior one. In units of `prior_scale` (p,) the result is C C; a parameter that the
+    family excludes does not contribute.
     """
     used = prior_scale > 0.0
     weights = np.zeros_like(prior_scale)
@@ -107,7 +114,8 @@ def unseen_covariance(covariance: Array, prior_scale: Array) -> Array:
 
 
 def blind_covariance(information: Array, prior_scale: Array) -> Array:
-    """(p, p) of the part of a drawn machine in the null space of an information matrix (p, p) in prior units."""
+    """Return the covariance (p, p) of the part of a random machine in the null space of `information` (p, p), in prior
+    units."""
     hidden = prior_scale[:, None] * null_space(information)
     return np.asarray(hidden @ hidden.T)
 

@@ -1,13 +1,13 @@
-"""What is known once some positions have been measured, and what each further one would add.
+"""Information state after measuring some positions, and the gain of each further one.
 
-With the covariance C of the unknowns, the criterion's form Q and a position's factor W, measuring it lowers
-trace(Q C) by
+With the covariance C of the unknowns, the criterion's form Q and a position's factor W, measuring it lowers trace(Q C)
+by
 
     trace((1 + W C Wᵀ)⁻¹ W C Q C Wᵀ)
 
-(Woodbury), so two small matrices per candidate are all that a search needs. Measuring a position changes C by a matrix
-U Uᵀ of the position's rank, and the small matrices of all candidates follow from one product of their factors with U
-and C Q U: nothing is computed anew.
+(Woodbury), so a search needs only two small matrices per candidate. Measuring a position changes C by a matrix U Uᵀ of
+the position's rank, and the small matrices of all candidates are updated from one product of their factors with U and C
+Q U, without recomputing them.
 """
 
 from __future__ import annotations
@@ -23,8 +23,11 @@ from twin.design.candidates import Indices
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """`factors` (n, r, P) of the candidates looked at; `form` Q and `covariance` C (P, P); `spread` W C Wᵀ and `weight`
-    W C Q C Wᵀ (n, r, r); `value` trace(Q C) mm²."""
+    """Information state of a selection.
+
+    `factors` (n, r, P) of the candidates considered; `form` Q and `covariance` C (P, P); `spread` W C Wᵀ and `weight` W
+    C Q C Wᵀ (n, r, r); `value` trace(Q C) in mm².
+    """
 
     factors: Array
     form: Array
@@ -46,29 +49,29 @@ class InformationState:
         )
 
     def restricted_to(self, candidates: Indices) -> InformationState:
-        """The same, looking only at some of the candidates."""
+        """Return the same state for a subset of the candidates."""
         return replace(
             self, factors=self.factors[candidates], spread=self.spread[candidates], weight=self.weight[candidates]
         )
 
     def gains(self) -> Array:
-        """(n,) mm² by which measuring each candidate once more lowers the value."""
+        """Return the decrease (n,) of the value in mm² if each candidate is measured (again)."""
         return _ratios(np.eye(self.spread.shape[1]) + self.spread, self.weight)
 
     def losses(self, measured: Indices) -> Array:
-        """(m,) mm² by which doing without each of the `measured` ones raises the value."""
+        """Return the increase (m,) of the value in mm² if each of the `measured` positions is removed."""
         return _ratios(np.eye(self.spread.shape[1]) - self.spread[measured], self.weight[measured])
 
     def after_adding(self, factor: Array) -> InformationState:
-        """After measuring a position of `factor` (r, P)."""
+        """Return the state after measuring a position with `factor` (r, P)."""
         return self._changed(factor, -1.0)
 
     def after_removing(self, factor: Array) -> InformationState:
-        """Before a position of `factor` (r, P) that is part of what was measured."""
+        """Return the state without a measured position with `factor` (r, P)."""
         return self._changed(factor, 1.0)
 
     def _changed(self, factor: Array, sign: float) -> InformationState:
-        """C + sign U Uᵀ with U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ."""
+        """Return the state with C + sign U Uᵀ, where U = C Wᵀ chol(1 - sign W C Wᵀ)⁻ᵀ."""
         carried = factor @ self.covariance
         root, _ = dpotrf(np.eye(len(factor)) - sign * (carried @ factor.T), lower=1)
         u = dtrtrs(root, carried, lower=1)[0].T
@@ -78,6 +81,7 @@ class InformationState:
         both = self.factors.reshape(-1, len(u)) @ np.concatenate((u, self.covariance @ through), axis=1)
         both = both.reshape(*self.factors.shape[:2], 2 * size)
         seen, drawn = both[:, :, :size], both[:, :, size:]
+        # with C' = C + s U Uᵀ:  W C'Q C'Wᵀ = W C Q C Wᵀ + s (W C Q U)(W U)ᵀ + transpose + (W U)(UᵀQ U)(W U)ᵀ
         across = sign * (drawn @ seen.transpose(0, 2, 1))
         return replace(
             self,
@@ -89,5 +93,5 @@ class InformationState:
 
 
 def _ratios(below: Array, above: Array) -> Array:
-    """(n,) trace(below⁻¹ above) of symmetric matrices (n, r, r)."""
+    """Return trace(below⁻¹ above) (n,) of symmetric matrices (n, r, r)."""
     return np.asarray(np.einsum("nij,nij->n", np.linalg.inv(below), above))

@@ -1,4 +1,4 @@
-"""A night to come as the mathematics sees it: tools, artefact, positions, and how it will be identified."""
+"""Mathematical description of a planned measurement: tools, artefact, positions and identification options."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from twin.machine.kinematic_chain import AXES
 from twin.machine.machine_population import Family
 
 AS_STATED = Options(estimate_scales=False, outliers="none")
-"""Nothing is measured yet: noise, prior and misfit are taken as stated."""
+"""Options for planning: nothing has been measured, so noise, prior and misfit are used as stated."""
 
 
 @dataclass(frozen=True, eq=False)
 class SetUp:
-    """`positions` name the tool that measures them; None is the first of the procedure."""
+    """Planned measurement. Each of `positions` names its tool; None means the first tool of the procedure."""
 
     model: ErrorModel
     family: Family
@@ -37,42 +37,45 @@ class SetUp:
 
     @property
     def tool_axis(self) -> int:
-        """Axis along which the first tool is longest; where it has no length, the axis that carries it."""
+        """Axis along which the first tool is longest; for a tool without length, the axis that carries it."""
         offset = np.abs(self.procedure.layout().tool_offset_mm)
         if offset.any():
             return int(offset.argmax())
         return AXES.index(self.model.chain.axes[0])
 
     def plan(self) -> PlannedMeasurement:
-        """The balls that will be measured. DataError where none is within reach."""
+        """Return the balls that will be measured. Raise DataError if none can be reached."""
         return self.procedure.plan(self.positions)
 
     def estimate(self) -> Estimate:
-        """What will be known, from where the balls will be: the covariance of the night to come.
+        """Return the estimate expected from the planned ball positions; its covariance is that of the coming
+        measurement.
 
-        Raises DataError where nothing is within reach, SingularSet for a set that cannot determine anything.
+        Raise DataError if no ball can be reached, and SingularSet for a set that determines nothing.
         """
         return identify(self.model, self.plan().observations, self.procedure.artefact, self.family, self.options)
 
     def first_positions(self) -> tuple[Position, ...]:
-        """The positions that the first tool measures."""
+        """Return the positions measured with the first tool."""
         return tuple(p for p in self.positions if p.tool in (None, self.first_tool))
 
     def with_positions(self, positions: Iterable[Position]) -> SetUp:
-        """The same and further positions."""
+        """Return the set-up with additional positions."""
         return replace(self, positions=(*self.positions, *positions))
 
     def with_tool(self, name: str, tool_offset: Array) -> SetUp:
-        """The same, and what the first tool measures once more with another tool; every position is placed anew."""
+        """Return the set-up with the positions of the first tool measured again with another tool, replanned for its
+        offset."""
         layouts = {**self.procedure.layouts, name: layout_for(self.procedure.layout(), tool_offset, self.tool_axis)}
         procedure = replace(self.procedure, layouts=layouts)
         return replace(self, procedure=procedure).with_positions(replace(p, tool=name) for p in self.first_positions())
 
 
 def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> MeasuringLayout:
-    """The layout of another tool offset (3,) mm, its probe longer or shorter by the difference along the tool axis.
+    """Return the layout for another tool offset (3,) in mm; the probe length changes by the difference along the tool
+    axis.
 
-    What is in the way is judged for a straight probe, and for no shorter one than stem and body of the layout's.
+    Obstacles are assessed for a straight probe that is at least as long as stem and body of the layout's probe.
     """
     longer = float((np.abs(tool_offset) - np.abs(layout.tool_offset_mm))[tool_axis])
     reach_mm = max(layout.probe.reach_mm + longer, shortest_reach_mm(layout.probe))
@@ -84,5 +87,5 @@ def layout_for(layout: MeasuringLayout, tool_offset: Array, tool_axis: int) -> M
 
 
 def shortest_reach_mm(probe: ProbeGeometry) -> float:
-    """Of a probe with this stem and body."""
+    """Return the shortest possible length of a probe with this stem and body."""
     return probe.stem_length_mm + 2.0 * probe.body_radius_mm

@@ -1,4 +1,4 @@
-"""What measuring costs: machine minutes of every position, and of carrying the mount from station to station."""
+"""Cost of measuring in machine minutes: for each position, and for moving the mount between stations."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from twin.errors import DataError
 
 @dataclass(frozen=True, eq=False)
 class MeasuringCosts:
-    """`minutes` (N,) of measuring each candidate where the mount stands already; `stations` (N,) where each is;
-    `carry_minutes` of bringing the mount to another station; `standing_at`: where it stands before, None for nowhere.
+    """Measuring time of N candidates.
 
-    A set is measured station by station, so each station but that costs one carry.
+    `minutes` (N,): time of each candidate with the mount already at its station; `stations` (N,): its station;
+    `carry_minutes`: time to move the mount to another station; `standing_at`: initial station of the mount, None if
+    unknown.
+
+    A set is measured station by station, so each station other than the initial one costs one move.
     """
 
     minutes: Array
@@ -27,22 +30,22 @@ class MeasuringCosts:
 
     def __post_init__(self) -> None:
         if len(self.minutes) != len(self.stations):
-            raise DataError(f"{len(self.minutes)} prices for {len(self.stations)} candidates")
+            raise DataError(f"{len(self.minutes)} measuring times for {len(self.stations)} candidates")
         if not ((self.minutes > 0.0).all() and self.carry_minutes >= 0.0):
-            raise DataError("a position costs time, and carrying costs none or some")
+            raise DataError("measuring times must be positive, and the time to move the mount must not be negative")
 
     def total(self, chosen: Sequence[int]) -> float:
-        """Minutes of a whole set."""
+        """Return the minutes of a whole set."""
         carries = {int(self.stations[index]) for index in chosen} - {self.standing_at}
         return float(self.minutes[list(chosen)].sum()) + self.carry_minutes * len(carries)
 
     def marginal(self, chosen: Sequence[int]) -> Array:
-        """(N,) minutes that each candidate costs beside the chosen ones."""
+        """Return the minutes (N,) that each candidate adds to the chosen ones."""
         here = [*{int(self.stations[index]) for index in chosen}, self.standing_at or 0]
         return np.asarray(self.minutes + self.carry_minutes * ~np.isin(self.stations, here))
 
     def cheapest_pairs(self) -> Array:
-        """(N,) minutes of each candidate with the partner that is cheapest beside it."""
+        """Return the minutes (N,) of each candidate together with its cheapest partner."""
         cheapest = np.empty(len(self.minutes))
         for index in range(len(cheapest)):
             beside = self.marginal([index])

@@ -1,4 +1,4 @@
-"""A procedure before it is carried out: which balls a set of positions would measure, and how well."""
+"""Planned measuring procedure: the balls that a set of positions would measure, and their covariance."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from twin.errors import DataError
 IndexArray = NDArray[np.intp]
 
 FEWEST_BALLS = 3
-"""A position with fewer says nothing: its pose takes six unknowns."""
+"""Minimum number of balls per position; fewer give no information, since the pose has six unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedMeasurement:
-    """`observations`: ball centres as a machine without errors would find them; `observations.position` counts into
-    `positions`. `left_out`: positions with fewer than three balls within reach; `unreachable_balls` of all positions.
+    """Measurement planned for a set of positions.
+
+    `observations`: ball centres that an error-free machine would find; `observations.position` indexes `positions`.
+    `left_out`: positions with fewer than three measurable balls; `unreachable_balls`: number of unreachable balls over
+    all positions.
     """
 
     observations: Observations
@@ -36,8 +39,11 @@ class PlannedMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class Procedure:
-    """With what positions are measured. `layouts`: tool name → layout, the tool of a run first; `covariance_mm2` (3, 3)
-    of one ball centre."""
+    """Tools and layouts of a measurement.
+
+    `layouts`: tool name → layout, starting with the tool of a run; `covariance_mm2` (3, 3): covariance of one ball
+    centre.
+    """
 
     layouts: Mapping[str, MeasuringLayout]
     covariance_mm2: Array
@@ -52,11 +58,11 @@ class Procedure:
 
     @property
     def tool_offsets(self) -> Array:
-        """(T, 3) mm, in the order of `layouts`."""
+        """Tool offsets (T, 3) in mm, in the order of `layouts`."""
         return np.array([layout.tool_offset_mm for layout in self.layouts.values()])
 
     def layout(self, tool: str | None = None) -> MeasuringLayout:
-        """Layout of a tool, by default of the first; DataError for one that is not there."""
+        """Return the layout of a tool, by default of the first one. Raise DataError for an unknown tool."""
         if tool is None:
             return next(iter(self.layouts.values()))
         if tool not in self.layouts:
@@ -64,24 +70,24 @@ class Procedure:
         return self.layouts[tool]
 
     def with_artefact(self, artefact: Artefact) -> Procedure:
-        """The same places and tools with another artefact, the same at all stations."""
+        """Return the procedure with another artefact, the same at all stations."""
         layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
         return replace(self, layouts=layouts)
 
     def with_covariance(self, covariance_mm2: Array) -> Procedure:
-        """The same with ball centres of another covariance (3, 3)."""
+        """Return the procedure with another covariance (3, 3) of the ball centres."""
         return replace(self, covariance_mm2=covariance_mm2)
 
     def balls_of(self, position: Position) -> tuple[IndexArray, Array]:
-        """Numbers (m,), as observations count, and nominal axis positions (m, 3) mm of the balls that a position can
-        measure."""
+        """Return the indices (m,) and nominal axis positions (m, 3) in mm of the balls that can be measured in a
+        position."""
         layout = self.layout(position.tool)
         nominal = layout.nominal(position)
         balls = np.flatnonzero(layout.reachable(position, nominal))
         return balls + layout.first_ball(position.station), nominal[balls]
 
     def plan(self, positions: Sequence[Position]) -> PlannedMeasurement:
-        """What `positions` would measure. DataError where nothing is within reach."""
+        """Return the measurement of `positions`. Raise DataError if no position can be measured."""
         used: list[Position] = []
         found: list[tuple[IndexArray, Array]] = []
         left_out: list[Position] = []
@@ -96,8 +102,8 @@ class Procedure:
             found.append((balls, places))
         if not used:
             raise DataError(
-                f"none of {len(positions)} positions has three balls within reach",
-                hint="check stations, mount, tool offset and travel, or choose other orientations",
+                f"none of the {len(positions)} positions has three balls within reach",
+                hint="check stations, mount, tool offset and axis travel, or choose other orientations",
             )
         return PlannedMeasurement(self._observations(used, found), tuple(used), tuple(left_out), unreachable)
 

@@ -1,7 +1,7 @@
-"""The search: add the best position again and again, then exchange while that helps.
+"""Greedy search for a position set: add the best position repeatedly, then exchange positions while that helps.
 
-Every gain is exact at every step. Lazy evaluation, which trusts that gains only fall, is not used: for the trace
-criterion a position may gain from another one, so it would be wrong, and with `InformationState` it would save little.
+Every gain is computed exactly at every step. Lazy evaluation relies on gains that can only fall and is not used: under
+the trace criterion one position may increase the gain of another, and with `InformationState` it would save little.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from twin.design.measuring_cost import MeasuringCosts
 
 Mask = NDArray[np.bool_]
 FeasibleMask = Callable[[Sequence[int]], Mask]
-"""Which candidates (N,) there is room for beside those already chosen."""
+"""Function from the chosen indices to the mask (N,) of candidates that may still be added."""
 
-_BETTER = 1e-9  # relative fall of the value below which an exchange is not worth making
+_BETTER = 1e-9  # relative decrease of the value below which an exchange is not made
 _MOST_ROUNDS = 10
-_LOOKED_AT = 200  # candidates of which none is left out of an exchange
+_LOOKED_AT = 200  # up to this number all candidates take part in an exchange
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Some of the candidates and what is known once they are measured."""
+    """Chosen candidates and the information state after measuring them."""
 
     chosen: tuple[int, ...]
     information: InformationState
@@ -40,12 +40,12 @@ class Selection:
 
     @property
     def value(self) -> float:
-        """mm²: expected mean square of the aligned field that stays, as far as sets differ in it."""
+        """Expected mean square of the aligned residual field in mm², without the part common to all sets."""
         return self.information.value
 
     @property
     def free(self) -> Mask:
-        """(N,) candidates that are not chosen."""
+        """Mask (N,) of the candidates that are not chosen."""
         free = np.ones(len(self.information.factors), dtype=bool)
         free[list(self.chosen)] = False
         return free
@@ -58,7 +58,7 @@ class Selection:
         return Selection(kept, self.information.after_removing(self.information.factors[index]))
 
     def by_rising_loss(self) -> tuple[list[int], Array]:
-        """The chosen ones, the most dispensable first, and by how much the value rises without each."""
+        """Return the chosen indices by rising loss, and the increase of the value if each is removed."""
         losses = self.information.losses(np.array(self.chosen, dtype=np.intp))
         order = np.argsort(losses, kind="stable")
         return [self.chosen[place] for place in order], losses[order]
@@ -68,8 +68,8 @@ class Selection:
 class ExchangeSearch:
     """Greedy search with exchange over `candidates`.
 
-    `is_measurable` checks if a candidate can really be measured; the check is expensive, so it is made late.
-    The search stops after a round of exchanges that lowers the value by less than the share `min_improvement`.
+    `is_measurable` checks if a candidate can really be measured; it is expensive and therefore called late. The search
+    ends after a round of exchanges that lowers the value by less than the fraction `min_improvement`.
     """
 
     candidates: CandidatePositions
@@ -78,8 +78,8 @@ class ExchangeSearch:
     min_improvement: float = 5e-3
 
     def grow(self, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Iterator[Selection]:
-        """Selections of one position more each, always the best by gain, or by gain per minute; ends when there is no
-        room."""
+        """Yield selections that each add the best position, by gain or by gain per minute, until no feasible one
+        improves."""
         while True:
             worth = selection.information.gains()
             if per_minute:
@@ -91,8 +91,10 @@ class ExchangeSearch:
             yield selection
 
     def exchange(self, selection: Selection, room: FeasibleMask) -> Selection:
-        """Each chosen position in turn, the most dispensable first, gives way to the best that there is room for, where
-        that lowers the value (Fedorov's exchange). Each round looks at the candidates that promise most."""
+        """Replace each chosen position by the best feasible one if that lowers the value (Fedorov's exchange).
+
+        Positions are tried in the order of rising loss; each round considers only the most promising candidates.
+        """
         for _ in range(_MOST_ROUNDS):
             before = selection.value
             chosen = self._round(selection, room)
@@ -110,13 +112,13 @@ class ExchangeSearch:
         return tuple(int(kept[index]) for index in near.chosen)
 
     def _promising(self, selection: Selection) -> Indices:
-        """The chosen ones and the half of all others that would gain most now, in the order of the candidates."""
+        """Return, in candidate order, the chosen positions and the half of the others with the largest gains."""
         gains = np.where(selection.free, selection.information.gains(), np.inf)
         count = max(len(gains) // 2, min(len(gains), _LOOKED_AT)) + len(selection.chosen)
         return np.sort(np.argsort(-gains, kind="stable")[:count])
 
     def _given_way(self, selection: Selection, index: int, room: FeasibleMask, kept: Indices) -> Selection:
-        """`kept` (n,): which candidates the selection's numbers stand for."""
+        """Exchange one position; `kept` (n,) maps the selection's indices to candidates."""
         rest = selection.with_removed(index)
         needed = rest.value - selection.value * (1.0 - _BETTER)
         allowed = room([int(kept[other]) for other in rest.chosen])[kept] & selection.free
@@ -124,7 +126,7 @@ class ExchangeSearch:
         return selection if best is None else rest.with_added(best)
 
     def _best(self, worth: Array, allowed: Mask, above: float, kept: Indices | None = None) -> int | None:
-        """The candidate of most worth that is allowed, is_measurable and is worth more than `above`."""
+        """Return the allowed and measurable candidate of the largest worth above `above`, or None."""
         left = np.where(allowed, worth, -np.inf)
         while left[best := int(np.argmax(left))] > above:
             if self.is_measurable(best if kept is None else int(kept[best])):

@@ -1,4 +1,4 @@
-"""What would show more, in words."""
+"""Proposed changes of a set-up and their benefit, in words."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _NOTHING_UM = 0.005
 
 
 def describe_trial(trial: SetUpTrial) -> str:
-    """What is to be done: `the positions again with a stylus 100 mm aside along -Z`."""
+    """Return the proposed change, such as `the positions again with a stylus 100 mm aside along -Z`."""
     tool = trial.tool
     if tool is not None and tool.lateral:
         sign = "+" if tool.by_mm > 0.0 else "-"
@@ -23,9 +23,10 @@ def describe_trial(trial: SetUpTrial) -> str:
 
 
 def describe_gain(gain: TrialGain) -> str:
-    """What it brings: `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24 positions more`.
+    """Return the benefit: `15 more parameters, EBY and EBZ no longer hidden; unseen 1.97 to 1.50 µm; 24 positions
+    more`.
 
-    The figures are rms over all tools that are looked at.
+    The figures are rms over all evaluated tools.
     """
     before, after = gain.before, gain.after
     parts = [_parameters(gain), f"unseen {_change(before.unseen_mm, after.unseen_mm)}"]

@@ -1,4 +1,4 @@
-"""What would show more: a probe of another length, a lateral stylus, further positions, or the same once more."""
+"""Trial changes of a set-up that could reveal more: probe length, lateral stylus, more positions, repetition."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _SAME_TOOL_MM = 1.0
 
 @dataclass(frozen=True, eq=False)
 class TrialTool:
-    """A tool that is not there: `offset` (3,) mm, `by_mm` longer than the first one, or `by_mm` aside along `axis`."""
+    """Hypothetical tool with `offset` (3,) in mm.
+
+    It is `by_mm` longer than the first tool or, if `lateral`, displaced by `by_mm` along `axis`.
+    """
 
     offset: Array
     by_mm: float
@@ -37,8 +40,8 @@ class TrialTool:
 
 @dataclass(frozen=True, eq=False)
 class SetUpTrial:
-    """A set-up with something added: what the first tool measures again with `tool`, the positions of a set (`added`
-    its name), or neither: the same positions once more."""
+    """Set-up with one addition: the first tool's positions repeated with `tool`, the positions of the set named
+    `added`, or, if neither is given, the same positions repeated."""
 
     set_up: SetUp
     tool: TrialTool | None = None
@@ -46,7 +49,7 @@ class SetUpTrial:
 
     @property
     def kind(self) -> str:
-        """The same for trials of which one is enough."""
+        """Group key of equivalent trials, of which one is enough."""
         if self.tool is None:
             return self.added or "again"
         return f"lateral {AXES[self.tool.axis]}" if self.tool.lateral else "length"
@@ -54,7 +57,8 @@ class SetUpTrial:
 
 @dataclass(frozen=True, eq=False)
 class TrialGain:
-    """What a trial sees with `positions` more that have balls within reach, against what the set-up itself sees."""
+    """Identifiability after a trial compared with the set-up itself; `positions`: number of added measurable
+    positions."""
 
     trial: SetUpTrial
     before: Identifiability
@@ -63,23 +67,24 @@ class TrialGain:
 
     @property
     def rank(self) -> int:
-        """Parameters more than before."""
+        """Number of additional parameters determined."""
         return self.after.rank - self.before.rank
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Names of error motions, squareness and cross-effect that some null direction held before, and none after."""
+        """Names of errors (motions, squareness, cross-effect) that were in a null direction only before the trial."""
         hidden = _hidden(self.after)
         return tuple(name for name in _hidden(self.before) if name not in hidden)
 
     @property
     def unseen_removed_mm(self) -> float:
-        """Rms over workspace and viewpoints."""
+        """Decrease of the unseen rms over the workspace and the evaluated tools."""
         return self.before.unseen_mm - self.after.unseen_mm
 
 
 def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
-    """Lengths and lateral styli worth a look; no probe shorter than its stem and body, none that is there already."""
+    """Return probe lengths and lateral styli worth trying, without existing tools and probes shorter than stem and
+    body."""
     axis = set_up.tool_axis
     lengths = [_other(set_up, axis, by_mm, lateral=False) for by_mm in LENGTHS_MM]
     across = [k for k in range(3) if k != axis]
@@ -95,7 +100,8 @@ def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
 
 
 def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
-    """Where to look from: the tools of the set-up, the longest other one, and a lateral stylus for each direction."""
+    """Return the tools to evaluate: those of the set-up, the longest other one, and a lateral stylus for each
+    direction."""
     used = {position.tool or set_up.first_tool for position in set_up.positions}
     own = [(name, layout.tool_offset_mm, name in used) for name, layout in set_up.procedure.layouts.items()]
     others: dict[int, TrialTool] = {}
@@ -107,7 +113,7 @@ def evaluated_tools(set_up: SetUp, grid: Array) -> tuple[EvaluatedTool, ...]:
 
 
 def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
-    """Everything that is worth a try."""
+    """Yield every trial worth evaluating."""
     for tool in other_tools(set_up):
         yield SetUpTrial(set_up.with_tool(tool.name, tool.offset), tool=tool)
     for name in POSITION_SETS:
@@ -118,9 +124,10 @@ def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
 
 
 def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[EvaluatedTool]) -> tuple[TrialGain, ...]:
-    """What each trial brings, the most of the unseen field first; those that reach no further ball are left out.
+    """Return the gain of each trial, largest decrease of the unseen field first; trials without new positions are left
+    out.
 
-    `before`: what the set-up itself sees at `views`.
+    `before`: identifiability of the set-up itself for the tools `views`.
     """
     measured = len(set_up.plan().positions)
     found = []
@@ -132,7 +139,7 @@ def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[Evaluate
 
 
 def _hidden(seen: Identifiability) -> tuple[str, ...]:
-    """What takes part in a null direction, in the model's order: EBY for EBY[1], EBY[2], …"""
+    """Return the errors that take part in a null direction, in model order: EBY for EBY[1], EBY[2], …"""
     names = {name for direction in seen.null_directions for name in direction.loadings}
     return tuple(dict.fromkeys(p.error for p in seen.model.parameters if p.name in names))
 
@@ -145,7 +152,7 @@ def _other(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> TrialTool:
 
 
 def _further(set_up: SetUp, name: str) -> tuple[Position, ...]:
-    """Positions of a named set, at the stations of the set-up, that the first tool does not measure yet."""
+    """Return positions of a named set, at the set-up's stations, that the first tool does not measure yet."""
     there = {(p.station, p.azimuth_deg, p.elevation_deg) for p in set_up.first_positions()}
     stations = sorted({station for station, _, _ in there})
     wanted = [(station, *orientation) for station in stations for orientation in POSITION_SETS[name]]

@@ -1,4 +1,4 @@
-"""One number for what a set of positions is worth, before anything moves."""
+"""Valuation of a position set by one number, before anything moves."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True)
 class Valuation:
-    """`before`: expected volumetric error of the family, what the model cannot represent included; `after`: expected
-    volumetric compensated error."""
+    """Expected volumetric error of the family (`before`, including unmodelled errors) and VCE (`after`)."""
 
     before: VolumetricRms
     after: VolumetricRms
 
     @property
     def percent(self) -> float:
-        """By how much of itself the volumetric error is expected to fall, rigidly aligned: 0 for a set that tells
-        nothing, 100 for one after which nothing is left, below 0 for an estimator that makes machines worse."""
+        """Expected reduction of the volumetric error in percent, rigidly aligned.
+
+        0 for a set without information, 100 if no error remains, negative for an estimator that makes machines worse.
+        """
         return 100.0 * (1.0 - self.after.aligned_mm / self.before.aligned_mm)
 
 
@@ -42,7 +43,7 @@ def valuation(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> Valuation:
-    """Of ball centres where they will be found, identified with prior and full weights, scales as stated."""
+    """Value planned ball centres, identified with prior, full weights and scales as stated."""
     problem = build_problem(family, observations, artefact, options)
     form = Criterion.build(problem.unknowns, grid, tool_offset)
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))

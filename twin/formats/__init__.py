@@ -1,1 +1,1 @@
-"""Neutral files: text to values and back. Reading and writing of the files themselves is the caller's."""
+"""Neutral file formats: text to values and back. The caller reads and writes the files themselves."""

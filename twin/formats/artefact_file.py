@@ -1,6 +1,6 @@
-"""Artefact file (TOML): the certificate of a ball artefact, as the laboratory wrote it.
+"""Artefact file (TOML): the calibration certificate of a ball artefact.
 
-Centres are listed (`balls = [[x, y, z], …]`) or, for a bar without a certificate, described by `[bar]`.
+Ball centres are listed (`balls = [[x, y, z], …]`) or, for a bar without a certificate, described by `[bar]`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from twin.errors import DataError, FormatError
 from twin.formats.toml_reading import StrictModel, read_toml
 
 ReadText = Callable[[str], str]
-"""Gives the text of a file named in another one; the caller knows what relative paths are relative to."""
+"""Function that returns the text of a file named in another file; the caller resolves relative paths."""
 
 Coordinates = tuple[float, float, float]
 
 
 class BarSection(StrictModel):
-    """Equally pitched balls on a straight bar; see `twin.artefact.artefact.bar_balls`."""
+    """Equally spaced balls on a straight bar; see `twin.artefact.artefact.bar_balls`."""
 
     balls: Annotated[int, Field(ge=2, le=99)]
     length_mm: Annotated[float, Field(gt=0.0)]
@@ -60,7 +60,10 @@ class ArtefactDocument(StrictModel):
 
 
 def parse_artefact(text: str, source: str, read_text: ReadText | None = None) -> Artefact:
-    """Artefact from TOML text. FormatError names `source` and the key; DataError what cannot be."""
+    """Return the artefact described by TOML text.
+
+    Raise FormatError, naming `source` and key, for invalid text, and DataError for impossible values.
+    """
     document = read_toml(text, source, ArtefactDocument)
     balls, holder = _balls(document)
     try:
@@ -95,12 +98,12 @@ def _covariance(document: ArtefactDocument, count: int, source: str, read_text: 
         return np.eye(3 * count) * (document.standard_uncertainty_um * 1e-3) ** 2
     name = document.covariance_file or ""
     if read_text is None:
-        raise FormatError("a covariance file cannot be read here", file=source, key="covariance_file")
+        raise FormatError("a covariance file is not supported here", file=source, key="covariance_file")
     return _parse_covariance(read_text(name), name, 3 * count) * 1e-6
 
 
 def _parse_covariance(text: str, source: str, size: int) -> Array:
-    """(size, size) µm² from CSV without header: one row per coordinate, ball by ball, x y z."""
+    """Return the matrix (size, size) in µm² from CSV without header: one row per coordinate, ball by ball, x y z."""
     rows = [row for row in csv.reader(io.StringIO(text)) if row]
     if len(rows) != size:
         raise FormatError(f"{len(rows)} rows, expected {size} (3 per ball)", file=source)

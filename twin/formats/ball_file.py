@@ -1,4 +1,4 @@
-"""Ball centres as CSV, one line per ball; x, y, z are axis positions, no tool offset added."""
+"""Ball file (CSV): one ball centre per line; x, y, z are axis positions without tool offset."""
 
 from __future__ import annotations
 
@@ -29,13 +29,16 @@ COLUMNS = (
 )
 DEFAULT_SIGMA_UM = 1.0
 DEFAULT_TEMPERATURE_C = 20.0
-"""ISO 1."""
+"""Reference temperature of ISO 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class BallFile:
-    """`observations` in the order of the file, their positions renumbered 0 ... K-1 in the order of the numbers in the
-    file; `positions` (K) what the file says of each."""
+    """Contents of a ball file.
+
+    `observations` in file order, their positions renumbered 0 ... K-1 by increasing position number in the file;
+    `positions` (K): station and orientation of each.
+    """
 
     observations: Observations
     positions: tuple[Position, ...]
@@ -48,9 +51,10 @@ def parse_balls(
     default_sigma_um: float = DEFAULT_SIGMA_UM,
     default_temperature_c: float = DEFAULT_TEMPERATURE_C,
 ) -> BallFile:
-    """Ball file from CSV text; `tools` are the tool offsets (3,) mm of the machine file.
+    """Return the contents of a ball file given as CSV text; `tools` are the tool offsets (3,) in mm of the machine
+    file.
 
-    The defaults stand for empty cells. Raises FormatError naming `source`, row and column.
+    The defaults replace empty cells. Raise FormatError naming `source`, row and column.
     """
     rows = list(read_rows(text, source, COLUMNS))
     if not rows:
@@ -78,7 +82,7 @@ def parse_balls(
 
 
 def format_balls(observations: Observations, positions: Sequence[Position], tool_names: Sequence[str]) -> str:
-    """CSV text; `positions` (K) by the observations' position numbers, `tool_names` (T) by their tool numbers.
+    """Return CSV text; `positions` (K) and `tool_names` (T) are indexed by the observations' position and tool numbers.
 
     A full covariance becomes one standard deviation, the root of its mean variance.
     """
@@ -96,7 +100,7 @@ def format_balls(observations: Observations, positions: Sequence[Position], tool
 def _tool(row: CsvRow, names: list[str]) -> int:
     name = row.cells["tool"]
     if name not in names:
-        raise row.error(f"unknown tool '{name}'", "tool", hint=f"The machine file knows {', '.join(names)}")
+        raise row.error(f"unknown tool '{name}'", "tool", hint=f"Tools of the machine file: {', '.join(names)}")
     return names.index(name)
 
 
@@ -113,19 +117,19 @@ def _refuse_duplicates(rows: list[CsvRow], numbers: list[int], tool: list[int], 
         first = seen.setdefault(key, row.number)
         if first != row.number:
             message = f"ball {key[2]} of position {key[0]} was already given in row {first}"
-            raise row.error(message, "ball", hint="Keep one centre per position, tool and ball")
+            raise row.error(message, "ball", hint="Give one centre per position, tool and ball")
 
 
 def _positions(rows: list[CsvRow], numbers: list[int]) -> dict[int, Position]:
-    """What the file says of each position, by its number there; all rows of a position must agree."""
+    """Return the positions by their number in the file. All rows of a position must agree."""
     found: dict[int, tuple[CsvRow, Position]] = {}
     for row, number in zip(rows, numbers, strict=True):
         position = _position(row)
         first, said = found.setdefault(number, (row, position))
         for column in ("station", "azimuth_deg", "elevation_deg"):
             if not math.isclose(getattr(position, column), getattr(said, column), abs_tol=1e-9):
-                message = f"position {number} has another {column} than in row {first.number}"
-                raise row.error(message, column, hint="One position is one placement of the artefact")
+                message = f"{column} of position {number} differs from that in row {first.number}"
+                raise row.error(message, column, hint="A position is one placement of the artefact")
     return {number: found[number][1] for number in sorted(found)}
 
 

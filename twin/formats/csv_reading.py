@@ -1,4 +1,4 @@
-"""CSV text to rows of named cells; every mistake named by file, row (the header is row 1) and column."""
+"""CSV text to rows of named cells; errors name file, row (the header is row 1) and column."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class CsvRow:
         return FormatError(message, hint=hint, file=self.source, row=self.number, column=column)
 
     def parse_float(self, column: str, empty: float | None = None) -> float:
-        """Finite number; `empty` stands for an empty cell where that is allowed."""
+        """Return a finite number; `empty`, if given, is the value of an empty cell."""
         text = self.cells[column]
         if not text and empty is not None:
             return empty
         try:
             value = float(text)
         except ValueError:
-            raise self.error(f"'{text}' is no number" if text else "the cell is empty", column) from None
+            raise self.error(f"'{text}' is not a number" if text else "the cell is empty", column) from None
         if not math.isfinite(value):
             raise self.error(f"'{text}' is not finite", column)
         return value
@@ -39,14 +39,14 @@ class CsvRow:
         try:
             value = int(text)
         except ValueError:
-            raise self.error(f"'{text}' is no whole number", column) from None
+            raise self.error(f"'{text}' is not a whole number", column) from None
         if value < at_least:
             raise self.error(f"{value} is less than {at_least}", column)
         return value
 
 
 def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[CsvRow]:
-    """Rows of a CSV text whose header names exactly `columns`, in any order; blank lines are passed over."""
+    """Yield the rows of a CSV text whose header names exactly `columns`, in any order; blank lines are skipped."""
     lines = csv.reader(text.removeprefix("\ufeff").splitlines())
     header = [name.strip() for name in next(lines, [])]
     _check_header(header, source, columns)
@@ -54,17 +54,17 @@ def read_rows(text: str, source: str, columns: Sequence[str]) -> Iterator[CsvRow
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) != len(header):
-            message = f"{len(cells)} values where the header names {len(header)}"
+            message = f"{len(cells)} values, but the header names {len(header)} columns"
             raise FormatError(message, file=source, row=lines.line_num)
         named = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
         yield CsvRow(source, lines.line_num, named)
 
 
 def _check_header(header: list[str], source: str, columns: Sequence[str]) -> None:
-    hint = f"The first line is {','.join(columns)}"
+    hint = f"The first line must be {','.join(columns)}"
     for name in columns:
         if header.count(name) != 1:
-            problem = "is missing" if name not in header else "stands twice"
+            problem = "is missing" if name not in header else "appears more than once"
             raise FormatError(f"column '{name}' {problem}", hint=hint, file=source, row=1, column=name)
     for name in header:
         if name not in columns:

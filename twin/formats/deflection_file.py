@@ -1,4 +1,4 @@
-"""Deflection grid as CSV: `x_mm,y_mm,z_mm,ux_um,uy_um,uz_um`, a line per node, columns in any order."""
+"""Deflection file (CSV): `x_mm,y_mm,z_mm,ux_um,uy_um,uz_um`, one line per grid node, columns in any order."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from twin.machine.deflection import DeflectionGrid
 from twin.machine.kinematic_chain import AXES
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "ux_um", "uy_um", "uz_um")
-_SAME_NODE_DIGITS = 6  # coordinates that agree to a nanometre are one node: exports differ in their last digits
+_SAME_NODE_DIGITS = 6  # coordinates equal to a nanometre are the same node: exports differ in their last digits
 
 
 def parse_deflection(text: str, source: str) -> DeflectionGrid:
-    """Grid from CSV text; FormatError names `source`, row (the header is row 1) and column."""
+    """Return the grid given as CSV text. Raise FormatError naming `source`, row (the header is row 1) and column."""
     table, rows = _numbers(text, source)
     nodes, places = [], []
     for axis in range(3):
@@ -36,7 +36,7 @@ def parse_deflection(text: str, source: str) -> DeflectionGrid:
 
 
 def format_deflection(grid: DeflectionGrid) -> str:
-    """CSV text of a grid: x slowest, z fastest, displacements rounded to 0.1 nm."""
+    """Return a grid as CSV text: x slowest, z fastest, displacements rounded to 0.1 nm."""
     x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
     lines = [",".join(COLUMNS)]
     for place, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):
@@ -46,7 +46,7 @@ def format_deflection(grid: DeflectionGrid) -> str:
 
 
 def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
-    """Values (n, 6) in the order of COLUMNS and the file row of each."""
+    """Return the values (n, 6) in the order of COLUMNS and the file row of each."""
     lines = csv.reader(text.removeprefix("\ufeff").splitlines())
     header = [name.strip() for name in next(lines, [])]
     _check_header(header, source)
@@ -56,7 +56,7 @@ def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) != len(header):
-            message = f"{len(cells)} values where the header names {len(header)}"
+            message = f"{len(cells)} values, but the header names {len(header)} columns"
             raise FormatError(message, file=source, row=lines.line_num)
         table.append([_number(cells[k], header[k], lines.line_num, source) for k in order])
         rows.append(lines.line_num)
@@ -66,10 +66,10 @@ def _numbers(text: str, source: str) -> tuple[Array, list[int]]:
 
 
 def _check_header(header: list[str], source: str) -> None:
-    hint = f"The first line is {','.join(COLUMNS)}"
+    hint = f"The first line must be {','.join(COLUMNS)}"
     for name in COLUMNS:
         if header.count(name) != 1:
-            problem = "is missing" if name not in header else "stands twice"
+            problem = "is missing" if name not in header else "appears more than once"
             raise FormatError(f"column '{name}' {problem}", hint=hint, file=source, row=1)
     for name in header:
         if name not in COLUMNS:
@@ -80,7 +80,7 @@ def _number(cell: str, column: str, row: int, source: str) -> float:
     try:
         value = float(cell)
     except ValueError:
-        raise FormatError(f"'{cell.strip()}' is no number", file=source, row=row, column=column) from None
+        raise FormatError(f"'{cell.strip()}' is not a number", file=source, row=row, column=column) from None
     if not math.isfinite(value):
         raise FormatError(f"'{cell.strip()}' is not finite", file=source, row=row, column=column)
     return value
@@ -90,7 +90,7 @@ def _check_complete(flat: NDArray[np.intp], nodes: list[Array], rows: list[int],
     first_seen: dict[int, int] = {}
     for place, row in zip(flat.tolist(), rows, strict=True):
         if place in first_seen:
-            raise FormatError(f"the same node as in row {first_seen[place]}", file=source, row=row)
+            raise FormatError(f"the node of row {first_seen[place]} is repeated", file=source, row=row)
         first_seen[place] = row
     shape = tuple(n.size for n in nodes)
     count = math.prod(shape)
@@ -101,4 +101,4 @@ def _check_complete(flat: NDArray[np.intp], nodes: list[Array], rows: list[int],
     where = ", ".join(f"{axis} {n[k]:g}" for axis, n, k in zip(AXES, nodes, index, strict=True))
     sizes = " x ".join(str(size) for size in shape)
     message = f"{count - len(first_seen)} of {count} nodes of the {sizes} grid are missing, the first at {where}"
-    raise FormatError(message, hint="A grid needs a line for every combination of x, y and z", file=source)
+    raise FormatError(message, hint="A grid needs one line for every combination of x, y and z", file=source)

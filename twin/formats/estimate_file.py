@@ -1,6 +1,6 @@
-"""Estimate as JSON: parameters by ISO name with covariance, what was seen and what not, and where it came from.
+"""Estimate file (JSON): parameters by ISO name with covariance, observability, and provenance.
 
-It also holds all that the next estimate needs to take this one as its prior.
+It also contains everything that the next estimate needs to use this one as its prior.
 """
 
 from __future__ import annotations
@@ -39,7 +39,10 @@ class EstimatedModelSection(StrictModel):
 
 
 class ParameterSection(StrictModel):
-    """`value` and `standard_uncertainty` in `unit`; Legendre coefficients on the axis range normalised to [-1, 1]."""
+    """One parameter; `value` and `standard_uncertainty` in `unit`.
+
+    Legendre coefficients refer to the axis range normalised to [-1, 1].
+    """
 
     name: str
     value: float
@@ -69,7 +72,7 @@ class RejectedBallSection(StrictModel):
 
 
 class OrderSection(StrictModel):
-    """`relative_log_evidence`: 0 for the likeliest of the orders compared."""
+    """Evidence of a Legendre order; `relative_log_evidence` is 0 for the likeliest of the orders compared."""
 
     order: int
     relative_log_evidence: float
@@ -100,7 +103,8 @@ class EstimateFile(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class StoredEstimate:
-    """What a file keeps of an estimate: enough to compensate, to compare, and to be the prior of the next one."""
+    """Estimate as stored in a file: sufficient for compensation, for comparison and as the prior of the next
+    estimate."""
 
     model: ErrorModel
     parameters: Array
@@ -112,12 +116,16 @@ class StoredEstimate:
     document: EstimateFile
 
     def carried_over(self) -> CarriedOverPrior:
-        """As `Estimate.carried_over`; DataError for a covariance that is singular."""
+        """Return the prior for a later estimate, as `Estimate.carried_over`. Raise DataError if the covariance is
+        singular."""
         return CarriedOverPrior(self.unknowns, self.z, self.z_covariance, Scales(**self.document.scales.model_dump()))
 
 
 def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
-    """JSON text. `provenance`: software version, time, names and checksums of the input, as the caller knows them."""
+    """Return the estimate as JSON text.
+
+    `provenance`: software version, time, names and checksums of the input files, as known to the caller.
+    """
     document: dict[str, Any] = {
         "format": FORMAT,
         "provenance": dict(provenance),
@@ -153,7 +161,7 @@ def format_estimate(estimate: Estimate, provenance: Mapping[str, str]) -> str:
 
 
 def _text(value: object) -> str:
-    """JSON with the entries of objects and of lists of lists or objects on lines of their own."""
+    """Return JSON with each entry of an object, and of a list of lists or objects, on its own line."""
     if isinstance(value, dict):
         lines = ",\n".join(f"{json.dumps(key)}: {_text(entry)}" for key, entry in value.items())
         return f"{{\n{lines}\n}}"
@@ -164,7 +172,7 @@ def _text(value: object) -> str:
 
 
 def parse_estimate(text: str, source: str) -> StoredEstimate:
-    """Stored estimate from JSON text; FormatError names `source` and key."""
+    """Return the stored estimate given as JSON text. Raise FormatError naming `source` and key."""
     document = read_json(text, source, EstimateFile)
     try:
         chain = parse_chain(document.model.chain)
@@ -207,14 +215,14 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
 def _check_names(document: EstimateFile, model: ErrorModel, source: str) -> None:
     found = [parameter.name for parameter in document.parameters]
     if len(found) != model.size:
-        message = f"{len(found)} parameters where the model has {model.size}"
+        message = f"{len(found)} parameters, but the model has {model.size}"
         raise FormatError(message, file=source, key="parameters")
     for place, (name, parameter) in enumerate(zip(found, model.parameters, strict=True)):
         if name != parameter.name:
-            message = f"parameter '{name}' where the model has '{parameter.name}'"
+            message = f"parameter '{name}' instead of '{parameter.name}'"
             raise FormatError(message, file=source, key=f"parameters[{place}].name")
         if document.parameters[place].unit != parameter.unit:
-            message = f"the unit of {name} is {parameter.unit}"
+            message = f"the unit of {name} must be {parameter.unit}"
             raise FormatError(message, file=source, key=f"parameters[{place}].unit")
 
 

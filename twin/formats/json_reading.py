@@ -1,4 +1,4 @@
-"""JSON text to a validated value; every mistake named by file and key path."""
+"""JSON text to a validated value; errors name file and key path."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ Section = TypeVar("Section", bound=StrictModel)
 
 
 def read_json(text: str, source: str, kind: type[Section]) -> Section:
-    """Value of `kind` from JSON text; NaN and infinity are refused."""
+    """Return the value of type `kind` given as JSON text; NaN and infinity are refused."""
     try:
         document = json.loads(text, parse_constant=_refuse_constant)
     except ValueError as error:
         raise FormatError(f"this is not valid JSON: {error}", file=source) from None
     if not isinstance(document, dict):
-        raise FormatError("the document is no object in braces", file=source)
+        raise FormatError("the document is not a JSON object ({…})", file=source)
     return validate_document(document, source, kind)
 
 
 def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is no number")
+    raise ValueError(f"{name} is not a number")

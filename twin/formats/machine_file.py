@@ -27,7 +27,8 @@ CrossTerm = Literal["b0", "b1", "b2", "c0", "c1"]
 
 
 class AxisSection(StrictModel):
-    """`range_mm`: where the error model is valid; `travel_mm`: soft limits, the same where left out."""
+    """One linear axis. `range_mm`: range in which the error model is valid; `travel_mm`: soft limits, by default the
+    same."""
 
     range_mm: tuple[float, float]
     travel_mm: tuple[float, float] | None = None
@@ -47,7 +48,8 @@ class ToolSection(StrictModel):
 
 
 class FamilySection(StrictModel):
-    """Half-widths per kind of error; per Legendre order where a list, lowest order of that kind first.
+    """Half-widths of each kind of error; a list gives them per Legendre order, starting with the lowest order of that
+    kind.
 
     The defaults are the amplitudes of the case study.
     """
@@ -62,7 +64,7 @@ class FamilySection(StrictModel):
 
 
 class ModelSection(StrictModel):
-    """`order`: one for all, or a table per error motion (those left out have order 5)."""
+    """Error model. `order`: one for all error motions, or a table per error motion (default 5)."""
 
     order: Order | dict[str, Order] = DEFAULT_ORDER
     cross_effect: bool | tuple[CrossTerm, ...] = True
@@ -70,13 +72,13 @@ class ModelSection(StrictModel):
 
 
 class DeflectionSection(StrictModel):
-    """`grid`: CSV file, its path relative to the machine file."""
+    """Deflection of the machine. `grid`: CSV file, path relative to the machine file."""
 
     grid: Annotated[str, Field(min_length=1)]
 
 
 class MachineSection(StrictModel):
-    """The whole machine file."""
+    """Contents of a machine file."""
 
     name: Annotated[str, Field(min_length=1)]
     chain: str
@@ -87,10 +89,10 @@ class MachineSection(StrictModel):
 
 
 def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> MachineDescription:
-    """Machine from TOML text. `source` names the file in errors.
+    """Return the machine given as TOML text; `source` names the file in errors.
 
-    `read_text` gives the text of a file whose path is written in it, relative to the machine file.
-    FormatError names file, key and what to do.
+    `read_text` returns the text of a file whose path, relative to the machine file, occurs in it. Raise FormatError
+    with file, key and hint.
     """
     section = read_toml(text, source, MachineSection)
     axes = (section.axes.X, section.axes.Y, section.axes.Z)
@@ -132,7 +134,7 @@ def _orders(model: ModelSection, source: str) -> dict[str, int]:
     for error in model.order:
         if error not in ERROR_MOTIONS:
             hint = f"The 18 error motions are {', '.join(ERROR_MOTIONS)}"
-            raise FormatError("not an error motion", hint=hint, file=source, key=f"model.order.{error}")
+            raise FormatError(f"'{error}' is not an error motion", hint=hint, file=source, key=f"model.order.{error}")
     return {error: model.order.get(error, DEFAULT_ORDER) for error in ERROR_MOTIONS}
 
 

@@ -1,5 +1,7 @@
-"""Position set file, CSV or TOML: `station`, `azimuth_deg`, `elevation_deg`, in the order of measuring; `tool` where
-several are used (an empty cell is the tool of the run)."""
+"""Position set file (CSV or TOML): `station`, `azimuth_deg`, `elevation_deg`, in measuring order.
+
+A column `tool` is needed if several tools are used; an empty cell stands for the tool of the run.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,9 @@ class _PositionDocument(StrictModel):
 
 
 def parse_positions(text: str, source: str) -> tuple[Position, ...]:
-    """Positions from CSV text, or from TOML text (``[[positions]]``) where `source` ends in ``.toml``.
+    """Return positions from CSV text, or from TOML text (``[[positions]]``) if `source` ends in ``.toml``.
 
-    FormatError names `source`, row (the header is row 1) and column, or the key.
+    Raise FormatError naming `source` and key, or row (the header is row 1) and column.
     """
     positions = _from_toml(text, source) if source.endswith(".toml") else _from_csv(text, source)
     _refuse_none_or_twice(positions, source)
@@ -51,7 +53,7 @@ def _from_csv(text: str, source: str) -> list[Position]:
     reader = csv.reader(io.StringIO(text))
     header = [name.strip() for name in next(reader, [])]
     if sorted(header) not in (sorted(COLUMNS), sorted((*COLUMNS, TOOL))):
-        hint = f"The first line must be {','.join(COLUMNS)}, and {TOOL} where several are used"
+        hint = f"The first line must be {','.join(COLUMNS)}, with {TOOL} if several tools are used"
         raise FormatError(f"columns are {','.join(header) or 'missing'}", hint=hint, file=source, row=1)
     positions: list[Position] = []
     for row, cells in enumerate(reader, start=2):
@@ -61,7 +63,7 @@ def _from_csv(text: str, source: str) -> list[Position]:
 
 
 def format_positions(positions: Iterable[Position]) -> str:
-    """CSV text of `positions`, as `parse_positions` reads it."""
+    """Return `positions` as CSV text that `parse_positions` reads."""
     listed = list(positions)
     columns = (*COLUMNS, TOOL) if any(p.tool for p in listed) else COLUMNS
     text = io.StringIO()
@@ -76,7 +78,7 @@ def format_positions(positions: Iterable[Position]) -> str:
 def _position(cells: dict[str, str], source: str, row: int) -> Position:
     station = _number(cells, "station", source, row)
     if station != int(station):
-        raise FormatError(f"station {station} is no whole number", file=source, row=row, column="station")
+        raise FormatError(f"station {station} is not a whole number", file=source, row=row, column="station")
     azimuth, elevation = (_number(cells, name, source, row) for name in COLUMNS[1:])
     try:
         return Position(int(station), azimuth, elevation, cells.get(TOOL, "").strip() or None)
@@ -97,9 +99,9 @@ def _number(cells: dict[str, str], column: str, source: str, row: int) -> float:
 
 def _refuse_none_or_twice(positions: list[Position], source: str) -> None:
     if not positions:
-        raise FormatError("no position is listed", hint="One line per position", file=source)
+        raise FormatError("no position is listed", hint="Write one line per position", file=source)
     seen: dict[Position, int] = {}
     for row, position in enumerate(positions, start=2):
         if position in seen:
-            raise FormatError(f"this position already stands as number {seen[position]}", file=source, row=row)
+            raise FormatError(f"this position is already listed as number {seen[position]}", file=source, row=row)
         seen[position] = row - 1

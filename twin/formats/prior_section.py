@@ -1,6 +1,6 @@
-"""The part of an estimate file that makes it the prior of the next one: all unknowns together, and what they mean.
+"""Section of an estimate file that makes it the prior of the next estimate: all unknowns jointly, with their meaning.
 
-The misfit modes are written out as they are: another computer may find the same ones with other signs.
+The misfit modes are stored explicitly, since another computer may compute them with opposite signs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ KEY = "carried_over"
 
 
 class ArtefactSection(StrictModel):
-    """Which artefact, and the factor of its certificate's covariance (3N rows, mm)."""
+    """Identity of the artefact, and the factor of its certificate's covariance (3N rows, mm)."""
 
     balls_mm: tuple[Triple, ...]
     cte_per_k: float
@@ -34,7 +34,7 @@ class ArtefactSection(StrictModel):
 
 
 class MisfitSection(StrictModel):
-    """The fields beside the model; see `twin.identification.misfit`."""
+    """Misfit fields, which the model cannot represent; see `twin.identification.misfit`."""
 
     rms_mm: float
     tool_offset_mm: Triple
@@ -47,7 +47,8 @@ class MisfitSection(StrictModel):
 
 
 class CarriedOverSection(StrictModel):
-    """`mean` of all unknowns in units of their prior, and the lower triangle of their `covariance`, row by row."""
+    """Posterior of all unknowns: `mean` in units of the prior, and the lower triangle of the `covariance`, row by
+    row."""
 
     scale: Row
     artefact: ArtefactSection
@@ -57,7 +58,7 @@ class CarriedOverSection(StrictModel):
 
 
 def carried_over_document(unknowns: Unknowns, mean: Array, covariance: Array) -> dict[str, Any]:
-    """As it is written."""
+    """Return the section as written to the file."""
     errors = unknowns.artefact
     return {
         "scale": unknowns.scale.tolist(),
@@ -88,7 +89,7 @@ def _misfit_document(modes: MisfitModes, rms_mm: float) -> dict[str, Any]:
 
 
 def read_unknowns(section: CarriedOverSection, model: ErrorModel, source: str) -> Unknowns:
-    """FormatError names `source` and key where sizes do not fit."""
+    """Return the unknowns of a section. Raise FormatError naming `source` and key if sizes do not match."""
     artefact, misfit = section.artefact, section.misfit
     balls = len(artefact.balls_mm)
     width = len(artefact.certificate_mm[0]) if artefact.certificate_mm else 0
@@ -122,13 +123,13 @@ def _modes(section: MisfitSection, model: ErrorModel, source: str) -> MisfitMode
 
 def _sizes(sizes: tuple[int, ...], count: int, source: str) -> tuple[int, ...]:
     if len(sizes) != len(MISFIT_KINDS) or min(sizes) < 0 or sum(sizes) != count:
-        message = f"{len(MISFIT_KINDS)} numbers that add up to {count} are needed here"
+        message = f"{len(MISFIT_KINDS)} non-negative numbers with the sum {count} are required"
         raise FormatError(message, file=source, key=f"{KEY}.misfit.sizes")
     return sizes
 
 
 def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[Array, Array]:
-    """Mean (P,) and covariance (P, P); FormatError where they are not of that size."""
+    """Return mean (P,) and covariance (P, P). Raise FormatError if their sizes do not match."""
     mean = _array(section.mean, (size,), source, "mean")
     if [len(row) for row in section.covariance] != list(range(1, size + 1)):
         message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"
@@ -144,5 +145,5 @@ def _array(values: object, shape: tuple[int, ...], source: str, key: str) -> Arr
         array = np.array(values, dtype=np.float64).reshape(shape)
     except ValueError:
         wanted = " x ".join(str(count) for count in shape)
-        raise FormatError(f"{wanted} numbers are needed here", file=source, key=f"{KEY}.{key}") from None
+        raise FormatError(f"{wanted} numbers are required", file=source, key=f"{KEY}.{key}") from None
     return array

@@ -1,4 +1,4 @@
-"""TOML text to a validated pydantic value; every mistake named by file and key path."""
+"""TOML text to a validated pydantic value; errors name file and key path."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.errors import FormatError
 
 
 class StrictModel(BaseModel):
-    """Base of everything read from a file: unknown keys, NaN and infinity are errors; values are frozen."""
+    """Base class of everything read from a file: frozen values; unknown keys, NaN and infinity are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     former_keys: ClassVar[Mapping[str, str]] = {}
@@ -28,7 +28,7 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def forbid_unknown_keys(kind: type) -> BeforeValidator:
-    """For a field that is a frozen value of the mathematics: Pydantic reads one but lets unknown keys of it pass."""
+    """Return a validator that refuses unknown keys of a dataclass field; pydantic itself ignores them."""
     known = {field.name for field in dataclasses.fields(kind)}
 
     def check(value: object) -> object:
@@ -41,17 +41,17 @@ def forbid_unknown_keys(kind: type) -> BeforeValidator:
 
 
 def read_toml(text: str, source: str, kind: type[Section]) -> Section:
-    """Value of `kind` from TOML text. `source` names the file in a FormatError."""
+    """Return the value of type `kind` given as TOML text; `source` names the file in a FormatError."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        hint = "Text stands in quotes, a list in brackets, a section name in brackets on its own line"
+        hint = "Put text in quotes, lists in brackets, and section names in brackets on a line of their own"
         raise FormatError(f"this is not valid TOML: {error}", hint=hint, file=source) from None
     return validate_document(document, source, kind)
 
 
 def validate_document(document: dict[str, Any], source: str, kind: type[Section]) -> Section:
-    """Value of `kind` from a parsed document; FormatError with file, key path and hint otherwise."""
+    """Return the value of type `kind` from a parsed document. Raise FormatError with file, key path and hint."""
     try:
         return kind.model_validate(document)
     except ValidationError as error:
@@ -74,7 +74,7 @@ def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dic
 
 
 def key_path(location: Sequence[str | int]) -> str:
-    """`("axes", "X", "range_mm", 0)` as `axes.X.range_mm[0]`."""
+    """Return a location such as `("axes", "X", "range_mm", 0)` as `axes.X.range_mm[0]`."""
     text = ""
     for part in location:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
@@ -112,7 +112,7 @@ def _in_words(
         return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _listing(known)
     if problem == "missing":
         if location and isinstance(location[-1], int):
-            return f"the list is too short, it has no value number {location[-1] + 1}", ""
+            return f"the list is too short: value number {location[-1] + 1} is missing", ""
         return f"key '{name}' is missing", _listing(known)
     if problem == "value_error":
         return text.removeprefix("Value error, "), ""
@@ -149,5 +149,5 @@ def _place(location: Sequence[str | int]) -> str:
 
 
 def _without_union_labels(location: Sequence[str | int]) -> list[str | int]:
-    """Pydantic names the tried branch of a union (`list[float]`); a person looks for the key alone."""
+    """Return the location without pydantic's labels of union branches (`list[float]`), leaving the keys of the file."""
     return [part for part in location if isinstance(part, int) or not _UNION_LABEL.match(part)]

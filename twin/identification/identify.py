@@ -83,7 +83,8 @@ def _check_set(observations: Observations) -> None:
     useful = int((counts >= 2).sum())
     if useful < 2:
         raise SingularSet(
-            f"{len(counts)} position(s), {useful} of them with two balls or more, cannot tell machine from artefact",
+            f"{len(counts)} position(s), {useful} of them with two balls or more, cannot separate machine errors "
+            "from artefact errors",
             hint="measure the artefact in at least two positions, better those of S3",
         )
     if len(np.unique(observations.ball)) < _FEWEST_BALLS:

@@ -1,8 +1,8 @@
-"""Does what is stated hold the truth? Regions of an estimate against a machine that is known.
+"""Coverage of stated uncertainty regions: estimates compared with machines whose true errors are known.
 
-Every region belongs to a nominal level. What is kept of each comparison is the level whose region just reaches the
-truth: over many machines these levels are even between 0 and 1 where regions are what they are said to be, and the
-share of them that is at most 0.95 is the coverage of the 95 % regions.
+Every region belongs to a nominal level. Each comparison is reduced to one number, the level of the region that just
+reaches the truth. If regions are stated correctly, these levels are uniformly distributed between 0 and 1 over many
+machines, and the fraction that is at most 0.95 is the coverage of the 95 % regions.
 """
 
 from __future__ import annotations
@@ -27,21 +27,25 @@ from twin.machine.true_machine import TrueMachine
 from twin.machine.volumetric import volumetric_error
 from twin.uncertainty.volumetric_distribution import volumetric_distributions
 
-_OPEN = 1e-9  # of the largest variance: what a rigid motion has taken out
+_OPEN = 1e-9  # of the largest variance: directions below were removed with the rigid motion
 _RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
 class ObservedCoverage:
-    """How many of the comparisons of all machines were held, and the standard error of that from machine to machine."""
+    """Fraction of comparisons, over all machines, whose region contains the truth, and its standard error between
+    machines."""
 
     observed: float
     standard_error: float
 
 
 def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Generator) -> ObservedCoverage:
-    """Coverage at a nominal level; `levels`: of each machine its comparisons (m,). The standard error is that of
-    machines drawn again with replacement (bootstrap), since the comparisons of one machine go together."""
+    """Return the observed coverage at a nominal level.
+
+    `levels` holds one array (m,) of comparison levels per machine. The standard error comes from resampling whole
+    machines with replacement (bootstrap), since the comparisons of one machine are correlated.
+    """
     held = np.array([np.count_nonzero(one <= nominal) for one in levels], dtype=np.float64)
     counts = np.array([np.size(one) for one in levels], dtype=np.float64)
     drawn = rng.multinomial(len(levels), np.full(len(levels), 1.0 / len(levels)), size=_RESAMPLES)
@@ -51,15 +55,18 @@ def observed_coverage(levels: Sequence[Array], nominal: float, rng: np.random.Ge
 
 @dataclass(frozen=True, eq=False)
 class FieldError:
-    """Of the true deviation less its expectation at n points, after the one rigid motion that no artefact sees: `error`
-    (3n,) mm and the `covariance` (3n, 3n) mm² stated for it."""
+    """Error of the estimated field at n points: true deviation less its expectation, without the best rigid motion.
+
+    The rigid motion is removed because no artefact can determine it. `error` (3n,) in mm, `covariance` (3n, 3n) in mm²
+    as stated for it.
+    """
 
     error: Array
     covariance: Array
 
     @classmethod
     def of(cls, estimate: Estimate, truth: TrueMachine, axis_positions: Array) -> FieldError:
-        """At axis positions (n, 3), with the tool of the truth."""
+        """Return the field error at axis positions (n, 3), with the tool of the truth."""
         offset = truth.tool_offset
         left = truth.deviation(axis_positions)
         left -= exact_deviation(estimate.model, axis_positions, offset, estimate.parameters)
@@ -77,21 +84,21 @@ class FieldError:
         return cls(expected - motions @ (motions.T @ expected), whole)
 
     def pointwise_levels(self) -> Array:
-        """(3n,) of each component at each point by itself."""
+        """Return the levels (3n,) of the intervals for each component at each point separately."""
         return two_sided_level(self.error / np.sqrt(np.diagonal(self.covariance)))
 
     def joint_level(self) -> float:
-        """Of all components at all points together."""
+        """Return the level of the joint region of all components at all points."""
         return joint_level(self.error, self.covariance)
 
 
 def two_sided_level(standardised: Array) -> Array:
-    """Level of the symmetric interval that just reaches each of (n,) standard normal variables."""
+    """Return the levels (n,) of the symmetric intervals that just reach n standard normal values."""
     return np.asarray(2.0 * ndtr(np.abs(standardised)) - 1.0)
 
 
 def joint_level(error: Array, covariance: Array) -> float:
-    """Level of the ellipsoid that just reaches `error` (n,); directions without variance are left out."""
+    """Return the level of the ellipsoid that just reaches `error` (n,); directions without variance are ignored."""
     values, vectors = np.linalg.eigh(covariance)
     used = values > _OPEN * values[-1]
     square = float(np.sum((vectors.T @ error)[used] ** 2 / values[used]))
@@ -99,9 +106,10 @@ def joint_level(error: Array, covariance: Array) -> float:
 
 
 def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) -> Array:
-    """Of every parameter that the measurements have made better known than `share_of_prior` of what was known before.
+    """Return the levels for all parameters whose standard uncertainty is below `share_of_prior` times the prior one.
 
-    `truth` (p,) of the same model: meaningful for a machine that the model can represent.
+    `truth` (p,) holds the parameters of the same model, so this is meaningful only for a machine that the model can
+    represent.
     """
     sigma = estimate.standard_uncertainty
     known = sigma < share_of_prior * estimate.scales.prior * estimate.prior_scale
@@ -110,8 +118,11 @@ def parameter_levels(estimate: Estimate, truth: Array, share_of_prior: float) ->
 
 @dataclass(frozen=True)
 class VolumetricComparison:
-    """VE and VCE after the best rigid motion: `true_mm`, root of the expected mean square, and level of the interval
-    with equal chances on both sides."""
+    """VE or VCE after the best rigid motion, true and expected.
+
+    `true_mm`: true value; `expected_mm`: root of the expected mean square; `level`: level of the equal-tailed interval
+    that just reaches the true value.
+    """
 
     true_mm: float
     expected_mm: float
@@ -121,7 +132,7 @@ class VolumetricComparison:
 def volumetric_comparisons(
     estimate: Estimate, truth: TrueMachine, grid: Array
 ) -> tuple[VolumetricComparison, VolumetricComparison]:
-    """VE and VCE over axis positions (n, 3)."""
+    """Compare VE and VCE over axis positions (n, 3) with their stated distributions."""
     offset = truth.tool_offset
     true = truth.deviation(grid)
     left = true - exact_deviation(estimate.model, grid, offset, estimate.parameters)
@@ -137,7 +148,10 @@ def volumetric_comparisons(
 def held_out_levels(
     estimate: Estimate, family: Family, seen: Observations, artefact: Artefact, options: Options
 ) -> Array:
-    """(K,) of each position of `seen`, which the estimate has never seen: all its balls together, pose taken out."""
+    """Return the levels (K,) of the joint regions of all balls of each position in `seen`, with the pose removed.
+
+    The estimate must not have used these positions.
+    """
     problem = build_problem(family, seen, artefact, options)
     left, local = problem.sides(estimate.z)
     residuals = left - rigid_poses(problem.layout, local, left).place(problem.layout, local)
@@ -151,7 +165,7 @@ def _held_out_level(estimate: Estimate, problem: IdentificationProblem, residual
     covariance = design @ estimate.z_covariance @ design.T
     for number, row in enumerate(rows):
         block = slice(3 * number, 3 * number + 3)
-        # what is too short in space for the modes is in the noise that was found
+        # misfit of short wavelength, not resolved by the modes, is part of the estimated noise scale
         covariance[block, block] += estimate.scales.noise**2 * problem.observations.covariance[row]
     motions = _motions(problem.observations.axis_positions[rows])
     free = np.linalg.qr(motions, mode="complete")[0][:, 6:]
@@ -159,6 +173,6 @@ def _held_out_level(estimate: Estimate, problem: IdentificationProblem, residual
 
 
 def _motions(points: Array) -> Array:
-    """(3n, 6) rigid motions of points (n, 3)."""
+    """Return the rigid motions (3n, 6) of points (n, 3)."""
     size_mm = max(float(np.ptp(points, axis=0).max()), 1.0)
     return rigid_fields(points, points.mean(axis=0), size_mm).reshape(-1, 6)

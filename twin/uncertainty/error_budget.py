@@ -1,10 +1,10 @@
-"""Expected volumetric compensated error in closed form, and what each influence has in it.
+"""Expected volumetric compensated error in closed form, split by influence.
 
-The estimate is linear in everything that a procedure meets (`twin.uncertainty.linear_estimator`), so the field that
-compensation leaves is linear too, and its expected mean square over machines, certificates and touches is a trace of
-second moments with the quadratic form of the field. All influences are independent with mean zero, but for the
-deflection, which is the same for all machines and enters with its own square. So the squares of the contributions add
-up.
+The estimate is a linear function of all errors of a procedure (`twin.uncertainty.linear_estimator`), so the field that
+compensation leaves is linear in them too. Its expected mean square over machines, certificates and touches is a trace
+of second moments with the quadratic form of the field. All influences are independent with mean zero, except the
+deflection, which is the same for all machines and enters with its own square. The squares of the contributions
+therefore add up.
 """
 
 from __future__ import annotations
@@ -35,15 +35,21 @@ from twin.uncertainty.volumetric_distribution import VolumetricDistribution
 TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE = "touch noise", "certificate", "CTE", "temperature"
 DRIFT, MOUNT, MISFIT, UNSEEN = "drift", "mount", "misfit", "unseen"
 INFLUENCES = (TOUCH_NOISE, CERTIFICATE, CTE, TEMPERATURE, DRIFT, MOUNT, MISFIT, UNSEEN)
-"""In the order of the table. `mount` is where the artefact stands: poses are free, so it contributes nothing.
-`misfit`: what the true machines have and the model has not, deflection included, with what it does to the parameters.
-`unseen`: the model's own parameters, as far as the set does not see them or the prior shrinks them."""
+"""Influences in the order of the table.
+
+`mount` is the pose of the artefact: poses are free unknowns, so it contributes nothing. `misfit` covers errors of the
+true machines that the model cannot represent, including deflection and the bias they cause in the parameters. `unseen`
+covers the model's own parameters, as far as the position set does not determine them or the prior shrinks them.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorBudget:
-    """`moments`: influence → second moments (u, u) of the parameters left, of the joint model of `field`; `bias` (u,):
-    what compensation makes of the deflection, to be added to it."""
+    """Error budget of a procedure.
+
+    `moments`: for each influence the second moments (u, u) of the remaining parameters of the joint model of `field`;
+    `bias` (u,): parameter error that compensation adds to the deflection.
+    """
 
     field: FieldForm
     moments: Mapping[str, Array]
@@ -51,7 +57,7 @@ class ErrorBudget:
 
     @cached_property
     def contributions(self) -> Mapping[str, VolumetricRms]:
-        """Influence → root of its part in the expected mean square."""
+        """Root of the contribution of each influence to the expected mean square."""
         squares = {name: self.field.mean_square(moments) for name, moments in self.moments.items()}
         fixed = self.field.fixed_square(self.bias)
         squares[MISFIT] = (squares[MISFIT][0] + fixed[0], squares[MISFIT][1] + fixed[1])
@@ -70,12 +76,12 @@ class ErrorBudget:
 
     @cached_property
     def total(self) -> Array:
-        """(u, u) second moments of all influences together, without the deflection."""
+        """Second moments (u, u) of all influences together, without the deflection."""
         return np.asarray(np.sum(list(self.moments.values()), axis=0))
 
     @property
     def distribution(self) -> VolumetricDistribution:
-        """Of VCE over machines, their parameters taken as Gaussian with the family's variances."""
+        """Distribution of the VCE over machines, with Gaussian parameters of the family's variances."""
         form = self.field.form
         return VolumetricDistribution(
             QuadraticDistribution.of(form.raw, form.raw_linear, form.raw_constant, self.bias, self.total),
@@ -83,14 +89,15 @@ class ErrorBudget:
         )
 
     def parameter_uncertainty(self) -> Array:
-        """(p,) root mean square of true less identified parameters of the model identified, in mm or rad."""
+        """Return the root mean square error (p,) of the identified parameters, true less identified, in mm or rad."""
         squares = np.maximum(np.diagonal(self.total) + self.bias**2, 0.0)
         return np.asarray(np.sqrt(squares[self.field.model_indices]))
 
     def field_uncertainty(self, axis_positions: ArrayLike, aligned: bool = False) -> Array:
-        """Expected root mean square (n, 3) mm of the field left at axis positions (n, 3), per direction.
+        """Return the expected rms (n, 3) in mm of the residual field at axis positions (n, 3), per direction.
 
-        `aligned`: less the rigid motion over the grid of the form, which no free artefact sees.
+        If `aligned`, the best rigid motion over the grid of the form is removed, since no free artefact can determine
+        it.
         """
         basis, deflection = self.field.columns_at(axis_positions, aligned)
         squares = np.einsum("nip,nip->ni", basis @ self.total, basis) + (deflection + basis @ self.bias) ** 2
@@ -107,10 +114,12 @@ def error_budget(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> ErrorBudget:
-    """Expected error of identifying `model` from planned `observations` of `artefact` on the machines of `assumptions`.
+    """Return the expected error of identifying `model` from planned `observations` on machines that follow
+    `assumptions`.
 
-    `family`: the prior; `grid` (n, 3), `tool_offset` (3,): where the error counts. Scales stay at 1 and no ball is
-    rejected, whatever `options` say. To judge many sets build the `FieldForm` once and use `error_budget_of_form`.
+    `family` is the prior; the error is evaluated on `grid` (n, 3) for `tool_offset` (3,). Scales stay at 1 and no ball
+    is rejected, whatever `options` say. To evaluate many position sets build the `FieldForm` once and use
+    `error_budget_of_form`.
     """
     return error_budget_of_form(
         FieldForm.build(model, assumptions, grid, tool_offset), family, artefact, observations, options
@@ -120,16 +129,19 @@ def error_budget(
 def error_budget_of_form(
     field: FieldForm, family: Family, artefact: Artefact, observations: Observations, options: Options
 ) -> ErrorBudget:
-    """Expected error on a field form that is at hand. DataError where the prior is that of another model."""
+    """Return the expected error on an existing field form. Raise DataError if the prior belongs to another model."""
     if family.model != field.model:
         raise DataError("the family belongs to another model", hint="use the family of the same machine file")
     assumptions = field.assumptions
+    # The observations take the true temperature; the thermometer error enters as an influence of its own.
     warm = np.full(observations.size, assumptions.artefact_temperature_c)
     problem = build_problem(family, replace(observations, temperature_c=warm), artefact, options)
     influences = _influences(problem, field, artefact)
     estimator = LinearEstimator.of(problem, options, np.concatenate(list(influences.values()), axis=2))
     ends = np.cumsum([part.shape[2] for part in influences.values()])
     answers = dict(zip(influences, np.split(estimator.influences, ends[:-1], axis=1), strict=True))
+    # Response K f of the estimate to a field f of one standard deviation; the residual error is -K f, and its second
+    # moment K f fᵀ Kᵀ. For a true machine parameter the residual is the parameter itself less the response.
     moments = {name: _moments(field, -answers[name]) for name in (CTE, TEMPERATURE, DRIFT)}
     machines = _machines_left(field, answers["machines"])
     none = np.zeros((field.size, field.size))
@@ -147,7 +159,7 @@ def error_budget_of_form(
 
 
 def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:
-    """Fields (n, 3, x) mm at the rows, each column of one standard deviation (the deflection as it is)."""
+    """Return the fields (n, 3, x) in mm at the rows, one column per standard deviation (the deflection as it is)."""
     seen, assumptions = problem.observations, field.assumptions
     stretched = problem.layout.unpad(problem.layout.pad(artefact.balls[seen.ball]) @ _turned(problem))[:, :, None]
     warmer_k = assumptions.artefact_temperature_c - artefact.reference_temperature_c
@@ -162,12 +174,12 @@ def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Arte
 
 
 def _turned(problem: IdentificationProblem) -> Array:
-    """(K, 3, 3) to turn artefact points (K, width, 3) from the right."""
+    """Return the transposed rotations (K, 3, 3), to multiply artefact points (K, width, 3) from the right."""
     return problem.poses.rotation.transpose(0, 2, 1)
 
 
 def _machines(field: FieldForm, seen: Observations) -> Array:
-    """(n, 3, t) of one standard deviation of each parameter of the true family."""
+    """Return the fields (n, 3, t) of one standard deviation of each parameter of the true family."""
     family = field.assumptions.family
     scale = family.prior_standard_deviation
     fields = np.empty((seen.size, 3, family.model.size))
@@ -185,7 +197,7 @@ def _deflection(assumptions: TruthAssumptions, seen: Observations) -> Array:
 
 
 def _drift(problem: IdentificationProblem, drift_mm: float) -> Array:
-    """(n, 3, 3K): each position drifts by itself, linearly over its balls in the order of the rows."""
+    """Return the drift fields (n, 3, 3K): an independent drift in each position, linear over its balls in row order."""
     layout = problem.layout
     if drift_mm == 0.0:
         return np.zeros((problem.observations.size, 3, 0))
@@ -197,7 +209,7 @@ def _drift(problem: IdentificationProblem, drift_mm: float) -> Array:
 
 
 def _machines_left(field: FieldForm, answers: Array) -> Array:
-    """(u, t) parameters left of one standard deviation of each parameter of the true family: true less identified."""
+    """Return the residual (u, t), true less identified, of one standard deviation of each true parameter."""
     left = np.zeros((field.size, len(field.true_indices)))
     left[field.true_indices, np.arange(len(field.true_indices))] = field.assumptions.family.prior_standard_deviation
     left[field.model_indices] -= answers
@@ -209,7 +221,7 @@ def _moments(field: FieldForm, columns: Array) -> Array:
 
 
 def _embedded(field: FieldForm, covariance: Array) -> Array:
-    """(u, u) from second moments (p, p) of the identified parameters."""
+    """Embed second moments (p, p) of the identified parameters into those of the joint model (u, u)."""
     moments = np.zeros((field.size, field.size))
     moments[np.ix_(field.model_indices, field.model_indices)] = covariance
     return moments

@@ -1,7 +1,7 @@
-"""An identification as what it is to nanometres: a linear map from what the measurements are met by to the parameters.
+"""Identification as a linear map from measurement errors to parameters, accurate to nanometres.
 
-Nothing is measured here: at the planned ball centres, without empirical Bayes and without outliers, the estimate is
-K · data with K = H⁻¹Aᵀ of the formulation, weights and prior chosen.
+No measurements are needed: at the planned ball centres, without empirical Bayes and without outlier rejection, the
+estimate is K · data with K = H⁻¹Aᵀ for the chosen formulation, weights and prior.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True, eq=False)
 class LinearEstimator:
-    """What becomes of each influence in the estimated parameters, in mm or rad.
+    """Response of the estimated parameters, in mm or rad, to each influence.
 
-    `certificate` (p, m): per standard deviation of the certificate's errors; `influences` (p, x): per unit of each
-    field asked for; `noise` (p, p): covariance from touch noise as stated.
+    `certificate` (p, m): per standard deviation of the certificate errors; `influences` (p, x): per unit of each added
+    field; `noise` (p, p): covariance caused by the stated touch noise.
     """
 
     certificate: Array
@@ -35,23 +35,25 @@ class LinearEstimator:
 
     @classmethod
     def of(cls, problem: IdentificationProblem, options: Options, influences: Array) -> LinearEstimator:
-        """`influences` (n, 3, x) mm: fields added to the tool points, rows as in `problem.observations`.
+        """Build the estimator; `influences` (n, 3, x) in mm are fields added to the tool points, rows as in
+        `problem.observations`.
 
-        DataError for an estimate carried over: its mean has been measured, and belongs to one machine only.
+        Raise DataError if an estimate is carried over: its mean is the result of measuring one particular machine.
         """
         if options.carried_over is not None:
             raise DataError(
-                "the expected error is that over a family of machines, not of one whose estimate is carried over",
-                hint="leave the earlier estimate out",
+                "the expected error is defined over a family of machines, so no earlier estimate can be carried over",
+                hint="leave out the earlier estimate",
             )
         plain, blocks = options.weights == "unit", problem.blocks
         equations = _equations(_with(problem, influences), options)
         used = blocks.parameters.stop if plain else blocks.size
         matrix = equations.matrix
         posterior = _posterior(matrix[:used, :used], blocks, options)
+        # K f = H⁻¹ Aᵀ f: the equations hold Aᵀ f of certificate and influences as further columns
         response = posterior.solve(matrix[:used, blocks.certificate.start :])
         noise_gram = equations.noise_gram(used)[0] if plain else matrix[:used, :used]
-        noise = posterior.solve(posterior.solve(noise_gram).T)
+        noise = posterior.solve(posterior.solve(noise_gram).T)  # H⁻¹ (Aᵀ C A) H⁻¹
         own, scale = blocks.parameters, problem.unknowns.scale
         response = scale[:, None] * response[own]
         return cls(
@@ -62,7 +64,8 @@ class LinearEstimator:
 
 
 def _with(problem: IdentificationProblem, influences: Array) -> IdentificationProblem:
-    """The problem with the influences as further columns of its design, so that its equations make products of all."""
+    """Return the problem with the influences as further design columns, so that its normal matrix contains their
+    products."""
     laid = problem.layout.pad(influences)
     blocks = problem.blocks
     longer = replace(blocks, misfit=slice(blocks.misfit.start, blocks.size + influences.shape[2]))
@@ -76,7 +79,7 @@ def _equations(problem: IdentificationProblem, options: Options) -> CentreEquati
 
 
 def _posterior(matrix: Array, blocks: UnknownBlocks, options: Options) -> Posterior:
-    """Prior off: only what the measurements leave open is held at zero."""
+    """Return the posterior; with the prior off, only directions that the measurements leave open are held at zero."""
     if options.weights == "unit":
         blocks = UnknownBlocks.of(blocks.parameters.stop, 0, 0)
     if options.use_prior:

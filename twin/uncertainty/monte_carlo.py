@@ -1,8 +1,8 @@
-"""A whole procedure by simulation: a machine as it is, the artefact as it is, what would be measured, what is left.
+"""Monte Carlo simulation of a whole procedure: true machine, true artefact, simulated measurements, residual error.
 
-Where `twin.identification` supposes, here it is drawn: the machine from its family (uniform, of any order, with
-deflection), the artefact from its certificate, thermometer, drift and touches from their uncertainties. The true field
-is the exact product of transforms, not its linear form.
+Everything that `twin.identification` models as uncertain is drawn here: the machine from its family (uniform, of any
+order, with deflection), the artefact from its certificate, and thermometer, drift and touches from their uncertainties.
+The true field is the exact product of transforms, not its linearisation.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from twin.uncertainty.truth_assumptions import TruthAssumptions
 IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 
 _STEPS = 3
-"""Of the fixed point: each leaves less than 1e-4 of what the one before left, of 0.1 mm at first."""
+"""Steps of the fixed-point iteration. Each reduces the remaining error below 1e-4 of the previous one, initially 0.1
+mm."""
 
 
 def draw_truth(assumptions: TruthAssumptions, rng: np.random.Generator, tool_offset: ArrayLike) -> TrueMachine:
-    """One machine of the family, with the deflection that acts on all."""
+    """Draw one machine of the family, with the deflection that is common to all machines."""
     family = assumptions.family
     offset = np.asarray(tool_offset, dtype=np.float64)
     return TrueMachine(family.model, family.draw(rng, 1)[0], offset, assumptions.deflection)
@@ -42,10 +43,10 @@ def simulated_observations(
     assumptions: TruthAssumptions,
     rng: np.random.Generator,
 ) -> Observations:
-    """What `truth` would measure where a machine without errors would find the balls of `planned`, row by row.
+    """Return the observations that `truth` would give, row by row, if an error-free machine gave those of `planned`.
 
-    `artefact` is what its certificate says. Each kind of chance is drawn whether it is switched on or not, so that
-    switching one off leaves the others as they are.
+    `artefact` is the artefact as certified. Every random influence is drawn even if it is switched off, so that
+    switching one off does not change the others.
     """
     real, shift_k = _real_artefact(artefact, assumptions, rng)
     change = _moved_balls(planned, artefact, real, assumptions.artefact_temperature_c)
@@ -59,23 +60,23 @@ def simulated_observations(
 
 
 def uncompensated_errors(form: FieldForm, truths: Array) -> tuple[Array, Array]:
-    """VE of machines with parameters (m, t) of the true family, raw and aligned (m,) in mm."""
+    """Return the VE of machines with parameters (m, t) of the true family, raw and aligned (m,) in mm."""
     return form.form.values(_spread(form, truths, form.true_indices))
 
 
 def compensated_errors(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array, Array]:
-    """VCE of machines (m, t) compensated by estimates (m, p), raw and aligned (m,) in mm."""
+    """Return the VCE of machines (m, t) compensated by estimates (m, p), raw and aligned (m,) in mm."""
     return form.form.values(_spread(form, truths, form.true_indices) - _spread(form, estimates, form.model_indices))
 
 
 def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> VolumetricRms:
-    """Volumetric error that `truth` is left with under the compensation of `estimate`."""
+    """Return the volumetric error of `truth` after compensation by `estimate`."""
     raw, aligned = compensated_errors(form, truth.parameters[None, :], estimate.parameters[None, :])
     return VolumetricRms(float(raw[0]), float(aligned[0]))
 
 
 def _spread(form: FieldForm, parameters: Array, places: IndexArray) -> Array:
-    """(m, u) parameters of the joint model."""
+    """Embed parameters (m, ...) at `places` into vectors (m, u) of the joint model."""
     vectors = np.zeros((len(parameters), form.size))
     vectors[:, places] = parameters
     return vectors
@@ -84,7 +85,7 @@ def _spread(form: FieldForm, parameters: Array, places: IndexArray) -> Array:
 def _real_artefact(
     artefact: Artefact, assumptions: TruthAssumptions, rng: np.random.Generator
 ) -> tuple[Artefact, float]:
-    """The artefact as it is, and by how much its thermometer shows too much (K)."""
+    """Draw the true artefact and the error of its thermometer (K, positive if it reads too high)."""
     off_mm = _factor(artefact.covariance) @ rng.standard_normal(3 * artefact.count)
     off_per_k = artefact.cte_standard_uncertainty_per_k * rng.standard_normal()
     shift_k = assumptions.thermometer_uncertainty_k * rng.standard_normal()
@@ -97,7 +98,7 @@ def _real_artefact(
 
 
 def _moved_balls(planned: Observations, stated: Artefact, real: Artefact, temperature_c: float) -> Array:
-    """(n, 3) mm, machine axes: where the balls of the real artefact are, less where the plan has them."""
+    """Return the displacement (n, 3) in mm, machine axes, of the true balls from their planned points."""
     local = np.empty((planned.size, 3))
     for elevation in np.unique(planned.elevation_rad):
         rows = planned.elevation_rad == elevation
@@ -106,10 +107,10 @@ def _moved_balls(planned: Observations, stated: Artefact, real: Artefact, temper
 
 
 def _orientation(planned: Observations, stated: Artefact) -> Array:
-    """(n, 3, 3) rotation from artefact to machine at each row, Rz(azimuth) Ry(-elevation).
+    """Return the rotation (n, 3, 3) from artefact to machine at each row, Rz(azimuth) Ry(-elevation).
 
-    The elevation is known; the azimuth is the one that lays the artefact on the planned places. The roll about a
-    straight bar, which no fit of its balls can tell, is thereby right as well.
+    The elevation is known; the azimuth is the one that best fits the artefact to the planned points. This also gives
+    the correct roll about a straight bar, which a fit of its balls cannot determine.
     """
     sine, cosine = np.sin(planned.elevation_rad), np.cos(planned.elevation_rad)
     zero, one = np.zeros_like(sine), np.ones_like(sine)
@@ -130,34 +131,35 @@ def _matrices(*rows: tuple[Array, Array, Array]) -> Array:
 
 
 def _about_middle(points: Array, position: IndexArray) -> Array:
-    """Points (n, 3) less the mean of those of the same position."""
+    """Return points (n, 3) less the mean of the points of the same position."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     sums = np.column_stack([np.bincount(group, points[:, axis]) for axis in range(3)])
     return np.asarray(points - (sums / counts[:, None])[group])
 
 
 def _found(planned: Observations, truth: TrueMachine, wanted: Array) -> Array:
-    """Axis positions (n, 3) at which the tool point is where it should be at `wanted`: X + d(X) = wanted."""
+    """Solve X + d(X) = wanted for the axis positions X (n, 3) at which the tool point reaches `wanted`."""
     found = wanted.copy()
     for tool in np.unique(planned.tool):
         rows = planned.tool == tool
         machine = replace(truth, tool_offset=planned.tool_offsets[tool])
         at = wanted[rows]
-        for _ in range(_STEPS):
+        for _ in range(_STEPS):  # fixed point X ← wanted - d(X); d changes by less than 1e-4 of a change of X
             at = wanted[rows] - machine.deviation(at)
         found[rows] = at
     return found
 
 
 def _drift(position: IndexArray, drift_mm: float, rng: np.random.Generator) -> Array:
-    """(n, 3) mm: at each position linearly from nothing at its first ball to a drawn vector at its last one."""
+    """Return the drift (n, 3) in mm: in each position linear from zero at its first ball to a random vector at its
+    last."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     ends = drift_mm * rng.standard_normal((len(counts), 3))
     return np.asarray(position_progress(position)[:, None] * ends[group])
 
 
 def position_progress(position: IndexArray) -> Array:
-    """(n,) how far each row is on its way from the first (0) to the last row (1) of its position."""
+    """Return the progress (n,) of each row within its position, from 0 at the first row to 1 at the last."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     order = np.argsort(group, kind="stable")
     rank = np.empty(len(group))
@@ -166,13 +168,13 @@ def position_progress(position: IndexArray) -> Array:
 
 
 def _touch_noise(covariance: Array, rng: np.random.Generator) -> Array:
-    """(n, 3) mm drawn for covariances (n, 3, 3)."""
+    """Draw noise (n, 3) in mm with covariances (n, 3, 3)."""
     factors = np.linalg.cholesky(covariance)
     return np.asarray(np.einsum("nij,nj->ni", factors, rng.standard_normal((len(covariance), 3))))
 
 
 def _factor(covariance: Array) -> Array:
-    """L with L Lᵀ = covariance, which may be singular; the same in every process."""
+    """Return L with L Lᵀ = covariance, which may be singular; the result is the same in every process."""
     diagonal = np.diagonal(covariance)
     if np.count_nonzero(covariance) == np.count_nonzero(diagonal):
         return np.diag(np.sqrt(diagonal))

@@ -1,13 +1,13 @@
-"""The distribution of a quadratic form of Gaussian variables, such as the mean square of an uncertain field.
+"""Distribution of a quadratic form of Gaussian variables, such as the mean square of an uncertain field.
 
-With x of mean m and covariance L Lᵀ the form xᵀAx + 2bᵀx + c is a sum of independent non-central squares,
+For x with mean m and covariance L Lᵀ the form xᵀAx + 2bᵀx + c is a sum of independent non-central squares,
 
     Q = c₀ + Σ λ_j (g_j + δ_j)²,    g_j standard normal,
 
 whose moment generating function is known. The probability that Q exceeds q is its inverse Laplace transform (Imhof,
 Biometrika 48, 1961, with real frequencies). Here the path of integration is a parabola through the saddle point (Rice,
-SIAM J. Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983): what is summed neither oscillates nor decays
-slowly, both tails are good to many digits, and one term or ninety make no difference.
+SIAM J. Sci. Stat. Comput. 1, 1980; Helstrom, IEEE Trans. AES 19, 1983): the integrand neither oscillates nor decays
+slowly, both tails are accurate to many digits, and the number of terms, one or ninety, makes no difference.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from scipy.optimize import brentq
 from twin.arrays import Array, as_vector
 from twin.errors import DataError
 
-_DROPPED = 1e-12  # of the largest λ: what is below moves the whole by no more than its mean
-_STEP = 0.15  # of the integration, in widths of the saddle: leaves less than 1e-15
-_ENDED = 1e-17  # of the value at the saddle point
+_DROPPED = 1e-12  # of the largest λ: smaller terms are replaced by their mean
+_STEP = 0.15  # integration step in widths of the saddle: error below 1e-15
+_ENDED = 1e-17  # of the value at the saddle point: the sum ends below it
 _BLOCK = 64  # points of the path at a time
 _MOST_BLOCKS = 60
-_RISING = 1e-6  # of the exponent along a path that is no good: rounding is less
-_IMPOSSIBLE = 1e-9  # a negative eigenvalue, of the largest, that is no rounding
-_BENDS = (0.05, 0.02, 0.005, 0.001)  # of the path, in widths of the saddle; the first that does is taken
-_COUNTS = -37.0  # exponent relative to that at the saddle, below which a summand is rounding
-_TURNING = 0.7  # rad of a summand to the next one
-_HINT = "take the covariance of an estimate as it was written"
+_RISING = 1e-6  # rise of the exponent that disqualifies a path; rounding stays below
+_IMPOSSIBLE = 1e-9  # negative eigenvalue, relative to the largest, that rounding cannot explain
+_BENDS = (0.05, 0.02, 0.005, 0.001)  # curvatures of the path in widths of the saddle; the first usable one is taken
+_COUNTS = -37.0  # exponent relative to the saddle below which a term is negligible
+_TURNING = 0.7  # largest phase change in rad from one term to the next
+_HINT = "use the covariance of an estimate exactly as it was written"
 
 Complex = np.ndarray[Any, np.dtype[np.complex128]]
 
 
 @dataclass(frozen=True)
 class _Path:
-    """Parabola s = `saddle` + i v + `bend` v², taken in steps of v."""
+    """Parabola s = `saddle` + i v + `bend` v², sampled in steps of v."""
 
     saddle: float
     bend: float
@@ -51,7 +51,7 @@ class _Path:
 
 @dataclass(frozen=True, eq=False)
 class QuadraticDistribution:
-    """`weights` λ (k,) above zero, `shifts` δ (k,), `least` c₀: Q is never below it."""
+    """Distribution of Q: `weights` λ (k,) above zero, `shifts` δ (k,), and `least` c₀, the lower bound of Q."""
 
     weights: Array
     shifts: Array
@@ -66,10 +66,12 @@ class QuadraticDistribution:
         mean: ArrayLike,
         covariance: ArrayLike,
     ) -> QuadraticDistribution:
-        """Of xᵀ form x + 2 linearᵀ x + constant, a mean square and so never negative, for Gaussian x.
+        """Return the distribution of xᵀ form x + 2 linearᵀ x + constant, a mean square and so never negative, for
+        Gaussian x.
 
-        `form`, `covariance` (p, p), `linear`, `mean` (p,). A variable without uncertainty is no error; DataError for a
-        covariance that is none (not finite, not symmetric, a negative variance in some direction) or zero altogether.
+        `form` and `covariance` (p, p), `linear` and `mean` (p,). Single variables may have no uncertainty. Raise
+        DataError for an invalid covariance (not finite, not symmetric, a negative variance in some direction) or one
+        that is zero.
         """
         return cls.about(form, linear, constant, (mean,), covariance_factor(covariance))[0]
 
@@ -82,7 +84,7 @@ class QuadraticDistribution:
         means: Sequence[ArrayLike],
         factor: Array,
     ) -> tuple[QuadraticDistribution, ...]:
-        """One for each of several means (p,), for a covariance of which `factor` (p, p) is known."""
+        """Return one distribution for each of several means (p,), given the `factor` (p, p) of a common covariance."""
         size = len(factor)
         matrix = np.asarray(form, dtype=np.float64)
         if matrix.shape != (size, size):
@@ -92,9 +94,10 @@ class QuadraticDistribution:
         values, vectors = np.linalg.eigh(factor.T @ matrix @ factor)
         top = float(values[-1])
         if top <= 0.0 or values[0] < -_IMPOSSIBLE * top:
-            raise DataError("the quadratic form is no mean square", hint="it must be positive semi-definite")
+            raise DataError("the quadratic form is not a mean square", hint="it must be positive semi-definite")
         kept = values > _DROPPED * top
         weights, dropped = values[kept], float(values[~kept].sum()) + constant
+        # With x = m + L V g the form is Σ λ g² + 2 gᵀVᵀLᵀ(A m + b) + const; completing the squares gives δ and c₀.
         found = []
         for centre in centres:
             gradient = vectors.T @ (factor.T @ (matrix @ centre + slope))
@@ -116,7 +119,7 @@ class QuadraticDistribution:
         return 2.0 * float(self.weights**2 @ (1.0 + 2.0 * self.shifts**2))
 
     def exceeds(self, value: float) -> float:
-        """Probability that Q > value."""
+        """Return the probability that Q > value."""
         above = value - self.least
         if above <= 0.0:
             return 1.0
@@ -125,13 +128,15 @@ class QuadraticDistribution:
         return 1.0 - self._tail(above, upper=False)
 
     def at_most(self, value: float) -> float:
-        """Probability that Q ≤ value, exact in the lower tail where 1 - `exceeds` would be rounding."""
+        """Return the probability that Q ≤ value, exact in the lower tail, where 1 - `exceeds` would be lost in
+        rounding."""
         return self._at_most(value - self.least)
 
     def quantile(self, probability: float) -> float:
-        """Value that Q stays below with this probability. DataError unless it lies between 0 and 1."""
+        """Return the value that Q does not exceed with this probability. Raise DataError unless it lies between 0 and
+        1."""
         if not 0.0 < probability < 1.0:
-            raise DataError(f"a probability between 0 and 1 is wanted, not {probability}")
+            raise DataError(f"the probability must lie between 0 and 1, not {probability}")
         upper = self._mean_above
         while self._at_most(upper) < probability:
             upper *= 2.0
@@ -142,7 +147,7 @@ class QuadraticDistribution:
         return self.least + root
 
     def _at_most(self, above: float) -> float:
-        """Probability that Q - c₀ ≤ above."""
+        """Return the probability that Q - c₀ ≤ above."""
         if above <= 0.0:
             return 0.0
         if above < self._mean_above:
@@ -150,11 +155,11 @@ class QuadraticDistribution:
         return 1.0 - self._tail(above, upper=True)
 
     def _tail(self, above: float, *, upper: bool) -> float:
-        """P(Q - c₀ > above) or, for the lower tail, P(Q - c₀ ≤ above): one integral along a parabola.
+        """Return P(Q - c₀ > above) or, for the lower tail, P(Q - c₀ ≤ above), as one integral along a parabola.
 
-        s = saddle + i v + bend v²; the exponent is K(s) - s above - log(±s), K the cumulant generating function. All
-        its singularities lie on the real axis right of the saddle, where the parabola goes around them, whatever its
-        bend; the first bend along which the summands fall off is as good as any other.
+        With s = saddle + i v + bend v² the exponent is K(s) - s above - log(±s), K being the cumulant generating
+        function. All its singularities lie on the real axis right of the saddle, and the parabola passes around them
+        for any bend. The first bend along which the terms decay is used.
         """
         sign = 1.0 if upper else -1.0
         saddle = self._upper_saddle(above) if upper else self._lower_saddle(above)
@@ -167,8 +172,10 @@ class QuadraticDistribution:
         raise DataError("the distribution of this quadratic form cannot be integrated", hint=_HINT)
 
     def _sum_along(self, path: _Path, above: float, sign: float) -> float | None:
-        """Sum of the integrand in units of that at the saddle point; None where it does not fall off steadily or turns
-        faster than the steps follow."""
+        """Return the sum of the integrand in units of its value at the saddle point.
+
+        Return None if the integrand does not decay steadily or its phase turns faster than the steps can follow.
+        """
         total, lowest = -0.5, 0.0  # the trapezoidal rule counts the first point half
         top = float(self._exponent(np.array([path.saddle + 0j]), above, sign)[0].real)
         for block in range(_MOST_BLOCKS):
@@ -179,7 +186,7 @@ class QuadraticDistribution:
             turned = np.abs(np.diff(exponent.imag))[exponent.real[1:] > _COUNTS]
             if (exponent.real > falling[1:] + _RISING).any() or (turned > _TURNING).any():
                 return None
-            terms = np.exp(exponent) * (1.0 - 2j * path.bend * v)
+            terms = np.exp(exponent) * (1.0 - 2j * path.bend * v)  # ds = i (1 - 2 i bend v) dv
             total += float(terms.real.sum())
             lowest = float(falling[-1])
             if float(np.abs(terms[-1])) < _ENDED:
@@ -192,12 +199,12 @@ class QuadraticDistribution:
         return np.asarray(cumulants.sum(axis=-1) - path * above - np.log(sign * path))
 
     def _slope(self, s: float, above: float) -> float:
-        """Derivative of the exponent at real s."""
+        """Return the derivative of the exponent at real s."""
         left = 1.0 - 2.0 * s * self.weights
         return float((self.weights / left * (1.0 + self.shifts**2 / left)).sum()) - above - 1.0 / s
 
     def _upper_saddle(self, above: float) -> float:
-        """Between zero and the pole of the largest λ, where the slope goes from -∞ to ∞."""
+        """Return the saddle between zero and the pole of the largest λ, where the slope rises from -∞ to ∞."""
         largest = float(self.weights.max())
         pole = 0.5 / largest
         middle = 0.5 * pole
@@ -206,7 +213,7 @@ class QuadraticDistribution:
         return float(brentq(self._slope, low, high, args=(above,)))
 
     def _lower_saddle(self, above: float) -> float:
-        """Left of zero, where the slope goes from -above to ∞."""
+        """Return the saddle left of zero, where the slope rises from -above to ∞."""
         high = -0.5 / above
         low = 2.0 * high
         while self._slope(low, above) > 0.0:
@@ -214,16 +221,16 @@ class QuadraticDistribution:
         return float(brentq(self._slope, low, high, args=(above,)))
 
     def _curvature(self, saddle: float) -> float:
-        """Second derivative of the exponent at the saddle point."""
+        """Return the second derivative of the exponent at the saddle point."""
         left = 1.0 - 2.0 * saddle * self.weights
         ratio, swelling = self.weights / left, self.shifts**2 / left
         return float((2.0 * ratio**2 * (1.0 + 2.0 * swelling)).sum()) + saddle**-2
 
 
 def covariance_factor(covariance: ArrayLike) -> Array:
-    """L (p, p) with L Lᵀ = covariance, variables of zero variance included.
+    """Return L (p, p) with L Lᵀ = covariance; variables may have zero variance.
 
-    DataError, naming the variable where it can be named, for what is no covariance and for one that is zero.
+    Raise DataError for an invalid or zero covariance, naming the row if there is one to blame.
     """
     matrix = np.asarray(covariance, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
@@ -232,7 +239,7 @@ def covariance_factor(covariance: ArrayLike) -> Array:
     if (variance < 0.0).any():
         raise DataError("a variance is negative", row=int(np.argmin(variance)), hint=_HINT)
     if not variance.any():
-        raise DataError("the covariance is zero: nothing is uncertain, so nothing has a distribution", hint=_HINT)
+        raise DataError("the covariance is zero, so there is no distribution to compute", hint=_HINT)
     scale = np.where(variance > 0.0, np.sqrt(variance), 1.0)
     correlation = matrix / np.multiply.outer(scale, scale)
     off = np.abs(correlation - correlation.T).max(axis=1)

@@ -1,4 +1,4 @@
-"""The distribution of a quadratic form whose covariance is one of several."""
+"""Distribution of a quadratic form whose covariance is one of several, each with equal probability."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.uncertainty.quadratic_distribution import QuadraticDistribution
 
 @dataclass(frozen=True, eq=False)
 class QuadraticMixture:
-    """One of several `parts`, each as likely as any other."""
+    """Mixture of `parts` with equal weights."""
 
     parts: tuple[QuadraticDistribution, ...]
 
@@ -25,16 +25,20 @@ class QuadraticMixture:
         return float(np.mean([part.variance + part.mean**2 for part in self.parts])) - self.mean**2
 
     def exceeds(self, value: float) -> float:
-        """Probability that Q > value."""
+        """Return the probability that Q > value."""
         return float(np.mean([part.exceeds(value) for part in self.parts]))
 
     def at_most(self, value: float) -> float:
-        """Probability that Q ≤ value."""
+        """Return the probability that Q ≤ value."""
         return float(np.mean([part.at_most(value) for part in self.parts]))
 
     def quantile(self, probability: float) -> float:
-        """Value that Q stays below with this probability. DataError unless it lies between 0 and 1."""
+        """Return the value that Q does not exceed with this probability. Raise DataError unless it lies between 0 and
+        1."""
         ends = [part.quantile(probability) for part in self.parts]
-        lower, upper = min(ends) * (1.0 - 1e-9), max(ends) * (1.0 + 1e-9)  # a bracket that rounding cannot spoil
+        lower, upper = (
+            min(ends) * (1.0 - 1e-9),
+            max(ends) * (1.0 + 1e-9),
+        )  # widened so that rounding cannot exclude the root
         root: float = brentq(lambda value: self.at_most(value) - probability, lower, upper, xtol=1e-12 * upper)
         return root

@@ -1,4 +1,5 @@
-"""Machines of another making than the model that is identified, on a day that is not quite as stated."""
+"""Random machines that the identified model cannot fully represent, measured under conditions that differ from those
+stated."""
 
 from __future__ import annotations
 
@@ -20,11 +21,11 @@ from twin.uncertainty.truth_assumptions import TruthAssumptions
 
 TRUE_ORDER = 7
 AS_MODELLED = "as modelled"
-"""Of the family itself, nothing beside it and everything as stated: the check that regions of parameters hold."""
+"""Form of machines drawn from the family itself, with all conditions as stated: a check of the parameter regions."""
 
-_AMPLITUDE = (0.7, 1.3)  # of all parameters of a machine, against its family
-_BEAMS = (0.5, 1.5)  # of the deflection of the machine file
-_NOISE = (0.7, 1.5)  # true over stated touch noise
+_AMPLITUDE = (0.7, 1.3)  # factor on all parameters of a machine, relative to its family
+_BEAMS = (0.5, 1.5)  # factor on the deflection of the machine file
+_NOISE = (0.7, 1.5)  # ratio of true to stated touch noise
 _TEMPERATURE_C = (17.0, 23.0)
 THERMOMETER_UNCERTAINTY_K = 0.1
 _DRIFT_MM = 0.5e-3
@@ -37,12 +38,12 @@ _DRAWN: Mapping[str, MakeDeflection] = {
     "thermal": deflection_forms.thermal_deflection,
 }
 DEFLECTION_FORMS = ("none", "beams", *_DRAWN)
-"""Of deflection; `beams` is that of the machine file, drawn in size."""
+"""Forms of deflection; `beams` is the deflection of the machine file with a random amplitude."""
 
 
 @dataclass(frozen=True, eq=False)
 class RandomMachine:
-    """A machine and the day on which it is measured; `noise`: true over stated touch noise."""
+    """A random machine and the conditions of its measurement; `noise` is the ratio of true to stated touch noise."""
 
     form: str
     truth: TrueMachine
@@ -50,7 +51,7 @@ class RandomMachine:
     noise: float
 
     def measured(self, planned: Observations, artefacts: Artefact, rng: np.random.Generator) -> Observations:
-        """What it would measure of `planned`, with the covariance that is stated, not the true one."""
+        """Simulate the measurement of `planned`; the result carries the stated covariance, not the true one."""
         true = replace(planned, covariance=self.noise**2 * planned.covariance)
         seen = simulated_observations(true, artefacts, self.truth, self.assumptions, rng)
         return replace(seen, covariance=planned.covariance)
@@ -59,7 +60,7 @@ class RandomMachine:
 def draw_random_machine(
     description: MachineDescription, tool_offset: Array, form: str, rng: np.random.Generator
 ) -> RandomMachine:
-    """Draw a machine with a deflection of one of `DEFLECTION_FORMS`, or one that is as modelled."""
+    """Draw a machine with a deflection of one of `DEFLECTION_FORMS`, or one that the model represents exactly."""
     if form == AS_MODELLED:
         assumptions = TruthAssumptions.as_modelled(description)
         parameters = description.family.prior_standard_deviation * rng.standard_normal(description.model.size)

@@ -1,8 +1,8 @@
-"""The field that compensation leaves, true field less compensation model, as one quadratic form.
+"""Residual field after compensation, true field less compensation model, as one quadratic form.
 
-True machines may have other Legendre orders and cross-effect terms than the model identified. Both are embedded in the
-model that has the parameters of either, so that what is left is linear in one parameter vector and the grid is
-evaluated once for a model, a assumptions and a tool.
+True machines may have other Legendre orders and cross-effect terms than the identified model. Both are embedded in the
+joint model with the parameters of either, so the residual is linear in one parameter vector and the grid is evaluated
+once for a model, its truth assumptions and a tool.
 """
 
 from __future__ import annotations
@@ -23,15 +23,18 @@ from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import QuadraticForm, VolumetricRms
 from twin.uncertainty.truth_assumptions import TruthAssumptions
 
-_CHUNK = 2000  # grid points whose basis is held at a time
+_CHUNK = 2000  # grid points whose basis is held in memory at a time
 
 IndexArray = np.ndarray[Any, np.dtype[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
 class FieldForm:
-    """`form`: of the joint model (u parameters) with the deflection as its fixed field; `own` (p,), `true` (t,): where
-    the parameters of the identified model and those of the true family stand in it."""
+    """Quadratic form of the residual field.
+
+    `form`: form of the joint model (u parameters), with the deflection as its fixed field; `model_indices` (p,) and
+    `true_indices` (t,): indices of the identified model's and of the true family's parameters in the joint model.
+    """
 
     model: ErrorModel
     assumptions: TruthAssumptions
@@ -43,7 +46,8 @@ class FieldForm:
     def build(
         cls, model: ErrorModel, assumptions: TruthAssumptions, grid: ArrayLike, tool_offset: ArrayLike
     ) -> FieldForm:
-        """For grid positions (n, 3) and tool offset (3,) mm. ModelError where the two models do not belong together."""
+        """Build the form for grid positions (n, 3) and tool offset (3,) in mm. Raise ModelError if the two models do
+        not match."""
         truth = assumptions.family.model
         joint = joint_model(model, truth)
         form = QuadraticForm.build(joint, grid, tool_offset)
@@ -53,27 +57,27 @@ class FieldForm:
 
     @property
     def size(self) -> int:
-        """Parameters of the joint model."""
+        """Number of parameters of the joint model."""
         return self.form.model.size
 
     @property
     def unmodelled(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """(t,) which parameters of the true family the identified model does not have."""
+        """Mask (t,) of the true family's parameters that the identified model does not have."""
         return ~np.isin(self.true_indices, self.model_indices)
 
     def mean_square(self, moments: Array) -> tuple[float, float]:
-        """Mean square (raw, aligned) in mm² of a field whose parameters have these second moments (u, u)."""
+        """Return the mean square (raw, aligned) in mm² of a field whose parameters have second moments (u, u)."""
         return float(np.vdot(self.form.raw, moments)), float(np.vdot(self.form.aligned, moments))
 
     def fixed_square(self, parameters: Array) -> tuple[float, float]:
-        """Mean square (raw, aligned) in mm² of the deflection plus the field of fixed parameters (u,)."""
+        """Return the mean square (raw, aligned) in mm² of the deflection plus the field of fixed parameters (u,)."""
         one = self.form.value(parameters)
         return one.raw_mm**2, one.aligned_mm**2
 
     def columns_at(self, axis_positions: ArrayLike, aligned: bool = False) -> tuple[Array, Array]:
-        """Basis (n, 3, u) and deflection (n, 3) mm at axis positions (n, 3).
+        """Return the basis (n, 3, u) and the deflection (n, 3) in mm at axis positions (n, 3).
 
-        `aligned`: less the rigid motion that each has over the grid of the form.
+        If `aligned`, the rigid motion that each column contains over the grid of the form is removed.
         """
         points, form = as_points(axis_positions, "axis positions"), self.form
         basis = deviation_basis(form.model, points, form.tool_offset)
@@ -87,7 +91,7 @@ class FieldForm:
 
     @cached_property
     def _rigid_shares(self) -> Array:
-        """(6, u + 1) rigid motion in each column of the basis and in the deflection, by least squares over the grid."""
+        """Rigid motion (6, u + 1) in each basis column and in the deflection, by least squares over the grid."""
         form = self.form
         normal, shared = np.zeros((6, 6)), np.zeros((6, self.size + 1))
         for start in range(0, len(form.axis_positions), _CHUNK):
@@ -99,7 +103,7 @@ class FieldForm:
         return np.asarray(np.linalg.lstsq(normal, shared, rcond=1e-12)[0])
 
     def _motions_at(self, points: Array) -> Array:
-        """(n, 3, 6) rigid motions about the middle of the grid."""
+        """Return the rigid motions (n, 3, 6) about the middle of the grid."""
         grid = self.form.axis_positions
         size_mm = max(float(np.ptp(grid, axis=0).max()), 1.0)
         return rigid_fields(points, grid.mean(axis=0), size_mm)
@@ -110,22 +114,22 @@ class FieldForm:
 
     @property
     def family_moments(self) -> Array:
-        """(u, u) second moments of the true machines' parameters."""
+        """Second moments (u, u) of the true machines' parameters."""
         variances = np.zeros(self.size)
         variances[self.true_indices] = self.assumptions.family.prior_standard_deviation**2
         return np.diag(variances)
 
     def before(self) -> VolumetricRms:
-        """Root of the expected mean square of the true machines' deviation."""
+        """Return the root of the expected mean square of the true machines' deviation."""
         return self.form.expected(self.family_moments)
 
 
 def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
-    """The smallest model with all parameters of both. ModelError for different chains or ranges."""
+    """Return the smallest model with all parameters of both. Raise ModelError if their chains or ranges differ."""
     if one.chain != other.chain or one.ranges_mm != other.ranges_mm:
         raise ModelError(
-            "the true machines have another chain or other axis ranges than the model",
-            hint="take both from one machine file",
+            "the true machines and the model differ in kinematic chain or axis ranges",
+            hint="take both from the same machine file",
         )
     orders = {error: max(one.orders[error], other.orders[error]) for error in ERROR_MOTIONS}
     terms = tuple(term for term in CROSS_TERMS if term in one.cross_effect or term in other.cross_effect)
@@ -133,7 +137,8 @@ def joint_model(one: ErrorModel, other: ErrorModel) -> ErrorModel:
 
 
 def clamped_deflection(deflection: DeflectionGrid, axis_positions: Array) -> Array:
-    """Deflection (n, 3) mm; a position that lies outside the grid has that of the border, as a true machine's does."""
+    """Return the deflection (n, 3) in mm; outside the grid it is that of the nearest border point, as for a true
+    machine."""
     lower, upper = (np.array([nodes[end] for nodes in deflection.nodes]) for end in (0, -1))
     return deflection.at(np.clip(axis_positions, lower, upper))
 

@@ -1,4 +1,4 @@
-"""What an estimate says of the machine: one Gaussian for every set of scales that may be the right one."""
+"""Posterior of a machine as a scale mixture: one Gaussian for each set of scales that the measurements allow."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from twin.uncertainty.quadratic_distribution import covariance_factor
 
 @dataclass(frozen=True, eq=False)
 class MixtureComponent:
-    """`mean` (m,) and `covariance` (m, m) of the parameters (mm or rad) and of the misfit's coefficients;
-    `unresolved_mm2`: variance, per direction, of what is too short in space for the misfit's modes."""
+    """One Gaussian of the mixture.
+
+    `mean` (m,) and `covariance` (m, m) of the parameters (mm or rad) and of the misfit coefficients; `unresolved_mm2`:
+    variance per direction of the misfit that is too short in wavelength for its modes.
+    """
 
     mean: Array
     covariance: Array
@@ -23,12 +26,12 @@ class MixtureComponent:
 
     @cached_property
     def factor(self) -> Array:
-        """L (m, m) with L Lᵀ = covariance."""
+        """Matrix L (m, m) with L Lᵀ = covariance."""
         return covariance_factor(self.covariance)
 
 
 def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
-    """Of equal weight; a single one where the scales were given."""
+    """Return the components, all of equal weight; a single one if the scales were not estimated."""
     if not estimate.alternatives:
         return (_as_stated(estimate),)
     unknowns, blocks = estimate.unknowns, estimate.unknowns.blocks

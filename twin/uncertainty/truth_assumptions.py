@@ -1,7 +1,7 @@
-"""What a procedure meets: the machine, the artefact and the day as they may really be, richer than what is identified.
+"""Assumptions about the true machine, artefact and conditions, richer than the model that is identified.
 
-One value from which machines are drawn for a simulation and from which second moments are taken for the closed form, so
-that the two speak of the same thing.
+The simulation draws machines from them and the closed form takes second moments from them, so both refer to the same
+assumptions.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ from twin.machine.machine_population import Family
 
 @dataclass(frozen=True, eq=False)
 class TruthAssumptions:
-    """`family`: of the true machines; its Legendre order may be above that of the model identified. `deflection`: acts
-    on all of them. `touch_noise`, `certificate`, `cte`: whether these differ from what is stated, within the stated
-    uncertainty (covariance of a centre; the artefact's covariance; its CTE's standard uncertainty).
+    """True errors that a procedure has to deal with.
 
-    `artefact_temperature_c`: what the artefact has while it is measured; `thermometer_uncertainty_k`: standard
-    uncertainty of its thermometer, one error for the whole run; `drift_mm`: standard deviation, per direction, of what
-    the machine drifts from the first to the last ball of a position, linearly.
+    `family`: family of the true machines, whose Legendre order may exceed that of the identified model. `deflection`:
+    common to all of them. `touch_noise`, `certificate`, `cte`: if true, the error varies within its stated uncertainty
+    (covariance of a centre, covariance of the artefact, standard uncertainty of its CTE); if false, it is zero.
+
+    `artefact_temperature_c`: true temperature of the artefact during the measurement; `thermometer_uncertainty_k`:
+    standard uncertainty of its thermometer, one error for the whole run; `drift_mm`: standard deviation per direction
+    of the machine's drift from the first to the last ball of a position, linear in between.
     """
 
     family: Family
@@ -41,10 +43,10 @@ class TruthAssumptions:
 
     @classmethod
     def as_modelled(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Machines that the model can represent, nothing beside it but touch noise and certificate."""
+        """Return machines that the model can represent, with no errors besides touch noise and certificate."""
         return cls(machine.family)
 
     @classmethod
     def of_case(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Machines of the family with the deflection of the machine file."""
+        """Return machines of the family with the deflection of the machine file."""
         return cls(machine.family, machine.deflection)

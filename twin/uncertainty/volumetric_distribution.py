@@ -1,4 +1,4 @@
-"""How volumetric error and volumetric compensated error are distributed, given what an estimate knows."""
+"""Distributions of volumetric error and volumetric compensated error, given an estimate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twin.uncertainty.scale_mixture import MixtureComponent, mixture_components
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistribution:
-    """Of the mean square over the workspace in mm², raw and after the best rigid motion."""
+    """Distribution of the mean square over the workspace in mm², raw and after the best rigid motion."""
 
     raw: QuadraticDistribution | QuadraticMixture
     aligned: QuadraticDistribution | QuadraticMixture
@@ -34,29 +34,29 @@ class VolumetricDistribution:
         return self.quantile(0.5)
 
     def quantile(self, probability: float) -> VolumetricRms:
-        """What the volumetric error stays below with this probability."""
+        """Return the value that the volumetric error does not exceed with this probability."""
         raw, aligned = (math.sqrt(max(form.quantile(probability), 0.0)) for form in (self.raw, self.aligned))
         return VolumetricRms(raw, aligned)
 
     def limits(self, coverage: float = 0.95) -> tuple[VolumetricRms, VolumetricRms]:
-        """What it lies between, with equal chances on both sides."""
+        """Return the limits of the equal-tailed interval with this coverage."""
         outside = 0.5 * (1.0 - coverage)
         return self.quantile(outside), self.quantile(1.0 - outside)
 
 
 @dataclass(frozen=True, eq=False)
 class VolumetricDistributions:
-    """`before`: VE of the machine as it is; `left`: VCE, machine less compensation model."""
+    """Distributions of the machine's VE (`ve`) and of the VCE (`vce`), machine less compensation model."""
 
     ve: VolumetricDistribution
     vce: VolumetricDistribution
 
 
 def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricDistributions:
-    """VE and VCE over axis positions (n, 3), the machine distributed as `estimate` says: parameters and misfit, under
-    all scales that the measurements allow.
+    """Return the distributions of VE and VCE over axis positions (n, 3) for the machine that `estimate` describes.
 
-    DataError for a covariance that is none, or that is zero.
+    Parameters and misfit vary under all scales that the measurements allow. Raise DataError for an invalid or zero
+    covariance.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     written = np.zeros(_size(estimate))
@@ -72,7 +72,7 @@ def volumetric_distributions(estimate: Estimate, points: ArrayLike, tool_offset:
 
 
 def _both(form: Array, one: MixtureComponent, written: Array) -> tuple[QuadraticDistribution, ...]:
-    """Mean squares of the machine and of what is left of it once `written` is compensated."""
+    """Return the distributions of the mean square before and after compensation with the parameters `written`."""
     means = (one.mean, one.mean - written)
     return QuadraticDistribution.about(form, np.zeros(len(written)), 3.0 * one.unresolved_mm2, means, one.factor)
 

@@ -21,7 +21,7 @@ from twin.artefact.position_set import Position
 
 LOOK, FURTHER = "look", "further"
 FEWEST_FUSED = 2
-"""Fewer positions cannot tell machine from artefact."""
+"""Fewer positions cannot separate machine errors from artefact errors."""
 
 _AHEAD = 1.3  # choose for so much more time: what positions cost together is less than one by one
 _MOST_TRIES = 6

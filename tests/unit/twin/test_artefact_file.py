@@ -76,7 +76,7 @@ def test_positions_survive_writing_and_reading() -> None:
         ("station,azimuth_deg,elevation_deg\n1,2\n", "row 2, column elevation_deg"),
         ("station,azimuth_deg,elevation_deg\n1,2,3\n1.5,2,3\n", "row 3, column station"),
         ("station,azimuth_deg,elevation_deg\n1,2,3\n1,2,95\n", "row 3"),
-        ("station,azimuth_deg,elevation_deg\n1,2,3\n1,2,3\n", "already stands as number 1"),
+        ("station,azimuth_deg,elevation_deg\n1,2,3\n1,2,3\n", "is already listed as number 1"),
         ("station,azimuth_deg,elevation_deg\n", "no position"),
         ("", "missing"),
     ],

@@ -137,14 +137,14 @@ def test_a_target_is_reached_and_nothing_can_be_spared():
 def test_goals_that_cannot_be_reached_say_what_can():
     candidates = made_up(6)
     search = searching(candidates)
-    with pytest.raises(DataError, match="cannot tell machine from artefact"):
+    with pytest.raises(DataError, match="cannot separate machine errors from artefact errors"):
         PositionCountGoal(1)
     with pytest.raises(DataError, match="only 9 positions"):
         PositionCountGoal(10).select(search)
     with pytest.raises(DataError, match=r"shortest two take 2\.1 min"):
         TimeSlotGoal(2.0).select(search)
     floor_um = 1e3 * np.sqrt(plain_value(candidates, range(9)))
-    with pytest.raises(DataError, match=f"{floor_um:.2f} µm are left"):
+    with pytest.raises(DataError, match=f"{floor_um:.2f} µm remain"):
         TargetErrorGoal(0.999e-3 * floor_um).select(search)
 
 
@@ -168,7 +168,7 @@ def test_held_out_groups_are_those_that_would_have_told_most():
     rest = [group for group in allowed if group != first]
     second = min(rest, key=lambda group: plain_value(candidates, [*chosen, *first, *group]))
     assert most_informative_groups(candidates, chosen, groups, 2) == [first, second]
-    with pytest.raises(DataError, match="4 orientations are to be held out, 3 are left"):
+    with pytest.raises(DataError, match="4 orientations are to be held out, but only 3 can be measured"):
         most_informative_groups(candidates, chosen, groups, 4)
 
 

@@ -92,7 +92,7 @@ def test_family_amplitudes_as_list_or_single_value():
         ('name = "case-study"', "", "name", "is missing"),
         ("[0.0, 4000.0]", "[4000.0, 0.0]", "axes.X.range_mm", "reversed"),
         ("[0.0, 4000.0]", "[0.0, nan]", "axes.X.range_mm[1]", "finite"),
-        ("[0.0, 4000.0]", "[0.0]", "axes.X.range_mm[1]", "no value number 2"),
+        ("[0.0, 4000.0]", "[0.0]", "axes.X.range_mm[1]", "value number 2 is missing"),
         ("[0.0, 4000.0]", "[0.0, 5000.0]", "deflection.grid", "does not cover the travel"),
         ("[0.0, 1300.0]", "[0.0, 1300.0]\ntravel_mm = [0.0, 1200.0]", "axes.Y.travel_mm", "exceeds the travel"),
         ("tool-Y-Z-X", "tool-Y-Z-Z", "chain", "axis Z is listed twice"),

@@ -53,7 +53,7 @@ def test_a_bar_across_the_travel_of_y_is_left_out() -> None:
     planned = PROCEDURE.plan(both)
     assert planned.left_out == (both[0],)
     assert planned.positions == (both[1],)
-    with pytest.raises(DataError, match="none of 1 positions"):
+    with pytest.raises(DataError, match="none of the 1 positions"):
         PROCEDURE.plan(both[:1])
 
 

@@ -216,7 +216,7 @@ class TestAdvice:
 
     def test_a_tool_that_is_there_is_not_proposed(self) -> None:
         one, _, _ = advice()
-        two = one.adding_tool("second", np.array([0.0, 350.0, 0.0]))
+        two = one.with_tool("second", np.array([0.0, 350.0, 0.0]))
         assert "100 mm longer" not in {tool.name for tool in other_tools(two)}
         assert [view.measured for view in evaluated_tools(two, GRID)][:2] == [True, True]
 
