@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup run test check lint types contracts bench nights fortnight plans bad-plans aborts resumes warming linuxcnc gcode schema reference deb deb-test clean
+.PHONY: setup run test check lint types contracts dead-code bench nights fortnight plans bad-plans aborts resumes warming linuxcnc gcode schema reference deb deb-test clean
 
 setup: $(STAMP)
 
@@ -29,7 +29,11 @@ types: setup
 contracts: setup
 	$(BIN)/lint-imports
 
-check: lint types contracts test
+# Definitions that nothing uses, tests included; the exceptions are in pyproject.toml.
+dead-code: setup
+	$(BIN)/vulture
+
+check: lint types contracts dead-code test
 
 bench: setup
 	$(BIN)/python -m benchmarks

@@ -22,7 +22,6 @@ Rewrite = Callable[[s.Step], Iterable[s.Step] | None]
 """What is done in the place of a step; None: the step as it is. The last one's result is that of the step."""
 Both = tuple[Measured, Measured]
 
-FIRST_TOUCH, ORIENT = "/ball-00/touch-0", "/orient"
 BEYOND_MM = 1.0
 TABLE = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((2, 2, 2, 3), dtype=np.int32))
 

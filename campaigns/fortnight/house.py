@@ -65,7 +65,6 @@ class House:
         self.calendar = directory / "calendar"
         self.state = directory / "state"
         self.processes: list[subprocess.Popen[str]] = []
-        self.exit_codes: list[int] = []
         self._service: subprocess.Popen[str] | None = None
         self._http: httpx.Client | None = None
         directory.mkdir(parents=True, exist_ok=True)

@@ -44,7 +44,6 @@ class Seen:
 
     samples: int = 0
     smallest_mm: float = math.inf
-    smallest_pair: tuple[str, str] = ("", "")
     collisions: list[str] = field(default_factory=list)
 
 
@@ -223,9 +222,7 @@ def _note(seen: Seen, name: str, distance: Array, meant: NDArray[np.bool_], clou
         seen.collisions.append(f"{pair[0]} with {pair[1]}, {-worst:.3f} mm deep")
     counted = np.where(meant, np.inf, distance)
     smallest = float(counted.min())
-    if smallest < seen.smallest_mm:
-        column = int(counted.argmin()) % distance.shape[1]
-        seen.smallest_mm, seen.smallest_pair = smallest, (name, cloud.names[int(cloud.body[column])])
+    seen.smallest_mm = min(seen.smallest_mm, smallest)
 
 
 def _table(seen: Seen, tips: Array, figures: Figures) -> None:
@@ -246,5 +243,4 @@ def _table(seen: Seen, tips: Array, figures: Figures) -> None:
 def _note_table(seen: Seen, name: str, clearance: float) -> None:
     if clearance < -BLUR_MM:
         seen.collisions.append(f"{name} with table, {-clearance:.3f} mm deep")
-    if clearance < seen.smallest_mm:
-        seen.smallest_mm, seen.smallest_pair = clearance, (name, "table")
+    seen.smallest_mm = min(seen.smallest_mm, clearance)

@@ -30,7 +30,6 @@ class DriveObject:
 
 
 DEVICE_TYPE = DriveObject(0x1000, 0, "I", "device type")
-ERROR_REGISTER = DriveObject(0x1001, 0, "B", "error register")
 LAST_ERROR = DriveObject(0x1003, 1, "I", "pre-defined error field")
 DEVICE_NAME, HARDWARE_VERSION, SOFTWARE_VERSION = 0x1008, 0x1009, 0x100A
 """Indexes of visible strings; all three are optional in CiA 301."""

@@ -38,13 +38,11 @@ class LatencyStatistics:
 
     def __init__(self, window: int = 1000) -> None:
         self.count = 0
-        self.total_s = 0.0
         self.worst_s = 0.0
         self._recent: deque[float] = deque(maxlen=window)
 
     def add(self, duration_s: float) -> None:
         self.count += 1
-        self.total_s += duration_s
         self.worst_s = max(self.worst_s, duration_s)
         self._recent.append(duration_s)
 

@@ -13,9 +13,8 @@ from drivers.roles import DiagnosticFinding
 
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.05
-SKEW_PPM = 1e3
-"""Clocks that differ by more than this are not the same computer's, or one of them is scaled."""
 SKEW_LEAST_S = 1e-3
+"""Clocks that differ by more than this and the worst round trip belong to two computers, or one of them is scaled."""
 LONGEST_PERIOD_S = 1e-3
 LATCH_MM_PER_S = 5.0
 """Usual speed of a touch, 300 mm/min, at which the latch is judged."""

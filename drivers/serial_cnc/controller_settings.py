@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from drivers.roles import AxisLimits, DiagnosticFinding
 from drivers.serial_cnc.lines import MessageLine, SettingLine
 
-PROBE_INVERT, REPORT_MASK, REPORT_INCHES = 6, 10, 13
-SOFT_LIMITS, HARD_LIMITS, HOMING, HOMING_DIRECTION = 20, 21, 22, 23
+REPORT_MASK, REPORT_INCHES = 10, 13
+SOFT_LIMITS, HOMING, HOMING_DIRECTION = 20, 22, 23
 IDLE_DELAY, LASER_MODE = 1, 32
 STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
 NEEDED = (REPORT_MASK, REPORT_INCHES, SOFT_LIMITS, HOMING, *(b + a for b in (100, 110, 120, 130) for a in range(3)))

@@ -72,9 +72,6 @@ class Live:
         script = "\n".join(("import linuxcnc", "c = linuxcnc.command()", *lines))
         subprocess.run([*self.process.bridge_command, "-c", script], check=True, capture_output=True, timeout=30)
 
-    def ready_by_hand(self) -> None:
-        self.by_hand("state(linuxcnc.STATE_ESTOP_RESET)", "state(linuxcnc.STATE_ON)", "mode(linuxcnc.MODE_MANUAL)")
-
 
 @contextmanager
 def running(work: Path) -> Iterator[Live]:

@@ -24,7 +24,6 @@ MISSING = "" if HEADERS.exists() and shutil.which("gcc") else "linuxcnc-uspace-d
 pytestmark = needing(MISSING)
 
 OK, MALFORMED, CRC_DIFFERS, BEYOND_LIMITS = 0, 4, 5, 6
-LARGEST_MM = 1.0
 ENTRIES = """
 #include "volcal_table_file.h"
 static volcal_slot slot;

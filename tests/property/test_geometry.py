@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from twin.collision.bodies import Body
 from twin.collision.collision import Scene
-from twin.collision.geometry import Box, Capsule, capsule_distance, separation, swept_contact
+from twin.collision.geometry import Box, Capsule, separation, swept_contact
 
 coordinate = st.floats(-50.0, 50.0).map(lambda value: round(value, 3))
 points = st.tuples(coordinate, coordinate, coordinate)
@@ -51,19 +51,6 @@ def test_distance_of_capsules(first: Capsule, second: Capsule) -> None:
     sampled = sampled_distance(first, second)
     assert exact <= sampled + 1e-9
     assert sampled <= exact + step(first) + step(second) + 1e-9
-    arrays = (np.array(p) for p in (first.a, first.b, second.a, second.b))
-    assert capsule_distance(*arrays) == pytest.approx(exact, abs=1e-7)
-
-
-@given(st.lists(st.tuples(points, points, points, points), min_size=1, max_size=5))
-@settings(max_examples=40, deadline=None)
-def test_many_distances_at_once_are_those_of_one_by_one(segments) -> None:
-    a0, a1, b0, b1 = (np.array(column, dtype=float) for column in zip(*segments, strict=True))
-    together = capsule_distance(a0, a1, b0, b1)
-    for row, (p, q, r, s) in enumerate(segments):
-        single = sampled_distance(Capsule(p, q, 1.0), Capsule(r, s, 1.0))
-        assert together[row] <= single + 1e-9
-        assert single <= together[row] + step(Capsule(p, q, 1.0)) + step(Capsule(r, s, 1.0)) + 1e-9
 
 
 @given(capsules, boxes())

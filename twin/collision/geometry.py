@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Array
 from twin.errors import DataError
 
 Point = tuple[float, float, float]
@@ -86,23 +85,6 @@ def point(values: Iterable[float]) -> Point:
 
 def translate_point(p: Point, q: Point) -> Point:
     return p[0] + q[0], p[1] + q[1], p[2] + q[2]
-
-
-def capsule_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    """Return the distance (...) mm between the axes a0-a1 and b0-b1, (..., 3) mm each, vectorised with broadcasting.
-
-    Subtract both radii to obtain the distance of the surfaces. Ericson, Real-Time Collision Detection, 5.1.9.
-    """
-    d1, d2, r = a1 - a0, b1 - b0, a0 - b0
-    a, e, f = _dot(d1, d1), _dot(d2, d2), _dot(d2, r)
-    b, c = _dot(d1, d2), _dot(d1, r)
-    denominator = a * e - b * b
-    parallel = denominator <= _TINY * a * e
-    s = np.where(parallel, 0.0, np.clip(_ratio(b * f - c * e, np.where(parallel, 1.0, denominator)), 0.0, 1.0))
-    t = np.clip(_ratio(b * s + f, e), 0.0, 1.0)
-    s = np.clip(_ratio(b * t - c, a), 0.0, 1.0)
-    gap = r + s[..., None] * d1 - t[..., None] * d2
-    return np.sqrt(_dot(gap, gap))
 
 
 def separation(first: Shape, second: Shape) -> Separation:
@@ -276,14 +258,3 @@ def _clamped_into(p: Point, lower: Point, upper: Point) -> Point:
         min(max(p[1], lower[1]), upper[1]),
         min(max(p[2], lower[2]), upper[2]),
     )
-
-
-def _dot(u: Array, v: Array) -> Array:
-    product: Array = np.einsum("...i,...i->...", u, v)
-    return product
-
-
-def _ratio(numerator: Array, denominator: Array) -> Array:
-    """Return numerator / denominator, 0 where a segment is a point and its parameter is undefined."""
-    safe = np.where(denominator > _TINY, denominator, 1.0)
-    return np.where(denominator > _TINY, numerator / safe, 0.0)

@@ -74,10 +74,6 @@ class Procedure:
         layouts = {name: replace(layout, artefact=artefact, own_artefacts={}) for name, layout in self.layouts.items()}
         return replace(self, layouts=layouts)
 
-    def with_covariance(self, covariance_mm2: Array) -> Procedure:
-        """Return the procedure with another covariance (3, 3) of the ball centres."""
-        return replace(self, covariance_mm2=covariance_mm2)
-
     def balls_of(self, position: Position) -> tuple[IndexArray, Array]:
         """Return the indices (m,) and nominal axis positions (m, 3) in mm of the balls that can be measured in a
         position."""

@@ -6,8 +6,6 @@ beams, sines of any pitch, exponentials and random waves. A coverage found with 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from twin.arrays import Array
@@ -18,8 +16,6 @@ _NODES = (41, 14, 16)  # fine enough for the shortest rail wave along X: eight n
 _UM = 1e-3
 _RAIL_PITCHES = (0.24, 1.2)  # shortest and longest, in units of half the axis range
 _SMOOTH_WAVES = 60
-
-DeflectionGenerator = Callable[[Ranges, np.random.Generator], DeflectionGrid]
 
 
 def portal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:

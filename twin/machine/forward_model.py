@@ -188,10 +188,9 @@ def _rotate(rows: _Workspace) -> None:
     _turn((z, x), about_y, (last_z, change_x), rows.product)
     x += change_x
     _turn((x, y), about_z, (last_x, last_y), rows.product)
-    deviation_x, deviation_y, deviation_z = rows.deviation
-    deviation_x += np.add(change_x, last_x, out=rows.product)
-    deviation_y += np.add(change_y, last_y, out=rows.product)
-    deviation_z += np.add(change_z, last_z, out=rows.product)
+    changes = ((change_x, last_x), (change_y, last_y), (change_z, last_z))
+    for deviation, (change, last) in zip(rows.deviation, changes, strict=True):
+        np.add(deviation, np.add(change, last, out=rows.product), out=deviation)
 
 
 def _turn(

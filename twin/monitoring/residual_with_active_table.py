@@ -42,13 +42,6 @@ class ResidualWithTable:
         step = self._parameters_only(mean - other)
         return self._root(np.zeros_like(self.form.raw), step, 0.0)
 
-    def expected_between(self, covariance: Array) -> VolumetricRms:
-        """The same for parameters that differ by chance with the covariance (P, P) of z."""
-        own = self.unknowns.blocks.parameters
-        kept = np.zeros_like(covariance)
-        kept[own, own] = covariance[own, own]
-        return self._root(kept, np.zeros(len(kept)), 0.0)
-
     def uncompensated(self, mean: Array, written: ArrayLike) -> Array:
         """z (P,) less that of the parameters `written` (p,)."""
         return uncompensated(self.unknowns, mean, written)

@@ -20,7 +20,6 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtrc
 
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
@@ -57,11 +56,6 @@ class SuspectedJump:
     change: float
     unit: Literal["µm", "µrad"]
     coefficients: Mapping[str, float]
-
-    @property
-    def p_value(self) -> float:
-        """Of a χ² as large without any jump."""
-        return float(chdtrc(self.freedom, self.chi2))
 
     @property
     def text(self) -> str:

@@ -104,7 +104,6 @@ PANEL: Final = _block(260, ("panel_heartbeat", Form.U16, 0, "the panel writes an
 BLOCKS: Final = (STATUS, COMMAND, PANEL)
 ABORT_COIL: Final = 0
 
-IN_STATUS: Final = {register.name: register for register in STATUS}
 IN_COMMAND: Final = {register.name: register for register in COMMAND}
 
 STATE_NUMBERS: Final = {

@@ -49,12 +49,11 @@ BLOCK_NUMBER_REGISTER: Final = 2320
 
 
 class ModbusExceptionCode(IntEnum):
-    """Exception codes allowed by section 1 of the register map."""
+    """Exception codes of section 1 of the register map that the simulator answers with; 4 is never needed."""
 
     FUNCTION_NOT_OFFERED = 1
     ILLEGAL_ADDRESS = 2
     WRONG_COUNT = 3
-    CANNOT_ANSWER = 4
 
 
 class CommandCode(IntEnum):

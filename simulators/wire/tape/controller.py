@@ -21,8 +21,6 @@ DC1, DC2, DC3, DC4 = 0x11, 0x12, 0x93, 0x14
 LINE_FEED: Final = 0x0A
 PERCENT: Final = 0xA5
 BITS: Final = 11
-OVERRUN: Final = 10
-"""Characters that may still arrive after a DC3."""
 _PARAMETER: Final = re.compile(r"N(\d+)(?:Q\d)?((?:[AS]\d+)?[PMI][+-]?[\d.]+(?:[AS]\d+[PMI][+-]?[\d.]+)*)")
 
 

@@ -108,7 +108,7 @@ class TestUnseenField:
         one = dataclasses.replace(one, procedure=one.procedure.with_artefact(perfect))
         unseen = []
         for sigma_mm in (1e-3, 1e-4, 1e-5, 1e-6):
-            quieter = one.procedure.with_covariance(np.eye(3) * sigma_mm**2)
+            quieter = dataclasses.replace(one.procedure, covariance_mm2=np.eye(3) * sigma_mm**2)
             seen = seen_by(dataclasses.replace(one, procedure=quieter))
             unseen.append([field.unseen_mm for field in seen.fields])
             blind = [field.blind_mm for field in seen.fields]

@@ -34,7 +34,6 @@ class IdealRegisters(DataBank):
         self.stored: dict[int, tuple[list[int], list[int]]] = {}
         self.coming: list[int] = []
         self.crcs: dict[int, int] = {}
-        self.refuse_writes = False
         self.answer_after_s = 0.0
         self._prepare()
 

@@ -45,10 +45,6 @@ class Block:
     def refuse(self, message: str, hint: str = "") -> NoReturn:
         raise refusal(self.line, self.text, message, hint)
 
-    @property
-    def is_empty(self) -> bool:
-        return not self.tokens
-
 
 def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
     """The error for a line that cannot be corrected: names the line and shows it."""
