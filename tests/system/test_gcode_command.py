@@ -212,7 +212,7 @@ class TestRefusals:
         volcal("gcode", "correct", part, *given(identified[1]), "-o", out)
         done = volcal("gcode", "correct", out, *given(identified[1]), "-o", tmp_path / "twice.nc", check=False)
         assert (done.returncode, (tmp_path / "twice.nc").exists()) == (2, False)
-        assert "corrected before" in done.stderr
+        assert "already corrected" in done.stderr
         same = volcal("gcode", "correct", part, *given(identified[1]), "-o", part, check=False)
         assert (same.returncode, part.read_text()) == (2, PART)
 

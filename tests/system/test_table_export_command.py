@@ -118,7 +118,7 @@ class TestWrongInput:
     def test_too_many_points(self, identified: tuple, tmp_path: Path) -> None:
         out = tmp_path / "out"
         done = volcal("table", "export", "--table", identified[0], "--format", "fanuc-3d", "--out", out)
-        self.refused(done, out, "41 points where the lattice holds 25", "table.csv", "--points 21x14x16")
+        self.refused(done, out, "41 points, but the lattice allows 25", "table.csv", "--points 21x14x16")
 
     def test_the_estimate_of_another_night(self, identified: tuple, tmp_path: Path) -> None:
         run, _ = identified

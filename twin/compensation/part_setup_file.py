@@ -1,4 +1,7 @@
-"""What a part program does not say itself, as TOML: work offsets, reference points, tools, the controller's start."""
+"""Setup of a part program that is not stated in the program, as TOML.
+
+Work offsets, reference points, tools and the initial state of the controller.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ class PartSetupFile(StrictModel):
 
 
 def parse_part_setup(text: str, source: str) -> PartSetup:
-    """Setup from TOML text; FormatError names file and key."""
+    """Parse the setup from TOML text; FormatError names file and key."""
     read = read_toml(text, source, PartSetupFile)
     return PartSetup(
         work_offsets={str(name): offset for name, offset in read.work_offsets_mm.items()},
@@ -51,5 +54,5 @@ def parse_part_setup(text: str, source: str) -> PartSetup:
 
 def _tool_number(name: str, source: str) -> int:
     if not name.isdecimal():
-        raise FormatError(f"'{name}' is no tool number", hint="Write 1 = [0, 0, 120.5]", file=source, key="tools_mm")
+        raise FormatError(f"'{name}' is not a tool number", hint="Write 1 = [0, 0, 120.5]", file=source, key="tools_mm")
     return int(name)

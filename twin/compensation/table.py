@@ -1,4 +1,4 @@
-"""Compensation table: what is added to the commanded axis position so that the tool reaches the nominal point."""
+"""Compensation table: corrections added to the commanded axis position so that the tool reaches the nominal point."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from twin.machine.rigid_motion import rigid_fields
 
 Nodes = tuple[Array, Array, Array]
 
-_LINE_POINTS = 65  # on an anchor line; the slope of any series is exact to far below a nanometre
-_STEPS = 3  # of c = rigid motion - d(X + c): each leaves 1e-4 of the one before
+_LINE_POINTS = 65  # points on an anchor line; the slope of any series is exact to far below a nanometre
+_STEPS = 3  # iterations of c = rigid motion - d(X + c); each reduces the error to 1e-4
 _HALF_BALL_PITCH_MM = 75.0
 
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Six stated constraints that fix the rigid motion which no free artefact sees.
+    """Six constraints that fix the rigid motion, which no free artefact can observe.
 
-    The correction is zero at the axis position `point_mm` (3,): three. Along the `primary` axis through that point
-    the straight line of best fit keeps its direction: two. Along the `secondary` axis it does not leave the plane of
-    both: one.
+    The correction is zero at the axis position `point_mm` (3,): three. Along the `primary` axis through that point the
+    best-fit straight line keeps its direction: two. Along the `secondary` axis the best-fit line stays in the plane of
+    both axes: one.
     """
 
     point_mm: Array
@@ -41,16 +41,17 @@ class Anchor:
         if self.primary not in AXES or self.secondary not in AXES or self.primary == self.secondary:
             raise ModelError(
                 f"an anchor needs two different axes, not '{self.primary}' and '{self.secondary}'",
-                hint="such as primary X, secondary Y",
+                hint="for example primary X, secondary Y",
             )
 
 
 @dataclass(frozen=True, eq=False)
 class CompensationTable:
-    """`corrections` (nx, ny, nz, 3) mm at the nodes, ADDED to the commanded axis position; trilinear in between.
+    """Table of `corrections` (nx, ny, nz, 3) mm at the nodes, ADDED to the commanded axis position; trilinear in
+    between.
 
-    Holds for `tool_offset` (3,) mm only. `extrapolated` (nx, ny, nz): nodes outside the measured region. Raises
-    DataError for shapes that do not fit, nodes out of order, values that are not finite.
+    Valid for `tool_offset` (3,) mm only. `extrapolated` (nx, ny, nz): nodes outside the measured region. Raises
+    DataError for shapes that do not match, nodes out of order and values that are not finite.
     """
 
     x: Array
@@ -76,7 +77,7 @@ class CompensationTable:
         return self.x, self.y, self.z
 
     def at(self, axis_positions: ArrayLike) -> Array:
-        """Corrections (n, 3) mm at axis positions (n, 3): trilinear, held constant beyond the border."""
+        """Return corrections (n, 3) mm at axis positions (n, 3): trilinear, constant beyond the border."""
         points = as_points(axis_positions, "axis positions")
         cells, shares = zip(*(_cell(nodes, points[:, k]) for k, nodes in enumerate(self.nodes)), strict=True)
         total = np.zeros_like(points)
@@ -84,21 +85,21 @@ class CompensationTable:
             weight = np.ones(len(points))
             for share, side in zip(shares, corner, strict=True):
                 weight *= share if side else 1.0 - share
-            place = tuple(cell + side for cell, side in zip(cells, corner, strict=True))
-            total += weight[:, None] * self.corrections[place]
+            node = tuple(cell + side for cell, side in zip(cells, corner, strict=True))
+            total += weight[:, None] * self.corrections[node]
         return total
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRegion:
-    """Where the machine was measured: the half-spaces `walls` (m, 4), inside where normal · X + offset <= margin."""
+    """Measured region as half-spaces: `walls` (m, 4), inside if normal · X + offset <= margin."""
 
     walls: Array
     margin_mm: float
 
     @classmethod
     def around(cls, axis_positions: ArrayLike, margin_mm: float = _HALF_BALL_PITCH_MM) -> MeasuredRegion:
-        """Convex hull of measured axis positions (n, 3); their bounding box where they lie in one plane."""
+        """Return the convex hull of measured axis positions (n, 3), or their bounding box if they are coplanar."""
         points = as_points(axis_positions, "measured axis positions")
         try:
             return cls(ConvexHull(points).equations, margin_mm)
@@ -109,13 +110,13 @@ class MeasuredRegion:
             )
 
     def contains(self, axis_positions: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """(n,) bool."""
+        """Return (n,) bool, True for axis positions (n, 3) inside."""
         distance = axis_positions @ self.walls[:, :3].T + self.walls[:, 3]
         return np.asarray((distance <= self.margin_mm).all(axis=1))
 
 
 def regular_nodes(ranges_mm: Ranges, step_mm: tuple[float, float, float]) -> Nodes:
-    """Evenly spaced nodes over the ranges, ends included, at most `step_mm` apart."""
+    """Return evenly spaced nodes over the ranges, ends included, at most `step_mm` apart."""
     nodes = []
     for axis, (low, high), step in zip(AXES, ranges_mm, step_mm, strict=True):
         if not step > 0.0:
@@ -134,12 +135,12 @@ def build_table(
     anchor: Anchor,
     measured: MeasuredRegion | ArrayLike,
 ) -> CompensationTable:
-    """Table of a model with parameters (p,) for a tool offset (3,).
+    """Build the table of a model with parameters (p,) for a tool offset (3,).
 
-    At every node the model with the table deviates by the small rigid motion r of the anchor and nothing else:
-    c(X) + d(X + c(X)) = r(X), to 1e-12 mm. So machines compensated from one estimate under two anchors differ by a
-    rigid motion alone, linear in its turn φ (a true turn bends by φ²/2 of the distance, nanometres). The tables
-    themselves differ by a rigid motion but for the slope of d times their difference, some ten nanometres.
+    At every node the model with the table deviates only by the small rigid motion r of the anchor: c(X) + d(X + c(X)) =
+    r(X), to 1e-12 mm. Machines compensated from one estimate under two anchors therefore differ only by a rigid motion,
+    linear in its rotation φ (a true rotation deviates by φ²/2 of the distance, nanometres). The tables themselves
+    differ by a rigid motion except for the slope of d times their difference, some ten nanometres.
 
     `measured`: the region, or the measured axis positions (n, 3). Raises ModelError for an anchor outside the nodes.
     """
@@ -149,6 +150,7 @@ def build_table(
     shape = (len(nodes[0]), len(nodes[1]), len(nodes[2]))
     points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     motion = _rigid(points, anchor, _anchoring_motion(model, values, nodes, offset, anchor))
+    # fixed point of c = r(X) - d(X + c)
     correction = np.zeros_like(points)
     for _ in range(_STEPS):
         correction = motion - exact_deviation(model, points + correction, offset, values)
@@ -167,12 +169,12 @@ def build_table(
 def _check_anchor(anchor: Anchor, nodes: Nodes) -> None:
     for axis, node, value in zip(AXES, nodes, anchor.point_mm.tolist(), strict=True):
         if not node[0] <= value <= node[-1]:
-            message = f"the anchor point {value:g} lies outside the table, {node[0]:g} to {node[-1]:g} mm"
+            message = f"the anchor point {value:g} is outside the table, {node[0]:g} to {node[-1]:g} mm"
             raise ModelError(message, axis=axis, hint="choose an anchor inside the travel")
 
 
 def _anchoring_motion(model: ErrorModel, values: Array, nodes: Nodes, offset: Array, anchor: Anchor) -> Array:
-    """(6,) small rigid motion that the deviation field has at the anchor and along its two lines."""
+    """Return the small rigid motion (6,) of the deviation field at the anchor and along its two lines."""
     lines = _anchor_points(nodes, anchor)
     held = _constraints(exact_deviation(model, lines, offset, values)[:, :, None], lines, anchor)
     motions = _constraints(rigid_fields(lines, anchor.point_mm, 1.0), lines, anchor)
@@ -180,17 +182,17 @@ def _anchoring_motion(model: ErrorModel, values: Array, nodes: Nodes, offset: Ar
 
 
 def _anchor_points(nodes: Nodes, anchor: Anchor) -> Array:
-    """The anchor point, then the points of the primary and of the secondary line: (1 + 2 m, 3)."""
+    """Return the anchor point, then the points of the primary and of the secondary line: (1 + 2 m, 3)."""
     points = np.tile(anchor.point_mm, (1 + 2 * _LINE_POINTS, 1))
-    for place, letter in enumerate((anchor.primary, anchor.secondary)):
+    for number, letter in enumerate((anchor.primary, anchor.secondary)):
         axis = AXES.index(letter)
-        rows = slice(1 + place * _LINE_POINTS, 1 + (place + 1) * _LINE_POINTS)
+        rows = slice(1 + number * _LINE_POINTS, 1 + (number + 1) * _LINE_POINTS)
         points[rows, axis] = np.linspace(nodes[axis][0], nodes[axis][-1], _LINE_POINTS)
     return points
 
 
 def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
-    """The six anchored quantities (6, m) of fields (n, 3, m) at the anchor points."""
+    """Return the six anchored quantities (6, m) of fields (n, 3, m) at the anchor points."""
     first, second = AXES.index(anchor.primary), AXES.index(anchor.secondary)
     third = 3 - first - second
     primary, secondary = slice(1, 1 + _LINE_POINTS), slice(1 + _LINE_POINTS, None)
@@ -200,7 +202,7 @@ def _constraints(fields: Array, points: Array, anchor: Anchor) -> Array:
 
 
 def _slope(along: Array, fields: Array) -> Array:
-    """Least-squares slope (3, m) of fields (n, 3, m) along (n,)."""
+    """Return the least-squares slope (3, m) of fields (n, 3, m) along (n,)."""
     centred = along - along.mean()
     return np.asarray(np.tensordot(centred, fields, axes=1) / (centred @ centred))
 
@@ -210,7 +212,7 @@ def _rigid(points: Array, anchor: Anchor, motion: Array) -> Array:
 
 
 def _cell(nodes: Array, positions: Array) -> tuple[np.ndarray[Any, np.dtype[np.intp]], Array]:
-    """Cell of each position and its share of the way through, clamped to the border."""
+    """Return the cell of each position and the fraction of the cell before it, clamped to the border."""
     inside = np.clip(positions, nodes[0], nodes[-1])
     cell = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, len(nodes) - 2)
     return cell, (inside - nodes[cell]) / (nodes[cell + 1] - nodes[cell])

@@ -42,7 +42,9 @@ class GridSection(StrictModel):
 
 
 class SideFile(StrictModel):
-    """`extrapolated_nodes`: places of the nodes outside the measured region, counted in the order of the CSV from 0."""
+    """JSON side file. `extrapolated_nodes`: indices of the nodes outside the measured region, in the order of the CSV
+    from 0.
+    """
 
     format: Literal["volcal compensation table 1"]
     meaning: Literal["added to the commanded axis position"]
@@ -54,7 +56,7 @@ class SideFile(StrictModel):
 
 
 def format_table(table: CompensationTable) -> str:
-    """CSV text, corrections to 0.1 nm."""
+    """Return the CSV text, corrections to 0.1 nm."""
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     lines = [",".join(COLUMNS)]
     for point, correction in zip(points.tolist(), (1e3 * table.corrections.reshape(-1, 3)).tolist(), strict=True):
@@ -64,7 +66,7 @@ def format_table(table: CompensationTable) -> str:
 
 
 def format_side_file(table: CompensationTable) -> str:
-    """JSON text of the side file of `format_table(table)`."""
+    """Return the JSON text of the side file of `format_table(table)`."""
     x, y, z = (_rounded(nodes) for nodes in table.nodes)
     document = {
         "format": "volcal compensation table 1",
@@ -83,18 +85,20 @@ def format_side_file(table: CompensationTable) -> str:
 
 
 def checksum(text: str) -> str:
-    """CRC-32 of the UTF-8 bytes, eight hexadecimal digits."""
+    """Return the CRC-32 of the UTF-8 bytes as eight hexadecimal digits."""
     return f"{zlib.crc32(text.encode()):08x}"
 
 
 def parse_table(text: str, side_text: str, source: str, side_source: str) -> CompensationTable:
-    """Table from the two texts; FormatError names file and row, column or key. A wrong CRC-32 is refused first."""
+    """Parse the table from the two texts; FormatError names file and row, column or key. The CRC-32 is checked
+    first.
+    """
     side = read_json(side_text, side_source, SideFile)
     found = checksum(text)
     if found != side.crc32:
         raise FormatError(
-            f"the table has the CRC-32 {found}, its side file says {side.crc32}",
-            hint=f"The table was changed after it was made, or {side_source} belongs to another one",
+            f"the table has the CRC-32 {found}, but its side file gives {side.crc32}",
+            hint=f"The table was changed after it was written, or {side_source} belongs to another table",
             file=source,
             key="crc32",
         )
@@ -114,7 +118,7 @@ def parse_table(text: str, side_text: str, source: str, side_source: str) -> Com
 
 
 def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> Array:
-    """(nx, ny, nz, 3) mm; every node at its place."""
+    """Read the corrections (nx, ny, nz, 3) mm and check that every line is at its node."""
     shape = (len(nodes[0]), len(nodes[1]), len(nodes[2]))
     values = np.empty((math.prod(shape), 3))
     count = 0
@@ -125,7 +129,7 @@ def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> A
         values[count] = [1e-3 * row.parse_float(name) for name in COLUMNS[3:]]
         count += 1
     if count < len(values):
-        raise FormatError(f"{count} lines where the grid has {len(values)} nodes", file=source)
+        raise FormatError(f"{count} lines, but the grid has {len(values)} nodes", file=source)
     return values.reshape(*shape, 3)
 
 
@@ -133,8 +137,8 @@ def _check_place(row: CsvRow, nodes: tuple[Array, Array, Array], place: tuple[np
     for axis, column in enumerate(COLUMNS[:3]):
         expected, found = float(nodes[axis][place[axis]]), row.parse_float(column)
         if abs(found - expected) > 1e-6:
-            message = f"{AXES[axis]} {found:g} where the grid has {expected:g}"
-            raise row.error(message, column, hint="Lines run over the full grid, x slowest, z fastest")
+            message = f"{AXES[axis]} is {found:g}, but the grid has {expected:g}"
+            raise row.error(message, column, hint="Lines must cover the full grid, x slowest, z fastest")
 
 
 def _mask(
@@ -149,5 +153,5 @@ def _mask(
 
 
 def _rounded(nodes: Array) -> list[float]:
-    """The numbers that stand in the CSV."""
+    """Return the node coordinates as written in the CSV."""
     return [float(f"{value:.10g}") for value in nodes.tolist()]

@@ -1,4 +1,4 @@
-"""Control charts of single values: individuals by moving range, and exponentially weighted means.
+"""Control charts of single values: individuals with moving range, and exponentially weighted moving average (EWMA).
 
 Shewhart's individuals chart as in ISO 7870-2; EWMA as in ISO 7870-6 with the weight and width of Lucas & Saccucci,
 Technometrics 32 (1990): 0.2 and 2.962 give one false alarm in 500 points.
@@ -25,7 +25,7 @@ MIN_VALUES = 3
 
 @dataclass(frozen=True, eq=False)
 class IndividualsChart:
-    """Centre, standard deviation of one value and limits, in the values' unit; `outside`: places beyond a limit."""
+    """Centre, standard deviation of one value and limits, in the values' unit; `outside`: indices beyond a limit."""
 
     centre: float
     sigma: float
@@ -36,7 +36,9 @@ class IndividualsChart:
 
 @dataclass(frozen=True, eq=False)
 class EwmaChart:
-    """`values`, `lower`, `upper` (n,); `outside`: places where the mean has left its limits."""
+    """EWMA `values` with their limits `lower`, `upper` (n,); `outside`: indices at which the mean is beyond
+    its limits.
+    """
 
     values: Array
     lower: Array
@@ -45,7 +47,7 @@ class EwmaChart:
 
 
 def individuals_chart(values: ArrayLike) -> IndividualsChart:
-    """The chart of values (n,) in order of time; n at least 3, else DataError."""
+    """Return the individuals chart of values (n,) in order of time; n at least 3, else DataError."""
     found = _series(values)
     sigma = float(np.abs(np.diff(found)).mean()) / D2
     centre = float(found.mean())
@@ -55,13 +57,16 @@ def individuals_chart(values: ArrayLike) -> IndividualsChart:
 
 
 def ewma_chart(values: ArrayLike, centre: float, sigma: float) -> EwmaChart:
-    """z_i = w x_i + (1 - w) z_(i-1) from z_0 = `centre`; limits with the exact variance of z_i."""
+    """Return the EWMA chart z_i = w x_i + (1 - w) z_(i-1) from z_0 = `centre`; limits with the exact variance
+    of z_i.
+    """
     found = _series(values)
     smooth = np.empty_like(found)
     last = centre
-    for place, value in enumerate(found):
+    for index, value in enumerate(found):
         last = EWMA_WEIGHT * float(value) + (1.0 - EWMA_WEIGHT) * last
-        smooth[place] = last
+        smooth[index] = last
+    # Var z_i = σ² w / (2 - w) (1 - (1 - w)^2i)
     powers = (1.0 - EWMA_WEIGHT) ** (2.0 * np.arange(1, len(found) + 1))
     half = EWMA_LIMIT_WIDTH * sigma * np.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT) * (1.0 - powers))
     outside = np.flatnonzero(np.abs(smooth - centre) > half)

@@ -1,4 +1,4 @@
-"""When a drifting value will reach its limit: at the expected rate, and at the earliest."""
+"""Time at which a drifting value will reach its limit: at the expected rate, and at the earliest."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 from twin.monitoring.drift import Drift
 
-_STEPS = 60  # halvings of the horizon
+_STEPS = 60  # bisections of the horizon
 
 
 @dataclass(frozen=True)
 class LimitCrossing:
-    """Nights from the last one until the `limit`. `expected`: of the line itself; `earliest`: of the edge of its 95 %
-    band; 0: reached already; infinite: never within the horizon. `reached`: the line itself is there."""
+    """Nights from the last one until `limit` is reached.
+
+    `expected`: crossing of the line itself; `earliest`: crossing of the edge of its 95 % band; 0: already reached;
+    infinite: not within the horizon. `reached`: the line itself has reached the limit.
+    """
 
     limit: float
     expected: float
@@ -25,8 +28,10 @@ class LimitCrossing:
 
 
 def limit_crossing(drift: Drift, limit: float, horizon: float, *, two_sided: bool) -> LimitCrossing:
-    """`two_sided`: the value may not leave [-limit, limit]; else it may not exceed `limit`. Looks `horizon` nights
-    ahead."""
+    """Compute the crossing within `horizon` nights.
+
+    `two_sided`: the value must stay within [-limit, limit]; otherwise it must not exceed `limit`.
+    """
     sides = (1.0, -1.0) if two_sided else (1.0,)
     expected = min(_line(drift, limit, side, horizon) for side in sides)
     earliest = min(_band(drift, limit, side, horizon) for side in sides)
@@ -42,8 +47,10 @@ def _line(drift: Drift, limit: float, side: float, horizon: float) -> float:
 
 
 def _band(drift: Drift, limit: float, side: float, horizon: float) -> float:
-    """First night at which value + k·uncertainty is beyond the limit; the edge is convex, so it crosses upwards once
-    where it begins below."""
+    """Return the first night at which value + k·uncertainty is beyond the limit.
+
+    The edge of the band is convex, so it crosses upwards once if it begins below; found by bisection.
+    """
 
     def beyond(nights: float) -> bool:
         value, sigma = drift.predict(nights)

@@ -1,10 +1,12 @@
-"""Drift per night by weighted regression, steps at known times set apart so that they are not smeared into it.
+"""Drift per night by weighted regression, with separate terms for steps at known times so that they do not bias the
+drift.
 
-y_i = level + slope (t_i - t_n) - the steps that come after t_i, variances proportional to the stated ones. The factor
-comes from the residuals (GUM Type A; Deming 1943), because what all nights have in common (certificate, prior) is part
-of a stated uncertainty but scatters no trend. With fewer than `MIN_FREEDOM_FOR_SCALE` degrees of freedom the stated
-uncertainties are taken as they are. Neighbouring nights that share information scatter too little: with a lag-1
-correlation r > 0 of the residuals the variance is multiplied by (1 + r) / (1 - r) (Bartlett 1935).
+Model: y_i = level + slope (t_i - t_n) - the steps that come after t_i, variances proportional to the stated ones. The
+factor of proportionality comes from the residuals (GUM Type A; Deming 1943), because contributions common to all nights
+(certificate, prior) are part of the stated uncertainty but do not scatter a trend. With fewer than
+`MIN_FREEDOM_FOR_SCALE` degrees of freedom the stated uncertainties are used unchanged. Neighbouring nights that share
+information scatter too little: with a lag-1 correlation r > 0 of the residuals the variance is multiplied by (1 + r) /
+(1 - r) (Bartlett 1935).
 """
 
 from __future__ import annotations
@@ -26,9 +28,12 @@ _HIGHEST_CORRELATION = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """`level` at the last night and `slope` a night, with standard uncertainties and their covariance, in the values'
-    unit. `steps`: (night from which on it holds, size, standard uncertainty). `fitted` (n,). `factor`: coverage factor
-    of 95 % at the degrees of freedom (1.96 where stated uncertainties were taken)."""
+    """Fitted drift, in the values' unit.
+
+    `level` at the last night and `slope` per night, with standard uncertainties and their covariance. `steps`: (night
+    from which on it holds, size, standard uncertainty). `fitted` (n,). `factor`: coverage factor for 95 % at the
+    degrees of freedom (1.96 if stated uncertainties were used).
+    """
 
     level: float
     level_sigma: float
@@ -44,19 +49,19 @@ class Drift:
 
     @property
     def significant(self) -> bool:
-        """Whether the slope stands out of its uncertainty (95 %)."""
+        """True if the slope exceeds its expanded uncertainty (95 %)."""
         return abs(self.slope) > self.factor * self.slope_sigma
 
     def predict(self, nights: float) -> tuple[float, float]:
-        """Value and standard uncertainty of the line so many nights after the last one."""
+        """Return value and standard uncertainty of the line `nights` after the last one."""
         variance = self.level_sigma**2 + 2.0 * nights * self.covariance + (nights * self.slope_sigma) ** 2
         return self.level + self.slope * nights, float(np.sqrt(max(variance, 0.0)))
 
 
 def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Sequence[float] = ()) -> Drift:
-    """Drift of `values` (n,) with standard uncertainties (n,) at times (n,) in nights, ascending.
+    """Fit the drift of `values` (n,) with standard uncertainties (n,) at times (n,) in nights, ascending.
 
-    `steps`: times from which on another level holds. DataError where there are too few values to tell.
+    `steps`: times from which on another level holds. DataError if there are too few values.
     """
     t, y, u = (np.asarray(given, dtype=np.float64) for given in (nights, values, sigmas))
     _check(t, y, u)
@@ -80,7 +85,8 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
         slope_sigma=float(sigma[1]),
         covariance=float(covariance[0, 1]),
         steps=tuple(
-            (float(at), float(size), float(doubt)) for at, size, doubt in zip(steps, found[2:], sigma[2:], strict=True)
+            (float(at), float(size), float(u_size))
+            for at, size, u_size in zip(steps, found[2:], sigma[2:], strict=True)
         ),
         fitted=fitted,
         scatter=scatter,
@@ -91,13 +97,13 @@ def fit_drift(nights: ArrayLike, values: ArrayLike, sigmas: ArrayLike, steps: Se
 
 
 def regression_design(t: Array, steps: Sequence[float]) -> Array:
-    """(n, 2 + k): level at the end, slope, and each step as what was missing before it."""
+    """Return the design matrix (n, 2 + k): level at the end, slope, and for each step -1 before it, 0 after it."""
     before = [-(t < at).astype(np.float64) for at in steps]
     return np.stack([np.ones_like(t), t - t[-1], *before], axis=1)
 
 
 def _scatter(residuals: Array, freedom: int) -> tuple[float, float]:
-    """Factor on the stated uncertainties, and lag-1 correlation of the residuals, none below zero."""
+    """Return the factor on the stated uncertainties, and the lag-1 correlation of the residuals, at least zero."""
     square = float(residuals @ residuals)
     if freedom < MIN_FREEDOM_FOR_SCALE or square == 0.0:
         return 1.0, 0.0

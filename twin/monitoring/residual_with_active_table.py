@@ -1,6 +1,6 @@
-"""What is left of a machine while a given table acts, as far as it is known: an expected volumetric error.
+"""Expected volumetric error that remains with a given table active, according to the current knowledge of the machine.
 
-The table need not be that of what is known now: a machine drifts away from the one that was written last.
+The table need not be built from the current knowledge: a machine drifts away from the one the table was written for.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ from twin.machine.volumetric import VolumetricRms
 
 @dataclass(frozen=True, eq=False)
 class ResidualWithTable:
-    """Over a workspace and for one tool; `form` of all `unknowns` z (P,), `left_out_mm2` what the modes leave out."""
+    """Expected residual error over a workspace for one tool.
+
+    `form`: quadratic form of all `unknowns` z (P,). `left_out_mm2`: variance that the misfit modes do not represent.
+    """
 
     unknowns: Unknowns
     form: Criterion
@@ -28,22 +31,24 @@ class ResidualWithTable:
 
     @classmethod
     def build(cls, unknowns: Unknowns, scales: Scales, grid: ArrayLike, tool_offset: ArrayLike) -> ResidualWithTable:
-        """Over a `grid` of axis positions (n, 3) mm for a tool (3,) mm; `scales`: of the misfit that is known."""
+        """Build for a `grid` of axis positions (n, 3) mm and a tool (3,) mm; `scales`: those of the known misfit."""
         form = Criterion.build(unknowns, grid, tool_offset)
         return cls(unknowns, form, 3.0 * left_out_variance(unknowns, scales))
 
     def of(self, mean: Array, covariance: Array, written: ArrayLike) -> VolumetricRms:
-        """Root of the expected mean square of machine less table: z has `mean` (P,) and `covariance` (P, P), the table
-        holds the parameters `written` (p,) mm or rad."""
+        """Return the root of the expected mean square of machine minus table.
+
+        z has `mean` (P,) and `covariance` (P, P); the table contains the parameters `written` (p,) in mm or rad.
+        """
         return self._root(covariance, self.uncompensated(mean, written), self.left_out_mm2)
 
     def between(self, mean: Array, other: Array) -> VolumetricRms:
-        """Of the field of the parameters alone by which two z (P,) differ."""
+        """Return the volumetric difference of two z (P,), from the parameters only."""
         step = self._parameters_only(mean - other)
         return self._root(np.zeros_like(self.form.raw), step, 0.0)
 
     def uncompensated(self, mean: Array, written: ArrayLike) -> Array:
-        """z (P,) less that of the parameters `written` (p,)."""
+        """Return z (P,) minus that of the parameters `written` (p,)."""
         return uncompensated(self.unknowns, mean, written)
 
     def _parameters_only(self, step: Array) -> Array:
@@ -52,6 +57,7 @@ class ResidualWithTable:
         return kept
 
     def _root(self, covariance: Array, step: Array, left_out_mm2: float) -> VolumetricRms:
+        # E[zᵀQz] = tr(Q C) + mᵀQ m for the raw and for the aligned form
         raw, aligned = (
             float(np.vdot(form, covariance)) + float(step @ form @ step) + left_out_mm2
             for form in (self.form.raw, self.form.aligned)
@@ -60,7 +66,7 @@ class ResidualWithTable:
 
 
 def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
-    """z (P,) less that of the parameters `written` (p,) mm or rad."""
+    """Return z (P,) minus that of the parameters `written` (p,) in mm or rad."""
     parameters, scale = as_vector(written, unknowns.model.size, "written parameters"), unknowns.scale
     left = mean.copy()
     left[unknowns.blocks.parameters] -= np.where(scale > 0.0, parameters / np.where(scale > 0.0, scale, 1.0), 0.0)
@@ -68,7 +74,7 @@ def uncompensated(unknowns: Unknowns, mean: Array, written: ArrayLike) -> Array:
 
 
 def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
-    """Variance (mm²), per direction, of what is too short in space for the modes of the misfit."""
+    """Return the variance (mm²) per direction of misfit too short in wavelength for the modes."""
     modes = unknowns.modes
     return 0.0 if modes is None else unknowns.misfit_mm**2 * float(modes.left_out @ np.square(scales.kinds))
 
@@ -76,9 +82,10 @@ def left_out_variance(unknowns: Unknowns, scales: Scales) -> float:
 def residual_covariance(
     unknowns: Unknowns, scales: Scales, mean: Array, covariance: Array, points: ArrayLike, tool_offset: ArrayLike
 ) -> Array:
-    """Expected outer product (3n, 3n) mm² of machine less table at axis positions (n, 3), point by point x, y, z.
+    """Return the expected outer product (3n, 3n) mm² of machine minus table at axis positions (n, 3), point by point x,
+    y, z.
 
-    `mean` (P,): of z less what is written (`uncompensated`), `covariance` (P, P).
+    `mean` (P,): of z minus the written parameters (`uncompensated`), `covariance` (P, P).
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     blocks = unknowns.blocks

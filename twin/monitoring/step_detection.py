@@ -1,13 +1,13 @@
-"""Whether a machine is still what it was expected to be, and which of its errors has jumped where it is not.
+"""Test whether a machine is still as expected, and which of its errors has jumped if not.
 
-With what is known beforehand, z ~ N(m, C), and ball centres y = A z + noise (whitened, poses projected out), the
-innovation y - A m has the covariance S = σ² + A C Aᵀ. That one error has jumped by a beside it is a score test: with J
-the columns of its coefficients and a ~ N(0, Λ), Λ the family's own spread, the logarithm of the likelihood ratio is
+With prior knowledge z ~ N(m, C), and ball centres y = A z + noise (whitened, poses projected out), the innovation y - A
+m has the covariance S = σ² + A C Aᵀ. The hypothesis that one error has jumped by a in addition is a score test: with J
+the columns of its coefficients and a ~ N(0, Λ), Λ the variance of the family, the logarithm of the likelihood ratio is
 
     ½ sᵀJ (Λ⁻¹ + JᵀF J)⁻¹ Jᵀs - ½ ln det(1 + Λ JᵀF J),    s = AᵀS⁻¹(y - A m), F = AᵀS⁻¹A,
 
-so a series of many coefficients pays for its freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995). Both s and F are
-of the size of z: AᵀS⁻¹A = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
+so a series of many coefficients is penalised for its degrees of freedom (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995).
+Both s and F have the size of z: AᵀS⁻¹A = C⁻¹ - C⁻¹(C⁻¹ + AᵀA/σ²)⁻¹C⁻¹.
 """
 
 from __future__ import annotations
@@ -37,16 +37,17 @@ from twin.machine.machine_population import Family
 ERRORS = (*ERROR_MOTIONS, *SQUARENESS)
 """The 21 geometric errors of three linear axes, ISO 230-1."""
 
-_EXACT_STEPS = 2  # as in an identification: what the first leaves is second order of a pose a few mm away
-_ALONG = 101
+_EXACT_STEPS = 2  # as in an identification: the first step leaves second-order terms of a pose a few mm off
+_TRAVEL_POINTS = 101
 
 
 @dataclass(frozen=True)
 class SuspectedJump:
-    """One `error` that may have jumped: `evidence` ln of the likelihood ratio against no jump, `chi2` of `freedom`.
+    """One `error` that may have jumped.
 
-    `change` in `unit`: of a squareness its value; of an error motion what it has changed by from the lowest to the
-    highest point over the travel, its sign that of the difference of the ends. `coefficients`: by name, mm or rad.
+    `evidence`: ln of the likelihood ratio against no jump; `chi2` with `freedom` degrees of freedom. `change` in
+    `unit`: for a squareness its change; for an error motion the peak-to-valley change over the travel, with the sign of
+    the difference of the ends. `coefficients`: by name, mm or rad.
     """
 
     error: str
@@ -64,8 +65,11 @@ class SuspectedJump:
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """Ball centres against what was known before: `mean` (P,) and `covariance` (P, P) of z as known; `score` (P,)
-    AᵀS⁻¹(y - A m), `information` (P, P) AᵀS⁻¹A, `chi2` (y - A m)ᵀS⁻¹(y - A m) of `rows` equations."""
+    """Ball centres compared with prior knowledge.
+
+    `mean` (P,) and `covariance` (P, P) of z before; `score` (P,) AᵀS⁻¹(y - A m), `information` (P, P) AᵀS⁻¹A, `chi2` (y
+    - A m)ᵀS⁻¹(y - A m) of `rows` equations.
+    """
 
     unknowns: Unknowns
     mean: Array
@@ -81,23 +85,27 @@ class Innovation:
 
     @cached_property
     def mean_after(self) -> Array:
-        """(P,) of z once these ball centres are known too."""
+        """Mean (P,) of z given these ball centres too."""
         return np.asarray(self.mean + self.covariance @ self.score)
 
     @cached_property
     def covariance_after(self) -> Array:
-        """(P, P) of z once these ball centres are known too."""
+        """Covariance (P, P) of z given these ball centres too."""
         after = self.covariance - self.covariance @ self.information @ self.covariance
         return np.asarray(0.5 * (after + after.T))
 
     def suspects(self, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """Every error that the model has, the likeliest first; `jump`: how large in units of the family's spread."""
+        """Return every error of the model, the likeliest first; `jump`: size of the jump in units of the family's
+        spread.
+        """
         found = [self._suspect(error, jump) for error in ERRORS if self._columns(error).size]
         return tuple(sorted(found, key=lambda one: -one.evidence))
 
     def jumped(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
-        """The errors that must have jumped, one after the other, each tested with those before it set free; only those
-        with at least so much `evidence`."""
+        """Return the errors that must have jumped, one after the other, each tested with the previous ones set free.
+
+        Only errors with at least this much `evidence` are returned, at most `most` of them.
+        """
         left, named = self, []
         for _ in range(most):
             best = left.suspects(jump)[0]
@@ -112,6 +120,7 @@ class Innovation:
         return np.array([i for i, one in enumerate(model.parameters) if one.error == error and scale[i] > 0.0], int)
 
     def _suspect(self, error: str, jump: float) -> SuspectedJump:
+        # a = (Λ⁻¹ + JᵀFJ)⁻¹Jᵀs, evidence = ½ sᵀJ a - ½ ln det(1 + Λ JᵀFJ); Λ = jump² in units of the family
         columns = self._columns(error)
         score, inner = self.score[columns], self.information[np.ix_(columns, columns)]
         size = len(columns)
@@ -134,11 +143,11 @@ class Innovation:
         if error in SQUARENESS:
             return factor * float(values[0]), unit
         orders = [one.order for one in parameters]
-        along = values @ legendre_values(np.linspace(-1.0, 1.0, _ALONG), max(orders))[orders]
+        along = values @ legendre_values(np.linspace(-1.0, 1.0, _TRAVEL_POINTS), max(orders))[orders]
         return factor * float(np.ptp(along)) * (1.0 if along[-1] >= along[0] else -1.0), unit
 
     def _without(self, error: str, jump: float) -> Innovation:
-        """The same where this error is as unknown as `jump` says: S + A J Λ JᵀAᵀ in the place of S."""
+        """Return the innovation with this error left free within `jump`: S + A J Λ JᵀAᵀ replaces S."""
         columns = self._columns(error)
         through = self.information[:, columns]
         free = cho_factor(np.eye(len(columns)) / jump**2 + self.information[np.ix_(columns, columns)], lower=True)
@@ -152,15 +161,16 @@ class Innovation:
 
 
 def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
-    """`observations` against what is `known` (process noise of the time since included). The touch noise has the scale
-    that was found with what is known.
+    """Compare `observations` with prior knowledge `known`, which includes the process noise of the time since.
 
-    Raises DataError for an artefact, a model or balls that do not fit.
+    The touch noise has the scale stored in `known`. Raises DataError for an artefact, a model or balls that do not
+    match.
     """
     options = Options(carried_over=known, outliers="none", estimate_scales=False)
     problem = build_problem(family, observations, artefact, options)
     precision = PriorPrecision(problem.blocks, problem.known)
     before = precision.matrix(known.scales)
+    # before = C⁻¹, after = C⁻¹ + AᵀA/σ²: s = C⁻¹ after⁻¹ Aᵀr/σ², F = C⁻¹ - C⁻¹ after⁻¹ C⁻¹
     factor = cho_factor(before, lower=True)
     mean, covariance = cho_solve(factor, precision.information_vector), cho_solve(factor, np.eye(len(before)))
     normal = _normal(problem, mean)
@@ -181,7 +191,7 @@ def innovation(family: Family, observations: Observations, artefact: Artefact, k
 
 
 def _normal(problem: IdentificationProblem, mean: Array) -> NormalEquations:
-    """Normal equations with the exact residuals at the mean."""
+    """Return the normal equations with the exact residuals at the mean."""
     equations = CentreEquations.build(problem, unit_weights=False)
     sides, poses = problem.sides(mean), problem.poses
     for _ in range(_EXACT_STEPS):

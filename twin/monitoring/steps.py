@@ -1,9 +1,9 @@
-"""Where a series of nights has jumped: steps found one by one, each as long as it explains more than noise would.
+"""Steps in a series of nights, found one by one as long as each explains more than noise would.
 
-A candidate is scored by how far it lowers the sum of squares of the whole regression (level, slope, steps so far), in
-units of the scatter of successive differences, which neither slope nor single steps enlarge much (median moving
-range). It is taken where that exceeds about `PENALTY_PER_LOG` ln n: a step costs its size, its place and the choice of
-both, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
+A candidate is scored by its reduction of the residual sum of squares of the whole regression (level, slope, steps so
+far), in units of the noise estimated from successive differences, which neither slope nor single steps enlarge much
+(median moving range). It is accepted if the reduction exceeds about `PENALTY_PER_LOG` ln n: a step costs its size, its
+time and the choice of both, as in the modified BIC of Zhang & Siegmund, Biometrics 63 (2007).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PENALTY_PER_LOG = 6.0
 MIN_NIGHTS = 8
 MAX_STEPS = 5
 MIN_NOISE_SHARE = 1e-3
-"""Of the stated uncertainty: below that a series is smooth, and what is left is rounding."""
+"""Lower bound of the noise as a share of the stated uncertainty; below it the residuals are rounding."""
 MEDIAN_RANGE = 0.9539
 """Median of the range of two standard normal values: sqrt(2) times the upper quartile 0.6745."""
 
@@ -50,7 +50,7 @@ def find_steps(
 
 
 def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | None:
-    """The step that explains most, if it explains enough without any single one of the values too."""
+    """Return the step that explains most, if it also explains enough without any single one of the values."""
     gains = {at: _gain(t, y, sigmas, steps, at) for at in _candidates(t, steps)}
     penalty = _penalty(len(t))
     for at in sorted(gains, key=lambda at: -gains[at]):
@@ -63,18 +63,23 @@ def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | 
 
 
 def _penalty(count: int) -> float:
-    """Few values know their own scatter badly: widened so that a series without a step shows one in 1 of 50 cases."""
+    """Return the penalty of a step; it is larger for few values, whose noise estimate is poor.
+
+    It is set so that a series without a step shows one in 1 of 50 cases.
+    """
     return PENALTY_PER_LOG * float(np.log(count)) * count / (count - 5.0)
 
 
 def _successive(y: Array) -> float:
-    """Standard deviation from the median of the successive differences, their common part (the slope) taken out."""
+    """Return the standard deviation from the median of the successive differences, their common part (the slope)
+    removed.
+    """
     differences = np.diff(y)
     return float(np.median(np.abs(differences - np.median(differences)))) / MEDIAN_RANGE
 
 
 def _usable(t: Array, known: Sequence[float]) -> tuple[float, ...]:
-    """Known steps that leave the regression solvable, the earliest first."""
+    """Return the known steps that leave the regression solvable, the earliest first."""
     kept: list[float] = []
     for at in sorted(set(known)):
         design = regression_design(t, [*kept, at])
@@ -84,7 +89,7 @@ def _usable(t: Array, known: Sequence[float]) -> tuple[float, ...]:
 
 
 def _candidates(t: Array, steps: Sequence[float]) -> list[float]:
-    """Times that leave at least two values to each level."""
+    """Return the times that leave at least two values to each level."""
     edges = [0, *(int(np.searchsorted(t, at)) for at in steps), len(t)]
     return [
         float(t[place])

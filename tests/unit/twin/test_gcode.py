@@ -159,7 +159,7 @@ class TestFromNowhere:
 
 class TestVolume:
     def test_outside_is_refused_with_axis_and_reach(self) -> None:
-        with pytest.raises(FormatError, match=r"X is at 1100.*0 to 1000 mm.*line 2"):
+        with pytest.raises(FormatError, match=r"X is at machine position 1100.*0 to 1000 mm.*line 2"):
             run(f"{START}G0 X1000\n")
 
     def test_or_corrected_as_at_the_border(self) -> None:
@@ -186,16 +186,16 @@ class TestVolume:
     [
         ("G41 D1 X10", "G41 cannot be corrected, cutter compensation"),
         ("G81 X1 Z-1 R1", "canned cycle"),
-        ("G68 X0 Y0 R30", "turned"),
-        ("G52 X10", "coordinates that the controller keeps"),
-        ("G10 L2 P1 X0", "coordinates that the controller keeps"),
+        ("G68 X0 Y0 R30", "rotated"),
+        ("G52 X10", "coordinates that only the controller knows"),
+        ("G10 L2 P1 X0", "coordinates that only the controller knows"),
         ("G38.2 Z-10", "probing"),
         ("G5 X1 I1 J1 P1 Q1", "spline"),
         ("G65 P9010", "macros"),
         ("M98 P1000", "subprograms"),
         ("M72", "M72 saves or restores"),
-        ("T1\nM61 Q1\nG43 Z1", "no tool was changed in"),
-        ("G123", "G123 is not known here.*--keep G123"),
+        ("T1\nM61 Q1\nG43 Z1", "no tool was loaded"),
+        ("G123", "G123 is not supported.*--keep G123"),
         ("G1.25 X1", "one decimal"),
         ("G1 X#1", "variables, expressions and O-words"),
         ("G1 X[1+2]", "variables"),
@@ -204,12 +204,12 @@ class TestVolume:
         ("O100", "O-word"),
         ("G1 A10", "axis A"),
         ("$H", r"\$"),
-        ("G1 X1 X2", "X stands twice"),
+        ("G1 X1 X2", "X occurs twice"),
         ("G0 G1 X1", "two G codes for the motion"),
         ("G90 G91", "two G codes for the distance"),
         ("G1 X", "cannot be read"),
         ("G1 (open X1", "not closed"),
-        ("/G1 X10", "switch"),
+        ("/G1 X10", "block delete"),
         ("G1 X1 / Y2", "slash"),
         ("G80\nX1", "none of G0 to G3"),
         ("G2 X10", "centre|radius"),
@@ -223,22 +223,22 @@ class TestVolume:
         ("G1 X10 I5", "belong to arcs"),
         ("G91 G53 G0 X1", "G53"),
         ("G53 G2 X10 I5", "G53"),
-        ("G93 G1 X10", "its F"),
-        ("G1 G92 X1", "two G codes want"),
-        ("G1 G28 X1", "two G codes want"),
+        ("G93 G1 X10", "its own F"),
+        ("G1 G92 X1", "two G codes use"),
+        ("G1 G28 X1", "two G codes use"),
         ("G4 P1 X1", "dwell"),
         ("G92", "axis word"),
         ("G92.3", "not set in this program"),
         ("G43 H9", "tool 9 is not known.*--tool 9="),
-        ("G43 Z1", "no tool was changed in"),
+        ("G43 Z1", "no tool was loaded"),
         ("G56 G0 X0", "G56 is not known.*--work-offset"),
         ("T1 M6 X1", "a tool change and a move"),
         ("M30\nG0 X1", "after the end of the program"),
-        ("G3 I10 F1 E2.5", "has to be divided, and it is not known what E"),
-        ("G28 X1000", "X is at 1100"),
+        ("G3 I10 F1 E2.5", "has to be divided, and the effect of E"),
+        ("G28 X1000", "X is at machine position 1100"),
         ("G1 X1\x07", "control character 7"),
-        ("G3 I10 F1 M5", "has to be divided, and M5 acts before"),
-        ("(volcal gcode correct: table 1)", "corrected before"),
+        ("G3 I10 F1 M5", "has to be divided, and M5 takes effect before"),
+        ("(volcal gcode correct: table 1)", "already corrected"),
     ],
 )
 def test_what_cannot_be_corrected_is_refused_with_line_and_reason(block: str, reason: str) -> None:

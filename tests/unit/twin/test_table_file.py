@@ -83,9 +83,9 @@ def resealed(old: str, new: str) -> tuple[str, str]:
     [
         ("-2.5000", "nan", "not finite", "3", "dy_um"),
         ("-2.5000", "much", "not a number", "3", "dy_um"),
-        ("0,100,0,", "0,90,0,", "Y 90 where the grid has 100", "4", "y_mm"),
+        ("0,100,0,", "0,90,0,", "Y is 90, but the grid has 100", "4", "y_mm"),
         ("dz_um", "dz_mm", "column 'dz_um' is missing", "1", "dz_um"),
-        ("100,100,100,0.0000,0.0000,-12.3456\n", "", "7 lines where the grid has 8", None, None),
+        ("100,100,100,0.0000,0.0000,-12.3456\n", "", "7 lines, but the grid has 8", None, None),
         ("-12.3456\n", "-12.3456\n0,0,0,0,0,0\n", "more lines", "10", "x_mm"),
     ],
 )

@@ -1,5 +1,5 @@
-"""Compensation tables in the words of real controllers: text out, and what each of them cannot say.
+"""Compensation tables in the formats of real controllers: the text, and the parts of a table that a format loses.
 
-One module a format. Each knows how its controller reads its file, so signs, references and limits stand there and
-nowhere else. Nothing here reads or writes files.
+One module per format. Each knows how its controller reads its file, so signs, references and limits are defined there
+and nowhere else. Nothing here reads or writes files.
 """

@@ -1,4 +1,4 @@
-"""Corrections as whole numbers of detection units times a magnification, as FANUC keeps them."""
+"""Corrections as integer multiples of a detection unit times a magnification, as FANUC stores them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,20 @@ from twin.errors import DataError
 LARGEST_MAGNIFICATION = 100
 CountArray = np.ndarray[Any, np.dtype[np.int64]]
 
-DETECTION_UNIT_UM = FormatOption("detection_unit_um", PositiveNumber(), 1.0, "Fanuc: [default: 1].")
+DETECTION_UNIT_UM = FormatOption(
+    "detection_unit_um", PositiveNumber(), 1.0, "FANUC: detection unit in µm [default: 1]."
+)
 MAGNIFICATION = FormatOption[int | None](
-    "magnification", WholeNumber(1, LARGEST_MAGNIFICATION), None, "Fanuc: [default: the smallest that fits]."
+    "magnification",
+    WholeNumber(1, LARGEST_MAGNIFICATION),
+    None,
+    "FANUC: magnification [default: the smallest that fits].",
 )
 
 
 @dataclass(frozen=True)
 class CountUnit:
-    """What one count is worth: `detection_unit_um` times `magnification`."""
+    """Value of one count: `detection_unit_um` times `magnification`."""
 
     detection_unit_um: float
     magnification: int
@@ -35,27 +40,26 @@ class CountUnit:
         return np.round(values_mm / self.mm).astype(np.int64)
 
     def values(self, counts: CountArray) -> Array:
-        """mm of counts of any shape."""
+        """Return the values in mm of counts of any shape."""
         return np.asarray(self.mm * counts, dtype=np.float64)
 
     def whole(self, length_mm: float, what: str) -> int:
-        """A length in detection units; DataError where it is no whole number of them."""
+        """Return a length in detection units; DataError if it is not an integer multiple of them."""
         units = 1e3 * length_mm / self.detection_unit_um
         if abs(units - round(units)) > 1e-6:
-            message = (
-                f"{what} of {length_mm:.9g} mm is no whole number of detection units ({self.detection_unit_um:g} µm)"
-            )
-            raise DataError(message, hint="Choose another grid with --points, so that steps are whole")
+            unit = f"the detection unit ({self.detection_unit_um:g} µm)"
+            message = f"{what} of {length_mm:.9g} mm is not a multiple of {unit}"
+            raise DataError(message, hint="Choose another grid with --points, so that steps are integer multiples")
         return round(units)
 
 
 def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, increments: bool) -> CountUnit:
-    """The magnification asked for, or the smallest with which every number written is at most `most`.
+    """Return the requested magnification, or the smallest with which every written number is at most `most`.
 
-    `increments`: what is written are differences of the counts along (n,). DataError where none does.
+    `increments`: the written numbers are differences of the counts along (n,). DataError if no magnification fits.
     """
-    asked = choices[MAGNIFICATION]
-    tried = range(1, LARGEST_MAGNIFICATION + 1) if asked is None else [asked]
+    requested = choices[MAGNIFICATION]
+    tried = range(1, LARGEST_MAGNIFICATION + 1) if requested is None else [requested]
     largest = 0
     for magnification in tried:
         unit = CountUnit(choices[DETECTION_UNIT_UM], magnification)
@@ -65,11 +69,11 @@ def smallest_unit(values_mm: list[Array], choices: ExportOptions, most: int, *, 
         largest = max(int(np.abs(one).max(initial=0)) for one in numbers)
         if largest <= most:
             return unit
-    message = f"a value of {largest} is beyond ±{most}, at magnification {tried[-1]}"
+    message = f"a value of {largest} exceeds ±{most} at magnification {tried[-1]}"
     hint = "Allow a larger --magnification, a finer grid with --points, or a larger --detection-unit-um"
     raise DataError(message, hint=hint)
 
 
 def format_reference(reference: Array) -> str:
-    """Machine position of the reference point, which stands in no parameter here: points are counted from it."""
+    """Format the machine position of the reference point from which points are counted; no parameter contains it."""
     return ", ".join(f"{value:.10g}" for value in reference.tolist())

@@ -12,14 +12,14 @@ from twin.compensation.table import CompensationTable
 from twin.machine.error_model import ErrorModel
 
 Correction = Callable[[Array], Array]
-"""Axis positions (n, 3) in mm to the corrections that the controller adds to them, (n, 3) in mm."""
+"""Function from axis positions (n, 3) in mm to the corrections that the controller adds to them, (n, 3) in mm."""
 
 Facts = Mapping[str, str | int | float]
 
 
 @dataclass(frozen=True, eq=False)
 class TableEstimate:
-    """The estimate that a table was built from: `parameters` (p,) and their `covariance` (p, p)."""
+    """Estimate that a table was built from: `parameters` (p,) and their `covariance` (p, p)."""
 
     model: ErrorModel
     parameters: Array

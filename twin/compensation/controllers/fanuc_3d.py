@@ -1,8 +1,8 @@
-"""FANUC three-dimensional error compensation: a lattice of at most 25 points an axis, trilinear in between.
+"""FANUC three-dimensional error compensation: a lattice of at most 25 points per axis, trilinear in between.
 
-Additional manual Series 30i-A, A-79351E: eight corners weighed by the shares of the way through the cell. Parameter
-numbers, the order of the points and the sign are from experience; how the data is punched is not public to us, so the
-points are a list to be entered with the builder's tool.
+Additional manual Series 30i-A, A-79351E: eight corners weighted by the position within the cell. Parameter numbers, the
+order of the points and the sign are from experience. The punched data format is not public, so the points are a list to
+be entered with the machine builder's tool.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ MOST_POINTS = 25
 LARGEST_COUNT = 127
 _FIRST_PARAMETER = {"points": 10803, "reference": 10806, "magnification": 10809, "interval": 10812}
 
-LOST = ("what bends between points farther apart than the table's, and fractions of a detection unit",)
+LOSSES = ("curvature between points that are farther apart than those of the table, and fractions of a detection unit",)
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """`points.csv` (number, position, counts) and `parameters.txt`."""
+    """Write `points.csv` (number, position, counts) and `parameters.txt`."""
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")
     steps = even_steps(table)
@@ -48,11 +48,11 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
         "parameters.txt": _parameters(table, places, steps, unit),
     }
     facts: Facts = {"magnification": unit.magnification, "counted_from_mm": format_reference(reference)}
-    return ControllerExport(files, written.at, LOST, facts)
+    return ControllerExport(files, written.at, LOSSES, facts)
 
 
 def _points(table: CompensationTable, counts: CountArray) -> str:
-    """Numbered from 1, X fastest, then Y, then Z."""
+    """List the points, numbered from 1, X fastest, then Y, then Z."""
     lines = ["number,x_mm,y_mm,z_mm,x_counts,y_counts,z_counts"]
     shape = table.corrections.shape[:3]
     for number, place in enumerate(np.ndindex(shape[::-1]), start=1):

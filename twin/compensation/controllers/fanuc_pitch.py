@@ -1,8 +1,8 @@
-"""FANUC stored pitch error compensation: increments, whole numbers of detection units times a magnification.
+"""FANUC stored pitch error compensation: increments in integer detection units times a magnification.
 
-Parameter manual 0i-PB (B-63980EN), 3620 to 3624 with its example: compensation number n stands for the interval that
+Parameter manual 0i-PB (B-63980EN), 3620 to 3624 with its example: compensation number n belongs to the interval that
 ends, in positive direction, at reference + (n - 3620) x 3624; the amount at a position is the sum from the reference
-point to there. That amounts are added to the command is from experience, and so is the form of the data as punched.
+point to there. That amounts are added to the command is from experience, and so is the form of the punched data.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ MOST_POINTS = 128
 LARGEST_INCREMENT = 7
 _DATA_NUMBERS_FROM = 10000
 
-LOST = (
+LOSSES = (
     "straightness, squareness and rotation: an axis is corrected by its own position only",
     "whole detection units only",
 )
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """`pitch-error.txt` (the data) and `parameters.txt`, as punched."""
+    """Write `pitch-error.txt` (the data) and `parameters.txt`, in punched form."""
     table = source.table
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")
     steps = even_steps(table)
@@ -57,7 +57,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
         return sum_of_own_axis_profiles(written, axis_positions)
 
     facts: Facts = {"magnification": unit.magnification, "counted_from_mm": format_reference(reference)}
-    return ControllerExport(files, correction, LOST, facts)
+    return ControllerExport(files, correction, LOSSES, facts)
 
 
 def _data(counts: list[CountArray], firsts: list[int]) -> str:
@@ -75,7 +75,7 @@ def _parameters(
     steps: tuple[float, float, float],
     unit: CountUnit,
 ) -> str:
-    """`N number A axis P value ...`: 3620 reference, 3621 farthest -, 3622 farthest +, 3623, 3624."""
+    """Return lines `N number A axis P value ...`: 3620 reference, 3621 farthest -, 3622 farthest +, 3623, 3624."""
     rows = {
         3620: [first + place for first, place in zip(firsts, places, strict=True)],
         3621: [first + min(place, 1) for first, place in zip(firsts, places, strict=True)],

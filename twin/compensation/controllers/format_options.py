@@ -49,7 +49,10 @@ Domain = WholeNumber | PositiveNumber | OneOf | Switch | Text
 
 @dataclass(frozen=True)
 class FormatOption(Generic[Value]):
-    """One option. `key` names it in `ExportOptions` and, with hyphens, on a command line; `default` if not set."""
+    """One option of a format.
+
+    `key` is its name in `ExportOptions` and, with hyphens, on a command line; `default` applies if it is not set.
+    """
 
     key: str
     domain: Domain
@@ -59,10 +62,10 @@ class FormatOption(Generic[Value]):
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Values that a user set, by the keys of the options; `choices[OPTION]` is the value or the option's default.
+    """Values set by the user, by option key; `choices[OPTION]` is the value or the option's default.
 
-    `opposite_sign`: write every value with the other sign than documented, for a controller that was found to count
-    the other way.
+    `opposite_sign`: write every value with the opposite of the documented sign, for a controller that was found to
+    count the other way.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -98,4 +101,4 @@ REFERENCE_MM = FormatOption[Triple | None](
 """Machine position of the reference point; None: the table's anchor."""
 
 AXIS_NAMES = FormatOption[Names | None]("axes", Text("X1,Y1,Z1", _names), None, "Names of X, Y, Z in the controller.")
-"""Names that the controller has for X, Y, Z; None: the usual names of the format."""
+"""Axis names of the controller for X, Y, Z; None: the usual names of the format."""

@@ -1,4 +1,4 @@
-"""What `volcal gcode correct` takes: the neutral table and its side file."""
+"""Input of `volcal gcode correct`: the neutral table and its side file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from twin.compensation.table_file import format_side_file, format_table
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """`table.csv` and `table.json`."""
+    """Write `table.csv` and `table.json`."""
     written = replace(source.table, corrections=choices.sign * source.table.corrections)
     files = {"table.csv": format_table(written), "table.json": format_side_file(written)}
     return ControllerExport(

@@ -1,4 +1,4 @@
-"""The grid of a table as a controller wants it: evenly spaced, few enough points, values small enough."""
+"""Grid of a table as a controller requires it: evenly spaced, few enough points, small enough values."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from twin.errors import DataError
 from twin.machine.kinematic_chain import AXES
 
 LARGEST_CORRECTION_MM = 1.0
-"""A correction beyond it is a mistake, no geometry; also the default of Siemens MD32720 $MA_CEC_MAX_SUM."""
+"""Largest plausible correction; also the default of Siemens MD32720 $MA_CEC_MAX_SUM."""
 
-_EVEN = 1e-6  # of a step
+_EVEN = 1e-6  # relative to a step
 _ON_A_NODE_MM = 1e-6
 _HEADER_LINES = 1
 
@@ -22,18 +22,18 @@ Shape = tuple[int, int, int]
 
 
 def require_small_corrections(table: CompensationTable, largest_mm: float = LARGEST_CORRECTION_MM) -> None:
-    """DataError naming the line of the CSV file with the largest correction where it is beyond `largest_mm`."""
+    """Raise DataError naming the line of the CSV file with the largest correction if that exceeds `largest_mm`."""
     sizes = np.abs(table.corrections).max(axis=-1)
     place = int(np.argmax(sizes))
     found = float(sizes.reshape(-1)[place])
     if found > largest_mm:
         message = f"a correction of {1e3 * found:.1f} µm is larger than {1e3 * largest_mm:g} µm"
-        hint = "Look at the report whether the table can be right before more is allowed with --largest-um"
+        hint = "Check in the report that the table is plausible before you raise the limit with --largest-um"
         raise DataError(message, hint=hint, row=place + 1 + _HEADER_LINES)
 
 
 def even_steps(table: CompensationTable) -> tuple[float, float, float]:
-    """Steps along X, Y, Z in mm; DataError naming axis and line where the nodes are not evenly spaced."""
+    """Return the steps along X, Y, Z in mm; DataError naming axis and line if the nodes are not evenly spaced."""
     steps = []
     lines = (len(table.y) * len(table.z), len(table.z), 1)
     for axis, nodes, stride in zip(AXES, table.nodes, lines, strict=True):
@@ -49,27 +49,29 @@ def even_steps(table: CompensationTable) -> tuple[float, float, float]:
 
 
 def require_points(table: CompensationTable, most: Shape, format_name: str) -> None:
-    """DataError where an axis has more points than the format holds."""
+    """Raise DataError if an axis has more points than the format allows."""
     found = table.corrections.shape[:3]
     if any(count > limit for count, limit in zip(found, most, strict=True)):
         axis = AXES[next(k for k in range(3) if found[k] > most[k])]
         fitting = "x".join(str(_thinned(count, limit)) for count, limit in zip(found, most, strict=True))
-        message = f"{found[AXES.index(axis)]} points where {format_name} holds {most[AXES.index(axis)]}"
+        message = f"{found[AXES.index(axis)]} points, but {format_name} allows {most[AXES.index(axis)]}"
         raise DataError(message, hint=f"Thin the grid with --points {fitting}", axis=axis)
 
 
 def _thinned(count: int, most: int) -> int:
-    """The most points that fit and are points of the grid already, so that the steps stay round."""
+    """Return the largest number of points that fits and is a subset of the grid, so that the steps stay round."""
     return next(n for n in range(min(count, most), 1, -1) if (count - 1) % (n - 1) == 0)
 
 
 def resample_table(table: CompensationTable, points: Shape) -> CompensationTable:
-    """The table on an evenly spaced grid of `points` nodes over the same range, read as the controller would.
+    """Resample the table to an evenly spaced grid of `points` nodes over the same range, read as the controller would.
 
-    A new node counts as extrapolated where an extrapolated one takes part in it.
+    A new node is marked as extrapolated if an extrapolated node contributes to it.
     """
     if min(points) < 2:
-        raise DataError(f"a grid of {'x'.join(map(str, points))} points is no grid", hint="At least 2 along each axis")
+        raise DataError(
+            f"a grid of {'x'.join(map(str, points))} points is not a grid", hint="Use at least 2 along each axis"
+        )
     x, y, z = (np.linspace(nodes[0], nodes[-1], count) for nodes, count in zip(table.nodes, points, strict=True))
     places = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
     marks = replace(table, corrections=np.repeat(table.extrapolated[..., None].astype(np.float64), 3, axis=-1))
@@ -84,23 +86,23 @@ def resample_table(table: CompensationTable, points: Shape) -> CompensationTable
 
 
 def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, float] | None) -> Array:
-    """Machine position (3,) of the reference point, the anchor where none is named; DataError outside the grid."""
+    """Return the machine position (3,) of the reference point, by default the anchor; DataError outside the grid."""
     point = table.anchor.point_mm if wanted_mm is None else np.array(wanted_mm, dtype=np.float64)
     for axis, nodes, value in zip(AXES, table.nodes, point.tolist(), strict=True):
         if not nodes[0] - _ON_A_NODE_MM <= value <= nodes[-1] + _ON_A_NODE_MM:
-            message = f"the reference point {value:g} mm lies outside the table, {nodes[0]:g} to {nodes[-1]:g} mm"
-            raise DataError(message, hint="Name a machine position inside it with --reference-mm", axis=axis)
+            message = f"the reference point {value:g} mm is outside the table, {nodes[0]:g} to {nodes[-1]:g} mm"
+            raise DataError(message, hint="Give a machine position inside it with --reference-mm", axis=axis)
     return point
 
 
 def reference_nodes(table: CompensationTable, point: Array) -> Shape:
-    """Places of the nodes at the reference point; DataError where an axis has none there."""
+    """Return the indices of the nodes at the reference point; DataError if an axis has none there."""
     places = []
     for axis, nodes, value in zip(AXES, table.nodes, point.tolist(), strict=True):
         place = int(np.argmin(np.abs(nodes - value)))
         if abs(float(nodes[place]) - value) > _ON_A_NODE_MM:
-            message = f"no point of the grid lies at the reference point {value:g} mm"
-            hint = f"The next one is {nodes[place]:g} mm: choose another grid with --points"
+            message = f"no point of the grid is at the reference point {value:g} mm"
+            hint = f"The nearest one is at {nodes[place]:g} mm: choose another grid with --points"
             raise DataError(message, hint=hint, axis=axis)
         places.append(place)
     return places[0], places[1], places[2]

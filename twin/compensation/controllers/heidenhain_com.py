@@ -1,8 +1,8 @@
-"""HEIDENHAIN nonlinear axis error compensation: a `.COM` table for each causing axis, a `.CMA` table that names them.
+"""HEIDENHAIN nonlinear axis error compensation: one `.COM` table per causing axis, and a `.CMA` table that lists them.
 
 Technical manual MANUALplus 620, 6.10.3, and TNC 407: up to 256 rows, evenly spaced, a column for each affected axis;
-[axis in the column of *.COM] = F(axis in whose column of *.CMA it stands). Entered is the error as measured, the
-control moves against it. One line of the .CMA table is active: two lines are two banks.
+[axis in the column of *.COM] = F(axis in whose column of *.CMA it is listed). The tables contain the measured error;
+the control moves against it. One line of the .CMA table is active: two lines are two banks.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ USUAL_NAMES = ("X", "Y", "Z")
 _DECIMALS = 4
 _NUMBER, _CELL = 5, 14
 
-LOST = (
+LOSSES = (
     "rotation and cross-effect: every column depends on one axis only, so the workspace's average is corrected",
     "steps of 0.1 µm",
 )
@@ -39,7 +39,7 @@ ACTIVE_BANK = FormatOption("cma_bank", OneOf(("A", "B")), "A", "HEIDENHAIN: acti
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """Three `.COM` files of the bank asked for, and `CONFIG.CMA` with that bank active."""
+    """Write three `.COM` files of the requested bank, and `CONFIG.CMA` with that bank active."""
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a .COM table")
     even_steps(table)
@@ -54,7 +54,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     def correction(axis_positions: Array) -> Array:
         return sum_of_cross_axis_profiles(written, axis_positions)
 
-    return ControllerExport(files, correction, LOST, {"bank": choices[ACTIVE_BANK]})
+    return ControllerExport(files, correction, LOSSES, {"bank": choices[ACTIVE_BANK]})
 
 
 def _stem(bank: str, name: str) -> str:

@@ -2,11 +2,11 @@
 
 Manual TF5280, "ISG CSV format": blocks separated by `#`, each with a header line of argument axes and parameter names,
 mm and rad; `//` begins a comment; several argument columns allow any dependency, here Y and Z for the cross-effect;
-interpolation GRID is linear on a grid. The parameters are errors, the kernel moves against them (P-VOLC-00009 `negate`
-turns that round).
+interpolation GRID is linear on a grid. The parameters are errors, and the kernel moves against them (P-VOLC-00009
+`negate` reverses that).
 
-Squareness, and the rigid motion of the table's anchor, are written as slopes of straightness: that means one thing
-only, while A0Z, B0Z, C0Y could turn what the axis carries, or not. They stand as zeros in the first block.
+Squareness, and the rigid motion of the table's anchor, are written as slopes of straightness, because their meaning is
+unambiguous; A0Z, B0Z, C0Y may or may not rotate the parts that the axis carries. They are zeros in the first block.
 """
 
 from __future__ import annotations
@@ -30,24 +30,27 @@ MOST_RECORDS = 100_000
 _MM_DECIMALS, _RAD_DECIMALS = 7, 10
 _CROSSED = ("EYZ", "EAZ")
 
-LOST = ("terms of second order, nanometres", "the misfit of the estimate, as in the table itself")
+LOSSES = ("terms of second order, nanometres", "the misfit of the estimate, as in the table itself")
 
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """`series[axis]` (6, n): EX, EY, EZ in mm, EA, EB, EC in rad at the nodes of each axis, those of EYZ and EAZ zero.
-    `crossed` (2, ny, nz): EYZ and EAZ over Y and Z."""
+    """Error motions at the nodes.
+
+    `series[axis]` (6, n): EX, EY, EZ in mm, EA, EB, EC in rad of each axis; EYZ and EAZ are zero there. `crossed` (2,
+    ny, nz): EYZ and EAZ over Y and Z.
+    """
 
     series: tuple[Array, Array, Array]
     crossed: Array
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """`volcomp.csv`, and `volcomp.lis` to be completed with the axis numbers."""
+    """Write `volcomp.csv`, and `volcomp.lis` to be completed with the axis numbers."""
     table, identified = source.table, source.estimate
     if identified is None:
-        hint = "Name it with --estimate, or the folder of the run with --table"
-        raise DataError("this format is written from error motions, so it needs the estimate", hint=hint)
+        hint = "Give it with --estimate, or the folder of the run with --table"
+        raise DataError("this format contains error motions, so it needs the estimate", hint=hint)
     records = 1 + sum(len(nodes) for nodes in table.nodes) + len(table.y) * len(table.z)
     if records > MOST_RECORDS:
         raise DataError(f"{records} records are more than {MOST_RECORDS}", hint="Thin the grid with --points")
@@ -57,7 +60,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
         return -_deviation(motions, identified.model, table, axis_positions)
 
     files = {"volcomp.csv": _csv(motions, table, choices.sign), "volcomp.lis": _list_file(identified.model)}
-    return ControllerExport(files, correction, LOST, {"max_records_at_least": records})
+    return ControllerExport(files, correction, LOSSES, {"max_records_at_least": records})
 
 
 def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
@@ -80,7 +83,9 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
 
 
 def _without_rigid_motion(motions: Motions, source: ExportSource) -> Motions:
-    """Less the motion that the table leaves by its anchor: then the kernel adds what the table adds."""
+    """Subtract the rigid motion that the table leaves because of its anchor, so that the kernel adds what the table
+    adds.
+    """
     (shift_x, shift_y, shift_z, turn_x, turn_y, turn_z), _ = rigid_difference(source)
     table = source.table
     from_x, from_y, from_z = (
@@ -108,7 +113,9 @@ def _rounded(motions: Motions) -> Motions:
 
 
 def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, axis_positions: Array) -> Array:
-    """(n, 3) mm to first order: each axis shifts by its displacements and turns what it carries."""
+    """Return the deviation (n, 3) mm to first order: each axis adds its displacements and rotates the parts it
+    carries.
+    """
     arm = np.repeat(table.tool_offset[None, :], len(axis_positions), axis=0)
     total = np.zeros_like(axis_positions)
     for letter in model.chain.axes:
@@ -125,7 +132,7 @@ def _deviation(motions: Motions, model: ErrorModel, table: CompensationTable, ax
 
 
 def _over_y_and_z(values: Array, table: CompensationTable, axis_positions: Array) -> Array:
-    """Bilinear (n,), held beyond the border."""
+    """Interpolate bilinearly (n,), constant beyond the border."""
     over_z = np.array([np.interp(axis_positions[:, 2], table.z, row) for row in values])
     inside = np.clip(axis_positions[:, 1], table.y[0], table.y[-1])
     cell = np.clip(np.searchsorted(table.y, inside, side="right") - 1, 0, len(table.y) - 2)

@@ -1,8 +1,8 @@
-"""LinuxCNC `COMP_FILE`, type 0: a file for each joint, three numbers a row, and nothing else.
+"""LinuxCNC `COMP_FILE`, type 0: one file per joint with three numbers per row.
 
 `nominal forward reverse`, nominals ascending. The motion module subtracts: trim = nominal - forward, and adds the trim
-to the motor's command (`usrmotLoadComp` in usrmotintf.cc, `compute_screw_comp` in control.c). The reader stops without
-a word at the first row that is not three numbers, so there is neither header nor comment.
+to the motor's command (`usrmotLoadComp` in usrmotintf.cc, `compute_screw_comp` in control.c). The reader stops silently
+at the first row that is not three numbers, so there is neither header nor comment.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from twin.machine.kinematic_chain import AXES
 MOST_ROWS = 256
 _DECIMALS = 7
 
-LOST = (
+LOSSES = (
     "straightness, squareness and rotation: a joint is corrected by its own position only",
     "the correction acts while the joint moves, and BACKLASH of the joint is ignored",
 )
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """`x.comp`, `y.comp`, `z.comp` and the lines for the INI file."""
+    """Write `x.comp`, `y.comp`, `z.comp` and the lines for the INI file."""
     table = source.table
     require_points(table, (MOST_ROWS, MOST_ROWS, MOST_ROWS), "a COMP_FILE")
     profiles = [
@@ -39,7 +39,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
         return sum_of_own_axis_profiles(profiles, axis_positions)
 
     return ControllerExport(
-        files, correction, LOST, {"rows_x": len(table.x), "rows_y": len(table.y), "rows_z": len(table.z)}
+        files, correction, LOSSES, {"rows_x": len(table.x), "rows_y": len(table.y), "rows_z": len(table.z)}
     )
 
 

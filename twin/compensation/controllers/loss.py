@@ -1,4 +1,4 @@
-"""What a controller's table leaves of the volumetric error: before, with the full table, with the reduced one."""
+"""Volumetric error without a table, with the full table and with the reduced table of a controller."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import QuadraticForm, VolumetricRms, evaluation_grid, rms, volumetric_error
 
 LARGEST_MISMATCH_MM = 3e-4
-"""Rms that table and estimate may differ by, but for a rigid motion, beside the rounding of the table."""
+"""Largest rms difference of table and estimate, up to a rigid motion, in addition to the rounding of the table."""
 
 
 @dataclass(frozen=True)
 class CompensationLoss:
-    """VE over the workspace. `estimated`: of the machine as estimated; otherwise of the machine that the table says.
+    """Volumetric error over the workspace.
 
-    `unknown_mm`: what the uncertainty of the parameters adds (rms, aligned) whatever the table; None without estimate.
+    `estimated`: True if it is that of the estimated machine, False if the machine is inferred from the table.
+    `unknown_mm`: contribution of the parameter uncertainty (rms, aligned), independent of the table; None without an
+    estimate.
     """
 
     before: VolumetricRms
@@ -33,13 +35,13 @@ class CompensationLoss:
 
     @property
     def retained_share(self) -> float:
-        """Of what the full table removes (aligned), how much the reduced one removes."""
+        """Share of the improvement of the full table (aligned) that the reduced table achieves."""
         removed = self.before.aligned_mm - self.full.aligned_mm
         return (self.before.aligned_mm - self.reduced.aligned_mm) / removed if removed > 0.0 else 1.0
 
 
 def compensation_loss(source: ExportSource, correction: Correction) -> CompensationLoss:
-    """VE without a table, with the whole one and with `correction`, on the grid of 60 x 20 x 20 points."""
+    """Compute the volumetric error without a table, with the full one and with `correction`, on 60 x 20 x 20 points."""
     table, identified = source.table, source.estimate
     grid = evaluation_grid(_ranges(table))
     tool_points = grid + table.tool_offset
@@ -57,9 +59,9 @@ def compensation_loss(source: ExportSource, correction: Correction) -> Compensat
 
 
 def largest_correction(table: CompensationTable, correction: Correction) -> tuple[Array, Array]:
-    """The node (3,) mm where most is added, and what is added there (3,) mm.
+    """Return the node (3,) mm with the largest correction, and the correction (3,) mm there.
 
-    Switching the compensation on must move the axes by that: it shows on the machine whether the sign is right.
+    Enabling the compensation must move the axes by that amount, which shows on the machine whether the sign is right.
     """
     nodes = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     added = correction(nodes)
@@ -68,17 +70,18 @@ def largest_correction(table: CompensationTable, correction: Correction) -> tupl
 
 
 def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> None:
-    """DataError where the table was not built from the estimate: another machine, tool, or night.
+    """Raise DataError if the table was not built from the estimate: another machine, tool or night.
 
-    `resolution_mm`: of the numbers that the table was kept in; rounding is half of it rms over three axes.
+    `resolution_mm`: resolution of the numbers in which the table was stored; rounding is half of it rms over three
+    axes.
     """
     identified, table = source.estimate, source.table
     if identified is None:
         return
-    hint = "Give table and estimate of one run: --table RUN_FOLDER takes both"
+    hint = "Give table and estimate of the same run: --table RUN_FOLDER reads both"
     for axis, nodes, (low, high) in zip("XYZ", table.nodes, identified.model.ranges_mm, strict=True):
         if nodes[0] < low - 1e-6 or nodes[-1] > high + 1e-6:
-            message = f"the table from {nodes[0]:g} to {nodes[-1]:g} mm leaves the range of the estimate's machine"
+            message = f"the table from {nodes[0]:g} to {nodes[-1]:g} mm exceeds the range of the estimate's machine"
             raise DataError(message, hint=hint, axis=axis)
     apart = rms(rigid_difference(source)[1])
     if apart > LARGEST_MISMATCH_MM + resolution_mm:
@@ -89,11 +92,16 @@ def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> No
 
 
 def rigid_difference(source: ExportSource) -> tuple[Array, Array]:
-    """The rigid motion (6,) of `rigid_fields` about the anchor that the estimated machine has left with the table, and
-    what else is left (n, 3) mm at the nodes."""
+    """Return the rigid motion (6,) and the residual (n, 3) mm at the nodes that the estimated machine keeps with the
+    table.
+
+    The motion is in terms of `rigid_fields` about the anchor.
+    """
     identified, table = source.estimate, source.table
     if identified is None:
-        raise DataError("a table alone does not say what the machine does", hint="Name the estimate with --estimate")
+        raise DataError(
+            "a table alone does not determine the errors of the machine", hint="Give the estimate with --estimate"
+        )
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     added = table.corrections.reshape(-1, 3)
     left = added + exact_deviation(identified.model, points + added, table.tool_offset, identified.parameters)

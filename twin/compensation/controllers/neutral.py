@@ -1,7 +1,7 @@
-"""One CSV file that explains itself: for controllers whose own form is not public, and for spreadsheets.
+"""One self-explanatory CSV file, for controllers whose own format is not public, and for spreadsheets.
 
-`x_mm,y_mm,z_mm,dx_um,dy_um,dz_um,extrapolated`: axis position, what is added to the command there, and 1 where the
-node lies outside the measured region. Full grid, x slowest, z fastest.
+`x_mm,y_mm,z_mm,dx_um,dy_um,dz_um,extrapolated`: axis position, correction added to the command there, and 1 if the node
+is outside the measured region. Full grid, x slowest, z fastest.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ COLUMNS = ("x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um", "extrapolated")
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """`compensation.csv`."""
+    """Write `compensation.csv`."""
     table = source.table
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     corrections = 1e3 * choices.sign * table.corrections.reshape(-1, 3)

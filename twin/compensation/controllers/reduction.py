@@ -1,8 +1,9 @@
-"""A table cut down to what a controller can say: a function of one axis, and products of two.
+"""Table reduced to the form a controller supports: functions of one axis, and products of two.
 
-Over an even grid a field falls into a mean, a main effect of each axis and an interaction of each pair, all orthogonal
-to each other (analysis of variance), so leaving some of them out is the best fit with those that stay. Small rigid
-motions of the workspace are means and main effects: what is best before a rigid alignment is best after it, too.
+Over an even grid a field decomposes into a mean, a main effect of each axis and an interaction of each pair, all
+orthogonal to each other (analysis of variance), so omitting some of them is the best fit with the others. Small rigid
+motions of the workspace are means and main effects: the best reduction before a rigid alignment is also the best after
+it.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from twin.compensation.table import CompensationTable
 from twin.machine.kinematic_chain import AXES
 
 LEAST_RMS_MM = 2e-5
-"""What a term must be worth over the workspace to be written."""
+"""Smallest rms contribution over the workspace for which a term is written."""
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Values (n,) at nodes (n,) of the axis numbered `axis`; linear in between, held beyond the ends."""
+    """Values (n,) at nodes (n,) of the axis numbered `axis`; linear in between, constant beyond the ends."""
 
     axis: int
     nodes: Array
@@ -36,7 +37,7 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Added to the axis numbered `output`: one profile in mm, or one in mm times a second that is at most 1."""
+    """Term added to the axis numbered `output`: one profile in mm, or one in mm times a factor of at most 1."""
 
     output: int
     profile: Profile
@@ -53,13 +54,18 @@ class Term:
 
 
 def own_axis_profiles(table: CompensationTable, reference: Array) -> tuple[Profile, Profile, Profile]:
-    """For each axis what it needs along itself, averaged over the others; zero at the reference point (3,)."""
+    """Return for each axis its correction as a function of its own position, averaged over the other axes.
+
+    It is zero at the reference point (3,).
+    """
     x, y, z = (_zeroed(_main_effect(table, axis, axis), reference) for axis in range(3))
     return x, y, z
 
 
 def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tuple[Profile, ...], ...]:
-    """`[input][output]`: what every axis needs along every axis; all zero at the reference point (3,)."""
+    """Return `[input][output]`: the correction of every axis as a function of every axis; zero at the reference point
+    (3,).
+    """
     return tuple(
         tuple(_zeroed(_main_effect(table, source, output), reference) for output in range(3)) for source in range(3)
     )
@@ -68,11 +74,11 @@ def cross_axis_profiles(table: CompensationTable, reference: Array) -> tuple[tup
 def select_terms(
     table: CompensationTable, most_tables: int, reference: Array, *, products: bool = True
 ) -> tuple[Term, ...]:
-    """Main effects and products of the interactions, those first that remove most for each table they take.
+    """Select main effects and products of interactions, in order of the error they remove per table they need.
 
-    What is worth less than `LEAST_RMS_MM` is left out, and what no longer fits into `most_tables`. Interactions are cut
-    into products by singular values: no other products of so many leave less. All terms together are zero at the
-    reference point (3,) on every axis that a main effect moves.
+    Terms below `LEAST_RMS_MM` are omitted, as are those that no longer fit into `most_tables`. Interactions are
+    decomposed into products by singular values; no other products of the same number leave less. The sum of all terms
+    is zero at the reference point (3,) on every axis that has a main effect.
     """
     found = [_as_term(_main_effect(table, source, output), output) for source in range(3) for output in range(3)]
     if products:
@@ -87,7 +93,7 @@ def select_terms(
 
 
 def sum_of_terms(kept: tuple[Term, ...], axis_positions: Array) -> Array:
-    """(n, 3) mm of all terms at axis positions (n, 3)."""
+    """Return the sum (n, 3) mm of all terms at axis positions (n, 3)."""
     total = np.zeros_like(axis_positions)
     for term in kept:
         total[:, term.output] += term.at(axis_positions)
@@ -95,7 +101,7 @@ def sum_of_terms(kept: tuple[Term, ...], axis_positions: Array) -> Array:
 
 
 def sum_of_own_axis_profiles(profiles: Sequence[Profile], axis_positions: Array) -> Array:
-    """(n, 3) mm of `own_axis_profiles` profiles at axis positions (n, 3)."""
+    """Return the sum (n, 3) mm of own-axis profiles at axis positions (n, 3)."""
     total = np.zeros_like(axis_positions)
     for profile in profiles:
         total[:, profile.axis] += profile.at(axis_positions)
@@ -103,7 +109,7 @@ def sum_of_own_axis_profiles(profiles: Sequence[Profile], axis_positions: Array)
 
 
 def sum_of_cross_axis_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_positions: Array) -> Array:
-    """(n, 3) mm of `cross_axis_profiles` profiles at axis positions (n, 3)."""
+    """Return the sum (n, 3) mm of cross-axis profiles at axis positions (n, 3)."""
     total = np.zeros_like(axis_positions)
     for row in by_input:
         for output, profile in enumerate(row):
@@ -112,17 +118,17 @@ def sum_of_cross_axis_profiles(by_input: tuple[tuple[Profile, ...], ...], axis_p
 
 
 def describe_term(first: int, second: int | None, output: int) -> str:
-    """`Y by Z` or `Y by Y·Z`: which axis is moved by the position of which."""
+    """Return `Y by Z` or `Y by Y·Z`: the compensated axis and the axes whose positions it depends on."""
     inputs = AXES[first] if second is None else f"{AXES[first]}·{AXES[second]}"
     return f"{AXES[output]} by {inputs}"
 
 
 def _zero_at(kept: tuple[Term, ...], reference: Array) -> tuple[Term, ...]:
-    """The first main effect of every axis takes up what all its terms are at the reference point."""
-    there, done, result = sum_of_terms(kept, reference[None, :])[0], set(), []
+    """Shift the first main effect of every axis so that the sum of its terms is zero at the reference point."""
+    there, shifted_axes, result = sum_of_terms(kept, reference[None, :])[0], set(), []
     for term in kept:
-        if term.factor is None and term.output not in done:
-            done.add(term.output)
+        if term.factor is None and term.output not in shifted_axes:
+            shifted_axes.add(term.output)
             shifted = replace(term.profile, values=term.profile.values - there[term.output])
             result.append(replace(term, profile=shifted))
         else:
@@ -145,6 +151,7 @@ def _products(table: CompensationTable, first: int, second: int, output: int) ->
     third = 3 - first - second
     plane = field.mean(axis=third) - field.mean()
     plane = plane - plane.mean(axis=0, keepdims=True) - plane.mean(axis=1, keepdims=True)
+    # interaction = plane minus its main effects; its singular triplets are the best products f(first) g(second)
     left, sizes, right = np.linalg.svd(plane, full_matrices=False)
     found = []
     for size, one, other in zip(sizes.tolist(), left.T, right, strict=True):
@@ -160,5 +167,5 @@ def _zeroed(profile: Profile, reference: Array) -> Profile:
 
 
 def round_profile(profile: Profile, decimals: int) -> Profile:
-    """As it stands in the file; never -0."""
+    """Round the profile as written in the file; never -0."""
     return replace(profile, values=np.round(profile.values, decimals) + 0.0)

@@ -1,9 +1,9 @@
 """SINUMERIK sag and angularity error compensation (CEC): `$AN_CEC`, with multiplied tables.
 
-Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The values of all tables of an output axis are added
-up; a table that names another in `$AN_CEC_MULT_BY_TABLE` (its index + 1) gives the product of both. The compensation
-value is measured minus wanted position (4.4.1), the axis moves against it. Tables that are only factors are not enabled
-by themselves (SD41300).
+Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.3. The values of all tables of an output axis are added;
+a table that names another in `$AN_CEC_MULT_BY_TABLE` (its index + 1) gives the product of both. The compensation value
+is measured minus desired position (4.4.1), and the axis moves against it. Tables that are only factors are not enabled
+themselves (SD41300).
 """
 
 from __future__ import annotations
@@ -36,25 +36,27 @@ from twin.errors import DataError
 MOST_POINTS = 2000
 _FACTOR_DECIMALS = 9
 
-LOST = ("what depends on all three axes at once, and what is worth less than 0.02 µm or found no table",)
+LOSSES = ("terms that depend on all three axes, are worth less than 0.02 µm or do not fit into the tables",)
 
 FIRST_TABLE = FormatOption("first_table", WholeNumber(0), 0, "Siemens CEC: index of the first table.")
-MOST_TABLES = FormatOption("tables", WholeNumber(1), 62, "Siemens CEC: so many at most [default: 62].")
-NO_PRODUCTS = FormatOption("no_products", Switch(), False, "Siemens CEC: no factors.")
+MOST_TABLES = FormatOption("tables", WholeNumber(1), 62, "Siemens CEC: maximum number of tables [default: 62].")
+NO_PRODUCTS = FormatOption("no_products", Switch(), False, "Siemens CEC: no multiplied tables.")
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """One INI file with all tables, and a part program that enables those that act by themselves."""
+    """Write one INI file with all tables, and a part program that enables those that are not mere factors."""
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD18342")
     if choices[MOST_TABLES] < 1:
-        raise DataError("no table is allowed", hint="Say with --tables how many the controller has")
+        raise DataError("no table is allowed", hint="State with --tables how many the controller has")
     steps = even_steps(table)
     reference = reference_point(table, choices[REFERENCE_MM])
     chosen = select_terms(table, choices[MOST_TABLES], reference, products=not choices[NO_PRODUCTS])
     kept = tuple(_as_written(one) for one in chosen)
     if not kept:
-        raise DataError("the table corrects less than this format would carry", hint="There is nothing to compensate")
+        raise DataError(
+            "the corrections are smaller than this format represents", hint="There is nothing to compensate"
+        )
 
     def correction(axis_positions: Array) -> Array:
         return sum_of_terms(kept, axis_positions)
@@ -62,7 +64,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     used = sum(term.tables for term in kept)
     facts = {"tables": used, "MD18342_at_least": max(table.corrections.shape[:3]), "written": _written(kept)}
     files = {"NC_CEC.INI": _ini(kept, names, steps, choices), "CEC_ENABLE.SPF": _enabling(kept, choices[FIRST_TABLE])}
-    return ControllerExport(files, correction, LOST, facts)
+    return ControllerExport(files, correction, LOSSES, facts)
 
 
 def _as_written(term: Term) -> Term:
@@ -71,7 +73,7 @@ def _as_written(term: Term) -> Term:
 
 
 def _written(kept: tuple[Term, ...]) -> str:
-    """The most valuable first."""
+    """Describe the written terms, the most valuable first."""
     return ", ".join(
         describe_term(term.profile.axis, None if term.factor is None else term.factor.axis, term.output)
         for term in kept

@@ -1,8 +1,8 @@
 """SINUMERIK leadscrew and measuring system error compensation (LEC, MSEC): `$AA_ENC_COMP`.
 
 Function Manual Extended Functions K3, 6FC5397-1BP40-3BA1, 4.4.2: a positive value makes the axis move in the negative
-direction, linear in between, constant beyond the ends, zero at the reference point; loading only while
-MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS says how many points there can be.
+direction, linear in between, constant beyond the ends, zero at the reference point; loading is possible only while
+MD32700 $MA_ENC_COMP_ENABLE is 0; MD38000 $MA_MM_ENC_COMP_MAX_POINTS gives the number of points.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ USUAL_NAMES = ("X1", "Y1", "Z1")
 MOST_POINTS = 5000
 DECIMALS = 6
 
-LOST = ("straightness, squareness and rotation: an axis is corrected by its own position only",)
+LOSSES = ("straightness, squareness and rotation: an axis is corrected by its own position only",)
 
 ENCODER = FormatOption("encoder", WholeNumber(0, 1), 0, "Siemens LEC: measuring system, 0 or 1.")
 
 
 def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
-    """An INI file for each axis."""
+    """Write one INI file per axis."""
     table, names = source.table, choices[AXIS_NAMES] or USUAL_NAMES
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "MD38000")
     steps = even_steps(table)
@@ -46,7 +46,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     def correction(axis_positions: Array) -> Array:
         return sum_of_own_axis_profiles(profiles, axis_positions)
 
-    return ControllerExport(files, correction, LOST, facts)
+    return ControllerExport(files, correction, LOSSES, facts)
 
 
 def _ini(name: str, profile: Profile, step: float, choices: ExportOptions) -> str:
@@ -70,7 +70,7 @@ def _ini(name: str, profile: Profile, step: float, choices: ExportOptions) -> st
 
 
 def number(value: float) -> str:
-    """A position with as many digits as it needs, and a point, so that it is read as REAL."""
+    """Format a position with the digits it needs and a decimal point, so that it is read as REAL."""
     text = f"{value:.12g}"
     return text if "." in text or "e" in text else f"{text}.0"
 

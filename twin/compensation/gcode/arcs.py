@@ -1,4 +1,4 @@
-"""Circular and helical arcs (G2, G3) in the three planes, from their centre or their radius."""
+"""Circular and helical arcs (G2, G3) in the three planes, given by their centre or their radius."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ PLANE_AXES: dict[int, Axes] = {170: (0, 1, 2), 180: (2, 0, 1), 190: (1, 2, 0)}
 CENTRE_LETTERS = "IJK"
 
 _SAME_POINT_MM = 1e-6
-_RADIUS_SURE_MM = 0.005  # these three as in Grbl 1.1 (its error 33)
+_RADIUS_SURE_MM = 0.005  # these three limits as in Grbl 1.1 (its error 33)
 _RADIUS_SHARE = 1e-3
 _RADIUS_LARGEST_MM = 0.5
-_NO_TURN_RAD = 5e-7  # less is a whole circle, also as in Grbl
+_NO_TURN_RAD = 5e-7  # a smaller angle means a full circle, also as in Grbl
 _MOST_TURNS = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """`axes`: first, second, normal axis. `centre` in the first two, mm; angles in rad, `sweep` signed, turns included.
+    """Arc of a block.
 
-    The radius goes evenly from `radius` to `end_radius`: programs are rounded, so the two differ by a µm or so.
+    `axes`: first, second, normal axis. `centre` in the first two, mm; angles in rad, `sweep` signed, full turns
+    included. The radius changes linearly from `radius` to `end_radius`: programs are rounded, so the two differ by a µm
+    or so.
     """
 
     axes: Axes
@@ -51,10 +53,10 @@ def read_arc(
     unit_mm: float,
     centre_origin: Sequence[float] | None,
 ) -> Arc:
-    """The arc from `start` to `end` (mm, axis positions) of a block in which G2 or G3 acts.
+    """Return the arc from `start` to `end` (mm, axis positions) of a block with G2 or G3 in effect.
 
-    `centre_origin`: axis position of the program's zero where centres are absolute (G90.1); None where they count
-    from the start (G91.1). FormatError for what is no arc.
+    `centre_origin`: axis position of the program's zero if centres are absolute (G90.1); None if they are relative to
+    the start (G91.1). FormatError if the block does not describe an arc.
     """
     a, b, normal = axes
     if CENTRE_LETTERS[normal] in block.values:
@@ -74,7 +76,7 @@ def read_arc(
 
 
 def arc_points(arcs: Sequence[Arc], which: np.ndarray, share: Array, starts: Array, ends: Array) -> Array:
-    """Axis positions (n, 3) at the `share` (n,) of the way along the arc number `which` (n,) of `arcs`.
+    """Return axis positions (n, 3) at the fraction `share` (n,) of the arc number `which` (n,) of `arcs`.
 
     `starts`, `ends` (m, 3) of the arcs; only their component along the normal is used.
     """
@@ -110,22 +112,24 @@ def _centre_by_offsets(
 def _centre_by_radius(
     block: Block, start: Sequence[float], end: Sequence[float], axes: Axes, clockwise: bool, unit_mm: float
 ) -> tuple[float, float]:
-    """The centre on the left of the way where the turn is to the left; a negative R asks for more than half a turn."""
+    """Return the centre from the radius: left of the chord for a left turn; a negative R means more than half
+    a turn.
+    """
     if any(letter in block.values for letter in CENTRE_LETTERS):
         block.refuse("an arc has a centre or a radius, not both")
     a, b, _ = axes
     radius = block.values["R"] * unit_mm
-    way = (end[a] - start[a], end[b] - start[b])
-    chord = math.hypot(*way)
+    along = (end[a] - start[a], end[b] - start[b])
+    chord = math.hypot(*along)
     if chord <= _SAME_POINT_MM:
-        block.refuse("an arc by its radius cannot end where it begins", "Give its centre")
+        block.refuse("an arc given by its radius cannot end where it begins", "Give its centre")
     if 0.5 * chord > abs(radius) + _RADIUS_SURE_MM:
         block.refuse(f"the radius {abs(radius):g} mm does not reach the end, {chord:g} mm away")
     height = math.sqrt(max(radius * radius - 0.25 * chord * chord, 0.0))
     left = height if clockwise == (radius < 0.0) else -height
     return (
-        0.5 * (start[a] + end[a]) - left * way[1] / chord,
-        0.5 * (start[b] + end[b]) + left * way[0] / chord,
+        0.5 * (start[a] + end[a]) - left * along[1] / chord,
+        0.5 * (start[b] + end[b]) + left * along[0] / chord,
     )
 
 
@@ -134,19 +138,19 @@ def _check_radii(block: Block, radius: float, end_radius: float) -> None:
         block.refuse("the arc has the radius 0")
     difference = abs(radius - end_radius)
     if difference > _RADIUS_LARGEST_MM or difference > max(_RADIUS_SURE_MM, _RADIUS_SHARE * radius):
-        block.refuse(f"the end of the arc lies {difference:.4f} mm off its circle", "Check I, J, K and G90.1 or G91.1")
+        block.refuse(f"the end of the arc is {difference:.4f} mm off its circle", "Check I, J, K and G90.1 or G91.1")
 
 
 def _directed(turn: float, clockwise: bool) -> float:
-    """The turn in the direction asked for, more than none and at most a whole one."""
+    """Return the angle in the requested direction, more than zero and at most a full turn."""
     if clockwise:
         return turn if turn < -_NO_TURN_RAD else turn - math.tau
     return turn if turn > _NO_TURN_RAD else turn + math.tau
 
 
 def _more_turns(block: Block, clockwise: bool) -> float:
-    """P of an arc counts its turns, the last one whole or not."""
+    """Return the additional full turns: P of an arc is its number of turns, the last one possibly partial."""
     turns = block.values.get("P", 1.0)
     if not (turns.is_integer() and 1.0 <= turns <= _MOST_TURNS):
-        block.refuse(f"P of an arc counts its turns: a whole number from 1 to {_MOST_TURNS}, not {turns:g}")
+        block.refuse(f"P of an arc is its number of turns: an integer from 1 to {_MOST_TURNS}, not {turns:g}")
     return (turns - 1.0) * (-math.tau if clockwise else math.tau)

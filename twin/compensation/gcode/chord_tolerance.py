@@ -1,16 +1,16 @@
-"""How far apart points on a corrected path may be, so that straight lines between them stay close to it.
+"""Largest spacing of points on a corrected path at which straight lines between them stay within a tolerance.
 
 The corrected path is P(s) = M(s) + c(M(s)) with M a line or an arc by its length s and c trilinear in cells. For any
-function f that is zero at both ends of a stretch of length h, |f| <= h/4 times the total variation of f' (the Green's
+function f that is zero at both ends of an interval of length h, |f| <= h/4 times the total variation of f' (the Green's
 function of the string is at most h/4). P' varies
 
 - by |d_i| K_i where a node plane of axis i is crossed, K_i the largest jump of the slope of c along axis i,
-- by 2 (|d_y d_z| Q_yz + |d_x d_z| Q_xz + |d_x d_y| Q_xy) a mm inside a cell, Q the largest mixed second derivatives,
-- by k (1 + G) a mm on an arc of curvature k, G the largest slope of c; a smooth arc alone deviates by k h²/8 only.
+- by 2 (|d_y d_z| Q_yz + |d_x d_z| Q_xz + |d_x d_y| Q_xy) per mm inside a cell, Q the largest mixed second derivatives,
+- by k (1 + G) per mm on an arc of curvature k, G the largest slope of c; a smooth arc alone deviates only by k h²/8.
 
-Planes of an axis are at least a cell apart, so a stretch crosses at most 1 + h |d_i| / cell_i of them (an arc, that
-may turn round within the stretch: 2 + ...). That makes a quadratic in h. The bound is global, so it is never too
-large a step, and often too small a one.
+Planes of an axis are at least a cell apart, so an interval crosses at most 1 + h |d_i| / cell_i of them (2 + ... for an
+arc, which may reverse within the interval). That gives a quadratic in h. The bound is global: the step is never too
+large, but often smaller than necessary.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ _OTHERS = ((1, 2), (0, 2), (0, 1))
 
 @dataclass(frozen=True, eq=False)
 class TableCurvature:
-    """`kinks` (3,) mm/mm; `mixed` (3,) 1/mm: yz, xz, xy; `gradient` mm/mm; `cells` (3,) mm: the smallest of each axis.
+    """Bounds on the slope changes of a table's corrections.
 
+    `kinks` (3,) mm/mm; `mixed` (3,) 1/mm: yz, xz, xy; `gradient` mm/mm; `cells` (3,) mm: the smallest of each axis.
     `planes`: those of each axis at which the slope of the correction jumps.
     """
 
@@ -41,7 +42,11 @@ class TableCurvature:
 
     @classmethod
     def of(cls, table: CompensationTable, *, beyond: bool) -> TableCurvature:
-        """Of a table. `beyond`: paths may leave its volume, where it is held constant: the slope jumps to zero."""
+        """Return the bounds of a table.
+
+        `beyond`: paths may leave its volume, where the correction is constant, so the slope jumps to zero at the
+        border.
+        """
         slopes = [_slopes(table.corrections, nodes, axis) for axis, nodes in enumerate(table.nodes)]
         acting = [_with_border(slope, axis) if beyond else slope for axis, slope in enumerate(slopes)]
         kinks = [_largest(np.diff(slope, axis=axis)) for axis, slope in enumerate(acting)]
@@ -55,7 +60,9 @@ class TableCurvature:
         )
 
     def line_pieces(self, starts: Array, ends: Array, limit_mm: float) -> NDArray[np.int64]:
-        """Into how many equal pieces (n,) each line from `starts` to `ends` (n, 3) is to be cut."""
+        """Return the number of equal pieces (n,) into which each line from `starts` to `ends` (n, 3) has to be
+        divided.
+        """
         way = ends - starts
         length = np.sqrt((way * way).sum(axis=1))
         direction = np.abs(way) / np.maximum(length, 1e-12)[:, None]
@@ -67,7 +74,8 @@ class TableCurvature:
     def arc_pieces(
         self, lower: Array, upper: Array, length: Array, curvature: Array, sweep: Array, limit_mm: float
     ) -> NDArray[np.int64]:
-        """The same of arcs: each inside the box `lower` to `upper` (n, 3), by helix length, largest curvature, sweep.
+        """Return the number of pieces of arcs: each in the box `lower` to `upper` (n, 3), by helix length, largest
+        curvature, sweep.
 
         A piece is never more than a quarter of a turn.
         """
@@ -78,7 +86,7 @@ class TableCurvature:
         return np.maximum(pieces, np.ceil(np.abs(sweep) / (0.5 * np.pi) - 1e-9).astype(np.int64))
 
     def _crossed(self, lower: Array, upper: Array) -> NDArray[np.bool_]:
-        """(n, 3): whether a box touches a plane of each axis."""
+        """Return (n, 3) bool: does a box touch a plane of each axis?"""
         found = [
             np.searchsorted(nodes, lower[:, k], side="left") < np.searchsorted(nodes, upper[:, k], side="right")
             for k, nodes in enumerate(self.planes)
@@ -87,7 +95,10 @@ class TableCurvature:
 
 
 def _pieces(length: Array, jump: Array, rate: Array, limit_mm: float) -> NDArray[np.int64]:
-    """Pieces of h with h/4 (jump + rate h) <= limit; the stable root of the quadratic, no division by zero."""
+    """Return the number of pieces of length h with h/4 (jump + rate h) <= limit.
+
+    It uses the numerically stable root of the quadratic, without division by zero.
+    """
     root = jump + np.sqrt(jump * jump + 16.0 * rate * limit_mm)
     return np.maximum(np.ceil(length * root / (8.0 * limit_mm) - 1e-9), 1.0).astype(np.int64)
 

@@ -1,7 +1,7 @@
-"""Which G and M codes are understood, which are passed on, and why the others are refused.
+"""G and M codes that are interpreted, those that are passed on, and the reasons for refusing the others.
 
-All numbers are ten times that of the word. Meanings as in RS-274/NGC (NISTIR 6556), LinuxCNC and Grbl 1.1; what these
-and Fanuc-like controllers read differently is refused.
+All numbers are ten times that of the word. Meanings as in RS-274/NGC (NISTIR 6556), LinuxCNC and Grbl 1.1; codes that
+these and Fanuc-like controllers interpret differently are refused.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ _GROUPS: dict[str, tuple[int, ...]] = {
 }
 GROUP_OF = {code: name for name, codes in _GROUPS.items() for code in codes}
 
-_OFFSETS = "it changes coordinates that the controller keeps to itself"
-_CUTTER = "cutter compensation shifts the path by a radius that only the controller has"
-_CYCLE = "a canned cycle moves the axes by itself"
-_PROBING = "the end of a probing move is not known beforehand"
-_TURNED = "coordinates would be scaled, mirrored, turned or polar"
+_OFFSETS = "it changes coordinates that only the controller knows"
+_CUTTER = "cutter compensation shifts the path by a radius that only the controller knows"
+_CYCLE = "a canned cycle contains moves that are not in the program"
+_PROBING = "the end of a probing move is not known in advance"
+_TURNED = "coordinates would be scaled, mirrored, rotated or polar"
 _LATHE = "it belongs to a lathe"
 REASONS: dict[int, str] = {
-    50: "a spline is not computed here",
-    51: "a spline is not computed here, or it is a high-speed mode",
-    52: "a spline is not computed here",
-    53: "a spline is not computed here",
+    50: "splines are not supported",
+    51: "splines are not supported, and it may be a high-speed mode",
+    52: "splines are not supported",
+    53: "splines are not supported",
     70: _LATHE,
     100: _OFFSETS,
     160: _TURNED,
-    281: "it stores a reference point that is not known beforehand",
-    301: "it stores a reference point that is not known beforehand",
+    281: "it stores a reference point that is not known in advance",
+    301: "it stores a reference point that is not known in advance",
     310: _PROBING,
     330: _LATHE,
-    331: "rigid tapping is timed by the spindle",
+    331: "rigid tapping is synchronised with the spindle",
     **dict.fromkeys((380, 382, 383, 384, 385), _PROBING),
     **dict.fromkeys((410, 411, 420, 421), _CUTTER),
     432: "it adds tool lengths",
@@ -59,25 +59,25 @@ REASONS: dict[int, str] = {
     520: _OFFSETS,
     541: _OFFSETS,
     680: _TURNED,
-    **dict.fromkeys((650, 660, 670), "macros and subprograms are not followed"),
+    **dict.fromkeys((650, 660, 670), "macros and subprograms are not supported"),
     **dict.fromkeys((730, 740, 760, 810, 820, 830, 840, 850, 860, 870, 880, 890), _CYCLE),
 }
 HINTS: dict[str, str] = {
-    _CUTTER: "Have the post-processor write the path of the tool's centre",
-    _CYCLE: "Have the post-processor write single moves",
+    _CUTTER: "Set the post-processor to write the path of the tool centre",
+    _CYCLE: "Set the post-processor to write single moves",
     _OFFSETS: "Set the offsets before the program and give them to this command",
 }
 
 TOOL_CHANGE = 60
 TOOL_NAMED = 610
-"""Says which tool is in the spindle (M61)."""
+"""M61, which sets the number of the tool in the spindle."""
 
 PROGRAM_END = (20, 300)
 STOPS = frozenset((0, 10, 600, *PROGRAM_END))
-"""M codes that act after the motion of their block, on every controller."""
+"""M codes that take effect after the motion of their block, on every controller."""
 
 FIRST = frozenset((30, 40, 70, 80))
-"""M codes that act before or with the motion: spindle and coolant on."""
+"""M codes that take effect before or with the motion: spindle and coolant on."""
 
 _CALLS = frozenset((960, 970, 980, 990))
 _STATES = frozenset((700, 710, 720, 730))
@@ -85,7 +85,7 @@ _ROTARY = frozenset("ABCUVW")
 
 
 def check_codes(block: Block, kept_g: frozenset[int]) -> None:
-    """Refuse a block with a G or M code that cannot be followed, or with two of a kind."""
+    """Refuse a block with a G or M code that cannot be interpreted, or with two codes of one group."""
     seen: set[str] = set()
     for code in block.g:
         group = GROUP_OF.get(code)
@@ -98,19 +98,19 @@ def check_codes(block: Block, kept_g: frozenset[int]) -> None:
             seen.add(group)
     for code in block.m:
         if code in _CALLS:
-            block.refuse("subprograms are not followed", "Have the post-processor write one program")
+            block.refuse("subprograms are not supported", "Set the post-processor to write a single program")
         if code in _STATES:
-            block.refuse(f"M{code // 10} saves or restores what is in effect, on some controllers")
+            block.refuse(f"M{code // 10} saves or restores modal states on some controllers")
 
 
 def check_letters(block: Block) -> None:
-    """Refuse words of axes that the table has not, and O-words."""
+    """Refuse words of axes that the table does not have, and O-words."""
     values = block.values
     if "O" in values:
-        block.refuse("an O-word begins or calls a subprogram", "Have the post-processor write one program")
+        block.refuse("an O-word begins or calls a subprogram", "Set the post-processor to write a single program")
     rotary = _ROTARY.intersection(values)
     if rotary and not (40 in block.g and rotary == {"U"}):
-        block.refuse(f"the table does not know an axis {min(rotary)}", "Only X, Y and Z can be corrected")
+        block.refuse(f"the table has no axis {min(rotary)}", "Only X, Y and Z can be corrected")
 
 
 def _refuse_code(block: Block, code: int) -> None:
@@ -120,5 +120,5 @@ def _refuse_code(block: Block, code: int) -> None:
     reason = REASONS.get(code)
     if reason is None:
         hint = f"If it neither moves the axes nor changes coordinates: --keep {name}"
-        block.refuse(f"{name} is not known here", hint)
+        block.refuse(f"{name} is not supported", hint)
     block.refuse(f"{name} cannot be corrected, {reason}", HINTS.get(reason, ""))

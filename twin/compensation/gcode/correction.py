@@ -1,4 +1,4 @@
-"""A part program corrected, line by line, in memory that does not grow with it."""
+"""Correction of a part program line by line, with memory use independent of its length."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def correct_program(
     *,
     name: str = "",
 ) -> CorrectionSummary:
-    """Give the corrected program to `emit`, some thousand lines at a time; what was done.
+    """Pass the corrected program to `emit`, some thousand lines at a time, and return a summary.
 
-    `lines` with their ends, of which the first decides how lines are ended. `name` of the table stands in the comment
-    that marks the program as corrected; without a name there is no mark. Raises FormatError with the line for what
-    cannot be corrected: what was given to `emit` until then is worth nothing.
+    `lines` include their line ends; the first decides the line end of the output. `name` of the table is written in the
+    comment that marks the program as corrected; without a name there is no mark. Raises FormatError with the line that
+    cannot be corrected; the output passed to `emit` until then must be discarded.
     """
     unit_mm = ModalState(setup).unit_mm
     writer = ProgramWriter(table, options, setup.start or UNKNOWN, unit_mm, emit)

@@ -1,4 +1,4 @@
-"""What was done with a program, to be told to whoever is to run it."""
+"""Summary of a corrected program, for the person who runs it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class CorrectionSummary:
-    """`moves` were corrected, `divided` of them written as several lines, `arcs` as straight ones.
+    """Counts of a corrected program.
 
-    `not_corrected`: rapid moves before all three axes had a known position. `outside`: points beyond the table's
-    volume, `held`: points where the correction would have left it, both with the largest amount. `extrapolated`:
-    points in cells of which the table says that nothing was measured there.
+    `moves` were corrected, `divided` of them written as several lines, `arcs` as straight ones. `not_corrected`: rapid
+    moves before all three axes had a known position. `outside`: points beyond the table's volume, `held`: points at
+    which the correction would have left it, both with the largest amount. `extrapolated`: points in cells with nodes
+    outside the measured region.
     """
 
     lines: int = 0

@@ -1,4 +1,4 @@
-"""Blocks that use axis words for something else than a plain move: G92, G28, G30, G43.1, and moves from nowhere."""
+"""Blocks with axis words that are not plain moves: G92, G28, G30, G43.1, and moves from an unknown position."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from twin.compensation.gcode.setup import NO_OFFSET, Triple
 from twin.compensation.gcode.words import Block
 from twin.compensation.gcode.writer import ProgramWriter
 
-_NO_POSITION = "where it then stands is not known"
-_START = "Say where the axes stand at the beginning: --start X,Y,Z"
+_NO_POSITION = "its position at that point is not known"
+_START = "Give the position of the axes at the beginning: --start X,Y,Z"
 
 
 def axes_in_block(block: Block) -> list[int]:
-    """Places of the axes that the block names."""
+    """Return the indices of the axes named in the block."""
     return [axis for axis, letter in enumerate(AXIS_LETTERS) if letter in block.values]
 
 
 def program_zero(block: Block, modal: ModalState) -> Triple:
-    """Axis position of the program's zero. FormatError where the work offset is not known."""
+    """Return the axis position of the program's zero. FormatError if the work offset is not known."""
     if modal.offset is None:
         name = modal.system
         block.refuse(f"the work offset {name} is not known", f"Give it: --work-offset {name}=X,Y,Z")
@@ -28,7 +28,7 @@ def program_zero(block: Block, modal: ModalState) -> Triple:
 
 
 def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
-    """Axis position that the block names; axes that it does not name stay where they are meant to be."""
+    """Return the axis position given by the block; axes that are not named keep their programmed position."""
     values, unit, position = block.values, modal.unit_mm, modal.position
     if machine:
         base: Triple | list[float] = NO_OFFSET
@@ -43,17 +43,17 @@ def target_position(block: Block, modal: ModalState, machine: bool) -> Triple:
 
 
 def set_datum(block: Block, code: int, modal: ModalState, writer: ProgramWriter) -> None:
-    """G92 and its relatives.
+    """Handle G92 and its variants.
 
-    G92 says that the present position shall have a name. The controller stands at the corrected one, so it is told
-    that name with the correction added: its offset is then the one that the program means.
+    G92 assigns given coordinates to the present position. The controller is at the corrected position, so the
+    correction is added to the coordinates; its offset is then the one the program intends.
     """
     writer.flush()
     if code == 920:
         _set_zero(block, modal, writer)
     elif code == 923:
         if modal.g92_saved is None:
-            block.refuse("the G92 offset to come back to was not set in this program")
+            block.refuse("the G92 offset to be restored was not set in this program")
         modal.g92, modal.g92_written = modal.g92_saved
         writer.write_unchanged(block.text)
     else:
@@ -68,25 +68,25 @@ def _set_zero(block: Block, modal: ModalState, writer: ProgramWriter) -> None:
     if not axes:
         block.refuse("G92 needs an axis word")
     origin = program_zero(block, modal)
-    meant, written, texts = list(modal.g92), list(modal.g92_written), {}
+    intended, written, texts = list(modal.g92), list(modal.g92_written), {}
     for axis in axes:
         if math.isnan(modal.position[axis]):
-            block.refuse(f"G92 names a position of {AXIS_LETTERS[axis]}, and {_NO_POSITION}", _START)
-        name_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
+            block.refuse(f"G92 sets coordinates of {AXIS_LETTERS[axis]}, but {_NO_POSITION}", _START)
+        value_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
         difference = writer.position[axis] - modal.position[axis]
-        texts[axis] = f"{(name_mm + difference) / modal.unit_mm:.{writer.decimals}f}"
+        texts[axis] = f"{(value_mm + difference) / modal.unit_mm:.{writer.decimals}f}"
         without = origin[axis] - modal.g92[axis]
-        meant[axis] = modal.position[axis] - name_mm - without
+        intended[axis] = modal.position[axis] - value_mm - without
         written[axis] = writer.position[axis] - float(texts[axis]) * modal.unit_mm - without
-    modal.g92, modal.g92_written = _triple(meant), _triple(written)
+    modal.g92, modal.g92_written = _triple(intended), _triple(written)
     modal.g92_saved = (modal.g92, modal.g92_written)
     writer.write_unchanged(replace_axis_words(block, texts))
 
 
 def go_to_reference(block: Block, name: str, modal: ModalState, writer: ProgramWriter) -> None:
-    """G28 or G30: through a corrected point in between, then to where the controller itself knows.
+    """Handle G28 or G30: move through a corrected intermediate point, then to the controller's stored reference point.
 
-    There the axes are not corrected. Which axes move is said by the axis words; all, where there are none.
+    At the reference point the axes are not corrected. The axis words select the axes that move; without any, all move.
     """
     writer.flush()
     axes = axes_in_block(block)
@@ -110,7 +110,7 @@ def _through_words(axes: list[int], point: Triple, modal: ModalState, writer: Pr
 
 
 def set_tool_length(block: Block, modal: ModalState) -> None:
-    """G43.1: the axis words are the tool's lengths."""
+    """Handle G43.1: the axis words are the tool lengths."""
     lengths = list(modal.tool_offset)
     for axis in axes_in_block(block):
         lengths[axis] = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
@@ -120,12 +120,14 @@ def set_tool_length(block: Block, modal: ModalState) -> None:
 def move_from_unknown_position(
     block: Block, end: Triple, machine: bool, modal: ModalState, writer: ProgramWriter
 ) -> None:
-    """A rapid move after which not all axes have a known position: kept as it is, and what it tells is noted."""
+    """Write a rapid move unchanged if not all axes have a known position after it, and record the positions it
+    gives.
+    """
     writer.flush()
     frame = (*NO_OFFSET, True) if machine else modal.frame
     for axis in axes_in_block(block):
-        way = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
-        writer.position[axis] = way + (frame[axis] if frame[3] else writer.position[axis])
+        word_mm = block.values[AXIS_LETTERS[axis]] * modal.unit_mm
+        writer.position[axis] = word_mm + (frame[axis] if frame[3] else writer.position[axis])
     modal.position = list(end)
     writer.write_unchanged(block.text)
     writer.counts.not_corrected += 1
@@ -133,14 +135,14 @@ def move_from_unknown_position(
 
 
 def forget_position(modal: ModalState, writer: ProgramWriter) -> None:
-    """After a tool change nobody here knows where the axes are."""
+    """Mark the position of all axes as unknown, as after a tool change."""
     writer.flush()
     modal.position = [math.nan] * 3
     writer.resume_at(_triple(modal.position), [math.nan] * 3, modal.unit_mm)
 
 
 def replace_axis_words(block: Block, texts: dict[int, str]) -> str:
-    """The block with other numbers in its axis words."""
+    """Return the block with other numbers in its axis words."""
     words = []
     for letter, number, _ in block.tokens:
         axis = AXIS_LETTERS.find(letter)

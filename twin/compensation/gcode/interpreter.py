@@ -1,7 +1,7 @@
-"""Follows a part program block by block: what it sets, where it means the axes to go.
+"""Interpreter of a part program: modal state and programmed axis positions, block by block.
 
-Within a block things happen in the order of RS-274/NGC (NISTIR 6556, table 8): feed mode, tool, plane, units, tool
-length, coordinate system, distance mode, then what uses the axis words, then stops.
+Within a block the order is that of RS-274/NGC (NISTIR 6556, table 8): feed mode, tool, plane, units, tool length,
+coordinate system, distance mode, then the codes that use the axis words, then stops.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from twin.compensation.gcode.words import Block, code_number, is_program_number,
 from twin.compensation.gcode.writer import ProgramWriter
 
 MARK = "volcal gcode correct"
-"""Stands in a comment of every corrected program, so that none is corrected twice."""
+"""Text in a comment of every corrected program, so that no program is corrected twice."""
 
 _AXES = frozenset("XYZ")
 _ARC = frozenset("IJKR")
@@ -43,12 +43,14 @@ _DATUM = frozenset((920, 921, 922, 923))
 _WRITTEN = {0: "G0", 10: "G1", 20: "G1", 30: "G1"}
 _DWELL, _MACHINE, _DYNAMIC_LENGTH, _CANCEL = 40, 530, 431, 800
 _SPECIAL = frozenset((_DWELL, _MACHINE, _DYNAMIC_LENGTH, *_REFERENCES, *_DATUM))
-_UNCLEAR = "it is not known what {} is to do in each piece"
-_UNSURE = "M{} acts before the motion on some controllers and after it on others"
+_UNCLEAR = "the effect of {} in each piece is not known"
+_UNSURE = "M{} takes effect before the motion on some controllers and after it on others"
 
 
 class Interpreter:
-    """Feeds what it reads to a writer. `heading`: the comment that is written before the first block."""
+    """Interpreter that passes moves and unchanged lines to a writer. `heading`: comment written before the
+    first block.
+    """
 
     def __init__(self, setup: PartSetup, options: CorrectionOptions, writer: ProgramWriter, heading: str) -> None:
         self.modal = ModalState(setup)
@@ -61,7 +63,7 @@ class Interpreter:
         self._flowing = False
 
     def feed(self, line: int, text: str) -> None:
-        """One line without its end. FormatError for what cannot be corrected."""
+        """Process one line without its line end. FormatError if it cannot be corrected."""
         if self._flowing and self._plain_move(line, text):
             return
         if text.lstrip().startswith("%"):
@@ -71,7 +73,7 @@ class Interpreter:
             return
         block = read_block(text, line)
         if MARK in block.comments:
-            block.refuse("this program was corrected before", "Correct the program as it was made")
+            block.refuse("this program was already corrected", "Correct the original program")
         if not self._begun and is_program_number(block):
             self._writer.write_unchanged(text)
             return
@@ -85,13 +87,13 @@ class Interpreter:
 
     @property
     def _may_flow(self) -> bool:
-        """Whether a line of N, G0 or G1, X, Y, Z and F alone is nothing but a move to be corrected."""
+        """True if a line with only N, G0 or G1, X, Y, Z and F is a plain move to be corrected."""
         modal = self.modal
         known = self._position_known and modal.offset is not None and not modal.ended
         return known and modal.motion in _LINEAR and not modal.inverse_time and not self._heading
 
     def _plain_move(self, line: int, text: str) -> bool:
-        """Take such a line the short way; False where it is another."""
+        """Process a plain move on the fast path; return False for any other line."""
         words = read_plain(text)
         if words is None:
             return False
@@ -126,20 +128,20 @@ class Interpreter:
         modal = self.modal
         self._begun = True
         if modal.ended:
-            block.refuse("it stands after the end of the program", "Remove it: some controllers would run it")
+            block.refuse("the block is after the end of the program", "Remove it: some controllers would execute it")
         check_letters(block)
         if block.g or block.m or block.deletable or "T" in block.values:
             check_codes(block, self._options.kept_g)
             if block.deletable:
                 _check_deletable(block)
             self._set_modes(block)
-        self._act(block)
+        self._use_axis_words(block)
         if block.m:
             modal.ended = any(code in PROGRAM_END for code in block.m)
         self._flowing = self._may_flow
 
     def _set_modes(self, block: Block) -> None:
-        """All but motion, in the order in which a controller obeys."""
+        """Set all modes except motion, in the order of the standard."""
         modal, codes = self.modal, block.g
         if "T" in block.values:
             modal.tool_called = int(block.values["T"])
@@ -171,14 +173,14 @@ class Interpreter:
     def _tool_length(self, block: Block) -> Triple:
         number = block.values.get("H", self.modal.tool_held)
         if number is None:
-            block.refuse("G43 without H, and no tool was changed in", "Write the H word")
+            block.refuse("G43 without H, and no tool was loaded", "Write the H word")
         offset = self.modal.setup.tools.get(int(number))
         if offset is None or number != int(number):
             block.refuse(f"the length of tool {number:g} is not known", f"Give it: --tool {number:g}=X,Y,Z")
         return offset
 
-    def _act(self, block: Block) -> None:
-        """What uses the axis words."""
+    def _use_axis_words(self, block: Block) -> None:
+        """Execute the code that uses the axis words."""
         modal, special = self.modal, 0
         for code in block.g:
             if code in MOTIONS:
@@ -188,18 +190,18 @@ class Interpreter:
             elif code in _SPECIAL:
                 special = code
         if special and special != _MACHINE:
-            self._act_specially(block, special)
+            self._use_axis_words_specially(block, special)
         elif not _AXES.isdisjoint(block.values) or (modal.motion in _ARCS and not _ARC.isdisjoint(block.values)):
             self._move(block, special == _MACHINE)
         else:
             self._keep(block)
 
-    def _act_specially(self, block: Block, code: int) -> None:
-        """G4, G28, G30, G43.1, G92 ...: the axis words are theirs."""
+    def _use_axis_words_specially(self, block: Block, code: int) -> None:
+        """Execute G4, G28, G30, G43.1, G92 and others that have their own meaning for the axis words."""
         stated = [other for other in block.g if other in MOTIONS]
         named = _AXES.intersection(block.values)
         if stated and not (stated == [0] and code in _REFERENCES):
-            block.refuse("two G codes want the axis words", "Write two blocks")
+            block.refuse("two G codes use the axis words", "Write two blocks")
         if code == _DWELL and named and (named != {"X"} or "P" in block.values):
             block.refuse("a dwell with axis words is a move on some controllers", "Write two blocks")
         if code in _DATUM:
@@ -220,27 +222,27 @@ class Interpreter:
     def _move(self, block: Block, machine: bool) -> None:
         modal, motion = self.modal, self.modal.motion
         if motion is None:
-            block.refuse("axis words, and none of G0 to G3 is in effect", "State the G code")
+            block.refuse("axis words, but none of G0 to G3 is in effect", "State the G code")
         if machine and (motion in _ARCS or not modal.absolute):
-            block.refuse("G53 is for G0 or G1 with G90")
+            block.refuse("G53 requires G0 or G1, and G90")
         if motion not in _ARCS and not _ARC.isdisjoint(block.values):
-            block.refuse(f"I, J, K and R belong to arcs, and G{motion // 10} is in effect")
+            block.refuse(f"I, J, K and R belong to arcs, but G{motion // 10} is in effect")
         end = datum.target_position(block, modal, machine)
-        if not self._position_known and not self._begin_from_nowhere(block, end, machine, motion):
+        if not self._position_known and not self._begin_from_unknown_position(block, end, machine, motion):
             return
         arc = self._arc(block, end, motion) if motion in _ARCS else None
         self._writer.move(self._as_move(block, machine, motion), end, MACHINE_FRAME if machine else modal.frame, arc)
         modal.position = list(end)
         self._coded = False
 
-    def _begin_from_nowhere(self, block: Block, end: Triple, machine: bool, motion: int) -> bool:
-        """Whether a move that begins nobody knows where can be corrected: one that tells where all axes end.
+    def _begin_from_unknown_position(self, block: Block, end: Triple, machine: bool, motion: int) -> bool:
+        """Return True if a move from an unknown position can be corrected, which requires that it sets all axes.
 
-        Another rapid move is kept as it is.
+        Any other rapid move is written unchanged.
         """
         if motion != 0:
-            message = "it is not known where the axes are before this block"
-            block.refuse(message, "Begin with G0 moves that name X, Y and Z, or say it: --start X,Y,Z")
+            message = "the position of the axes before this block is not known"
+            block.refuse(message, "Begin with G0 moves that name X, Y and Z, or give it: --start X,Y,Z")
         self._coded = True
         self._position_known = not any(map(math.isnan, end))
         if self._position_known:
@@ -289,7 +291,7 @@ class Interpreter:
                 tail += f" M{number}"
                 whole = whole if code_number(number) in FIRST else _UNSURE.format(number)
         if timed and inverse <= 0.0:
-            block.refuse("with G93 every move needs its F", "Write the F word")
+            block.refuse("with G93 every move needs its own F", "Write the F word")
         comment = f" {block.comments}" if block.comments else ""
         mask = ("X" in values) + 2 * ("Y" in values) + 4 * ("Z" in values)
         return MoveBlock(
@@ -300,12 +302,12 @@ class Interpreter:
 def _check_deletable(block: Block) -> None:
     harmless = not block.g and _PASSABLE.issuperset(block.values)
     if not harmless or any(code == TOOL_CHANGE or code in PROGRAM_END for code in block.m):
-        message = "whether this block runs depends on a switch, and what follows depends on this block"
-        block.refuse(message, "Remove the slash, or the block")
+        message = "block delete makes this block optional, and the following blocks depend on it"
+        block.refuse(message, "Remove the slash or the block")
 
 
 def _nothing(_: ModalState) -> None:
-    """Of a code that sets nothing that matters here."""
+    """Ignore a code that sets nothing relevant here."""
 
 
 def _setter(name: str, value: object) -> Callable[[ModalState], None]:

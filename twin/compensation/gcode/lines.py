@@ -1,4 +1,4 @@
-"""Text of the lines that a move becomes."""
+"""Text of the lines written for a move."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ ALL_AXES = 7
 
 
 class MoveBlock(NamedTuple):
-    """One block that moves: what is written before and after its axis words.
+    """One block with a move: the text before and after its axis words.
 
-    `code`: G0 or G1 as it is written; `coded`: it stood there. `mask`: bits of the axes that were named. `stop`: words
-    that act after the motion; `comment` ends the line. `inverse`: F of a block with G93, else 0. `whole`: why it must
-    not be divided, or empty.
+    `code`: G0 or G1 as it is written; `coded`: the block states it. `mask`: bits of the named axes. `stop`: words that
+    take effect after the motion; `comment` ends the line. `inverse`: F of a block with G93, else 0. `whole`: reason for
+    which it must not be divided, or empty.
     """
 
     line: int
@@ -31,7 +31,7 @@ class MoveBlock(NamedTuple):
 
 
 class LineFormatter:
-    """Writes moves one after the other; knows which motion code is in effect. `forget` when that is not known."""
+    """Formatter of successive moves that tracks the motion code in effect; call `forget` if it is no longer known."""
 
     def __init__(self, decimals: int) -> None:
         x, y, z = (f"{letter}%.{decimals}f" for letter in "XYZ")
@@ -42,7 +42,7 @@ class LineFormatter:
         self._code = ""
 
     def line(self, move: MoveBlock, values: Sequence[float], axes: int) -> str:
-        """The one line of a move; `axes`: bits of the words to be written."""
+        """Return the single line of a move; `axes`: bits of the words to be written."""
         words = self._axis_words(values, axes)
         code = self._motion(move, forced=move.coded)
         if not (move.stop or move.inverse):
@@ -51,17 +51,17 @@ class LineFormatter:
         return f"{move.head}{code}{words}{feed}{move.tail}{move.stop}{move.comment}"
 
     def lines(self, move: MoveBlock, values: Sequence[Sequence[float]], axes: Sequence[int]) -> Iterator[str]:
-        """The lines of a divided move, one for each piece that moves at the resolution of the words.
+        """Yield the lines of a divided move, one for each piece that moves at the resolution of the words.
 
-        With G93 a piece gets its share of the time of the whole (F is one over minutes).
+        With G93 each piece gets its share of the total time (F is one over minutes).
         """
         count, waiting, first = len(values), 0, True
-        for place, (piece, bits) in enumerate(zip(values, axes, strict=True), start=1):
+        for number, (piece, bits) in enumerate(zip(values, axes, strict=True), start=1):
             waiting += 1
-            if not bits and place < count:
+            if not bits and number < count:
                 continue
             head, tail, comment = (move.head, move.tail, move.comment) if first else ("", "", "")
-            stop = move.stop if place == count else ""
+            stop = move.stop if number == count else ""
             code = self._motion(move, forced=first)
             feed = f" F{_number(move.inverse * count / waiting)}" if move.inverse else ""
             yield f"{head}{code}{self._axis_words(piece, bits)}{feed}{tail}{stop}{comment}"

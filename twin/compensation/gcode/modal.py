@@ -1,4 +1,4 @@
-"""What is in effect between two lines of a part program."""
+"""Modal state between two lines of a part program."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MM_PER_INCH = 25.4
 UNKNOWN: Triple = (math.nan, math.nan, math.nan)
 
 Frame = tuple[float, float, float, bool]
-"""Axis position of the zero that the controller counts words from, and whether words are absolute."""
+"""Axis position of the controller's zero for words, and True if words are absolute."""
 
 MACHINE_FRAME: Frame = (0.0, 0.0, 0.0, True)
 
@@ -21,10 +21,11 @@ SYSTEM_CODES = {round(10.0 * float(name[1:])): name for name in SYSTEMS}
 
 @dataclass(slots=True)
 class ModalState:
-    """G codes as ten times their number. Lengths in mm, positions are axis positions; NaN where unknown.
+    """Modal state of the interpreter.
 
-    `position`: where the program means the axes to stand, without corrections. `g92` as the program means it,
-    `g92_written` as the controller has it: it was set at a corrected position that is rounded.
+    G codes as ten times their number. Lengths in mm, positions are axis positions; NaN if unknown. `position`:
+    programmed axis position, without corrections. `g92` as the program intends it, `g92_written` as stored in the
+    controller: it was set at a corrected position that is rounded.
     """
 
     setup: PartSetup
@@ -59,7 +60,7 @@ class ModalState:
         self.update_frame()
 
     def update_frame(self) -> None:
-        """Work out `offset` (None: the work offset is not known) and `frame` after a change."""
+        """Recompute `offset` (None: the work offset is not known) and `frame` after a change."""
         work = self.setup.work_offsets.get(self.system)
         self.offset = None if work is None else _sum(work, self.g92, self.tool_offset)
         written = _sum(work or UNKNOWN, self.g92_written, self.tool_offset)
@@ -67,7 +68,7 @@ class ModalState:
 
     @property
     def position_known(self) -> bool:
-        """Whether it is known where all three axes stand."""
+        """True if the positions of all three axes are known."""
         x, y, z = self.position
         return x == x and y == y and z == z  # noqa: PLR0124  NaN alone differs from itself; math.isnan is slower
 

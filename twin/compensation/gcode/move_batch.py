@@ -1,4 +1,4 @@
-"""The numbers of many moves at once: where they are divided, corrected points, the words that say so."""
+"""Numerical part of many moves at once: division into pieces, corrected points, rounded words."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class MovePaths:
-    """`starts`, `ends` (m, 3) of consecutive moves, axis positions in mm; `arcs` of those that are no line."""
+    """Paths of consecutive moves: `starts`, `ends` (m, 3), axis positions in mm; `arcs` of those that are not lines."""
 
     starts: Array
     ends: Array
     arcs: Mapping[int, Arc]
 
     def pieces(self, bending: TableCurvature, dividable: Flags, limit_mm: float) -> Indices:
-        """Into how many pieces (m,) each is to be cut."""
+        """Return the number of pieces (m,) into which each move has to be divided."""
         count = bending.line_pieces(self.starts, self.ends, limit_mm)
         count[~dividable] = 1
         if self.arcs:
@@ -36,7 +36,9 @@ class MovePaths:
         return count
 
     def points(self, first: int, pieces: Indices) -> tuple[Array, Indices, Flags]:
-        """Ends (n, 3) of the pieces of the moves from `first` on; which move each is of; whether it is its last."""
+        """Return the ends (n, 3) of the pieces of the moves from `first` on, their move index, and True for the last
+        piece.
+        """
         total = int(pieces.sum())
         rows = np.repeat(np.arange(len(pieces)), pieces) + first
         before = np.repeat(np.cumsum(pieces) - pieces, pieces)
@@ -51,7 +53,7 @@ class MovePaths:
         return points, rows, last
 
     def _bend(self, points: Array, rows: Indices, share: Array, curved: list[int]) -> None:
-        """Put the points of arcs where they belong."""
+        """Move the points of arcs from the chord onto the arc."""
         place = np.full(len(self.ends), -1)
         place[curved] = np.arange(len(curved))
         which = place[rows]
@@ -78,8 +80,11 @@ class MovePaths:
 
 @dataclass(frozen=True, eq=False)
 class AxisWords:
-    """`values` (n, 3): what X, Y, Z are to say; `changed` (n, 3): whether they say anything new; `position` (n, 3) mm:
-    where the controller then stands."""
+    """Rounded axis words.
+
+    `values` (n, 3): numbers of the X, Y, Z words; `changed` (n, 3): True if the word is needed; `position` (n, 3) mm:
+    axis position that the controller then has.
+    """
 
     values: Array
     changed: Flags
@@ -89,10 +94,10 @@ class AxisWords:
 def round_to_words(
     points: Array, frames: Sequence[Frame], rows: Indices, position: Sequence[float], unit_mm: float, decimals: int
 ) -> AxisWords:
-    """Round `points` (n, 3) mm to words with so many decimals, absolute or incremental as their frame (`rows`) says.
+    """Round `points` (n, 3) mm to words with `decimals`, absolute or incremental according to their frame (`rows`).
 
-    Absolute words lie on a lattice from the frame's zero, incremental ones on a lattice from the last position that
-    was absolute, or `position`, where the controller stands before.
+    Absolute words are on a lattice from the frame's zero, incremental ones on a lattice from the last absolute position
+    or `position`, the initial position of the controller.
     """
     step = unit_mm * 10.0**-decimals
     frame = np.array(frames)[rows]
@@ -111,7 +116,11 @@ def round_to_words(
 
 @dataclass(frozen=True, eq=False)
 class CorrectedPoints:
-    """`points` (n, 3): axis positions to command, mm. The others (n,): how far each is, or is taken, beyond."""
+    """Corrected points.
+
+    `points` (n, 3): axis positions to command, mm. `beyond_mm` (n,): distance of the programmed point outside the
+    table's volume; `held_mm` (n,): amount by which the correction was limited to stay inside.
+    """
 
     points: Array
     largest_mm: float
@@ -121,9 +130,9 @@ class CorrectedPoints:
 
 
 def correct_points(table: CompensationTable, points: Array, *, held: bool) -> CorrectedPoints:
-    """Points (n, 3) with the table's correction added. `held`: which takes no axis out of the table's volume.
+    """Add the table's correction to points (n, 3). `held`: the result is limited to the table's volume.
 
-    The volume is the travel as a rule, and a controller stops at a position a µm beyond it.
+    The volume is usually the travel, and a controller stops at a position a µm beyond it.
     """
     lower = np.array([nodes[0] for nodes in table.nodes])
     upper = np.array([nodes[-1] for nodes in table.nodes])
@@ -141,7 +150,7 @@ def correct_points(table: CompensationTable, points: Array, *, held: bool) -> Co
 
 
 def _extrapolated(table: CompensationTable, points: Array) -> int:
-    """How many points take a share from a node where nothing was measured."""
+    """Count the points that depend on a node outside the measured region."""
     near = [np.searchsorted(nodes, points[:, k]) for k, nodes in enumerate(table.nodes)]
     found = np.zeros(len(points), dtype=bool)
     for corner in np.ndindex(2, 2, 2):

@@ -1,4 +1,4 @@
-"""What a part program does not say itself: where the work stands, how long the tools are, how the controller starts."""
+"""Setup that a part program does not state: work offsets, tool lengths and the initial state of the controller."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ NO_OFFSET: Triple = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class PartSetup:
-    """All lengths in mm, all positions as axis positions (machine coordinates).
+    """Setup of a part program. All lengths in mm, all positions as axis positions (machine coordinates).
 
-    `work_offsets`: axis position of the zero point of G54 ...; `reference_points`: where G28 and G30 end; `tools`: by
-    the number of H, what G43 adds to the programmed position; `g92`: what an earlier program left as G92 offset.
-    `start`: where the axes stand before the first line, None: unknown. `tool_change_moves`: M6 may move the axes.
+    `work_offsets`: axis position of the zero point of G54 ...; `reference_points`: end points of G28 and G30; `tools`:
+    by the number of H, the length that G43 adds to the programmed position; `g92`: G92 offset left by an earlier
+    program. `start`: position of the axes before the first line, None: unknown. `tool_change_moves`: M6 may move the
+    axes.
     """
 
     work_offsets: Mapping[str, Triple] = field(default_factory=dict)
@@ -37,10 +38,11 @@ class PartSetup:
 
 @dataclass(frozen=True)
 class CorrectionOptions:
-    """`max_chord_error_mm`: how far the written lines may be from the corrected curve, rounding included.
+    """Options of the correction.
 
-    `decimals` of a coordinate in mm; in inches one more. `outside`: what happens beyond the table's volume. `kept_g`:
-    ten times the number of G codes that are passed on although they are not known here.
+    `max_chord_error_mm`: largest distance of the written lines from the corrected curve, rounding included. `decimals`
+    of a coordinate in mm; in inches one more. `outside`: behaviour beyond the table's volume. `kept_g`: ten times the
+    numbers of G codes that are passed on although they are not supported.
     """
 
     max_chord_error_mm: float

@@ -1,8 +1,8 @@
 """One line of a part program as words.
 
-A word is a letter and a decimal number (RS-274/NGC, NISTIR 6556, section 3.3). What a number is computed from
-(expressions, parameters) and what jumps about (O-words, macros) is refused: where the tool would then be is only known
-to the controller.
+A word is a letter and a decimal number (RS-274/NGC, NISTIR 6556, section 3.3). Computed numbers (expressions,
+parameters) and jumps (O-words, macros) are refused, because the resulting tool position is only known to the
+controller.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ _FLOW = "variables, expressions and O-words are computed by the controller"
 
 @dataclass(slots=True)
 class Block:
-    """`text` is the line without its end. `g` and `m` hold ten times the number: G91.1 is 911.
+    """Words of one line.
 
-    `values`: every other letter that stands once; `tokens`: all words in their order; `comments` as they stand.
+    `text` is the line without its end. `g` and `m` contain ten times the number: G91.1 is 911. `values`: every other
+    letter, which may occur once; `tokens`: all words in their order; `comments` as written.
     """
 
     line: int
@@ -47,14 +48,14 @@ class Block:
 
 
 def refusal(line: int, text: str, message: str, hint: str = "") -> FormatError:
-    """The error for a line that cannot be corrected: names the line and shows it."""
+    """Return the error for a line that cannot be corrected; it names and shows the line."""
     shown = "".join(sign if sign.isprintable() else "?" for sign in text.strip()[:61])
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return FormatError(f"{message}: {shown}", hint=hint, line=line)
 
 
 def read_block(text: str, line: int) -> Block:
-    """The words of one line (without its end). FormatError for what is no plain word."""
+    """Parse the words of one line (without its end). FormatError for anything but plain words."""
     block = Block(line, text)
     code = text.upper()
     if "(" in code or ";" in code or ")" in code:
@@ -69,7 +70,7 @@ def read_block(text: str, line: int) -> Block:
         elif letter == "M":
             block.m.append(code_number(number))
         elif letter in values:
-            block.refuse(f"the word {letter} stands twice")
+            block.refuse(f"the word {letter} occurs twice")
         elif other:
             _refuse_sign(block, code, other)
         else:
@@ -78,9 +79,9 @@ def read_block(text: str, line: int) -> Block:
 
 
 def read_plain(text: str) -> tuple[str | None, ...] | None:
-    """Texts of N, G (0 or 1), X, Y, Z, F of a line that has nothing else, in this order, each at most once.
+    """Return the texts of N, G (0 or 1), X, Y, Z, F of a line without other words, each at most once in this order.
 
-    Nine lines of ten are so in a program from a CAM system, and one match reads them. None for any other line.
+    Nine out of ten lines of a CAM program have this form, and one match reads them. None for any other line.
     """
     found = _PLAIN.match(text)
     return found.groups() if found else None
@@ -88,13 +89,13 @@ def read_plain(text: str) -> tuple[str | None, ...] | None:
 
 @lru_cache(maxsize=1024)
 def code_number(number: str) -> int:
-    """Ten times the number of a G or M word: `01` is 10, `91.1` is 911; -1 for what can be no code."""
+    """Return ten times the number of a G or M word: `01` is 10, `91.1` is 911; -1 if it cannot be a code."""
     tenfold = float(number) * 10.0
     return round(tenfold) if tenfold >= 0.0 and abs(tenfold - round(tenfold)) < 1e-6 else -1
 
 
 def is_program_number(block: Block) -> bool:
-    """Whether the line is nothing but the number that Fanuc-like programs begin with, `O1234`."""
+    """Return True if the line contains only the program number of Fanuc-like programs, `O1234`."""
     words = "".join(letter + number for letter, number, _ in block.tokens)
     return _PROGRAM_NUMBER.match(words) is not None
 
@@ -103,16 +104,16 @@ def _without_comments(block: Block) -> str:
     block.comments = " ".join(_COMMENT.findall(block.text))
     code = _COMMENT.sub(" ", block.text).upper().lstrip()
     if "(" in code or ")" in code:
-        block.refuse("a comment is not closed, or stands in another one")
+        block.refuse("a comment is not closed or is nested in another one")
     return code
 
 
 def _refuse_sign(block: Block, code: str, sign: str) -> NoReturn:
     if _COMPUTED.search(code):
-        block.refuse(f"it is not known where the tool goes, {_FLOW}", "Post-process with plain numbers")
+        block.refuse(f"the tool position is not known: {_FLOW}", "Set the post-processor to write plain numbers")
     if sign == "$":
-        block.refuse("a command to the controller itself ($) may move the machine", "Send it apart from the program")
+        block.refuse("a controller command ($) may move the machine", "Send it separately from the program")
     if sign == "/":
-        block.refuse("a slash stands within the line", "Block delete stands at its beginning")
+        block.refuse("there is a slash within the line", "Block delete must be at the beginning of the line")
     sign = sign if sign.isprintable() else f"the control character {ord(sign)}"
     block.refuse(f"'{sign}' cannot be read as a word with a number")

@@ -1,7 +1,7 @@
-"""Moves collected over many lines, corrected at once, and written.
+"""Writer that collects moves over many lines, corrects them in batches and writes them.
 
-The controller's own position is followed number by number, as rounded, so that nothing accumulates, with incremental
-words neither.
+The controller's own position is tracked number by number as rounded, so rounding errors do not accumulate, not even
+with incremental words.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ _AXIS_BITS = np.array([1, 2, 4])
 
 
 class ProgramWriter:
-    """Takes moves and lines to be kept in their order, and gives text to `emit`.
+    """Writer of moves and unchanged lines in their order, which passes text to `emit`.
 
-    `position`: where the controller stands after all that is settled, mm; NaN where unknown. `newline` ends each line.
+    `position`: axis position of the controller after everything written so far, mm; NaN if unknown. `newline` ends each
+    line.
     """
 
     def __init__(
@@ -58,22 +59,22 @@ class ProgramWriter:
         self._arcs: dict[int, Arc] = {}
         self.resume_at(start, list(start), unit_mm)
 
-    def resume_at(self, meant: Triple, position: list[float], unit_mm: float) -> None:
-        """Go on from here: where the program means the axes to be, where they are, what unit words have."""
-        self._meant = meant
+    def resume_at(self, programmed: Triple, position: list[float], unit_mm: float) -> None:
+        """Continue from a state: programmed axis position, actual axis position and unit of the words in mm."""
+        self._programmed = programmed
         self.position = position
         self.unit_mm = unit_mm
         self.decimals = self.options.decimals + (unit_mm == MM_PER_INCH)
         self._pen = LineFormatter(self.decimals)
 
     def write_unchanged(self, text: str) -> None:
-        """Write a line as it is."""
+        """Write a line unchanged."""
         self._items.append(text)
         if len(self._items) >= _STRETCH_LINES:
             self._write_batch()
 
     def move(self, move: MoveBlock, end: Triple, frame: Frame, arc: Arc | None) -> None:
-        """Write a move to the axis position `end` (mm, not corrected), its words to count in `frame`."""
+        """Write a move to the uncorrected axis position `end` (mm) with its words relative to `frame`."""
         if arc is not None:
             self._arcs[len(self._ends)] = arc
         self._items.append(move)
@@ -83,12 +84,14 @@ class ProgramWriter:
             self._write_batch()
 
     def flush(self) -> None:
-        """Write all that was collected, so that `position` is up to date. The next move states its G code."""
+        """Write all collected lines, so that `position` is up to date. The next move states its G code."""
         self._write_batch()
         self._pen.forget()
 
     def corrected_point(self, point: Triple, block: Block) -> Triple:
-        """One corrected axis position, not counted. Refuses `block` where it lies outside the table, unless it may."""
+        """Return one corrected axis position, not counted. Refuse `block` if it is outside the table and that is not
+        allowed.
+        """
         points = np.array([point])
         found = correct_points(self.table, points, held=self._held)
         if self._held and found.beyond_mm[0] > _OUTSIDE_MM:
@@ -109,7 +112,7 @@ class ProgramWriter:
         self._put(lines)
         self._items.clear()
         if self._ends:
-            self._meant = self._ends[-1]
+            self._programmed = self._ends[-1]
         self._ends, self._frames, self._arcs = [], [], {}
 
     def _put(self, lines: list[str]) -> None:
@@ -120,12 +123,12 @@ class ProgramWriter:
             lines.clear()
 
     def _moves(self) -> Iterator[list[str]]:
-        """The lines of every move that was collected, some thousand points at a time."""
+        """Yield the lines of every collected move, some thousand points at a time."""
         if not self._ends:
             return
         moves = [item for item in self._items if not isinstance(item, str)]
         ends = np.array(self._ends)
-        paths = MovePaths(np.concatenate((np.array([self._meant]), ends[:-1])), ends, self._arcs)
+        paths = MovePaths(np.concatenate((np.array([self._programmed]), ends[:-1])), ends, self._arcs)
         dividable = np.array([self.options.divide_rapids or move.code != "G0" for move in moves])
         pieces = paths.pieces(self._bending, dividable, self._limit_mm)
         self._check_pieces(moves, pieces)
@@ -154,21 +157,21 @@ class ProgramWriter:
             at += count
 
     def _check_pieces(self, moves: list[MoveBlock], pieces: Indices) -> None:
-        """Refuse what must not, or cannot well be divided; count."""
+        """Refuse moves that must not be divided or need too many pieces; update the counts."""
         for row in np.flatnonzero(pieces > 1).tolist():
             move = moves[row]
             if move.whole:
-                hint = "Put that word into a block of its own, or allow a larger chord error"
+                hint = "Put that word into its own block, or allow a larger chord error"
                 raise refusal(move.line, move.text, f"this move has to be divided, and {move.whole}", hint)
             if pieces[row] > _MOST_PIECES:
-                message = f"the chord error asks for {int(pieces[row])} pieces"
+                message = f"the chord error requires {int(pieces[row])} pieces"
                 raise refusal(move.line, move.text, message, "Allow a larger chord error")
         self.counts.moves += len(moves)
         self.counts.divided += int((pieces > 1).sum())
         self.counts.arcs += len(self._arcs)
 
     def _check_volume(self, moves: list[MoveBlock], rows: Indices, points: np.ndarray, found: CorrectedPoints) -> None:
-        """Refuse points outside the table unless they may be; count."""
+        """Refuse points outside the table unless they are allowed; update the counts."""
         counts = self.counts
         outside = found.beyond_mm > _OUTSIDE_MM
         if outside.any():
@@ -188,21 +191,20 @@ class ProgramWriter:
         beyond = [max(nodes[0] - at, at - nodes[-1]) for at, nodes in zip(point, self.table.nodes, strict=True)]
         axis = int(np.argmax(beyond))
         reach = f"{self.table.nodes[axis][0]:g} to {self.table.nodes[axis][-1]:g} mm"
-        return f"{AXIS_LETTERS[axis]} is at {point[axis]:.3f} of the machine, the table reaches from {reach}"
+        return f"{AXIS_LETTERS[axis]} is at machine position {point[axis]:.3f} mm, but the table covers {reach}"
 
 
 _OUTSIDE_HINT = (
-    "Check the work offsets, tool lengths and units; `--outside clamp` takes the correction of the table's border"
+    "Check the work offsets, tool lengths and units; `--outside clamp` uses the correction at the table's border"
 )
 
 
 def _without_rounding(options: CorrectionOptions) -> float:
-    """What the rounding of words leaves of the chord error. DataError where nothing is left."""
+    """Return the chord error that remains after the rounding of words. DataError if nothing remains."""
     step = max(10.0**-options.decimals, MM_PER_INCH * 0.1 ** (options.decimals + 1))
     rounding: float = 0.5 * math.sqrt(3.0) * step
     if rounding >= options.max_chord_error_mm:
-        message = (
-            f"words of {options.decimals} decimals round by up to {1e3 * rounding:.3g} µm, which is the chord error"
-        )
+        largest = f"{1e3 * rounding:.3g} µm"
+        message = f"words of {options.decimals} decimals round by up to {largest}, which uses up the whole chord error"
         raise DataError(message, hint="Write more decimals, or allow a larger chord error")
     return options.max_chord_error_mm - rounding
