@@ -1,1 +1,1 @@
-"""Rotary mount of two CiA 402 drives on a CAN bus."""
+"""Rotary mount with two CiA 402 drives on a CAN bus."""

@@ -1,4 +1,4 @@
-"""The optional EDS file of a drive (CiA 306): its identity, and proof that it has the objects needed, as needed."""
+"""Optional EDS file of a drive (CiA 306): its identity, and a check that it lists the required objects."""
 
 from __future__ import annotations
 
@@ -14,31 +14,34 @@ from drivers.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class DriveDescription:
-    """What the EDS says, or nothing at all when there is none."""
+    """Contents of the EDS file; empty if there is none."""
 
     dictionary: ObjectDictionary
     vendor_id: int | None = None
     product_code: int | None = None
 
     def with_identity(self, settings: AxisSettings) -> AxisSettings:
-        """The settings with the identity of the EDS where they state none."""
+        """Return the settings, with the identity from the EDS file where they contain none."""
         found = {"vendor_id": self.vendor_id, "product_code": self.product_code}
         missing = {name: value for name, value in found.items() if value and getattr(settings, name) is None}
         return settings.model_copy(update=missing)
 
 
 def load_description(settings: AxisSettings, base_path: Path) -> DriveDescription:
-    """Raises ConfigurationError naming the file, and the object that it lacks or lets nobody write."""
+    """Load the EDS file named in the settings, if any.
+
+    Raises ConfigurationError, naming the file and an object that is missing or not writable in it.
+    """
     if settings.eds is None:
         return DriveDescription(ObjectDictionary())  # type: ignore[no-untyped-call]
     path = base_path / settings.eds
     try:
         dictionary = import_od(str(path), settings.node_id)
-    except Exception as error:  # configparser, struct, key and value errors: whatever a broken file provokes
+    except Exception as error:  # a broken file may cause configparser, struct, key or value errors
         raise ConfigurationError(
             f"the EDS file cannot be read: {error}",
             file=str(path),
-            hint="take the EDS file of the drive's maker",
+            hint="use the EDS file from the drive's manufacturer",
         ) from error
     _require_objects(dictionary, settings, path)
     identity = dictionary.device_information
@@ -62,5 +65,5 @@ def _unusable(what: str, entry: DriveObject, path: Path) -> ConfigurationError:
         f"{what} {entry}",
         file=str(path),
         object=f"0x{entry.index:04X}:{entry.subindex:02X}",
-        hint="take the EDS file of this drive; it must support profile position mode, and homing where configured",
+        hint="use the EDS file of this drive, which must support profile position mode, and homing if configured",
     )

@@ -1,4 +1,4 @@
-"""What a look at a drive tells without moving or writing anything."""
+"""Diagnosis of a drive, without moving or writing anything."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ Line = tuple[bool, str]
 
 
 def diagnose_drive(drive: Drive) -> list[DiagnosticFinding]:
-    """Reach and latency, identity, versions, state, supply, position, units, limits, monitoring; ends at the first
-    question that the drive leaves unanswered."""
+    """Return findings on latency, identity, versions, state, supply, position, units, limits and monitoring.
+
+    The list ends at the first query that the drive does not answer.
+    """
     subject = f"{drive.node.axis} drive (node {drive.node.node_id})"
     findings: list[DiagnosticFinding] = []
     try:
@@ -56,10 +58,10 @@ def _identity(drive: Drive) -> Iterator[Line]:
         ),
     )
     if not drive.identity_stated:
-        yield True, "any drive would do here: state vendor_id and product_code, or an EDS file, to notice a wrong one"
+        yield True, "any drive is accepted: set vendor_id and product_code, or an EDS file, to detect a wrong one"
     texts = [node.read_text(index) for index in (objects.DEVICE_NAME, objects.HARDWARE_VERSION)]
     software = node.read_text(objects.SOFTWARE_VERSION)
-    yield True, f"{texts[0] or 'no name'}, hardware {texts[1] or 'not told'}, software {software or 'not told'}"
+    yield True, f"{texts[0] or 'no name'}, hardware {texts[1] or 'not reported'}, software {software or 'not reported'}"
 
 
 def _state(drive: Drive) -> Iterator[Line]:
@@ -79,7 +81,9 @@ def _state(drive: Drive) -> Iterator[Line]:
 
 def _supply(drive: Drive) -> Iterator[Line]:
     voltage_mv = drive.node.read_optional(objects.DC_LINK_MV)
-    text = "the drive does not tell its DC link voltage" if voltage_mv is None else f"DC link {voltage_mv / 1e3:.1f} V"
+    text = (
+        "the drive does not report its DC link voltage" if voltage_mv is None else f"DC link {voltage_mv / 1e3:.1f} V"
+    )
     yield voltage_mv is None or voltage_mv > 0, text
 
 
@@ -114,7 +118,7 @@ def _monitoring(drive: Drive) -> Iterator[Line]:
     watched = drive.node.read_optional(objects.WATCHED_HEARTBEAT) or 0
     if watched & 0xFFFF:
         whose = f"of node {watched >> 16 & 0x7F} every {watched & 0xFFFF} ms (0x1016:01)"
-        yield False, f"the drive waits for a heartbeat {whose}, which nobody sends here: it would fault"
+        yield False, f"the drive expects a heartbeat {whose}, which volcal does not send: it would fault"
 
 
 def _hexadecimal(name: str, value: int | None) -> str:

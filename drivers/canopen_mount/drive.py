@@ -1,7 +1,7 @@
 """One axis of the mount: a CiA 402 drive in profile position and homing mode.
 
-The statusword is polled by SDO. No PDO is used: their positions lag a cycle, and a poll under the clock
-handed in behaves the same in virtual and in real time.
+The statusword is polled by SDO. PDOs are not used: their positions lag by a cycle, and polling on the clock passed in
+behaves the same in virtual and in real time.
 """
 
 from __future__ import annotations
@@ -24,18 +24,20 @@ from drivers.clock import Clock, Deadline
 from drivers.errors import CommandRejected, DeadlineExpired, MotionFault, ProtocolError
 
 POLL_S = 0.02
-"""Between two looks at a state that is due."""
+"""Pause in s between two polls of an awaited state."""
 HANDSHAKE_S = 1.0
-"""For the set-point acknowledge and the mode display."""
+"""Time limit in s for the set-point acknowledge and the mode display."""
 MAX_TRANSITIONS = 8
-"""From the worst state it takes seven; one more says that the drive goes in circles."""
+"""Transitions until *operation enabled*: at most seven are needed; after eight the drive is going in circles."""
 
 _log = structlog.get_logger("canopen_mount")
 
 
 class Drive:
-    """Angles in degrees of the mount. Every wait is bounded; nobody here stops the drive on an exception,
-    the mount does, because both axes must stop."""
+    """Drive of one axis; angles are mount angles in degrees.
+
+    Every wait is bounded. On an exception the mount, not this class, stops the drives, because both axes must stop.
+    """
 
     def __init__(
         self,
@@ -65,8 +67,10 @@ class Drive:
         self._prepared = False
 
     def verify(self) -> None:
-        """Raises when the drive is not the one that the settings describe, or counts in other units; writes nothing,
-        unless the units are to be written. Remembers its software limits."""
+        """Verify that identity and units of the drive match the settings, and store its software limits.
+
+        Raises ProtocolError or ConfigurationError if not. Writes nothing, unless the settings say to write the units.
+        """
         verify_identity(self.node, self.settings)
         verify_factors(self.node, self.settings)
         self._soft_limits = read_soft_limits(self.node)
@@ -82,7 +86,7 @@ class Drive:
         return self.state_of(self.node.read(objects.STATUSWORD))
 
     def require_within_limits(self, angle_deg: float) -> None:
-        """Raises CommandRejected; nothing has been sent then."""
+        """Raise CommandRejected if the angle is outside the limits; nothing is sent to the drive."""
         lower, upper = self.settings.lower_deg, self.settings.upper_deg
         if not lower <= angle_deg <= upper:
             raise CommandRejected(
@@ -109,7 +113,7 @@ class Drive:
             )
 
     def prepare(self) -> None:
-        """NMT start and heartbeat; moves nothing. Done at opening and after a restart."""
+        """Start the node by NMT and set its heartbeat, at opening and after a restart; moves nothing."""
         self.node.write(objects.HEARTBEAT_TIME, self._heartbeat_ms)
         self.node.start()
         self._mode = None
@@ -118,18 +122,20 @@ class Drive:
         self._monitor.arm()
 
     def enable(self) -> None:
-        """Climb the state table to *operation enabled*, after a stop where the drive is found enabled at first. A fault
-        found on the way is reset once."""
+        """Bring the drive to *operation enabled* by the state table.
+
+        A drive found already enabled is stopped first. Faults found on the way are reset.
+        """
         if not self._prepared:
             self.prepare()
         self._enabled_here = True
         for _ in range(MAX_TRANSITIONS):
             state = self.state()
-            self.check()  # what came before that answer is known now
+            self.check()  # every message sent before that answer has been received now
             if state is DriveState.OPERATION_ENABLED:
                 if not self._state_as_found:
                     return
-                self.quick_stop()  # whoever left it enabled may have left it turning
+                self.quick_stop()  # a previous user may have left it turning
             elif state is DriveState.FAULT:
                 self._reset_fault()
             else:
@@ -147,7 +153,7 @@ class Drive:
             raise self._fault("the fault of the drive cannot be reset") from error
 
     def start_turn(self, angle_deg: float) -> float:
-        """Hand over a set-point; returns the predicted duration in s. The caller has checked the limits."""
+        """Send a set-point and return the predicted duration in s. The caller must have checked the limits."""
         self._enter_profile_position()
         self._limit_logged = False
         self._target = self._scale.counts(angle_deg)
@@ -168,11 +174,14 @@ class Drive:
         )
 
     def turn_ended(self) -> bool:
-        """One look. Raises MotionFault for a fault, a following error, a drive that left operation."""
+        """Poll once and return True if the target is reached.
+
+        Raises MotionFault for a fault, a following error or a drive that has left *operation enabled*.
+        """
         return bool(self._statusword_in_motion() & states.TARGET_REACHED)
 
     def describe_unreached_target(self) -> str:
-        """What the drive tells of a target that it does not reach."""
+        """Return the drive's own information on why it has not reached its target."""
         return describe_unreached_target(self.node, self._scale, self._target, self._direction)
 
     def start_homing(self, homing: HomingSettings) -> None:
@@ -185,7 +194,10 @@ class Drive:
         self.node.write(objects.CONTROLWORD, states.START_HOMING)
 
     def homing_ended(self) -> bool:
-        """One look: homing attained (bit 12) and at rest (bit 10). Raises MotionFault for a homing error."""
+        """Poll once and return True if homing is attained (bit 12) and the axis at rest (bit 10).
+
+        Raises MotionFault for a homing error.
+        """
         status = self._statusword_in_motion()
         done = bool(status & states.SET_POINT_ACKNOWLEDGE and status & states.TARGET_REACHED)
         if done:
@@ -194,7 +206,7 @@ class Drive:
         return done
 
     def quick_stop(self) -> None:
-        """Stop now. Never sleeps: it also runs when the wait it ends was aborted by the clock."""
+        """Stop at once, without sleeping, since it also runs after the clock has aborted a wait."""
         for _ in range(2):
             self.node.write(objects.CONTROLWORD, states.QUICK_STOP)
             if drive_state(self.node.read(objects.STATUSWORD)) is not DriveState.OPERATION_ENABLED:
@@ -202,19 +214,23 @@ class Drive:
         raise MotionFault("the drive ignores the quick stop", hint="use the emergency stop", **self.node.where)
 
     def release(self) -> None:
-        """Take the power off the motor; its brake or gear holds the mount. A drive that was not enabled from here is
-        left alone: whoever only looks must not stop what another process moves."""
+        """Switch off the motor's power; its brake or gear holds the mount.
+
+        Does nothing if the drive was not enabled from here: a mere observer must not stop another process' motion.
+        """
         if self._enabled_here:
             self._enabled_here = False
             self.node.write(objects.CONTROLWORD, states.DISABLE_VOLTAGE)
 
     def fault_text(self) -> str:
-        """What 0x603F says, for a diagnosis."""
+        """Return the text of the error code in 0x603F."""
         return emergency_text(self.node.read(objects.ERROR_CODE))
 
     def check(self) -> list[int]:
-        """Error codes of emergencies. Raises when the node has restarted or left its NMT state (MotionFault) or is
-        silent (LinkTimeout, LinkLost)."""
+        """Return the error codes of emergencies since the last call.
+
+        Raises MotionFault if the node has restarted or left its NMT state, LinkTimeout or LinkLost if it is silent.
+        """
         try:
             return self._monitor.check()
         except MotionFault:
@@ -223,7 +239,7 @@ class Drive:
             raise
 
     def check_in_motion(self) -> None:
-        """As `check`; an emergency that is not tolerated is a MotionFault too."""
+        """Check the node as `check` does, and raise MotionFault for an emergency that is not tolerated."""
         self._require_calm(self.check())
 
     def _require_calm(self, codes: list[int]) -> None:
@@ -231,7 +247,7 @@ class Drive:
         if grave:
             raise MotionFault(
                 f"emergency message of the drive: {', '.join(emergency_text(code) for code in grave)}",
-                hint="remove the cause; a code that is a mere warning can be named in tolerated_emergencies",
+                hint="remove the cause; if the code is only a warning, add it to tolerated_emergencies",
                 **self.node.where,
             )
 
@@ -246,7 +262,7 @@ class Drive:
             action = "made a quick stop" if state is DriveState.QUICK_STOP_ACTIVE else "left operation enabled"
             raise MotionFault(
                 f"the drive {action}, it is in {state.value}",
-                hint="a stop, an enable input or another master took it away",
+                hint="check for a stop, an open enable input or another CANopen master",
                 **self.node.where,
             )
         homing = self._mode == objects.HOMING
@@ -266,7 +282,10 @@ class Drive:
         )
 
     def _judge_limit(self) -> None:
-        """Bit 11 may also tell of a limited current; it is the end of a turn where something bars the way."""
+        """Handle an active internal limit (bit 11): raise MotionFault if a limit blocks the turn, otherwise log it.
+
+        The bit may also mean that the current is limited, which does not end the turn.
+        """
         if reason := blocking_limit(self.node, self._target, self._direction):
             raise MotionFault(
                 f"stopped at a limit (statusword bit 11): {reason}",
@@ -280,7 +299,7 @@ class Drive:
     def state_of(self, statusword: int) -> DriveState:
         state = drive_state(statusword)
         if state is None:
-            raise ProtocolError(f"statusword 0x{statusword:04X} is no state of CiA 402", **self.node.where)
+            raise ProtocolError(f"statusword 0x{statusword:04X} is not a state of CiA 402", **self.node.where)
         return state
 
     def _fault(self, what: str) -> MotionFault:

@@ -1,6 +1,6 @@
-"""What the error codes of EMCY messages and of object 0x603F mean (CiA 301 table 26, CiA 402-2 annex).
+"""Texts of the error codes in EMCY messages and in object 0x603F (CiA 301 table 26, CiA 402-2 annex).
 
-A code of the table is named; any other takes the name of its class, most specific first.
+A code missing in the table gets the text of its most specific class.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ _TEXTS: dict[int, str] = {
 
 
 def emergency_text(code: int) -> str:
-    """For example ``0x8611 following error``."""
+    """Return code and text, for example ``0x8611 following error``."""
     for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
         if code & mask in _TEXTS and (code & mask or not code):
             return f"0x{code:04X} {_TEXTS[code & mask]}"

@@ -1,8 +1,8 @@
-"""The drive's own factors (0x608F, 0x6091, 0x6092, 0x607E, 0x60A8) against the settings, read and compared.
+"""Comparison of the drive's own factors (0x608F, 0x6091, 0x6092, 0x607E, 0x60A8) with the settings.
 
-A drive whose factors are others than assumed turns the mount by another angle than asked for, without any fault. So
-what the drive offers of these objects is read when the mount opens, and a difference ends the opening before anything
-moves. An object that the drive does not have is passed over: CiA 402 requires none of them.
+If its factors differ from the settings, a drive turns the mount by a wrong angle without any fault. Therefore these
+objects are read when the mount opens, and a difference makes the opening fail before anything moves. An object that
+the drive does not have is skipped: CiA 402 requires none of them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _log = structlog.get_logger("canopen_mount")
 
 @dataclass(frozen=True)
 class Factor:
-    """What one object, or a ratio of two sub-indexes, must be. `key`: where in the axis' settings that is stated."""
+    """Expected value of one object or of a ratio of two sub-indexes. `key` is its key in the axis settings."""
 
     name: str
     entries: tuple[DriveObject, ...]
@@ -32,7 +32,7 @@ class Factor:
     key: str
 
     def agrees(self, found: tuple[int, ...]) -> bool:
-        """Ratios are compared as numbers: 36:1 is 72:2. A zero denominator is none."""
+        """Return True if `found` equals the expected value. Ratios are compared as numbers: 36:1 equals 72:2."""
         if len(found) == 1:
             return found == self.values
         return bool(found[1]) and Fraction(*found) == Fraction(*self.values)
@@ -42,7 +42,7 @@ class Factor:
 
 
 def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
-    """What the settings say of the drive's objects, of those that are to be compared."""
+    """Yield the expected values of the objects that the settings say to compare."""
     units = settings.units
     turns = (objects.ENCODER_INCREMENTS, objects.ENCODER_MOTOR_TURNS)
     gear = (objects.GEAR_MOTOR_TURNS, objects.GEAR_SHAFT_TURNS)
@@ -65,14 +65,16 @@ def expected_factors(settings: AxisSettings) -> Iterator[Factor]:
 
 
 def read_factor(node: DriveNode, factor: Factor) -> tuple[int, ...] | None:
-    """What the drive says; None where it does not have the object."""
+    """Return the drive's value; None if it does not have the object."""
     found = [node.read_optional(entry) for entry in factor.entries]
     return None if None in found else tuple(value for value in found if value is not None)
 
 
 def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
-    """Raises ConfigurationError naming object and key where the drive says otherwise, after writing if that is asked
-    for. Moves nothing."""
+    """Verify the drive's factors, first writing differing ones if the settings say so. Moves nothing.
+
+    Raises ConfigurationError, naming object and key, for a factor that differs.
+    """
     for factor in expected_factors(settings):
         found = read_factor(node, factor)
         if found is not None and not factor.agrees(found) and settings.units.write:
@@ -85,7 +87,7 @@ def verify_factors(node: DriveNode, settings: AxisSettings) -> None:
 
 
 def factor_text(node: DriveNode, factor: Factor) -> tuple[bool, str]:
-    """One line of a diagnosis. Reads only."""
+    """Return (ok, text) of one factor for the diagnosis. Reads only."""
     found = read_factor(node, factor)
     if found is None:
         return True, f"{factor}: the drive has no such object, not compared"
@@ -101,10 +103,10 @@ def _mismatch(factor: Factor, found: tuple[int, ...]) -> ConfigurationError:
         f" and {_format_values(factor, factor.values)} in the settings",
         key=factor.key,
         object=f"0x{factor.entries[0].index:04X}",
-        hint="a turn would end at another angle: correct the one that is wrong, or let units.write set the drive",
+        hint="a turn would end at a wrong angle: correct the wrong value, or set units.write to write it to the drive",
     )
 
 
 def _format_values(factor: Factor, values: tuple[int, ...]) -> str:
-    """Ratios as numbers, what is a code or a pattern of bits in hexadecimal."""
+    """Return ratios in decimal, codes and bit patterns in hexadecimal."""
     return f"0x{values[0]:X}" if len(factor.entries) == 1 else " : ".join(str(value) for value in values)

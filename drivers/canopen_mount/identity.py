@@ -1,4 +1,4 @@
-"""Whether the node is the drive that the settings describe: profile, maker, product, number, modes."""
+"""Identity check of a drive: profile, manufacturer, product, serial number, modes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from drivers.errors import ProtocolError
 
 
 def verify_identity(node: DriveNode, settings: AxisSettings) -> None:
-    """Raises ProtocolError when the node is not the drive that the settings describe."""
+    """Raise ProtocolError if the node is not the drive described by the settings."""
     kind = node.read(objects.DEVICE_TYPE) & 0xFFFF
     if kind != objects.CIA_402:
         raise ProtocolError(
-            f"the node is no CiA 402 drive, its device profile is {kind}",
+            f"the node is not a CiA 402 drive: its device profile is {kind}",
             hint="check the node id: another device answers there",
             **node.where,
         )
@@ -25,7 +25,7 @@ def verify_identity(node: DriveNode, settings: AxisSettings) -> None:
         if expected is not None and (found := node.read(entry)) != expected:
             raise ProtocolError(
                 f"{entry} is 0x{found:X}, expected 0x{expected:X}",
-                hint="check the node id and that azimuth and elevation are not exchanged",
+                hint="check the node id, and that azimuth and elevation are not swapped",
                 **node.where,
             )
     _require_modes(node, settings)

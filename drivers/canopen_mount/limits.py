@@ -1,4 +1,4 @@
-"""What keeps a drive from going on: limit switches (0x60FD), its own software limits (0x607D), following error."""
+"""Limits that stop a drive: limit switches (0x60FD), its own software limits (0x607D), following error."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from drivers.canopen_mount.node import DriveNode
 from drivers.canopen_mount.scale import AxisScale
 
 SWITCHES = {-1: "negative limit switch", 1: "positive limit switch"}
-"""By the direction of counts in which they bar the way: bits 0 and 1 of 0x60FD."""
+"""Limit switches by the direction of counts that they block: bits 0 and 1 of 0x60FD."""
 
 
 @dataclass(frozen=True)
 class SoftLimits:
-    """Counts, as in 0x607D."""
+    """Software limits in counts, as in 0x607D."""
 
     lower: int
     upper: int
@@ -24,7 +24,7 @@ class SoftLimits:
 
 
 def read_soft_limits(node: DriveNode) -> SoftLimits | None:
-    """None where the drive has none or has them switched off: both equal, or the lower one not below the upper."""
+    """Read the software limits; None if the drive has none or has disabled them (lower limit not below the upper)."""
     lower, upper = node.read_optional(objects.LOWER_LIMIT), node.read_optional(objects.UPPER_LIMIT)
     if lower is None or upper is None or lower >= upper:
         return None
@@ -32,13 +32,16 @@ def read_soft_limits(node: DriveNode) -> SoftLimits | None:
 
 
 def active_switches(node: DriveNode) -> dict[int, str]:
-    """The limit switches that are active, by the direction of counts that they bar."""
+    """Return the active limit switches by the direction of counts that they block."""
     inputs = node.read_optional(objects.DIGITAL_INPUTS) or 0
     return {direction: name for direction, name in SWITCHES.items() if inputs & (1 if direction < 0 else 2)}
 
 
 def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
-    """What bars the way to `target` counts; `way`: 1 upwards, -1 downwards. Empty when nothing that is told does."""
+    """Return the limit that blocks the turn to `target` counts; an empty string if none is known.
+
+    `direction` is 1 for increasing counts, -1 for decreasing ones.
+    """
     switch = active_switches(node).get(direction)
     if switch is not None:
         return f"the {switch} is active (0x60FD)"
@@ -49,7 +52,7 @@ def blocking_limit(node: DriveNode, target: int, direction: int) -> str:
 
 
 def describe_unreached_target(node: DriveNode, scale: AxisScale, target: int, direction: int) -> str:
-    """What the drive tells of a target that it does not reach."""
+    """Return position, blocking limit and following error of a drive that has not reached its target, as text."""
     parts = [f"at {scale.angle_deg(node.read(objects.POSITION)):.4f} of {scale.angle_deg(target):.4f} degrees"]
     if reason := blocking_limit(node, target, direction):
         parts.append(reason)

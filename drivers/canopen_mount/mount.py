@@ -1,4 +1,4 @@
-"""The rotary mount: two drives that turn together, stop together and answer in degrees."""
+"""Rotary mount with two drives that turn and stop together; angles in degrees."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from drivers.registry import DeviceContext
 from drivers.roles import DiagnosticFinding, Orientation
 
 MAX_POLL_S = 0.4
-"""Longest sleep between two looks at a turning drive."""
+"""Longest pause in s between two polls of a turning drive."""
 
 _log = structlog.get_logger("canopen_mount")
 
 
 class CanopenMount:
-    """Plays RotaryMount and Device. `stop` may be called from another thread than the one that waits."""
+    """Rotary mount on a CAN bus. `stop` may be called from another thread than the one that waits."""
 
     def __init__(
         self, settings: CanopenMountSettings, context: DeviceContext, networks: CanNetworks = PROCESS_NETWORKS
@@ -37,7 +37,7 @@ class CanopenMount:
         self._drives: tuple[Drive, ...] = ()
 
     def open(self) -> None:
-        """Connect, prove identity and units of both drives, start them and their heartbeats; moves nothing."""
+        """Connect, verify identity and units of both drives, start them and their heartbeats; moves nothing."""
         if self._link is not None:
             return
         self._connect()
@@ -51,7 +51,7 @@ class CanopenMount:
             raise
 
     def close(self) -> None:
-        """Take the power off both motors and give the bus back. A drive that cannot be reached is logged."""
+        """Switch off the power of both motors and release the bus. A drive that cannot be reached is logged."""
         for drive in self._drives:
             try:
                 drive.release()
@@ -60,7 +60,7 @@ class CanopenMount:
         self._disconnect()
 
     def stop(self) -> None:
-        """Quick stop of both drives; idempotent. When one fails, the other is stopped all the same."""
+        """Quick-stop both drives; idempotent. If one fails, the other is stopped nevertheless."""
         failures: list[DeviceError] = []
         for drive in self._drives:
             try:
@@ -71,7 +71,7 @@ class CanopenMount:
             raise failures[0].at(device=self._context.name)
 
     def home(self) -> None:
-        """Reference the drives that need it, one after the other; an absolute encoder is only enabled."""
+        """Home the drives that need it, one after the other; a drive with an absolute encoder is only enabled."""
         try:
             for drive in self._require_open():
                 drive.enable()
@@ -81,10 +81,10 @@ class CanopenMount:
             raise
 
     def orient_to(self, azimuth_deg: float, elevation_deg: float) -> Orientation:
-        """Turn both axes at once, wait until they are in position and settled; what the encoders say then.
+        """Turn both axes together, wait until they are in position and settled, and return the encoder angles.
 
         Raises CommandRejected (limits, not homed: nothing was sent), MotionFault, DeadlineExpired, LinkError.
-        Whatever ends the wait early, both drives have been quick-stopped before it travels on.
+        If an exception ends the wait, both drives are quick-stopped before it propagates.
         """
         drives = self._require_open()
         targets = (azimuth_deg, elevation_deg)
@@ -107,7 +107,7 @@ class CanopenMount:
         return Orientation(azimuth.angle_deg(), elevation.angle_deg())
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Reads only. A mount that is not open is connected for the time of the diagnosis."""
+        """Diagnose adapter and drives; reads only. A closed mount is connected during the diagnosis."""
         was_open = self._link is not None
         try:
             if not was_open:
@@ -174,7 +174,7 @@ class CanopenMount:
             self._clock.sleep(POLL_S)
 
     def _await_end_of_turn(self, predicted_s: float) -> None:
-        """Sleep towards the predicted end in slices, then look every 20 ms until both targets are reached."""
+        """Sleep in slices until the predicted end, then poll every 20 ms until both targets are reached."""
         predicted = Deadline.after(self._clock, predicted_s)
         deadline = Deadline.after(self._clock, 1.5 * predicted_s + self._settings.turn_margin_s)
         turning = list(self._drives)
@@ -187,7 +187,7 @@ class CanopenMount:
                 late = turning[0]
                 deadline.raise_if_expired(
                     f"{late.node.axis} to reach its target (statusword bit 10), {late.describe_unreached_target()}",
-                    hint="check that the mount is free to turn, its brake is open and nothing is jammed",
+                    hint="check that the mount is free to turn, its brake is released and nothing is jammed",
                     **late.node.where,
                 )
 
@@ -214,7 +214,7 @@ class CanopenMount:
                 other.check_in_motion()
 
     def _stop_after_error(self, error: BaseException) -> None:
-        """Stop both drives before `error` travels on; a stop that fails is added to it."""
+        """Stop both drives before `error` propagates; if a stop fails, add a note to `error`."""
         if isinstance(error, DeviceError):
             error.at(device=self._context.name)
         try:

@@ -1,7 +1,7 @@
-"""One CANopen node: its objects by SDO, its emergencies, its heartbeat. Every failure is a typed error.
+"""CANopen node: access to its objects by SDO, its emergencies and its heartbeat. Every failure is a typed error.
 
-Everything a node sends arrives in order, so whatever it sent before an SDO answer has been seen when that
-answer is here. A read of the statusword therefore also brings the emergencies and boot-ups before it.
+A node's messages arrive in order, so every message sent before an SDO answer has been received when the answer
+arrives. After a read of the statusword, all earlier emergencies and boot-ups are therefore known.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from drivers.links.can_bus import CanLink
 T = TypeVar("T")
 
 NO_SUCH_OBJECT = (0x0602_0000, 0x0609_0011)
-"""SDO abort codes (CiA 301): object, sub-index does not exist."""
+"""SDO abort codes of CiA 301 for an object or a sub-index that does not exist."""
 NMT_OPERATIONAL = 0x05
 
 _log = structlog.get_logger("canopen_mount")
 
 
 class DriveNode:
-    """`axis` is how messages call it. SDO exchanges take wall time, bounded by twice `sdo_timeout_s`.
+    """CANopen node of a drive, called `axis` in messages. SDO exchanges take up to twice `sdo_timeout_s` of wall time.
 
-    An exchange without an answer is repeated once, reads and writes alike: the same value written twice changes
-    nothing, because targets are absolute and the commands in the controlword act on the rising edge of a bit.
+    An exchange without an answer is repeated once, for reads and writes alike: writing the same value twice changes
+    nothing, because targets are absolute and commands in the controlword take effect on the rising edge of a bit.
     """
 
     def __init__(
@@ -63,7 +63,10 @@ class DriveNode:
         return {"axis": self.axis, "node": str(self.node_id), "link": self._link.name}
 
     def read(self, entry: DriveObject) -> int:
-        """Raises LinkLost, LinkTimeout, ProtocolError, CommandRejected (the node has no such object)."""
+        """Read an object.
+
+        Raises LinkLost, LinkTimeout, ProtocolError, CommandRejected (the node has no such object).
+        """
         data = self.read_bytes(entry)
         if len(data) != entry.size:
             raise ProtocolError(
@@ -74,7 +77,7 @@ class DriveNode:
         return entry.unpack(data)
 
     def read_optional(self, entry: DriveObject) -> int | None:
-        """As `read`; None where the node says that it has no such object."""
+        """Read an object as `read` does; return None if the node reports that it has no such object."""
         try:
             return self.read(entry)
         except CommandRejected as refused:
@@ -83,7 +86,7 @@ class DriveNode:
             raise
 
     def read_text(self, index: int) -> str:
-        """A visible string; empty where the node has none."""
+        """Return a visible string; an empty one if the node does not have the object."""
         try:
             data = self._transfer(f"0x{index:04X}", lambda: self._node.sdo.upload(index, 0))
         except CommandRejected:
@@ -94,12 +97,12 @@ class DriveNode:
         return bytes(self._transfer(str(entry), lambda: self._node.sdo.upload(entry.index, entry.subindex)))
 
     def write(self, entry: DriveObject, value: int) -> None:
-        """Raises as `read`; CommandRejected carries the drive's reason."""
+        """Write an object. Raises the errors of `read`; CommandRejected contains the drive's reason."""
         data = entry.pack(value)
         self._transfer(str(entry), lambda: self._node.sdo.download(entry.index, entry.subindex, data))
 
     def start(self) -> None:
-        """NMT: go to *operational*. The read after it has the node take the command before anything else."""
+        """Set the node to *operational* by NMT, then read an object so that the command is processed first."""
         try:
             self._link.check()
             self._node.nmt.state = "OPERATIONAL"
@@ -108,7 +111,7 @@ class DriveNode:
         self.read(STATUSWORD)
 
     def take_boot_up(self) -> bool:
-        """Whether the node announced a boot-up since the last call."""
+        """Return True if the node announced a boot-up since the last call."""
         with self._seen:
             booted, self._booted = self._booted, False
         return booted
@@ -119,13 +122,13 @@ class DriveNode:
         return seen
 
     def take_nmt_state(self) -> int | None:
-        """The NMT state of the latest heartbeat since the last call."""
+        """Return the NMT state in the latest heartbeat since the last call; None if there was none."""
         with self._seen:
             state, self._nmt_state = self._nmt_state, None
         return state
 
     def take_emergencies(self) -> list[int]:
-        """Error codes received since the last call, oldest first."""
+        """Return the error codes received since the last call, oldest first."""
         with self._seen:
             codes, self._emergencies = self._emergencies, []
         return codes
@@ -144,7 +147,7 @@ class DriveNode:
         try:
             return self._exchange_once(entry, exchange)
         except LinkTimeout:
-            _log.warning("SDO answer missing, asked again", object=entry, **self.where)
+            _log.warning("SDO answer missing, request repeated", object=entry, **self.where)
             return self._exchange_once(entry, exchange)
 
     def _exchange_once(self, entry: str, exchange: Callable[[], T]) -> T:

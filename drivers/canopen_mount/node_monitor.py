@@ -1,4 +1,4 @@
-"""Notices what a node does unasked: restarts, silence, emergencies, leaving the NMT state that it was put in."""
+"""Monitoring of a node for restarts, silence, emergencies and changes of its NMT state."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _log = structlog.get_logger("canopen_mount")
 
 
 class NodeMonitor:
-    """Called wherever the driver waits.
+    """Monitor of one node, called wherever the driver waits.
 
-    The age of the heartbeat is taken on the clock handed in, in the thread that waits. A heartbeat may be
-    late because this process was busy, so the node is asked by SDO before it is declared lost.
+    The age of the heartbeat is measured on the clock passed in, in the waiting thread. A heartbeat may be late because
+    this process was busy, so the node is queried by SDO before it is declared lost.
     """
 
     def __init__(self, node: DriveNode, clock: Clock, *, timeout_s: float | None) -> None:
@@ -34,9 +34,9 @@ class NodeMonitor:
         self._last_s = self._clock.now()
 
     def check(self) -> list[int]:
-        """The error codes of emergencies since the last call, logged.
+        """Log and return the error codes of emergencies since the last call.
 
-        Raises MotionFault after a restart, LinkTimeout or LinkLost when the node is gone.
+        Raises MotionFault after a restart or a change of NMT state, LinkTimeout or LinkLost if the node is gone.
         """
         codes = [code for code in self._node.take_emergencies() if code]
         for code in codes:
@@ -44,12 +44,12 @@ class NodeMonitor:
         if self._node.take_boot_up():
             raise MotionFault(
                 "the drive has restarted",
-                hint="check its supply; home the mount again before it is turned",
+                hint="check its supply; home the mount again before turning it",
                 **self._node.where,
             )
         if (state := self._node.take_nmt_state()) not in (None, NMT_OPERATIONAL):
             raise MotionFault(
-                f"the node has left the NMT state operational, its heartbeat says 0x{state:02X}",
+                f"the node has left the NMT state operational, its heartbeat reports 0x{state:02X}",
                 hint="another CANopen master or the drive's own monitoring (0x1029, 0x1016) has stopped it",
                 **self._node.where,
             )

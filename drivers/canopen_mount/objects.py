@@ -1,4 +1,4 @@
-"""The objects of CiA 301 and CiA 402 that the mount uses, with their data types."""
+"""Objects of CiA 301 and CiA 402 that the mount uses, with their data types."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DriveObject:
-    """`code` is the `struct` letter of the little-endian data type: B/b 8, H/h 16, I/i 32 bits."""
+    """Object of a drive. `code` is the `struct` letter of its little-endian data type: B/b 8, H/h 16, I/i 32 bits."""
 
     index: int
     subindex: int
@@ -74,7 +74,7 @@ HOMING = 6
 
 READ = (STATUSWORD, MODE_DISPLAY, POSITION)
 WRITTEN = (CONTROLWORD, MODE, TARGET_POSITION, PROFILE_VELOCITY)
-"""What an EDS must list for the drive to be usable here, the second for writing; the ramps are optional in CiA 402."""
+"""Objects that the EDS of a usable drive must list, `WRITTEN` as writable; the ramps are optional in CiA 402."""
 WRITTEN_FOR_HOMING = (HOMING_METHOD, HOMING_SEARCH_SPEED, HOMING_LATCH_SPEED, HOMING_ACCELERATION)
 
 CIA_402 = 402
@@ -82,5 +82,5 @@ CIA_402 = 402
 
 
 def mode_bit(mode: int) -> int:
-    """Where 0x6502 says that a mode is supported: bit 0 for mode 1, bit 5 for mode 6."""
+    """Return the bit of 0x6502 that marks a mode as supported: bit 0 for mode 1, bit 5 for mode 6."""
     return 1 << (mode - 1)

@@ -1,8 +1,8 @@
-"""The power drive state machine of CiA 402 as a table.
+"""Power drive state machine of CiA 402 as a table.
 
-The statusword tells the state (bits 0-3, 5, 6). `ENABLE_TRANSITIONS` says, for each state, which controlword leads one
-step nearer to *operation enabled*, where that step must arrive, and how long it may take. A step without a
-controlword is one that the drive takes by itself.
+Bits 0-3, 5 and 6 of the statusword give the state. `ENABLE_TRANSITIONS` gives for each state the controlword of the
+next transition towards *operation enabled*, its target state and its time limit. A transition without a controlword is
+one that the drive makes by itself.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SHUTDOWN = 0x0006
 SWITCH_ON = 0x0007
 ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
-"""Acts on its rising edge: something with bit 7 clear is written before."""
+"""Fault reset on the rising edge of bit 7; a controlword with bit 7 clear is written before it."""
 NEW_SET_POINT = ENABLE_OPERATION | 0x0030
 """Bit 4 new set-point, bit 5 change set immediately, bit 6 clear: absolute."""
 START_HOMING = ENABLE_OPERATION | 0x0010
@@ -55,7 +55,7 @@ START_HOMING = ENABLE_OPERATION | 0x0010
 
 @dataclass(frozen=True)
 class StateTransition:
-    """`controlwords` are written in order, then `target` is awaited for `within_s` of machine time."""
+    """Transition. `controlwords` are written in order, then `target` is awaited for `within_s` of machine time."""
 
     controlwords: tuple[int, ...]
     target: DriveState
@@ -75,7 +75,7 @@ ENABLE_TRANSITIONS: dict[DriveState, StateTransition] = {
 
 
 def drive_state(statusword: int) -> DriveState | None:
-    """The state that a statusword tells; None for a pattern that CiA 402 does not define."""
+    """Return the state given by a statusword; None for a pattern that CiA 402 does not define."""
     for mask, pattern, state in _PATTERNS:
         if statusword & mask == pattern:
             return state
