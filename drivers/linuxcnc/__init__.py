@@ -1,1 +1,1 @@
-"""LinuxCNC as a controller."""
+"""Driver for machines controlled by LinuxCNC."""

@@ -1,4 +1,4 @@
-"""The bridge process: started, asked, and started again when only that can stop the machine."""
+"""Link to the bridge process, which is restarted if only a new bridge can stop the machine."""
 
 from __future__ import annotations
 
@@ -20,20 +20,23 @@ BRIDGE = Path(__file__).resolve().parent / "bridge"
 PROTOCOL = 1
 END_WITHIN_S = 2.0
 STDERR_TAIL_BYTES = 400
-START_HINT = "is LinuxCNC running, under the same user and with the same HOME? Is linuxcnc-uspace installed?"
+START_HINT = "check that linuxcnc-uspace is installed, and that LinuxCNC runs under the same user with the same HOME"
 
 Answer = dict[str, Any]
 
 
 class _Bridge(NamedTuple):
-    """A process and what it says on standard error, kept for the message of its end."""
+    """Bridge process and its standard error, which is reported if the process ends."""
 
     process: subprocess.Popen[bytes]
     stderr: IO[bytes]
 
 
 class BridgeLink:
-    """Asks one thing at a time, from any thread; plays `drivers.linuxcnc.pins.Pins`. Waits are by the wall clock."""
+    """Link to the bridge: one request at a time, from any thread. Waits use the wall clock.
+
+    Implements `drivers.linuxcnc.pins.Pins`.
+    """
 
     def __init__(self, command: Sequence[str], *, answer_within_s: float, watch_s: float, device: str) -> None:
         self._command = [*command, str(BRIDGE)]
@@ -49,7 +52,7 @@ class BridgeLink:
 
     @property
     def connected(self) -> bool:
-        """Whether there is a bridge that has not ended."""
+        """True if a bridge process is running."""
         return self._bridge is not None and self._bridge.process.poll() is None
 
     @property
@@ -57,7 +60,7 @@ class BridgeLink:
         return None if self._bridge is None else self._bridge.process.pid
 
     def open(self) -> None:
-        """Start the bridge. LinkLost where it or LinuxCNC is not there."""
+        """Start the bridge. Raises LinkLost if it cannot be started or LinuxCNC does not run."""
         with self._lock:
             self.close()
             self._bridge = self._start_process()
@@ -73,7 +76,7 @@ class BridgeLink:
                 raise ProtocolError(f"the bridge speaks protocol {spoken}, not {PROTOCOL}", **self.where)
 
     def close(self) -> None:
-        """End the bridge, which stops a motion that it began; idempotent."""
+        """End the bridge, which stops a motion that it started; idempotent."""
         with self._lock:
             if self._bridge is None:
                 return
@@ -87,10 +90,10 @@ class BridgeLink:
             stderr.close()
             if not _ended(process):
                 process.kill()
-                _ended(process)  # who wants to abort by another bridge does not wait for this one for ever
+                _ended(process)  # bounded: an abort by a new bridge must not wait for this one
 
     def ask(self, what: str, **fields: object) -> Answer:
-        """What the bridge answers. CommandRejected where LinuxCNC refuses, LinkLost, LinkTimeout."""
+        """Send a request and return the answer. Raises CommandRejected if LinuxCNC refuses, LinkLost, LinkTimeout."""
         with self._lock:
             self._number += 1
             self._send({"id": self._number, "do": what, **fields})
@@ -101,7 +104,7 @@ class BridgeLink:
         raise self._refusal(answer)
 
     def abort(self) -> None:
-        """Stop whatever moves, by a new bridge where the old one has gone or does not answer."""
+        """Stop any motion, through a new bridge if the old one has ended or does not answer."""
         with self._lock:
             if self._unresponsive or not self.connected:
                 self.open()
@@ -113,7 +116,7 @@ class BridgeLink:
         return self.get_all([name])[0]
 
     def get_all(self, names: Sequence[str]) -> list[PinValue]:
-        """In one round trip."""
+        """Return the values of several pins in one round trip."""
         values: list[PinValue] = self.ask("hal_get", names=list(names))["values"]
         return values
 
@@ -133,8 +136,9 @@ class BridgeLink:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=stderr,
-                # Ctrl-C is for the agent, which stops the machine first. A group and no session: those are scheduled
-                # as one (autogroup), and beside busy ones a session of few requests was seen to starve for seconds.
+                # Ctrl-C must reach only the agent, which stops the machine first. A process group, not a session: the
+                # scheduler treats a session as one unit (autogroup), and a session with few requests was seen to
+                # starve for seconds beside busy ones.
                 process_group=0,
             )
         except OSError as error:
@@ -147,7 +151,7 @@ class BridgeLink:
     def _send(self, request: Answer) -> None:
         bridge = self._bridge
         if bridge is None or bridge.process.stdin is None:
-            raise LinkLost("device is not open", hint="open it first", **self.where)
+            raise LinkLost("the device is not open", hint="open it first", **self.where)
         try:
             bridge.process.stdin.write(json.dumps(request).encode() + b"\n")
             bridge.process.stdin.flush()
@@ -155,7 +159,7 @@ class BridgeLink:
             raise self._ended() from error
 
     def _answer(self, number: int) -> Answer:
-        """The answer of that number; later ones of requests that were given up are dropped."""
+        """Return the answer with this number; late answers to abandoned requests are discarded."""
         ends_s = wall_seconds() + self._within_s
         while True:
             answer = self._parse(self._line(ends_s))
@@ -198,7 +202,7 @@ class BridgeLink:
         return CommandRejected(text, **self.where)
 
     def _ended(self) -> LinkLost:
-        """The bridge has gone: its exit code and the last that it said."""
+        """Return the error for an ended bridge, with its exit code and its last line on standard error."""
         assert self._bridge is not None  # noqa: S101  it was asked
         process, stderr = self._bridge
         try:
@@ -212,7 +216,7 @@ class BridgeLink:
 
 
 def _ended(process: subprocess.Popen[bytes]) -> bool:
-    """Whether it has gone, or went within a moment."""
+    """Wait briefly for the process to exit; return True if it has."""
     try:
         process.wait(END_WITHIN_S)
     except subprocess.TimeoutExpired:
@@ -224,4 +228,4 @@ def _close(stream: IO[bytes]) -> None:
     try:
         stream.close()
     except BrokenPipeError:
-        return  # what could not be delivered is no matter any more
+        return  # undelivered data no longer matters

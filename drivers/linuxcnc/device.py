@@ -1,4 +1,4 @@
-"""The device: LinuxCNC as Machine, Probe, CompensationStore and Thermometer."""
+"""Device for LinuxCNC with the roles Machine, Probe, CompensationStore and Thermometer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ from drivers.roles import (
 
 
 class LinuxCnc:
-    """Composes motion, probing and store over one bridge; they exist while the device is open."""
+    """LinuxCNC machine: motion, probing and store over one bridge.
+
+    Motion and probing exist while the device is open.
+    """
 
     def __init__(self, settings: LinuxCncSettings, context: DeviceContext) -> None:
         link = BridgeLink(
@@ -44,7 +47,7 @@ class LinuxCnc:
         self._parts: _Parts | None = None
 
     def open(self) -> None:
-        """Start the bridge. Homes only where the settings say so, and only joints that do not move for it."""
+        """Start the bridge. Homes only if the settings allow it, and only with joints that do not move for it."""
         if self._parts is not None:
             return
         try:
@@ -56,7 +59,7 @@ class LinuxCnc:
         self._parts = _Parts(self._session)
 
     def close(self) -> None:
-        """Give back what was changed for the motions, and end the bridge."""
+        """Restore the modes changed for the motions, and end the bridge."""
         parts, self._parts = self._parts, None
         try:
             if parts is not None and self._session.link.connected:
@@ -69,11 +72,11 @@ class LinuxCnc:
 
     @property
     def bridge_pid(self) -> int | None:
-        """Of the bridge process; None while there is none."""
+        """Process id of the bridge; None if there is none."""
         return self._session.link.pid
 
     def home(self) -> None:
-        """Home all joints as the INI file says: this may move the axes."""
+        """Home all joints as the INI file specifies; this may move the axes."""
         self._open.motion.require_idle()
         self._session.home()
 
@@ -105,7 +108,7 @@ class LinuxCnc:
         self._open.motion.reset()
 
     def stop(self) -> None:
-        """Abort, by a new bridge where the old one has gone. Does nothing on a device that is closed."""
+        """Abort the motion, through a new bridge if the old one has ended. Does nothing if the device is closed."""
         if self._parts is not None:
             self._parts.motion.stop()
 
@@ -141,14 +144,14 @@ class LinuxCnc:
     @property
     def _open(self) -> _Parts:
         if self._parts is None:
-            raise LinkLost("device is not open", hint="open it first", **self._session.where)
+            raise LinkLost("the device is not open", hint="open it first", **self._session.where)
         return self._parts
 
     @property
     def _tables(self) -> LinuxCncStore:
         if self._store is None:
             raise ConfigurationError(
-                "this LinuxCNC keeps no compensation tables",
+                "no compensation is configured for this LinuxCNC",
                 hint="set compensation.way and compensation.directory",
                 key="compensation",
                 **self._session.where,
@@ -170,7 +173,7 @@ def _store(settings: LinuxCncSettings, link: BridgeLink, context: DeviceContext)
 
 
 class _Parts:
-    """What can be built only once LinuxCNC has stated its limits."""
+    """Parts of the device that can be created only after LinuxCNC has reported its limits."""
 
     def __init__(self, session: LinuxCncSession) -> None:
         self.motion = LinuxCncMotion(session)

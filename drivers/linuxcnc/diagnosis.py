@@ -1,4 +1,4 @@
-"""Self-diagnosis for `volcal doctor`: reads only."""
+"""Self-diagnosis for `volcal doctor`; reads only."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from drivers.roles import DiagnosticFinding
 LATENCY_READS = 50
 SLOW_ROUND_TRIP_S = 0.05
 SKEW_LEAST_S = 1e-3
-"""Clocks that differ by more than this and the worst round trip belong to two computers, or one of them is scaled."""
+"""Largest clock skew in s, on top of the worst round trip, between two clocks of the same computer."""
 LONGEST_PERIOD_S = 1e-3
 LATCH_MM_PER_S = 5.0
-"""Usual speed of a touch, 300 mm/min, at which the latch is judged."""
+"""Usual speed of a touch (300 mm/min), for which the delay of the latch is evaluated."""
 
 
 def diagnose(session: LinuxCncSession, store: LinuxCncStore | None) -> list[DiagnosticFinding]:
-    """Findings in the order in which a person would look; an error ends the list as a finding of its own."""
+    """Return the findings in troubleshooting order; an error becomes the last finding."""
     findings: list[DiagnosticFinding] = []
     opened_here = not session.link.connected
     try:
@@ -65,7 +65,7 @@ def _tables(store: LinuxCncStore | None) -> list[DiagnosticFinding]:
 
 
 def _latency(session: LinuxCncSession, first: Snapshot) -> DiagnosticFinding:
-    """Round trips, and whether LinuxCNC's seconds are as long as ours."""
+    """Report round-trip times, and the skew between LinuxCNC's clock and ours."""
     start_s = wall_seconds()
     before = session.read_snapshot()
     durations_s: list[float] = []
@@ -117,7 +117,7 @@ def _overrides(snapshot: Snapshot) -> Iterator[DiagnosticFinding]:
 
 
 def _ini(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
-    """Settings that make calibrating wrong or dangerous, with what they do."""
+    """Report INI settings that make a calibration wrong or dangerous."""
     keys = [
         ("DISPLAY", "MAX_FEED_OVERRIDE"),
         *((f"AXIS_{axis}", "OFFSET_AV_RATIO") for axis in XYZ),
@@ -130,7 +130,7 @@ def _ini(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
     yield DiagnosticFinding(
         "[DISPLAY]MAX_FEED_OVERRIDE",
         ok=override is None or _number(override) <= 1.0,
-        text=f"{override}: up to so many times the feed asked for" if override else "not set",
+        text=f"{override}: up to this multiple of the programmed feed" if override else "not set",
     )
     period_s = session.properties.servo_period_s
     spread_um = 1e3 * LATCH_MM_PER_S * period_s
@@ -138,19 +138,21 @@ def _ini(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
         "[EMCMOT]SERVO_PERIOD",
         ok=period_s <= LONGEST_PERIOD_S,
         text=f"{period_s * 1e3:g} ms: touches at {LATCH_MM_PER_S:g} mm/s latch up to {spread_um:.1f} µm late; half is "
-        f"taken off, ±{0.5 * spread_um:.1f} µm stay",
+        f"subtracted, ±{0.5 * spread_um:.1f} µm remain",
     )
     yield from _homing(values)
     ratios = [values[f"[AXIS_{axis}]OFFSET_AV_RATIO"] for axis in XYZ]
     yield DiagnosticFinding(
         "[AXIS_*]OFFSET_AV_RATIO",
         ok=True,
-        text="none: external offsets cannot act" if not any(ratios) else f"{', '.join(str(ratio) for ratio in ratios)}",
+        text="none: external offsets have no effect"
+        if not any(ratios)
+        else f"{', '.join(str(ratio) for ratio in ratios)}",
     )
 
 
 def _homing(values: dict[str, str | None]) -> Iterator[DiagnosticFinding]:
-    """A joint without switch and without an absolute encoder takes wherever it stands for its home."""
+    """Report joints without home switch and absolute encoder, which take any position as home."""
     blind = [
         place.removesuffix("HOME_SEARCH_VEL")
         for place, speed in values.items()
@@ -160,7 +162,9 @@ def _homing(values: dict[str, str | None]) -> Iterator[DiagnosticFinding]:
     ]
     text = "joints home by a switch or an absolute encoder"
     if blind:
-        text = f"{', '.join(blind)} neither HOME_SEARCH_VEL nor HOME_ABSOLUTE_ENCODER: homing takes any place for zero"
+        text = (
+            f"{', '.join(blind)} neither HOME_SEARCH_VEL nor HOME_ABSOLUTE_ENCODER: homing takes any position as zero"
+        )
     yield DiagnosticFinding("homing", ok=not blind, text=text)
 
 
@@ -176,7 +180,7 @@ def _temperatures(session: LinuxCncSession) -> DiagnosticFinding:
 
 
 def _number(text: str | None) -> float:
-    """0.0 where the key is not there or is none."""
+    """Parse an INI number; 0.0 if the key is missing or not a number."""
     try:
         return float((text or "0").split("#")[0])
     except ValueError:

@@ -1,4 +1,4 @@
-"""One straight motion by MDI, from the command to its end."""
+"""Straight motions by MDI, from the command to the end of the motion."""
 
 from __future__ import annotations
 
@@ -24,18 +24,21 @@ from drivers.roles import MotionState, Permission, Vector
 from drivers.straight_move import move_duration_s
 
 DURATION_FACTOR = 1.5
-"""A motion may take this many times its predicted duration, plus the margin."""
+"""Allowed multiple of the predicted duration of a motion; the margin is added."""
 LIMIT_TOLERANCE_MM = 1e-6
 REACHED_MM = 1e-4
-"""LinuxCNC ends a motion exactly at its target; a text of six decimals and inches are coarser."""
+"""Largest distance in mm from the target at the end of a motion.
+
+LinuxCNC ends a motion exactly at its target; the decimals of the MDI text, and inches, are coarser.
+"""
 REST_POLL_S = 0.01
 PREFIX = "G21 G90 G94 G40"
 OWN_CODES = (20.0, 21.0, 90.0, 91.0, 93.0, 94.0, 95.0)
-"""Modal codes that the prefix changes and that are given back. Radius compensation is left off."""
+"""Modal codes that the prefix changes and that are restored later. Radius compensation remains off."""
 TRIPPED = "robe tripped"
 LEAST_OVERRIDE = 0.01
 FREE_WITHIN_MM = 2.0
-"""Less than any probe yields."""
+"""Path in mm for freeing the probe; less than the overtravel of any probe."""
 FREEING_MM_PER_S = 2.0
 
 
@@ -47,26 +50,26 @@ class MotionKind(Enum):
 
 @dataclass(frozen=True)
 class MotionResult:
-    """Where a motion began, and the look that showed its end."""
+    """Start position of a motion, and the snapshot that showed its end."""
 
     start: Triple
     snapshot: Snapshot
 
 
 class LinuxCncMotion:
-    """Starts motions and says how they ended. Whatever exception leaves a wait, the machine is stopped first."""
+    """Carries out motions. If an exception ends a wait, the machine is stopped before the exception propagates."""
 
     def __init__(self, session: LinuxCncSession) -> None:
         self._session = session
         self._limits = session.properties.limits
         self._braking = False
         self._modal_before: tuple[float, ...] | None = None
-        self._approach_direction: Triple | None = None  # the way of the last motion that began with the probe free
+        self._approach_direction: Triple | None = None  # path of the last motion begun with a free probe
         self.tag = 0
-        """Which step the motions belong to; written as a comment behind the line."""
+        """Tag of the step to which the motions belong; appended to the MDI line as a comment."""
 
     def run(self, kind: MotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> MotionResult:
-        """Returns at the target, or for a touch where it tripped or ended; anything else is raised."""
+        """Move to the target, or for a touch until the trip or the target; raise for any other outcome."""
         target = self._validated_target(kind, target_mm, feed_mm_per_s)
         self._await_rest()
         before = self._session.read_snapshot()
@@ -79,23 +82,25 @@ class LinuxCncMotion:
         return MotionResult(before.position, ended)
 
     def stop(self) -> None:
-        """Abort; does not wait for rest, since it is called where sleeping is not possible."""
+        """Abort the motion. Does not wait for standstill, because callers may be unable to sleep."""
         self._braking = True
         self._session.link.abort()
 
     def reset(self) -> None:
-        """Switch the machine on where it is off, and wait until it says that it rests: for a few cycles more its task
-        is still busy with switching on, and a motion would be refused."""
+        """Switch the machine on if it is off, and wait until LinuxCNC reports it idle.
+
+        For a few cycles after switching on, LinuxCNC's task is still busy and would refuse a motion.
+        """
         if self._session.read_snapshot().task_state != ON:
             self._session.link.ask("on")
             self._await_rest(anyway=True)
 
     def require_idle(self) -> None:
-        """CommandRejected while something moves or is held."""
+        """Raise CommandRejected if a motion is in progress or held."""
         self._require_at_rest(self._session.read_snapshot())
 
     def restore_modes(self) -> None:
-        """Restore the modal codes that were there before the first motion, and manual mode."""
+        """Restore the modal codes in effect before the first motion, and manual mode."""
         if self._modal_before is None or self._session.read_snapshot().task_state != ON:
             return
         self._await_rest()
@@ -118,13 +123,13 @@ class LinuxCncMotion:
         return x, y, z
 
     def _await_rest(self, *, anyway: bool = False) -> None:
-        """After an abort the axes brake for a moment, in which LinuxCNC would refuse a motion."""
+        """Wait until the axes have come to rest after an abort; LinuxCNC refuses motions while they brake."""
         if not (self._braking or anyway):
             return
         session = self._session
         deadline = Deadline.after(session.clock, session.settings.motion_margin_s)
         while session.read_snapshot().state is MotionState.MOVING:
-            deadline.raise_if_expired("the axes to rest", hint="see LinuxCNC", **session.where)
+            deadline.raise_if_expired("the axes to come to rest", hint="see LinuxCNC", **session.where)
             session.clock.sleep(REST_POLL_S)
         self._braking = False
 
@@ -138,11 +143,16 @@ class LinuxCncMotion:
         if missing:
             names = ", ".join(name.value for name in missing)
             fault = f" ({before.fault})" if before.fault else ""
-            raise PermissionMissing(f"no {kind.value} is permitted; missing: {names}{fault}", **session.where)
+            raise PermissionMissing(
+                f"a {kind.value} is not permitted; missing: {names}{fault}",
+                hint="make the machine ready",
+                **session.where,
+            )
         self._require_at_rest(before)
         if before.rotation_deg != 0.0:
             raise self._rejected(
-                f"the work coordinate system is rotated by {before.rotation_deg:g}°", hint="G10 L2 P0 R0"
+                f"the work coordinate system is rotated by {before.rotation_deg:g}°",
+                hint="remove the rotation with G10 L2 P0 R0",
             )
 
     def _require_at_rest(self, snapshot: Snapshot) -> None:
@@ -150,21 +160,28 @@ class LinuxCncMotion:
             raise self._rejected(f"LinuxCNC is {snapshot.state.value}", hint="end the program or the hold first")
 
     def _ensure_probe_free(self, kind: MotionKind, before: Snapshot, target: Triple) -> Snapshot:
-        """LinuxCNC sees only the edge of the probe's signal, so a probe that is deflected guards nothing. It may be
-        led back against the way it came; where that is not known, it is led a little and must come free."""
+        """Return a snapshot from which the motion may start with respect to the probe; free the probe if needed.
+
+        LinuxCNC evaluates only the edge of the probe signal, so a deflected probe does not guard a motion. It may be
+        moved back against its approach direction. If that is unknown, it is first moved a short distance, after which
+        it must be free.
+        """
         if kind is MotionKind.POSITIONING or not before.deflected:
             return before
         if kind is MotionKind.TOUCH:
-            raise self._rejected("the probe is deflected before the touch", hint="back off first")
+            raise self._rejected("the probe is deflected before the touch", hint="withdraw it first")
         path = np.subtract(target, before.position)
         if self._approach_direction is None:
             return self._free_slowly(before, path)
         if float(path @ np.array(self._approach_direction)) >= 0.0:
-            raise self._rejected("the probe is deflected and the move would not lead it back", hint="move it free")
+            raise self._rejected("the probe is deflected, and the move would not withdraw it", hint="move it free")
         return before
 
     def _free_slowly(self, before: Snapshot, path: Vector) -> Snapshot:
-        """Where the first millimetres of a move end, slowly; GuardTripped where the probe is still deflected there."""
+        """Move slowly along the first millimetres of the path and return the snapshot there.
+
+        Raises GuardTripped if the probe is still deflected.
+        """
         length = float(np.linalg.norm(path))
         if length < LIMIT_TOLERANCE_MM:
             return before
@@ -173,14 +190,15 @@ class LinuxCncMotion:
         ended = self._execute(MotionKind.POSITIONING, before, (x, y, z), FREEING_MM_PER_S)
         if ended.deflected:
             raise GuardTripped(
-                f"the probe is deflected, and still is after {FREE_WITHIN_MM:g} mm of this move",
+                f"the probe is still deflected after {FREE_WITHIN_MM:g} mm of this move",
                 hint="move it free by hand",
                 **self._session.where,
             )
         return ended
 
     def _line(self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> str:
-        """Machine positions by G53; G38 knows no G53, so the offsets that act are taken off."""
+        """Return the MDI line. Targets are machine positions by G53; G38 does not support G53, so for a touch the
+        active offsets are subtracted."""
         if kind is MotionKind.TOUCH:
             target = _difference(target, before.program_offset)
         words = " ".join(f"{axis}{value:.7f}" for axis, value in zip(XYZ, target, strict=True))
@@ -189,10 +207,10 @@ class LinuxCncMotion:
         comment = f" (volcal {self.tag})" if self.tag else ""
         return f"{PREFIX} {word} {words}{feed}{comment}"
 
-    # ------------------------------------------------------------------ while
+    # ------------------------------------------------------------------ during
 
     def _execute(self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> Snapshot:
-        """The look that shows its end, which was a success."""
+        """Carry out the motion and return the snapshot at its successful end."""
         if not before.deflected:
             self._approach_direction = _difference(target, before.position)
         try:
@@ -211,8 +229,10 @@ class LinuxCncMotion:
     def _wait(
         self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
     ) -> tuple[Snapshot, tuple[str, ...]]:
-        """The look that shows the axes at rest, with what came of the motion when it ended, and all that LinuxCNC has
-        said meanwhile: after a trip it is done with a move while the axes still brake."""
+        """Return the snapshot with the axes at rest, with the outcome of the motion, and LinuxCNC's messages.
+
+        The outcome is that at the end of the motion: after a trip LinuxCNC ends the move while the axes still brake.
+        """
         session, clock, settings = self._session, self._session.clock, self._session.settings
         allowed_s = self._allowed_s(before, target, feed_mm_per_s)
         deadline = Deadline.after(clock, allowed_s)
@@ -237,7 +257,7 @@ class LinuxCncMotion:
             clock.sleep(settings.poll_interval_s)
 
     def _late_messages(self, ended: Snapshot, messages: tuple[str, ...]) -> tuple[str, ...]:
-        """The reason of an error may come a cycle after it."""
+        """Return the messages that give the reason for an error; they may arrive a cycle after it."""
         if ended.outcome != "error" or messages:
             return ()
         self._session.clock.sleep(self._session.settings.poll_interval_s)
@@ -292,7 +312,7 @@ class LinuxCncMotion:
                 **where,
             )
         if ended.abandoned:
-            raise MotionFault(f"the bridge stopped a {kind.value}: nobody had asked after it", **where)
+            raise MotionFault(f"the bridge stopped a {kind.value}: no status query came in time", **where)
         if kind is MotionKind.TOUCH and ended.tripped:
             return
         if TRIPPED in text:
@@ -300,7 +320,7 @@ class LinuxCncMotion:
         if ended.outcome == "error":
             raise self._rejected(
                 f"LinuxCNC refused a {kind.value}: {text or 'it gives no reason'}",
-                hint="" if text else "motion did not answer its task in time? See [EMCMOT]COMM_TIMEOUT",
+                hint="" if text else "motion may not have answered its task in time; see [EMCMOT]COMM_TIMEOUT",
             )
         if math.dist(ended.position, target) > REACHED_MM:
             raise MotionFault(
@@ -310,12 +330,12 @@ class LinuxCncMotion:
             )
 
     def _guard_tripped(self, kind: MotionKind, ended: Snapshot) -> MotionFault:
-        """LinuxCNC has stopped and is ready again: the way back is open."""
+        """Return the error for a trip in a move. LinuxCNC has stopped and is ready again, so no reset is needed."""
         x, y, z = ended.position
         fault = GuardTripped if kind is MotionKind.GUARDED else MotionFault
         return fault(
-            f"probe tripped in a move that was no touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
-            hint="something stands in the way, or mount and artefact are not where the plan has them",
+            f"the probe tripped in a move that was not a touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
+            hint="check for an obstacle, and that mount and artefact are where the plan expects them",
             **self._session.where,
         )
 

@@ -1,4 +1,4 @@
-"""Touches by G38.3, and what the latched position really means."""
+"""Touches by G38.3, with a correction of the latched position for its delay."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from drivers.straight_move import distance_to_segment_mm, limit_along_direction
 
 
 class LinuxCncProbing:
-    """G38.3 gives no alarm on a miss; what happened is told by `probe_tripped`."""
+    """Touches by G38.3, which raises no alarm on a miss; `probe_tripped` distinguishes a touch from a miss."""
 
     def __init__(self, session: LinuxCncSession, motion: LinuxCncMotion) -> None:
         self._session = session
@@ -39,17 +39,18 @@ class LinuxCncProbing:
         if distance_mm > self._session.settings.latch_tolerance_mm:
             raise ProtocolError(
                 f"latched position {ended.snapshot.probed} is {distance_mm:.3f} mm off the commanded path",
-                hint="does another program use LinuxCNC at the same time?",
+                hint="check whether another program uses LinuxCNC at the same time",
                 **self._session.where,
             )
         x, y, z = (latched - self._overshoot(ended, target, feed_mm_per_s)).tolist()
         return Touch((x, y, z))
 
     def _overshoot(self, ended: MotionResult, target: Sequence[float], feed_mm_per_s: float) -> Vector:
-        """(3,) mm by which the axes had gone on when the position was latched.
+        """Return the travel of the axes from the trip to the latch, shape (3,), mm.
 
-        LinuxCNC latches in the servo cycle that sees the pin, on average half a cycle after the trip, and as much later
-        as the signal is late.
+        LinuxCNC latches in the servo cycle that sees the pin, on average half a cycle after the trip, plus the delay of
+        the probe signal. Overshoot = direction · v · delay, with v the smallest of the programmed feed, the axis limits
+        and the speed √(2 a s) that the axes can reach on the path s so far.
         """
         properties, settings = self._session.properties, self._session.settings
         path = np.subtract(target, ended.start)
@@ -72,6 +73,6 @@ class LinuxCncProbing:
             )
 
     def _loaded(self, snapshot: Snapshot) -> bool:
-        """True as well where no tool number is known for the probe."""
+        """Return True if the probe is loaded, or if no tool number is configured for it."""
         wanted = self._session.settings.probe_tool
         return wanted is None or snapshot.tool == wanted

@@ -1,4 +1,4 @@
-"""What every part of the driver shares: the bridge, the clock, the settings, and how to look at the machine."""
+"""Session shared by all parts of the driver: bridge, clock, settings, and snapshots of the machine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ XYZ_MASK = 0b111
 
 @dataclass(frozen=True)
 class MachineProperties:
-    """What LinuxCNC says of itself once: `servo_period_s`, `absolute_encoders` by joint, the rest as in AxisLimits."""
+    """Constant properties of the machine. `absolute_encoders` is True if every joint has an absolute encoder."""
 
     limits: AxisLimits
     mm_per_unit: float
@@ -28,7 +28,7 @@ class MachineProperties:
 
 
 class LinuxCncSession:
-    """Open while the bridge is. Positions in mm whatever LINEAR_UNITS are."""
+    """Session with LinuxCNC, open while the bridge is. Positions are in mm for any LINEAR_UNITS."""
 
     def __init__(self, link: BridgeLink, clock: Clock, settings: LinuxCncSettings) -> None:
         self.link = link
@@ -39,7 +39,10 @@ class LinuxCncSession:
         self._pins = settings.pins()
 
     def open(self) -> None:
-        """LinkLost where LinuxCNC is not there, ConfigurationError for another machine."""
+        """Open the bridge and read the properties of the machine.
+
+        Raises LinkLost if LinuxCNC does not run, ConfigurationError if it runs another machine.
+        """
         self.link.open()
         self._properties = self._read_properties()
         expected = self.settings.machine_name
@@ -54,14 +57,14 @@ class LinuxCncSession:
     @property
     def properties(self) -> MachineProperties:
         if self._properties is None:
-            raise LinkLost("device is not open", hint="open it first", **self.where)
+            raise LinkLost("the device is not open", hint="open it first", **self.where)
         return self._properties
 
     def read_snapshot(self) -> Snapshot:
         return parse_snapshot(self.link.ask("status", pins=self._pins), self.properties.mm_per_unit, self.where)
 
     def permissions(self, snapshot: Snapshot) -> dict[Permission, bool]:
-        """HAL pins where they are named, LinuxCNC's own state otherwise."""
+        """Return the permissions: from HAL pins if configured, otherwise from LinuxCNC's own state."""
         on = snapshot.task_state == ON
         given = dict.fromkeys(Permission, True) | {
             Permission.AUTOMATIC: on,
@@ -76,11 +79,11 @@ class LinuxCncSession:
         return given
 
     def probe_healthy(self, snapshot: Snapshot) -> bool:
-        """True as well where no pin tells."""
+        """Return True if the probe is healthy, or if no pin is configured for it."""
         return self.settings.probe_healthy is None or bool(snapshot.pins[-1])
 
     def home(self) -> None:
-        """Home all joints by the sequence of the INI file; this may move the axes. Returns when they are."""
+        """Home all joints in the sequence of the INI file and return when they are homed; this may move the axes."""
         self.link.ask("home")
         deadline = Deadline.after(self.clock, self.settings.homing_within_s)
         messages: tuple[str, ...] = ()
@@ -128,7 +131,7 @@ class LinuxCncSession:
         )
 
     def _number(self, reported: object, place: str) -> float:
-        """A positive number of the INI file or the status."""
+        """Parse a positive number from the INI file or the status. Raises ProtocolError if it is none."""
         try:
             value = float(str(reported).split("#")[0])
         except ValueError:

@@ -1,4 +1,4 @@
-"""What a user states about a LinuxCNC machine; limits, units and periods are read from LinuxCNC itself."""
+"""Settings of a LinuxCNC machine; limits, units and periods are read from LinuxCNC itself."""
 
 from __future__ import annotations
 
@@ -10,22 +10,25 @@ from drivers.linuxcnc.compensation.settings import CompensationSettings
 from drivers.roles import Permission
 
 PinName = Annotated[str, Field(min_length=1, max_length=47, pattern=r"^[A-Za-z0-9_.:-]+$")]
-"""HAL names have at most 47 characters."""
+"""Name of a HAL pin, signal or parameter; at most 47 characters."""
 Seconds = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
 class PermissionPins(BaseModel):
-    """HAL bits that are true while the machine may be moved; without one LinuxCNC's own state decides, or nothing."""
+    """HAL bits that are true while the machine may be moved.
+
+    Without a bit, LinuxCNC's own state decides, or the permission is taken as granted.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    automatic: PinName | None = Field(default=None, description="without it: the machine is on")
-    doors_closed: PinName | None = Field(default=None, description="without it: taken as given")
-    spindle_stopped: PinName | None = Field(default=None, description="without it: no spindle of LinuxCNC is on")
-    consent: PinName | None = Field(default=None, description="without it: taken as given")
+    automatic: PinName | None = Field(default=None, description="if unset: the machine is on")
+    doors_closed: PinName | None = Field(default=None, description="if unset: taken as granted")
+    spindle_stopped: PinName | None = Field(default=None, description="if unset: no spindle of LinuxCNC is on")
+    consent: PinName | None = Field(default=None, description="if unset: taken as granted")
 
     def named(self) -> dict[Permission, str]:
-        """Those that are wired."""
+        """Return the configured pins by permission."""
         return {Permission[name.upper()]: pin for name, pin in self if pin is not None}
 
 
@@ -37,17 +40,19 @@ class LinuxCncSettings(BaseModel):
     bridge_command: tuple[str, ...] = Field(
         default=("/usr/bin/python3",),
         min_length=1,
-        description="the Python that has the modules linuxcnc and hal, with whatever must stand before it",
+        description="Python interpreter with the modules linuxcnc and hal, preceded by a wrapper command if needed",
     )
-    machine_name: str | None = Field(default=None, description="[EMC]MACHINE of the right machine; another is refused")
+    machine_name: str | None = Field(default=None, description="expected [EMC]MACHINE; any other is refused")
     answer_within_s: Annotated[float, Field(gt=0.0, le=60.0)] = 3.0
     watch_s: float = Field(default=2.0, ge=0.0, le=60.0, description="silence after which the bridge stops a motion")
 
-    poll_interval_s: float = Field(default=0.02, gt=0.0, le=0.5, description="between two looks at a motion")
-    motion_margin_s: Seconds = Field(default=5.0, description="beyond 1.5 times the predicted duration")
-    held_at_most_s: Seconds = Field(default=600.0, description="how long a hold at the machine is waited for")
+    poll_interval_s: float = Field(
+        default=0.02, gt=0.0, le=0.5, description="between two status queries during a motion"
+    )
+    motion_margin_s: Seconds = Field(default=5.0, description="on top of 1.5 times the predicted duration")
+    held_at_most_s: Seconds = Field(default=600.0, description="longest wait for the release of a hold")
     homing: Literal["refuse", "absolute-encoders"] = Field(
-        default="refuse", description="absolute-encoders: home on opening where that moves nothing"
+        default="refuse", description="absolute-encoders: home on opening if that moves nothing"
     )
     homing_within_s: Seconds = 120.0
 
@@ -57,12 +62,16 @@ class LinuxCncSettings(BaseModel):
     latch_cycles: float = Field(
         default=0.5, ge=0.0, le=10.0, description="servo cycles from the trip to the latched position, on average"
     )
-    probe_delay_s: float = Field(default=0.0, ge=0.0, le=0.1, description="of the probe's signal, as by a debounce")
-    latch_tolerance_mm: float = Field(default=1.0, gt=0.0, description="of a latched position from the path")
-    compensation: CompensationSettings | None = Field(default=None, description="none: the device is no store")
+    probe_delay_s: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="delay of the probe's signal, for example by a debounce"
+    )
+    latch_tolerance_mm: float = Field(
+        default=1.0, gt=0.0, description="largest distance of a latched position from the path"
+    )
+    compensation: CompensationSettings | None = Field(default=None, description="none: the device is not a store")
     temperatures: dict[str, PinName] = Field(default_factory=dict, description="name → HAL float in °C")
 
     def pins(self) -> tuple[str, ...]:
-        """HAL names that belong to every look at the machine."""
+        """Return the HAL names that are read with every snapshot."""
         healthy = () if self.probe_healthy is None else (self.probe_healthy,)
         return (*self.permissions.named().values(), *healthy)

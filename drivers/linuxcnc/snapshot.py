@@ -1,4 +1,4 @@
-"""One look at LinuxCNC, in mm."""
+"""Snapshot of the state of LinuxCNC, in mm."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ ON = "on"
 
 @dataclass(frozen=True)
 class Snapshot:
-    """`position` and `probed` are machine positions without external offsets; `program_offset` is what a programmed
-    position lacks to them. `errors` is what LinuxCNC has said since the look before."""
+    """State of LinuxCNC at one instant.
+
+    `position` and `probed` are machine positions without external offsets; `program_offset` is the difference machine
+    minus programmed position. `errors` holds LinuxCNC's messages since the previous snapshot.
+    """
 
     position: Triple
     probed: Triple
@@ -59,7 +62,7 @@ class Snapshot:
 
     @property
     def fault(self) -> str:
-        """Why the machine is not on; empty while it is."""
+        """Reason why the machine is not on; an empty string while it is on."""
         if self.task_state == ON:
             return ""
         text = "emergency stop" if self.task_state == "estop" else "machine is off"
@@ -70,7 +73,7 @@ class Snapshot:
 
 
 def parse_snapshot(status: dict[str, Any], mm_per_unit: float, where: dict[str, str]) -> Snapshot:
-    """From the bridge's answer to `status`. ProtocolError where something is missing."""
+    """Parse the bridge's answer to `status`. Raises ProtocolError if a field is missing."""
     try:
         offset = status["eoffset"]
         return Snapshot(

@@ -107,7 +107,7 @@ def test_accepted_loss_leaves_the_mean_along_each_axis(rig: Rig) -> None:
     place = (240.0, 160.0, 80.0)  # node 3, 2, 1
     mean = [values[3, :, :, 0].mean(), values[:, 2, :, 1].mean(), values[:, :, 1, 2].mean()]
     assert rig.shift_at(*place) == pytest.approx(mean, abs=1e-8)
-    assert any("do not act" in finding.text for finding in rig.store.diagnose())
+    assert any("have no effect" in finding.text for finding in rig.store.diagnose())
 
 
 def test_acting_and_waiting_banks_are_not_written(rig: Rig) -> None:

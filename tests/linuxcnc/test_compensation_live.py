@@ -288,7 +288,7 @@ def without_loader(rig: Rig) -> None:
     settings = CompensationSettings.model_validate({"way": rig.way, "directory": "tables", "within_s": 0.3})
     store = create_store(settings, rig.controller, RealClock(), base_path=rig.work, device="linuxcnc")
     assert [finding.ok for finding in store.diagnose()] == [False]
-    with pytest.raises(StoreError, match="does not run"):
+    with pytest.raises(StoreError, match="no longer runs"):
         store.activate(0)
 
 

@@ -1,1 +1,1 @@
-"""The process beside LinuxCNC: run as a directory by the system's Python, never imported by volcal."""
+"""Bridge process beside LinuxCNC: run as a directory by the system's Python, never imported by volcal."""

@@ -1,9 +1,9 @@
-"""One JSON object a line on standard input, one back on standard output: LinuxCNC for a program of another Python.
+"""Bridge to LinuxCNC for a program under another Python: JSON requests on standard input, answers on standard output.
 
-Run by the distribution's interpreter (`/usr/bin/python3 drivers/linuxcnc/bridge`), because the modules `linuxcnc` and
-`hal` are built for that one. Imports nothing of volcal. Every request is answer_line within a few cycles of the task;
-nothing here waits for a motion. The machine is stopped when standard input ends, and when a motion that was begun here
-is under way and nobody has asked for `watch_s` seconds.
+Requests and answers are one JSON object per line. The distribution's interpreter runs it (`/usr/bin/python3
+drivers/linuxcnc/bridge`), because the modules `linuxcnc` and `hal` are built for that interpreter. It imports nothing
+from volcal. Every request is answered within a few cycles of LinuxCNC's task; no request waits for a motion. The
+machine is stopped when standard input ends, or if no request comes for `watch_s` seconds during a motion started here.
 
     {"id": 7, "do": "status"}  ->  {"id": 7, "ok": {...}}  or  {"id": 7, "error": "refused", "text": "..."}
 
@@ -25,7 +25,7 @@ import linuxcnc
 from halpins import HalPins, NoSuchPinError
 
 Fields = Any
-"""A JSON object."""
+"""JSON object."""
 
 PROTOCOL = 1
 TASK_STATES = {
@@ -40,15 +40,18 @@ ERRORS = (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR)
 
 
 class RefusedError(Exception):
-    """LinuxCNC, or this bridge, does not do that now."""
+    """LinuxCNC or this bridge refuses the request in its present state."""
 
 
 class GoneError(Exception):
-    """LinuxCNC does not answer any more."""
+    """LinuxCNC no longer answers."""
 
 
 class Bridge:
-    """`watch_s`: longest silence of the other side while a motion of ours is under way; 0: not watched."""
+    """Bridge to the running LinuxCNC.
+
+    `watch_s` is the longest time without a request during a motion started here; 0 disables the monitoring.
+    """
 
     def __init__(self) -> None:
         self._command = linuxcnc.command()
@@ -63,7 +66,7 @@ class Bridge:
         self._abandoned = False
 
     def answer(self, request: Fields) -> Fields:
-        """The fields of the answer to one request."""
+        """Carry out one request and return the fields of its answer."""
         self._heard_s = time.monotonic()
         actions = {
             "hello": self._hello,
@@ -85,11 +88,11 @@ class Bridge:
         return action(request)
 
     def pause_s(self) -> float | None:
-        """How long the loop may wait for a request before `watch` must be called."""
+        """Return how long the loop may wait for a request before calling `watch`, in s; None for no limit."""
         return 0.05 if self._watched() else None
 
     def watch(self) -> None:
-        """Stop a motion of ours that nobody asks after."""
+        """Stop a motion started here if no request has come for `watch_s`."""
         if self._watched() and time.monotonic() - self._heard_s > self._watch_s:
             self._poll()
             if self._under_way() and not self._stat.paused:
@@ -99,7 +102,7 @@ class Bridge:
             self._heard_s = time.monotonic()
 
     def end(self) -> None:
-        """The other side has gone: nothing of ours goes on moving."""
+        """Stop a motion started here, after the other side has ended."""
         self._poll()
         if self._begun is not None and self._under_way():
             self._command.abort()
@@ -117,7 +120,7 @@ class Bridge:
         except (SystemError, linuxcnc.error) as error:
             raise GoneError(f"status of LinuxCNC cannot be read: {error.__cause__ or error}") from error
 
-    # ------------------------------------------------------------------ what it tells
+    # ------------------------------------------------------------------ queries
 
     def _hello(self, request: Fields) -> Fields:
         self._watch_s = float(request.get("watch_s", 0.0))
@@ -135,7 +138,7 @@ class Bridge:
         }
 
     def _ini(self, request: Fields) -> Fields:
-        """Values of the INI file as text, null where there is none; the first where there are several."""
+        """Return values of the INI file as text: null for a missing key, the first value of a repeated key."""
         self._poll()
         ini = linuxcnc.ini(self._stat.ini_filename)
         return {"values": [ini.find(section, key) for section, key in request["keys"]]}
@@ -181,7 +184,7 @@ class Bridge:
         }
 
     def _take_messages(self) -> list[str]:
-        """What LinuxCNC has said since it was asked last."""
+        """Return LinuxCNC's error messages since the last call."""
         messages = []
         for _ in range(100):
             message = self._channel.poll()
@@ -191,14 +194,14 @@ class Bridge:
                 messages.append(message[1])
         return messages
 
-    # ------------------------------------------------------------------ what it does
+    # ------------------------------------------------------------------ commands
 
     def _hal_set(self, request: Fields) -> Fields:
         self._pins.set(request["name"], request["value"])
         return {}
 
     def _mdi(self, request: Fields) -> Fields:
-        """Send one line; the task has it when this answers."""
+        """Send one MDI line and wait until LinuxCNC's task has accepted it."""
         self._poll()
         if self._stat.task_state != linuxcnc.STATE_ON:
             raise RefusedError("the machine is not on")
@@ -223,7 +226,7 @@ class Bridge:
         return {}
 
     def _begin(self) -> None:
-        """The command just sent is ours, and the task has taken it."""
+        """Record the command just sent as started here, and wait until the task has accepted it."""
         self._begun = serial = self._command.serial
         self._await(lambda stat: stat.echo_serial_number == serial, "take the command")
 
@@ -256,7 +259,7 @@ class Bridge:
         return {}
 
     def _on(self, _request: Fields) -> Fields:
-        """Switch the machine on where only that is missing; an e-stop from outside is never overridden."""
+        """Switch the machine on if nothing else is missing; an external e-stop is never overridden."""
         self._poll()
         if self._stat.task_state == linuxcnc.STATE_ESTOP:
             raise RefusedError("emergency stop")
@@ -266,7 +269,7 @@ class Bridge:
         return {}
 
     def _await(self, reached: Callable[[Any], bool], what: str) -> None:
-        """Short: what the task does in its next cycles or not at all."""
+        """Wait up to 1 s for a change that the task makes in its next cycles or not at all."""
         ends_s = time.monotonic() + 1.0
         while True:
             self._poll()
@@ -279,7 +282,7 @@ class Bridge:
 
 
 def answer_line(bridge: Bridge, line: bytes) -> Fields:
-    """The answer to one line; never raises for what was asked."""
+    """Return the answer to one line; an invalid or refused request gives an error answer, not an exception."""
     number = None
     try:
         request = json.loads(line)
@@ -297,7 +300,7 @@ def answer_line(bridge: Bridge, line: bytes) -> Fields:
 
 def main() -> None:
     replies = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # the C library of LinuxCNC prints where the answers would be
+    os.dup2(2, 1)  # LinuxCNC's C library prints to standard output, which carries the answers
     try:
         bridge = Bridge()
     except (linuxcnc.error, hal.error) as error:

@@ -1,4 +1,4 @@
-"""HAL pins, signals and parameters by name, from the system's Python."""
+"""Access to HAL pins, signals and parameters by name, from the system's Python."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ HALCMD_WITHIN_S = 2.0
 
 
 class NoSuchPinError(Exception):
-    """HAL has no such name, or it cannot be set to that."""
+    """HAL has no such name, or it cannot be set to that value."""
 
 
 class HalPins:
-    """Needs a component of this process in HAL."""
+    """HAL pins, signals and parameters. This process must have a HAL component."""
 
     def get(self, name: str) -> Value:
-        """bit as bool, s32 and u32 as int, float as float."""
+        """Return the value: bit as bool, s32 and u32 as int, float as float."""
         try:
             value: Value = hal.get_value(name)
             return value
@@ -30,7 +30,7 @@ class HalPins:
         return [self.get(name) for name in names]
 
     def set(self, name: str, value: Value) -> None:
-        """A pin that nothing drives (`setp`), or the signal it is linked to where nothing writes that (`sets`)."""
+        """Set an undriven pin (`setp`), or the signal it is linked to if that has no writer (`sets`)."""
         self.get(name)
         text = str(int(value)) if isinstance(value, bool) else repr(value)
         signal = self._signal(name)
@@ -43,7 +43,7 @@ class HalPins:
             raise NoSuchPinError(f"{name} cannot be set to {text}: {error}") from error
 
     def _signal(self, name: str) -> str | None:
-        """The signal that pin `name` is linked to, or the signal of that name itself."""
+        """Return the signal to which pin `name` is linked, or `name` itself if it is a signal."""
         if any(signal["NAME"] == name for signal in hal.get_info_signals()):
             return name
         for line in self._halcmd("-s", "show", "pin", name).splitlines():

@@ -1,4 +1,4 @@
-"""What every way has in common: two banks, their table files, and what they cannot take."""
+"""Common part of all compensation methods: two banks, their table files, and their limits."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ BANKS = (1, 2)
 MAX_NODES = (256, 256, 256)
 MAX_TOTAL_NODES = 262_144
 MAX_SLOPE = 0.1
-"""As the loader has it: the way back through the kinematics must contract."""
+"""Largest slope of a table in mm/mm, as in the loader: the forward kinematics iterates and must converge."""
 
 
 class Banks:
-    """Table files of the banks in one directory."""
+    """Banks of tables as files in one directory."""
 
     def __init__(self, settings: CompensationSettings, directory: Path, activation: Activation, device: str) -> None:
         self.directory = directory
@@ -40,7 +40,10 @@ class Banks:
         write_atomically(self.path(bank), format_table(table))
 
     def read(self, bank: int) -> TableImage | None:
-        """What the file of the bank holds; None where there is none. StoreError for a file that is no table."""
+        """Return the table in the file of the bank; None if there is no file.
+
+        Raises StoreError for a file that is not a table.
+        """
         text = read_if_exists(self.path(bank))
         return None if text is None else parse_table(text, file=str(self.path(bank)), device=self._device, bank=bank)
 
@@ -49,7 +52,7 @@ class Banks:
             raise self.error(f"no bank {bank}; there are {BANKS}")
 
     def require_stageable(self, bank: int, table: TableImage, taken: tuple[int | None, ...]) -> None:
-        """`taken`: banks that act or are about to."""
+        """Raise StoreError if the table cannot be staged. `taken` are the active and the selected bank."""
         self.require_known(bank)
         if bank in taken:
             raise self.error(f"bank {bank} is active and cannot be written", hint="stage into another bank")

@@ -1,11 +1,11 @@
-"""Banks of screw-compensation files: LinuxCNC reads them at its start, and each joint is corrected alone.
+"""Banks of screw-compensation files: LinuxCNC reads them at its start and corrects each joint separately.
 
 ::
 
     bank1.table                 the whole table as it was staged
     bank1/x.comp y.comp z.comp  its own-axis part, COMP_FILE_TYPE = 0
-    bank1/bank.hal              tells the running LinuxCNC which bank and table it was started with
-    acting -> bank1             what the INI file names; the only thing that activation changes
+    bank1/bank.hal              signals with the bank and the table with which LinuxCNC was started
+    acting -> bank1             link named in the INI file; activation changes only this link
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from drivers.tables.text import counts_crc32
 
 ACTING = "acting"
 BANK_SIGNAL, CRC_SIGNAL = "volcal-comp-bank", "volcal-comp-crc"
-SETUP = "set the INI and HAL files up as docs/explanation/linuxcnc-compensation.md says"
+SETUP = "set up the INI and HAL files as described in docs/explanation/linuxcnc-compensation.md"
 
 
 class CompFileStore:
-    """Plays CompensationStore by files and a symbolic link; a bank acts from the next start of LinuxCNC."""
+    """Compensation store by files and a symbolic link; a bank becomes active at the next start of LinuxCNC."""
 
     def __init__(self, pins: Pins, banks: Banks, accepted_loss_mm: float) -> None:
         self._pins = pins
@@ -37,7 +37,7 @@ class CompFileStore:
         return self._banks.limits
 
     def active_bank(self) -> int:
-        """The bank that LinuxCNC was started with."""
+        """Return the bank with which LinuxCNC was started."""
         return self._signal(BANK_SIGNAL)
 
     def pending_bank(self) -> int | None:
@@ -45,7 +45,7 @@ class CompFileStore:
         return None if chosen == self.active_bank() else chosen
 
     def read_table(self, bank: int) -> TableImage | None:
-        """The whole table as staged. For the acting bank proved to be the one that LinuxCNC was started with."""
+        """Return the whole table as staged; for the active bank, verify that LinuxCNC was started with it."""
         if bank == 0:
             return None
         self._banks.require_known(bank)
@@ -53,13 +53,13 @@ class CompFileStore:
         if bank != self.active_bank():
             return table
         if table is None:
-            raise self._banks.error(f"active bank {bank} holds no table")
+            raise self._banks.error(f"the active bank {bank} holds no table")
         if counts_crc32(table.counts) != self._signal(CRC_SIGNAL):
             raise self._mismatch(f"bank {bank} is not what LinuxCNC was started with")
         return table
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Refused where more of the table would be lost than the settings accept."""
+        """Stage a table. Raises StoreError if more of it would be lost than the settings accept."""
         self._banks.require_stageable(bank, table, (self.active_bank(), self._selected_bank()))
         part = own_axis_part(table)
         self._require_acceptable(part)
@@ -67,19 +67,22 @@ class CompFileStore:
         try:
             folder.mkdir(exist_ok=True)
         except OSError as error:
-            raise self._banks.error(f"cannot make {folder}: {error.strerror}") from error
+            raise self._banks.error(f"cannot create {folder}: {error.strerror}") from error
         self._banks.write(bank, table)
         for name, text in _bank_texts(bank, table).items():
             write_atomically(folder / name, text)
 
     def activate(self, bank: int) -> None:
-        """Arm: every file proved again, a link laid beside; confirm: the link put in place. Acts after a restart."""
+        """Select the bank for the next start of LinuxCNC.
+
+        Arm: verify every file again and create a new link; confirm: rename it over the old one.
+        """
         if bank == self._selected_bank():
             return
         if bank != 0:
             self._verify(bank)
         elif not (self._banks.directory / "bank0").is_dir():
-            raise self._banks.error("there is no directory bank0 without compensation", hint=SETUP)
+            raise self._banks.error("the directory bank0 (no compensation) is missing", hint=SETUP)
         armed = self._banks.directory / f"{ACTING}.part"
         try:
             armed.unlink(missing_ok=True)
@@ -87,22 +90,24 @@ class CompFileStore:
             armed.replace(self._link)
             sync_directory(self._banks.directory)
         except OSError as error:
-            raise self._banks.error(f"cannot put the link {self._link}: {error.strerror}") from error
+            raise self._banks.error(f"cannot replace the link {self._link}: {error.strerror}") from error
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Which bank acts and which waits, and what of the table is lost; reads only."""
+        """Report the active and the pending bank, and how much of the active table is lost; reads only."""
         subject = "compensation"
         try:
             active, pending = self.active_bank(), self.pending_bank()
             table = self.read_table(active)
         except StoreError as error:
             return [DiagnosticFinding(subject, ok=False, text=str(error))]
-        acts = f"bank {active} acts joint by joint" if active else "no table acts"
+        acts = f"bank {active} is active, joint by joint" if active else "no table is active"
         waits = "" if pending is None else f"; bank {pending} waits for a restart of LinuxCNC"
         findings = [DiagnosticFinding(subject, ok=True, text=acts + waits)]
         if table is not None:
             lost_um = own_axis_part(table).lost_mm * 1e3
-            findings.append(DiagnosticFinding(subject, ok=True, text=f"up to {lost_um:.1f} µm of its table do not act"))
+            findings.append(
+                DiagnosticFinding(subject, ok=True, text=f"up to {lost_um:.1f} µm of its table have no effect")
+            )
         return findings
 
     def _verify(self, bank: int) -> None:
@@ -113,14 +118,14 @@ class CompFileStore:
         folder = self._banks.directory / f"bank{bank}"
         for name, text in _bank_texts(bank, table).items():
             if read_if_exists(folder / name) != text:
-                raise self._mismatch(f"{folder / name} is not what the table of bank {bank} makes")
+                raise self._mismatch(f"{folder / name} does not match the table of bank {bank}")
 
     def _require_acceptable(self, part: OwnAxisPart) -> None:
         if part.lost_mm <= self._accepted_loss_mm + 0.5 * self._banks.limits.resolution_mm:
             return
         raise self._banks.error(
-            f"screw-compensation files correct each joint alone; {part.lost_mm * 1e3:.1f} µm of this table would be "
-            f"lost, {self._accepted_loss_mm * 1e3:.1f} µm are accepted",
+            f"screw-compensation files correct each joint separately; {part.lost_mm * 1e3:.1f} µm of this table would "
+            f"be lost, {self._accepted_loss_mm * 1e3:.1f} µm are accepted",
             hint="compensate by external offsets or kinematics, or raise accepted_loss_um",
         )
 
@@ -129,13 +134,13 @@ class CompFileStore:
         return self._banks.directory / ACTING
 
     def _selected_bank(self) -> int:
-        """The bank that the next start takes."""
+        """Return the bank that becomes active at the next start."""
         try:
             name = self._link.readlink().name
         except OSError as error:
             raise self._banks.error(f"there is no link {self._link}", hint=SETUP) from error
         if name not in ("bank0", "bank1", "bank2"):
-            raise self._banks.error(f"the link {self._link} leads to {name}, which is no bank", hint=SETUP)
+            raise self._banks.error(f"the link {self._link} leads to {name}, which is not a bank", hint=SETUP)
         return int(name.removeprefix("bank"))
 
     def _signal(self, name: str) -> int:
@@ -149,7 +154,7 @@ class CompFileStore:
 
 
 def _bank_texts(bank: int, table: TableImage) -> dict[str, str]:
-    """Name → text of the files that LinuxCNC reads for this bank."""
+    """Return name → text of the files that LinuxCNC reads for this bank."""
     part = own_axis_part(table)
     files = {
         f"{letter}.comp": _comp_text(nominal.tolist(), correction.tolist())
@@ -163,7 +168,10 @@ def _bank_texts(bank: int, table: TableImage) -> dict[str, str]:
 
 
 def _comp_text(nominal_mm: list[float], correction_mm: list[float]) -> str:
-    """Type 0: nominal, forward and reverse position. LinuxCNC adds nominal - position to the motor command."""
+    """Return the text of a type 0 file: lines of nominal, forward and reverse position.
+
+    LinuxCNC adds nominal - position to the motor command, so position = nominal - correction.
+    """
     if len(nominal_mm) == 1:
         nominal_mm, correction_mm = [nominal_mm[0], nominal_mm[0] + 1.0], correction_mm * 2
     rows = zip(nominal_mm, correction_mm, strict=True)

@@ -1,4 +1,4 @@
-"""The store that the settings ask for."""
+"""Creation of the configured compensation store."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from drivers.roles import Activation, CompensationStore, DiagnosticFinding
 
 
 class LinuxCncStore(CompensationStore, Protocol):
-    """A store that can be diagnosed."""
+    """Compensation store with a self-diagnosis."""
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Reads only."""
+        """Return findings; reads only."""
         ...
 
 
 def create_store(
     settings: CompensationSettings, pins: Pins, clock: Clock, *, base_path: Path, device: str
 ) -> LinuxCncStore:
-    """`base_path`: where a relative directory starts; `device`: its name in errors. Reads and writes nothing yet."""
+    """Create the store without reading or writing yet.
+
+    A relative directory is relative to `base_path`; `device` is the device's name in errors.
+    """
     directory = base_path / settings.directory
     if settings.way == "comp-files":
         banks = Banks(settings, directory, Activation.POWER_CYCLE, device)

@@ -1,6 +1,6 @@
-"""Banks that are loaded and switched while LinuxCNC runs: external offsets, and kinematics of ours.
+"""Banks that are loaded and switched while LinuxCNC runs, by external offsets or by our own kinematics module.
 
-Both follow the loader `volcal_tables`, whose pins are all that is spoken to here.
+Both follow the loader `volcal_tables`; this module uses only the loader's pins.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ BANK_USED, CRC_DIFFERS, NO_FILE = 2, 5, 3
 RESULTS = {
     1: "no such bank",
     BANK_USED: "the bank is in use",
-    NO_FILE: "the table file cannot be read: other directory, or no right to it",
+    NO_FILE: "the table file cannot be read: wrong directory, or no permission",
     4: "the table file is malformed",
     CRC_DIFFERS: "CRC-32 differs",
     6: "a correction is too large or too steep for the loader",
@@ -28,14 +28,14 @@ RESULTS = {
 }
 FAULTS = {
     1: "the components share no memory: another version is running",
-    2: "the bank that was chosen is empty",
-    3: "the acting table was damaged; its last correction is held",
+    2: "the selected bank is empty",
+    3: "the active table was damaged; its last correction is held",
 }
 FAULTS_WITHOUT_BANK = (1, 3)
 
 
 class LiveStore:
-    """Plays CompensationStore by the pins of the loader."""
+    """Compensation store by the pins of the loader."""
 
     def __init__(self, pins: Pins, banks: Banks, clock: Clock, within_s: float) -> None:
         self._pins = pins
@@ -47,17 +47,17 @@ class LiveStore:
         return self._banks.limits
 
     def active_bank(self) -> int:
-        """StoreError where what acts is no bank: a correction that is held after damage."""
+        """Return the active bank. Raises StoreError if a held correction is active instead of a bank."""
         fault = int(self._get("acting-fault"))
         if fault in FAULTS_WITHOUT_BANK:
-            raise self._banks.error(FAULTS[fault], hint="activate bank 0, then look at the controller")
+            raise self._banks.error(FAULTS[fault], hint="activate bank 0, then check the controller")
         return int(self._get("acting-bank"))
 
     def pending_bank(self) -> int | None:
         return None
 
     def read_table(self, bank: int) -> TableImage | None:
-        """The file of the bank, proved to be what the controller holds in memory."""
+        """Return the table in the file of the bank, verified to be the one in the controller's memory."""
         if bank == 0:
             return None
         self._banks.require_known(bank)
@@ -66,15 +66,18 @@ class LiveStore:
             raise self._mismatch(f"the table of bank {bank} is damaged in the controller's memory")
         if state != COMPLETE:
             if bank == int(self._get("acting-bank")):
-                raise self._banks.error(f"active bank {bank} holds no complete table")
+                raise self._banks.error(f"the active bank {bank} holds no complete table")
             return None
         table = self._banks.read(bank)
         if table is None or counts_crc32(table.counts) != int(self._get(f"bank{bank}-crc")):
-            raise self._mismatch(f"the file of bank {bank} is not what the controller holds in memory")
+            raise self._mismatch(f"the file of bank {bank} does not match the table in the controller's memory")
         return table
 
     def stage(self, bank: int, table: TableImage) -> None:
-        """Write the file, have it loaded, read back. Raises ReadBackMismatch; the acting bank is never touched."""
+        """Write the table file, request the loader to load it, and read it back; the active bank is never touched.
+
+        Raises ReadBackMismatch.
+        """
         acting, chosen = int(self._get("acting-bank")), int(self._get("bank"))
         self._banks.require_stageable(bank, table, (acting, chosen))
         self._require_alive()
@@ -90,7 +93,7 @@ class LiveStore:
             )
 
     def activate(self, bank: int) -> None:
-        """Arm with the CRC-32 of the table, confirm with the nonce, wait until it acts and has settled."""
+        """Arm with the CRC-32 of the table, confirm with the nonce, wait until the bank is active and settled."""
         self._require_alive()
         crc = 0
         if bank != 0:
@@ -101,13 +104,13 @@ class LiveStore:
         self._request("arm", {"arm-bank": bank, "arm-crc": crc}, bank)
         nonce = int(self._get("armed-nonce"))
         if nonce == 0 or int(self._get("armed-bank")) != bank:
-            raise self._banks.error(f"bank {bank} was not armed", hint="somebody else switches banks; try again")
+            raise self._banks.error(f"bank {bank} was not armed", hint="another program switches banks; try again")
         self._set("confirm-nonce", nonce)
-        self._await(lambda: int(self._get("bank")) == bank, f"bank {bank} to be chosen")
-        self._await(lambda: self._is_active(bank), f"bank {bank} to act and settle")
+        self._await(lambda: int(self._get("bank")) == bank, f"bank {bank} to be selected")
+        self._await(lambda: self._is_active(bank), f"bank {bank} to become active and settle")
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Loader, table that acts, faults; reads only."""
+        """Report loader, active table and faults; reads only."""
         subject = "compensation"
         try:
             self._require_alive()
@@ -117,13 +120,13 @@ class LiveStore:
         bank, crc = int(self._get("acting-bank")), int(self._get("acting-crc"))
         applied = "applied" if self._get("acting") else "not applied while the machine is off or not homed"
         age_s = float(self._get("age"))
-        acts = f"bank {bank}, CRC-32 {crc:08X}, loaded {age_s:.0f} s ago, {applied}" if bank else "no table acts"
+        acts = f"bank {bank}, CRC-32 {crc:08X}, loaded {age_s:.0f} s ago, {applied}" if bank else "no table is active"
         findings = [DiagnosticFinding(subject, ok=fault == 0, text=FAULTS.get(fault, acts))]
         if self._get("limited"):
-            text = "an axis stands at its soft limit, where LinuxCNC cuts the offset off; move it inwards"
+            text = "an axis is at its soft limit, where LinuxCNC cuts off the offset; move it inwards"
             findings.append(DiagnosticFinding(subject, ok=False, text=text))
         if self._get("table-lost"):
-            text = "the table that acted before the restart is lost; nothing is compensated: restore it"
+            text = "the table active before the restart is lost, so nothing is compensated: restore it"
             findings.append(DiagnosticFinding(subject, ok=False, text=text))
         return findings
 
@@ -135,7 +138,7 @@ class LiveStore:
         return settled and int(self._get("acting-bank")) == bank
 
     def _request(self, name: str, operands: dict[str, int], bank: int) -> None:
-        """Operands first, then another sequence number; the answer holds once it shows that number."""
+        """Set the operands, then a new sequence number; the result is valid once the loader shows that number."""
         for pin, value in operands.items():
             self._set(pin, value)
         sequence = (int(self._get(f"{name}-done")) + 1) & 0xFFFFFFFF
@@ -147,7 +150,7 @@ class LiveStore:
         kind = ChecksumMismatch if result == CRC_DIFFERS else StoreError
         raise kind(
             f"volcal_tables refuses to {name} bank {bank}: {RESULTS.get(result, f'result {result}')}",
-            hint="the acting table is unchanged",
+            hint="the active table is unchanged",
             bank=bank,
             **self._banks.where,
         )
@@ -155,17 +158,17 @@ class LiveStore:
     def _require_alive(self) -> None:
         beat = self._get("beat")
         try:
-            self._await(lambda: self._get("beat") != beat, "the loader to beat")
+            self._await(lambda: self._get("beat") != beat, "the loader's heartbeat")
         except DeadlineExpired as silent:
             raise self._banks.error(
-                "the loader volcal_tables does not run any more; what acts goes on and cannot be changed",
+                "the loader volcal_tables no longer runs; the active table remains active and cannot be changed",
                 hint="restart LinuxCNC",
             ) from silent
 
     def _await(self, reached: Callable[[], bool], awaited: str) -> None:
         deadline = Deadline.after(self._clock, self._within_s)
         while not reached():
-            deadline.raise_if_expired(awaited, hint="look at the log of LinuxCNC", **self._banks.where)
+            deadline.raise_if_expired(awaited, hint="check the log of LinuxCNC", **self._banks.where)
             self._clock.sleep(POLL_S)
 
     def _get(self, pin: str) -> PinValue:

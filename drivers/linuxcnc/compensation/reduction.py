@@ -1,4 +1,4 @@
-"""The part of a table that correcting each joint alone can carry, and what is lost."""
+"""Reduction of a table to a correction of each joint by its own position, and the remainder that is lost."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OwnAxisPart:
-    """Per axis the nominal positions and the correction along itself there, mm; `lost_mm` is the largest remainder.
+    """Nominal positions of each axis and the correction along that axis there, mm; `lost_mm` is the largest remainder.
 
-    The correction at a position of an axis is the mean over all nodes there: least squares over the grid.
+    The correction at a position of an axis is the mean over all nodes with that position, which is the least-squares
+    fit over the grid.
     """
 
     nominal_mm: tuple[Values, Values, Values] = field(repr=False)
@@ -25,11 +26,12 @@ class OwnAxisPart:
 
 
 def own_axis_part(table: TableImage) -> OwnAxisPart:
-    """Lost is what other axes' positions change, and nothing along the axis itself."""
+    """Reduce a table. The remainder is the part of an axis' correction that depends on the other axes' positions."""
     corrections = table.counts.astype(np.float64) * table.resolution_mm
     nominal, along, lost = [], [], 0.0
     for axis in range(3):
         others = tuple(other for other in range(3) if other != axis)
+        # c_a(x_a) = mean of the correction along axis a over the other two axes; the remainder is |c - c_a|.
         mean = corrections[..., axis].mean(axis=others, keepdims=True)
         lost = max(lost, float(np.abs(corrections[..., axis] - mean).max()))
         nominal.append(table.origin_mm[axis] + table.step_mm[axis] * np.arange(table.shape[axis], dtype=np.float64))

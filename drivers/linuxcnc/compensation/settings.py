@@ -1,4 +1,4 @@
-"""How LinuxCNC compensates, and where its tables lie."""
+"""Settings of the compensation in LinuxCNC: its method and the directory of its tables."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class CompensationSettings(BaseModel):
-    """The way that the machine's INI and HAL files were set up for."""
+    """Compensation method for which the machine's INI and HAL files are set up, and its tables."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     way: Literal["external-offsets", "kinematics", "comp-files"] = Field(
-        description="which of the three HAL and INI fragments the machine loads"
+        description="method whose HAL and INI fragments the machine loads"
     )
-    directory: Path = Field(description="[VOLCAL]DIRECTORY of the INI file; of this computer, shared with LinuxCNC")
+    directory: Path = Field(description="[VOLCAL]DIRECTORY of the INI file; a local directory shared with LinuxCNC")
     resolution_um: Annotated[float, Field(ge=0.001, le=10.0)] = Field(default=0.1, description="one count of a table")
     largest_correction_mm: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     accepted_loss_um: Annotated[float, Field(ge=0.0, le=1000.0)] = Field(
         default=0.0,
-        description="comp-files: how much of a table may be lost at any node because each joint is corrected alone",
+        description="comp-files: largest part of a correction that may be lost at any node",
     )
     within_s: Annotated[float, Field(gt=0.0, le=600.0)] = Field(
-        default=10.0, description="for one step: a table loaded, a bank acting and settled"
+        default=10.0, description="for one step: a table loaded, a bank active and settled"
     )

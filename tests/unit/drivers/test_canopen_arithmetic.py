@@ -160,10 +160,10 @@ def mount_settings(**changes: Any) -> dict[str, Any]:
     [
         ({"elevation": axis_settings(5)}, "both have node id 5"),
         ({"azimuth": axis_settings(5, lower_deg=10.0, upper_deg=10.0)}, "not below"),
-        ({"azimuth": axis_settings(5, encoder_counts_per_revolution=2**30)}, "0x607A holds 2147483647"),
+        ({"azimuth": axis_settings(5, encoder_counts_per_revolution=2**30)}, "0x607A holds at most 2147483647"),
         ({"azimuth": axis_settings(128)}, "less than or equal to 127"),
         ({"azimuth": axis_settings(5, colour="blue")}, "Extra inputs"),
-        ({"heartbeat_ms": 2000, "heartbeat_timeout_s": 3.0}, "less than two of 2000 ms"),
+        ({"heartbeat_ms": 2000, "heartbeat_timeout_s": 3.0}, "less than two periods of 2000 ms"),
         ({"bitrate": 500_000}, "Extra inputs"),
     ],
 )

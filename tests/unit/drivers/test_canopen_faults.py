@@ -158,7 +158,9 @@ def test_quick_stop_by_somebody_else() -> None:
         bench.azimuth.parameters[0x605A, 0] = 6  # stay in quick stop active
         stop = bytes.fromhex("2B 40 60 00 02 00 00 00")
         at(bench, 2.0, lambda: bench.azimuth_node.receive(0x605, stop))
-        with stopped_by(bench, MotionFault, "made a quick stop, it is in quick stop active", hint="another master"):
+        with stopped_by(
+            bench, MotionFault, "made a quick stop, it is in quick stop active", hint="another CANopen master"
+        ):
             turn(bench)
         bench.azimuth.parameters[0x605A, 0] = 2
         assert bench.mount.orient_to(1.0, 1.0) == Orientation(1.0, 1.0)
@@ -193,7 +195,7 @@ def test_drives_that_were_exchanged_are_told_by_their_serial_numbers() -> None:
         pytest.raises(ProtocolError, match=r"0x1018:04 serial number is 0x1, expected 0x1267") as caught,
     ):
         bench.mount.open()
-    assert "exchanged" in caught.value.hint
+    assert "swapped" in caught.value.hint
     assert caught.value.where["axis"] == "elevation"
     assert bench.azimuth.state is DriveState.SWITCH_ON_DISABLED
 

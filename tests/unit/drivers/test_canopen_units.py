@@ -43,8 +43,8 @@ def test_scale_of_a_drive_that_counts_in_its_own_units() -> None:
 @pytest.mark.parametrize(
     ("units", "words"),
     [
-        ({"position": "feed"}, "feed_per_revolution is stated"),
-        ({"feed_per_revolution": 360}, "feed_per_revolution is stated"),
+        ({"position": "feed"}, "set feed_per_revolution"),
+        ({"feed_per_revolution": 360}, "set feed_per_revolution"),
         ({"compare": ["feed"]}, "can be compared only"),
         ({"polarity": 256}, "less than or equal to 255"),
     ],
@@ -191,7 +191,7 @@ def test_doctor_reads_everything_and_writes_nothing() -> None:
     for words in (
         "SDO round trip median",
         "vendor 0x000003E7, product 0x00000402, revision 0x1, serial number 0x1",
-        "state vendor_id and product_code",
+        "set vendor_id and product_code",
         "volcal simulated servo drive, hardware simulated, software volcal",
         "statusword 0x0640, switch on disabled",
         "DC link 48.0 V",
@@ -206,7 +206,7 @@ def test_doctor_reads_everything_and_writes_nothing() -> None:
         "the negative limit switch is active (0x60FD)",
         "software limits of the drive -90 ... 90 degrees (0x607D): narrower than lower_deg ... upper_deg, positions"
         " beyond them are refused",
-        "the drive waits for a heartbeat of node 127 every 500 ms (0x1016:01), which nobody sends here: it would fault",
+        "the drive expects a heartbeat of node 127 every 500 ms (0x1016:01), which volcal does not send: it would fault",
     ]
 
 

@@ -247,7 +247,7 @@ class TestDevice:
         if free:
             device.move_to(TARGET, feed_mm_per_s=None, guarded=True)
         else:
-            with pytest.raises(GuardTripped, match="still is after 2 mm"):
+            with pytest.raises(GuardTripped, match="still deflected after 2 mm"):
                 device.move_to(TARGET, feed_mm_per_s=None, guarded=True)
 
     def test_hold_is_waited_for_only_so_long(self, make: Make) -> None:
@@ -296,7 +296,7 @@ class TestDoctor:
         assert not found["homing"].ok
         assert "JOINT_0" in found["homing"].text
         assert "JOINT_1" not in found["homing"].text
-        assert "external offsets cannot act" in found["[AXIS_*]OFFSET_AV_RATIO"].text
+        assert "external offsets have no effect" in found["[AXIS_*]OFFSET_AV_RATIO"].text
 
     def test_servo_period_that_makes_touches_unsure(self, make: Make) -> None:
         slow = [*INI[:9], "2000000", *INI[10:]]

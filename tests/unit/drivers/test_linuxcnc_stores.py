@@ -191,7 +191,7 @@ def test_directory_that_was_not_prepared_is_said(files: LinuxCncStore, signals: 
     with pytest.raises(StoreError, match="no link"):
         files.pending_bank()
     (tmp_path / "acting").symlink_to("elsewhere")
-    with pytest.raises(StoreError, match="no bank"):
+    with pytest.raises(StoreError, match="not a bank"):
         files.pending_bank()
     (tmp_path / "acting").unlink()
     (tmp_path / "acting").symlink_to("bank1")
