@@ -206,7 +206,8 @@ def test_doctor_reads_everything_and_writes_nothing() -> None:
         "the negative limit switch is active (0x60FD)",
         "software limits of the drive -90 ... 90 degrees (0x607D): narrower than lower_deg ... upper_deg, positions"
         " beyond them are refused",
-        "the drive expects a heartbeat of node 127 every 500 ms (0x1016:01), which volcal does not send: it would fault",
+        "the drive expects a heartbeat of node 127 every 500 ms (0x1016:01), which volcal does not send: it would"
+        " fault",
     ]
 
 
