@@ -22,9 +22,9 @@ TWO_POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 SHORT = {
     'position_set = "S3"': 'position_set = "two.csv"\nstations = [1]',
     "[verification]\nstations = [1, 4]": (
-        "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nlargest_share = 1.0\nlargest_chi2 = 1e3"
+        "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3"
     ),
-    "[gates]": "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1e3",
+    "[gates]": "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3",
 }
 AT_ONCE = "\n[service]\nport = 0\nwarm_up_minutes = 0\n"
 

@@ -28,8 +28,8 @@ def short_settings(directory: Path, shipped: str = "case-study.toml", more: Sequ
         ('"artefacts/', f'"{CONFIG}/artefacts/'),
         ('position_set = "S3"', f'position_set = "{directory / "two.csv"}"\nstations = [1]'),
         ("[verification]\nstations = [1, 4]", "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
-         "max_remaining_fraction = 1.0\nlargest_chi2 = 1000.0"),
-        ("[gates]", "[gates]\nsmallest_freedom = 1\nlargest_remaining_share = 1.0\nlargest_chi2 = 1000.0"),
+         "max_remaining_fraction = 1.0\nmax_chi2 = 1000.0"),
+        ("[gates]", "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_chi2 = 1000.0"),
         *more,
     ):  # fmt: skip
         assert former in text, former

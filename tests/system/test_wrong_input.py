@@ -57,7 +57,7 @@ SETTINGS = {
     "no such tool": (changed('tool = "probe"', 'tool = "drill"'), ["'drill'", "key tool"]),
     "no number": (changed("[700.0,", "[nan,"), ["stations.places_mm[0][0]", "nan"]),
     "outside its bounds": (
-        changed("[gates]", "[gates]\nlargest_remaining_share = 2.0"),
+        changed("[gates]", "[gates]\nmax_remaining_fraction = 2.0"),
         ["gates.max_remaining_fraction"],
     ),
     "no TOML": (lambda text: text + "x = [", ["not valid TOML"]),

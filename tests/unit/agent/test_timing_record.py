@@ -154,7 +154,7 @@ def test_the_command_prints_what_to_write_into_the_settings(slow_run: Path) -> N
     done = CliRunner().invoke(main, ["timing", str(slow_run)])
     assert done.exit_code == 0, done.output
     assert done.stdout.endswith(
-        "[timing]\ncommand_latency_s = 0.02\ntouch_latency_s = 0.1\nturn_latency_s = 0.6\ncarrying_minutes = 1.5\n"
+        "[timing]\ncommand_latency_s = 0.02\ntouch_latency_s = 0.1\nturn_latency_s = 0.6\nrelocation_minutes = 1.5\n"
     )
 
 
