@@ -18,7 +18,7 @@ from agent.errors import MeasurementFault
 from agent.execution.device_assembly import assemble, closed_after, make_clock
 from agent.execution.run_lock import run_lock
 from agent.results.run_outcome import Decision
-from agent.runs.reconcile_result import Done
+from agent.runs.reconcile_result import ReconcileAction
 from agent.runs.resume.abandon import give_up as end_without_going_on
 from agent.runs.resume.resume import ResumeRequest, resume
 from agent.runs.session import RunResult
@@ -84,9 +84,9 @@ def _give_up(settings: Settings, base: Path, *, as_json: bool) -> None:
             rig.close()
     run = None if result.unfinished is None else result.unfinished.run_id
     if as_json:
-        facts = {"run_id": run, "found": result.found.value, "done": result.done.value, "person": result.person}
+        facts = {"run_id": run, "found": result.state.value, "done": result.action.value, "person": result.instruction}
         click.echo(json.dumps({**facts, "active_bank": result.active_bank, "waiting_bank": result.waiting_bank}))
     else:
         click.echo(f"run {run or 'none unfinished'}: {result.text}")
-    if result.done is Done.LEFT:
-        raise fail(StoreError("the former table could not be made to act again", hint=result.person))
+    if result.action is ReconcileAction.LEFT:
+        raise fail(StoreError("the former table could not be reactivated", hint=result.instruction))

@@ -1,4 +1,7 @@
-"""Consistent copies of a journal with edited settings, for documents that leave the machine."""
+"""Consistent copies of a journal with edited settings, for documents that leave the machine.
+
+A module of its own, because only the journal's own modules hold SQL.
+"""
 
 from __future__ import annotations
 

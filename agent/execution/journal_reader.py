@@ -4,8 +4,6 @@ Methods take the number of a run in its journal (`RunRow.run`). They neither mig
 `origin` and the restriction to the procedure need columns that an older journal lacks.
 """
 
-# ruff: noqa: S608  every statement is put together from constants of this module
-
 from __future__ import annotations
 
 import json
@@ -15,6 +13,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from agent.execution import journal_queries as queries
 from agent.execution.encoding import table_from
 from agent.execution.journal_rows import (
     BallRow,
@@ -38,35 +37,6 @@ ANY_RUN = 2**62
 """Greater than the number of any run."""
 
 _TIMEOUT_S = 2.0
-
-_RUN = "SELECT run, run_id, kind, started, ended, state, reason, software FROM runs "
-_COUNTS = (
-    "SELECT run, run_id, kind, started, ended, state, reason, software, "
-    "(SELECT count(*) FROM balls WHERE balls.run = runs.run), "
-    "(SELECT count(*) FROM steps WHERE steps.run = runs.run AND kind = 'TouchTowards' AND result IS NOT NULL) "
-    "FROM runs "
-)
-_LAST_RUN_WITH_STEPS = _RUN + "WHERE run IN (SELECT run FROM steps) ORDER BY run DESC LIMIT 1"
-_LAST_WORKING_RUN = _RUN + (
-    "WHERE run IN (SELECT run FROM steps UNION SELECT run FROM origins WHERE begun_s IS NOT NULL) "
-    "ORDER BY run DESC LIMIT 1"
-)
-_STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM steps "
-_DECISION = "SELECT run, run_id, decisions.rowid, at, decisions.kind, record FROM decisions JOIN runs USING (run) "
-_TABLE = (
-    "SELECT run, run_id, tables.rowid, at, role, bank, crc32, origin_mm, step_mm, resolution_mm, shape "
-    "FROM tables JOIN runs USING (run) "
-)
-_ACTIVE_TABLE = _TABLE + (
-    "WHERE role IN ('backup', 'restored') OR (role = 'staged' AND EXISTS (SELECT 1 FROM decisions "
-    "WHERE decisions.run = tables.run AND decisions.kind IN (SELECT value FROM json_each(:kinds)))) "
-    "ORDER BY tables.rowid DESC LIMIT 1"
-)
-_EVENT = (
-    "SELECT rowid, at, kind, record FROM events WHERE run = :run AND rowid > :after "
-    "AND (:kinds IS NULL OR kind IN (SELECT value FROM json_each(:kinds))){aside} ORDER BY rowid LIMIT :limit"
-)
-_IMAGE = "SELECT origin_mm, step_mm, resolution_mm, shape, counts FROM tables WHERE "
 
 
 def has_journal(directory: Path) -> bool:
@@ -105,10 +75,10 @@ class JournalReader:
 
     def runs(self) -> tuple[RunRow, ...]:
         """Return all runs in the order started."""
-        return self._rows(RunRow, _RUN + "ORDER BY run")
+        return self._rows(RunRow, queries.RUN + "ORDER BY run")
 
     def run(self, run_id: str) -> RunRow | None:
-        return self._first(RunRow, _RUN + "WHERE run_id = :run_id", run_id=run_id)
+        return self._first(RunRow, queries.RUN + "WHERE run_id = :run_id", run_id=run_id)
 
     def require_run(self, run_id: str) -> RunRow:
         """Return the run. Raise InputError, naming the last runs, if the journal has none of that identity."""
@@ -120,15 +90,17 @@ class JournalReader:
         return run
 
     def last_run(self) -> RunRow | None:
-        return self._first(RunRow, _RUN + "ORDER BY run DESC LIMIT 1")
+        return self._first(RunRow, queries.RUN + "ORDER BY run DESC LIMIT 1")
 
     def last_working_run(self) -> RunRow | None:
         """Return the last run that wrote a step or passed its preflight."""
-        return self._first(RunRow, _LAST_WORKING_RUN if self.has_origins() else _LAST_RUN_WITH_STEPS)
+        return self._first(RunRow, queries.LAST_WORKING_RUN if self.has_origins() else queries.LAST_RUN_WITH_STEPS)
 
     def run_counts(self, limit: int, before_run: int = ANY_RUN) -> tuple[RunCounts, ...]:
         """Return at most `limit` runs with a number below `before_run`, the latest first."""
-        rows = self._all(_COUNTS + "WHERE run < :before ORDER BY run DESC LIMIT :limit", before=before_run, limit=limit)
+        rows = self._all(
+            queries.COUNTS + "WHERE run < :before ORDER BY run DESC LIMIT :limit", before=before_run, limit=limit
+        )
         return tuple(RunCounts(RunRow(*run), balls, touches) for *run, balls, touches in rows)
 
     def settings_text(self, run: int) -> str:
@@ -149,7 +121,7 @@ class JournalReader:
 
     def steps(self, run: int, kind: str | None = None, *, procedure_only: bool = False) -> tuple[StepRow, ...]:
         """Return the steps of a run in order. `procedure_only` leaves out withdrawals and returns, here as below."""
-        query = _STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
+        query = queries.STEP + "WHERE run = :run AND (:kind IS NULL OR kind = :kind){aside} ORDER BY ordinal"
         return self._rows(StepRow, _restricted(query, procedure_only), run=run, kind=kind)
 
     def count_steps(self, run: int) -> int:
@@ -209,7 +181,7 @@ class JournalReader:
 
         `limit`: at most so many; negative for all.
         """
-        query = _restricted(_EVENT, procedure_only)
+        query = _restricted(queries.EVENT, procedure_only)
         return self._rows(EventRow, query, run=run, kinds=_listed(kinds), after=after, limit=limit)
 
     def last_event_number(self, run: int, kind: str) -> int:
@@ -218,7 +190,7 @@ class JournalReader:
         return int(self._value(query, run=run, kind=kind))
 
     def decisions(self, run: int, *, procedure_only: bool = False) -> tuple[DecisionRow, ...]:
-        query = _DECISION + "WHERE run = :run{aside} ORDER BY decisions.rowid"
+        query = queries.DECISION + "WHERE run = :run{aside} ORDER BY decisions.rowid"
         return self._rows(DecisionRow, _restricted(query, procedure_only), run=run)
 
     def has_decision(self, run: int, kinds: Collection[str]) -> bool:
@@ -227,7 +199,9 @@ class JournalReader:
 
     def last_decision(self, kind: str, before_run: int = ANY_RUN) -> DecisionRow | None:
         """Return the last decision of that kind of all runs with a number below `before_run`."""
-        query = _DECISION + "WHERE decisions.kind = :kind AND run < :before ORDER BY decisions.rowid DESC LIMIT 1"
+        query = (
+            queries.DECISION + "WHERE decisions.kind = :kind AND run < :before ORDER BY decisions.rowid DESC LIMIT 1"
+        )
         return self._first(DecisionRow, query, kind=kind, before=before_run)
 
     def estimates(self, run: int) -> tuple[str, ...]:
@@ -240,26 +214,26 @@ class JournalReader:
 
     def tables(self, run: int, *, procedure_only: bool = False) -> tuple[TableRow, ...]:
         """Return the tables stored by a run in the order written."""
-        query = _TABLE + "WHERE run = :run{aside} ORDER BY tables.rowid"
+        query = queries.TABLE + "WHERE run = :run{aside} ORDER BY tables.rowid"
         return self._rows(TableRow, _restricted(query, procedure_only), run=run)
 
     def latest_tables(self, limit: int) -> tuple[TableRow, ...]:
         """Return at most `limit` stored tables of all runs, the latest first."""
-        return self._rows(TableRow, _TABLE + "ORDER BY tables.rowid DESC LIMIT :limit", limit=limit)
+        return self._rows(TableRow, queries.TABLE + "ORDER BY tables.rowid DESC LIMIT :limit", limit=limit)
 
     def last_table(self, run: int, role: str) -> TableRow | None:
-        query = _TABLE + "WHERE run = :run AND role = :role ORDER BY tables.rowid DESC LIMIT 1"
+        query = queries.TABLE + "WHERE run = :run AND role = :role ORDER BY tables.rowid DESC LIMIT 1"
         return self._first(TableRow, query, run=run, role=role)
 
     def last_backup(self, run: int | None = None) -> TableRow | None:
         """Return the backup of the last run that stored one, or of `run` alone."""
-        query = _TABLE + "WHERE role = 'backup' AND run = coalesce(:run, run) ORDER BY run DESC LIMIT 1"
+        query = queries.TABLE + "WHERE role = 'backup' AND run = coalesce(:run, run) ORDER BY run DESC LIMIT 1"
         return self._first(TableRow, query, run=run)
 
     def last_active_table(self, accepting: Collection[str]) -> TableRow | None:
         """Return the stored table that the last runs left active: a staged one only if its run has a decision of the
         kinds `accepting`."""
-        return self._first(TableRow, _ACTIVE_TABLE, kinds=_listed(accepting))
+        return self._first(TableRow, queries.ACTIVE_TABLE, kinds=_listed(accepting))
 
     def image(self, table: TableRow) -> TableImage | None:
         """Return the whole stored table; None for an empty bank."""
@@ -274,7 +248,7 @@ class JournalReader:
         self._connection.execute("VACUUM INTO ?", (str(path),))
 
     def _image(self, where: str, **values: int) -> TableImage | None:
-        row = self._one(_IMAGE + where + " LIMIT 1", **values)
+        row = self._one(queries.IMAGE + where + " LIMIT 1", **values)
         return None if row is None or row[-1] is None else table_from(*row)
 
     def _rows(self, row_type: Callable[..., Row], query: str, **values: str | int | None) -> tuple[Row, ...]:

@@ -1,7 +1,7 @@
-"""At a start: what the last run has left in the controller against what its journal says, and what is to be done.
+"""Compare the controller's compensation at a start with the journal of the last run, and repair it if necessary.
 
-A new table that acts and was never proved is the one state that must not stay: the former table is made to act again.
-Everything else is complete and consistent whatever instant the run ended at, because a bank that acts is never written.
+An active table that was never proved is the only state that must not stay: the former table is reactivated. Every other
+state is complete and consistent at whatever instant the run ended, because an active bank is never written.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from agent.execution.journal_reader import JournalReader, has_journal, open_jour
 from agent.execution.rig import AFTER, DO, Rig
 from agent.execution.steps import CheckPermissions, Plan
 from agent.probing import publish
-from agent.runs.reconcile_result import Done, Found, Reconciliation
+from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.reference_state import ACTIVATING_DECISIONS
 from agent.runs.unfinished_run import UnfinishedRun, unfinished_run
 from drivers.errors import NotActiveYet, PermissionMissing
@@ -24,97 +24,104 @@ from drivers.roles import MotionState
 
 
 @dataclass(frozen=True)
-class Bank:
-    """A bank and the CRC-32 of what the journal says that it holds; None: nothing, as bank 0."""
+class RecordedBank:
+    """A bank and the CRC-32 of its table by the journal; None for an empty one, as bank 0."""
 
     number: int
     crc32: int | None
 
 
 @dataclass(frozen=True)
-class Left:
-    """What the last run that read the compensation has left, by its journal."""
+class LastCompensation:
+    """Compensation left by the last run that read it, by the journal."""
 
     run: int
     run_id: str
-    former: Bank
-    staged: Bank | None
+    former: RecordedBank
+    staged: RecordedBank | None
     accepted: bool
 
     @property
-    def expected(self) -> Bank:
+    def expected(self) -> RecordedBank:
         return self.staged if self.staged is not None and self.accepted else self.former
 
 
 def reconcile(rig: Rig, state_directory: Path, *, of_run: int | None = None, restore: bool = True) -> Reconciliation:
-    """Compare, and where `restore` and the machine permits it make the former table act again instead of an unproved
-    one. `rig` is open; nothing moves. `of_run`: look at this run only.
+    """Compare, and reactivate the former table instead of an unproved one if `restore` is set and the machine permits.
 
-    Raises DeviceError where the controller cannot be asked or refuses, InputError where the journal cannot be read.
+    `rig` is open; nothing moves. `of_run`: compare with this run only. Raises DeviceError if the controller cannot be
+    read or refuses, InputError if the journal cannot be read.
     """
-    left = _left(state_directory, of_run)
+    last = _last_compensation(state_directory, of_run)
     unfinished = unfinished_run(state_directory) if of_run is None else None
     active, waiting = rig.store.active_bank(), rig.store.pending_bank()
-    if left is None:
-        return Reconciliation(Found.UNKNOWN, Done.NOTHING, active, waiting, unfinished)
+    if last is None:
+        return Reconciliation(CompensationState.UNKNOWN, ReconcileAction.NOTHING, active, waiting, unfinished)
     if waiting is not None:
-        return _waiting(rig, left, active, waiting, unfinished)
-    found = _found(left, _acting(rig, active))
-    if found is Found.UNPROVED and restore:
-        return _restored(rig, state_directory, left, active, unfinished)
-    done = Done.LEFT if found in (Found.UNPROVED, Found.CHANGED) else Done.NOTHING
-    return Reconciliation(found, done, active, None, unfinished, _person(found, left))
+        return _waiting(rig, last, active, waiting, unfinished)
+    state = _state(last, _active_bank(rig, active))
+    if state is CompensationState.UNPROVED and restore:
+        return _restored(rig, state_directory, last, active, unfinished)
+    unrepaired = state in (CompensationState.UNPROVED, CompensationState.CHANGED)
+    action = ReconcileAction.LEFT if unrepaired else ReconcileAction.NOTHING
+    return Reconciliation(state, action, active, None, unfinished, _instruction(state, last))
 
 
-def anything_left(state_directory: Path) -> bool:
-    """Whether any run of the journal has ever read the compensation; without one there is nothing to compare with."""
-    return _left(state_directory, None) is not None
+def has_compensation_record(state_directory: Path) -> bool:
+    """Return True if any run of the journal has read the compensation; otherwise there is nothing to compare with."""
+    return _last_compensation(state_directory, None) is not None
 
 
-def _person(found: Found, left: Left) -> str:
-    match found:
-        case Found.UNPROVED:
-            return f"go on with run {left.run_id} to prove the table, or have the former one restored"
-        case Found.CHANGED:
-            expected = left.expected.number
-            return f"run {left.run_id} left bank {expected} active: look who changed it, then calibrate anew"
+def _instruction(state: CompensationState, last: LastCompensation) -> str:
+    match state:
+        case CompensationState.UNPROVED:
+            return f"resume run {last.run_id} to prove the table, or have the former one restored"
+        case CompensationState.CHANGED:
+            expected = last.expected.number
+            return f"run {last.run_id} left bank {expected} active: find out who changed it, then calibrate again"
         case _:
             return ""
 
 
-def _found(left: Left, acting: Bank) -> Found:
-    if acting == left.expected:
-        return Found.AS_EXPECTED if left.staged is None or left.accepted else Found.NOT_ACTIVATED
-    return Found.UNPROVED if acting == left.staged else Found.CHANGED
+def _state(last: LastCompensation, active: RecordedBank) -> CompensationState:
+    if active == last.expected:
+        complete = last.staged is None or last.accepted
+        return CompensationState.AS_EXPECTED if complete else CompensationState.NOT_ACTIVATED
+    return CompensationState.UNPROVED if active == last.staged else CompensationState.CHANGED
 
 
-def _acting(rig: Rig, active: int) -> Bank:
+def _active_bank(rig: Rig, active: int) -> RecordedBank:
     image = rig.store.read_table(active) if active else None
-    return Bank(active, None if image is None else table_digest(image))
+    return RecordedBank(active, None if image is None else table_digest(image))
 
 
-def _waiting(rig: Rig, left: Left, active: int, waiting: int, unfinished: UnfinishedRun | None) -> Reconciliation:
-    """The controller has been told and has not done it: a restart of it, and the next start completes it."""
+def _waiting(
+    rig: Rig, last: LastCompensation, active: int, waiting: int, unfinished: UnfinishedRun | None
+) -> Reconciliation:
+    """The controller accepted the activation but has not carried it out: its restart and the next start complete it."""
     event = rig.store.store_limits().activation
-    former = waiting == left.former.number
-    person = f"{DO[event]}: bank {waiting} acts only after {AFTER[event]}"
+    former = waiting == last.former.number
+    instruction = f"{DO[event]}: bank {waiting} becomes active only after {AFTER[event]}"
     if not former and unfinished is not None:
-        person += f"; then go on with run {left.run_id}, which proves the table"
-    done = Done.RESTORE_WAITS if former else Done.LEFT
-    return Reconciliation(Found.WAITING, done, active, waiting, unfinished, person)
+        instruction += f"; then resume run {last.run_id}, which proves the table"
+    action = ReconcileAction.RESTORE_WAITS if former else ReconcileAction.LEFT
+    return Reconciliation(CompensationState.WAITING, action, active, waiting, unfinished, instruction)
 
 
 def _restored(
-    rig: Rig, state_directory: Path, left: Left, active: int, unfinished: UnfinishedRun | None
+    rig: Rig, state_directory: Path, last: LastCompensation, active: int, unfinished: UnfinishedRun | None
 ) -> Reconciliation:
-    former = left.former
+    def unrestored(action: ReconcileAction, waiting: int | None, instruction: str) -> Reconciliation:
+        return Reconciliation(CompensationState.UNPROVED, action, active, waiting, unfinished, instruction)
+
+    former = last.former
     image = rig.store.read_table(former.number) if former.number else None
     if former.number and (image is None or table_digest(image) != former.crc32):
-        person = f"bank {former.number} does not hold the former table any more: `volcal table restore` writes it"
-        return Reconciliation(Found.UNPROVED, Done.LEFT, active, None, unfinished, person)
+        instruction = f"bank {former.number} no longer holds the former table: `volcal table restore` writes it"
+        return unrestored(ReconcileAction.LEFT, None, instruction)
     journal = Journal(state_directory)
     try:
-        aside = journal.continue_run(left.run, left.run_id, rig.clock)[0].aside()
+        aside = journal.continue_run(last.run, last.run_id, rig.clock)[0].aside()
         engine = Engine(rig.actions(), aside)
         after_fault = rig.machine.status().state is MotionState.FAULT
         try:
@@ -123,37 +130,35 @@ def _restored(
             activation = rig.store.store_limits().activation
             engine.run(publish.restore(former.number, after_fault=after_fault, activation=activation))
         except PermissionMissing as missing:
-            return Reconciliation(Found.UNPROVED, Done.LEFT, active, None, unfinished, str(missing))
+            return unrestored(ReconcileAction.LEFT, None, str(missing))
         except NotActiveYet as late:
-            return Reconciliation(
-                Found.UNPROVED, Done.RESTORE_WAITS, active, former.number, unfinished, f"{late.message}. {late.hint}"
-            )
+            return unrestored(ReconcileAction.RESTORE_WAITS, former.number, f"{late.message}. {late.hint}")
         aside.table("restored", former.number, image)
     finally:
         journal.close()
-    return Reconciliation(Found.UNPROVED, Done.RESTORED, former.number, None, unfinished)
+    return Reconciliation(CompensationState.UNPROVED, ReconcileAction.RESTORED, former.number, None, unfinished)
 
 
 def _permitted() -> Plan[None]:
     yield CheckPermissions("reconcile/permissions")
 
 
-def _left(state_directory: Path, of_run: int | None) -> Left | None:
+def _last_compensation(state_directory: Path, of_run: int | None) -> LastCompensation | None:
     if not has_journal(state_directory):
         return None
     with open_journal(state_directory) as reader:
         return _read(reader, of_run)
 
 
-def _read(reader: JournalReader, of_run: int | None) -> Left | None:
+def _read(reader: JournalReader, of_run: int | None) -> LastCompensation | None:
     backup = reader.last_backup(of_run)
     if backup is None:
         return None
     staged = reader.last_table(backup.run, "staged")
-    return Left(
+    return LastCompensation(
         run=backup.run,
         run_id=backup.run_id,
-        former=Bank(backup.bank, backup.crc32),
-        staged=None if staged is None else Bank(staged.bank, staged.crc32),
+        former=RecordedBank(backup.bank, backup.crc32),
+        staged=None if staged is None else RecordedBank(staged.bank, staged.crc32),
         accepted=reader.has_decision(backup.run, ACTIVATING_DECISIONS),
     )

@@ -1,4 +1,4 @@
-"""What a start finds the last run to have left in the controller, and what became of it."""
+"""Result of comparing the controller's compensation with the journal at a start, and of the repair."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from enum import Enum
 from agent.runs.unfinished_run import UnfinishedRun
 
 
-class Found(Enum):
-    """The compensation, as the journal expects it and the controller has it."""
+class CompensationState(Enum):
+    """Compensation in the controller against the one that the journal expects."""
 
     AS_EXPECTED = "as the last run left it"
     NOT_ACTIVATED = "the former table acts; a new one was written or begun, and never activated"
@@ -19,7 +19,9 @@ class Found(Enum):
     UNKNOWN = "there is no run to compare with"
 
 
-class Done(Enum):
+class ReconcileAction(Enum):
+    """Repair carried out by the reconciliation."""
+
     NOTHING = "nothing had to be done"
     RESTORED = "the former table acts again"
     RESTORE_WAITS = "the former table acts again once the controller has been restarted or referenced"
@@ -28,18 +30,18 @@ class Done(Enum):
 
 @dataclass(frozen=True)
 class Reconciliation:
-    """`unfinished`: the run that broke off, if one did. `active_bank` after whatever was done; `waiting_bank`: one that
-    the controller will activate later. `person`: what a person must do; empty where nothing."""
+    """`unfinished`: the interrupted run, if there is one. `active_bank`: after the action. `waiting_bank`: one that the
+    controller will activate later. `instruction`: what a person must do; empty if nothing."""
 
-    found: Found
-    done: Done
+    state: CompensationState
+    action: ReconcileAction
     active_bank: int
     waiting_bank: int | None = None
     unfinished: UnfinishedRun | None = None
-    person: str = ""
+    instruction: str = ""
 
     @property
     def text(self) -> str:
-        """For people: what was found, what was done, what is left to do."""
-        parts = [f"{self.found.value} (bank {self.active_bank} is active)", self.done.value, self.person]
+        """State, action and instruction in one line for people."""
+        parts = [f"{self.state.value} (bank {self.active_bank} is active)", self.action.value, self.instruction]
         return "; ".join(part for part in parts if part)

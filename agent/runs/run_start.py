@@ -19,8 +19,8 @@ from agent.results.journal_entries import INPUTS, inputs_of
 from agent.runs.guarded_run import GuardedRun
 from agent.runs.kinds.kind import Kind
 from agent.runs.origin import origin_record
-from agent.runs.reconcile import anything_left, reconcile
-from agent.runs.reconcile_result import Found
+from agent.runs.reconcile import has_compensation_record, reconcile
+from agent.runs.reconcile_result import CompensationState
 from agent.runs.start_conditions import Outset
 from drivers.clock import Clock, utc_timestamp
 
@@ -105,10 +105,10 @@ class Fresh:
         """PlanRefused where a former run has left a table that must be proved or taken back first: another run would
         take it for what the machine is meant to have."""
         directory = wanted.job.settings.state_directory
-        if not anything_left(directory):
+        if not has_compensation_record(directory):
             return
         left = reconcile(rig, directory, restore=False)
-        if left.found in (Found.UNPROVED, Found.WAITING):
+        if left.state in (CompensationState.UNPROVED, CompensationState.WAITING):
             raise PlanRefused(
                 f"the last run has left the compensation unfinished: {left.text}",
                 hint="`volcal resume` goes on with it, `volcal resume --give-up` makes the former table act again",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agent.execution.journal_reader import open_journal
 from agent.results.run_outcome import Decision
-from agent.service.state.journal_state import BROKEN_OFF_CODE
+from agent.service.state.journal_state import INTERRUPTED_CODE
 from campaigns.fortnight.evening import Evening, Expected
 from campaigns.fortnight.house import ASK_EVERY_S, PATIENCE_S, House, wait_for
 from campaigns.fortnight.plant import Plant
@@ -101,7 +101,7 @@ class Incidents:
         self._house.power_fails()
         self._is(evening, 25)
         self._house.serve()
-        self._stands(evening, "faulted", BROKEN_OFF_CODE)
+        self._stands(evening, "faulted", INTERRUPTED_CODE)
         code, said = self._ended(evening, waiting)
         evening.claims["the timer's command tells it"] = code == ABORTED and "interrupted" in said
         self._sticky_until_reset(evening)

@@ -61,7 +61,9 @@ THIN = Programme(
     ("calibrated by hand", "timer at noon, link loss", "doors open, power failure", "abort", DAMAGE),
     {
         'position_set = "S3"': 'position_set = "S1"',
-        "[verification]\nstations = [1, 4]": "[verification]\nstations = [1]\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3",
+        "[verification]\nstations = [1, 4]": (
+            "[verification]\nstations = [1]\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3"
+        ),
         "[gates]": "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3",
     },
     compared=False,

@@ -27,7 +27,7 @@ from agent.execution.states import RunState
 from agent.results.run_outcome import Decision
 from agent.runs.kinds import nightly
 from agent.runs.reconcile import reconcile
-from agent.runs.reconcile_result import Done, Found
+from agent.runs.reconcile_result import CompensationState, ReconcileAction
 from agent.runs.resume.abandon import give_up
 from agent.runs.resume.resume import ResumeRequest, resume
 from agent.runs.session import RunResult
@@ -186,7 +186,7 @@ def test_an_artefact_that_was_moved_is_noticed_before_anything_is_mixed(measurin
 
 def test_a_run_that_was_aborted_is_not_gone_on_with(measuring: Broken) -> None:
     result = give_up(measuring.rig, STATE, "test")
-    assert result.done is Done.NOTHING
+    assert result.action is ReconcileAction.NOTHING
     run = stored_run(STATE).row
     assert (run.state, run.ended is not None) == ("aborted", True)
     with pytest.raises(InputError, match="no run to resume"):
@@ -197,15 +197,19 @@ def test_an_unproved_table_is_taken_back_and_the_run_can_still_prove_it(proving:
     assert proving.night.active == 2
     with_rig = proving.rig
     found = reconcile(with_rig, STATE, restore=False)
-    assert (found.found, found.done, proving.night.active) == (Found.UNPROVED, Done.LEFT, 2)
+    assert (found.state, found.action, proving.night.active) == (CompensationState.UNPROVED, ReconcileAction.LEFT, 2)
     restored = reconcile(with_rig, STATE)
-    assert (restored.found, restored.done, proving.night.active) == (Found.UNPROVED, Done.RESTORED, 1)
-    assert reconcile(with_rig, STATE).found is Found.NOT_ACTIVATED
+    assert (restored.state, restored.action, proving.night.active) == (
+        CompensationState.UNPROVED,
+        ReconcileAction.RESTORED,
+        1,
+    )
+    assert reconcile(with_rig, STATE).state is CompensationState.NOT_ACTIVATED
     ended = proving.resume()
     assert ended.error is None
     assert ended.outcome.proof is not None and ended.outcome.proof.accepted
     assert proving.night.active == 2
-    assert reconcile(proving.rig, STATE).found is Found.AS_EXPECTED
+    assert reconcile(proving.rig, STATE).state is CompensationState.AS_EXPECTED
     assert len(stored_run(STATE).results("publish/stage")) == 1
 
 
@@ -216,7 +220,7 @@ def test_another_run_does_not_take_an_unproved_table_for_granted(proving: Broken
     unfinished = unfinished_run(STATE)
     assert unfinished is not None and unfinished.run == 1
     result = give_up(proving.rig, STATE, "test")
-    assert (result.done, proving.night.active) == (Done.RESTORED, 1)
+    assert (result.action, proving.night.active) == (ReconcileAction.RESTORED, 1)
     assert unfinished_run(STATE) is None
 
 
@@ -225,8 +229,8 @@ def test_a_door_that_is_open_keeps_the_compensation_as_it_is(proving: Broken) ->
     assert world is not None
     world.controller.granted[Permission.DOORS_CLOSED] = False
     result = reconcile(proving.rig, STATE)
-    assert (result.done, proving.night.active) == (Done.LEFT, 2)
-    assert "doors closed" in result.person
+    assert (result.action, proving.night.active) == (ReconcileAction.LEFT, 2)
+    assert "doors closed" in result.instruction
 
 
 def test_a_table_that_somebody_else_made_act_is_told_and_left(proving: Broken) -> None:
@@ -234,7 +238,7 @@ def test_a_table_that_somebody_else_made_act_is_told_and_left(proving: Broken) -
     assert world is not None
     world.controller.activate(0)
     result = reconcile(proving.rig, STATE)
-    assert (result.found, result.done, proving.night.active) == (Found.CHANGED, Done.LEFT, 0)
+    assert (result.state, result.action, proving.night.active) == (CompensationState.CHANGED, ReconcileAction.LEFT, 0)
 
 
 class Late:
@@ -280,8 +284,12 @@ def test_a_table_that_waits_for_a_restart_is_completed_by_the_next_start(monkeyp
     assert (run.state, run.ended) == ("written, not active", None)
     rig = tamper(broken.rig)
     waiting = reconcile(rig, STATE)
-    assert (waiting.found, waiting.done, waiting.waiting_bank) == (Found.WAITING, Done.LEFT, stores[0].waiting)
-    assert "switch the controller off and on" in waiting.person
+    assert (waiting.state, waiting.action, waiting.waiting_bank) == (
+        CompensationState.WAITING,
+        ReconcileAction.LEFT,
+        stores[0].waiting,
+    )
+    assert "switch the controller off and on" in waiting.instruction
     early = broken.resume()
     assert isinstance(early.error, NotActiveYet)
     assert early.outcome.state is RunState.WRITTEN
@@ -292,7 +300,7 @@ def test_a_table_that_waits_for_a_restart_is_completed_by_the_next_start(monkeyp
     assert ended.outcome.proof is not None
     assert ended.outcome.proof.accepted
     assert len(stored_run(STATE).steps_of("ActivateBank")) == 1
-    assert reconcile(rig, STATE).found is Found.AS_EXPECTED
+    assert reconcile(rig, STATE).state is CompensationState.AS_EXPECTED
 
 
 @pytest.mark.timeout(180)

@@ -36,7 +36,8 @@ def shortened(config: Path, positions: str) -> Path:
         ('position_set = "S3"', f'position_set = "{positions}"\nstations = [1]'),
         (
             "[verification]\nstations = [1, 4]",
-            "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3",
+            "[verification]\nstations = [1]\npositions_deg = [[20.0, 25.0]]\n"
+            "max_remaining_fraction = 1.0\nmax_chi2 = 1e3",
         ),
         ("[gates]", "[gates]\nmin_degrees_of_freedom = 1\nmax_remaining_fraction = 1.0\nmax_chi2 = 1e3"),
     ):

@@ -1,4 +1,4 @@
-"""An unfinished run that nobody wants to go on with: the former table acts again, and the journal says so."""
+"""Abandon an unfinished run: the former table is reactivated, and the journal records it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from agent.execution.journal import Journal
 from agent.execution.rig import Rig
 from agent.execution.states import RunState
 from agent.runs.reconcile import reconcile
-from agent.runs.reconcile_result import Done, Reconciliation
+from agent.runs.reconcile_result import ReconcileAction, Reconciliation
 
 
 def give_up(rig: Rig, state_directory: Path, reason: str) -> Reconciliation:
-    """Restore what has to be restored, then end the run as aborted. Where the former table could not be made to act
+    """Restore the former table if necessary, then end the run as aborted. If the former table cannot be reactivated,
     the run stays unfinished. `rig` is open; nothing moves. Raises as `reconcile`."""
     result = reconcile(rig, state_directory)
     run = result.unfinished
-    if run is not None and result.done is not Done.LEFT:
+    if run is not None and result.action is not ReconcileAction.LEFT:
         journal = Journal(state_directory)
         try:
             record, _ = journal.continue_run(run.run, run.run_id, rig.clock)

@@ -1,4 +1,4 @@
-"""The engine of a run that is gone on with: recorded steps are answered from the journal, the rest is done."""
+"""Engine of a resumed run: recorded steps are answered from the journal, the rest is carried out."""
 
 from __future__ import annotations
 
@@ -19,47 +19,47 @@ WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
 """Steps of the compensation's store: nothing moves for them."""
 
 
-class Return(Protocol):
-    """Brings the machine back to where the next step can be done."""
+class ReturnPath(Protocol):
+    """Brings the machine back to where the next step can be carried out."""
 
     def compensation(self, following: Step) -> bool:
-        """Have the bank act that acted; nothing moves. True where `following` has taken effect already."""
+        """Reactivate the bank that was active; nothing moves. Return True if `following` has already taken effect."""
         ...
 
     def machine(self, following: Step) -> None:
-        """Out, and back to where the step began."""
+        """Withdraw, and return to where the step began."""
         ...
 
 
 class Replay:
-    """Compares what the rebuilt plan asks for with what was recorded. `broken_off`: the step that began and did not
-    end, once everything before it has been replayed."""
+    """Compares the steps of the rebuilt plan with the recorded ones. `unfinished`: the step that began and did not end,
+    met once everything before it has been replayed."""
 
     def __init__(self, recorded: ReplayLog, clock: ResumedClock, trace: Trace) -> None:
         self._recorded = recorded
         self._clock = clock
         self.trace = trace
-        self.broken_off = recorded.unfinished
+        self.unfinished = recorded.unfinished
 
     @property
     def over(self) -> bool:
         return not self._recorded.steps
 
     def next(self, step: Step) -> RecordedStep:
-        """The recorded step that `step` is. PlanDiverged where it is another one."""
+        """Return the recorded step that matches `step`. Raise PlanDiverged if it is another one."""
         recorded = self._recorded.steps.popleft()
         _require_same(recorded, step)
         if recorded.finished_s is not None:
             self._clock.replayed_to(recorded.finished_s)
         return recorded
 
-    def require_broken_off(self, step: Step) -> None:
-        if self.broken_off is not None:
-            _require_same(self.broken_off, step)
+    def require_unfinished(self, step: Step) -> None:
+        if self.unfinished is not None:
+            _require_same(self.unfinished, step)
 
 
 class ReplayingEngine(Engine):
-    """`stored`: a table that the journal or the controller still has, by bank and CRC-32."""
+    """`stored` returns a table that the journal or the controller still has, by bank and CRC-32."""
 
     def __init__(
         self,
@@ -73,11 +73,11 @@ class ReplayingEngine(Engine):
         self._writer = journal
         self._replay = replay
         self._stored = stored
-        self._returning: Return | None = None
+        self._returning: ReturnPath | None = None
         self._compensated = self._arrived = False
 
-    def returns_by(self, returning: Return) -> None:
-        """To be said before the first plan is run."""
+    def returns_by(self, returning: ReturnPath) -> None:
+        """Set the return path; to be called before the first plan is run."""
         self._returning = returning
 
     def _do_durably(self, step: Step) -> Any:
@@ -88,12 +88,12 @@ class ReplayingEngine(Engine):
 
     def _done_or_recorded(self, step: Step) -> Any:
         if isinstance(step, Record):
-            # What the plan concluded costs nothing; the journal knows which of it has been written.
+            # Conclusions of the plan cost nothing; the journal knows which of them it already has.
             return super()._do_durably(step)
         if not self._replay.over:
             return self._recorded(step)
         if self._come_back(step):
-            # It had taken effect before the run broke off: a writing step is never done twice.
+            # It had taken effect before the interruption: a writing step is never carried out twice.
             self._writer.begin(step)
             self._writer.finish(step, None, begun=True)
             return None
@@ -106,13 +106,13 @@ class ReplayingEngine(Engine):
         return result
 
     def _come_back(self, step: Step) -> bool:
-        """The compensation first, the machine only for a step that needs it; each once. True where nothing is left of
-        `step` to be done."""
+        """Return the compensation first, the machine only for a step that needs it; each once. True if `step`
+        is already complete."""
         returning, done = self._returning, False
         if returning is None or self._arrived:
             return done
         if not self._compensated:
-            self._replay.require_broken_off(step)
+            self._replay.require_unfinished(step)
             self._compensated = True
             done = returning.compensation(step)
         if not isinstance(step, WRITING):
@@ -128,14 +128,14 @@ def _require_same(recorded: RecordedStep, step: Step) -> None:
     asked = f"{kind} {key}" if (recorded.key, recorded.kind) != (key, kind) else f"{key} with other figures"
     raise PlanDiverged(
         f"the journal has {recorded.kind} {recorded.key} where the rebuilt plan asks for {asked}",
-        hint="settings, files or software are not those the run began with; start a new run",
+        hint="settings, files or software differ from those the run began with; start a new run",
         recorded=recorded.key,
         asked=key,
     )
 
 
 def require_crc(image: TableImage | None, bank: int, crc32: int) -> TableImage:
-    """PlanDiverged where a bank does not hold what it held."""
+    """Return the table. Raise PlanDiverged if the bank no longer holds it."""
     if image is None or table_digest(image) != crc32:
         raise PlanDiverged(
             f"bank {bank} does not hold the table any more that it held when the run read it",

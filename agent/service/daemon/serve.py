@@ -25,7 +25,7 @@ from agent.service.owner.owner_parts import Household, here_and_now
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.archive import Archive
 from agent.service.state.event_log import Bulletin
-from agent.service.state.journal_state import Past
+from agent.service.state.journal_state import JournalState
 from agent.service.state.live_view import Scenes
 from agent.service.state.reports import Reports
 from agent.service.state.status_board import Board
@@ -85,7 +85,7 @@ def _household(
         board=Board(load_machine(settings.machine).name, bulletin),
         health=Health(RealClock().now, hang_timeout_s=service.hang_timeout_s, computing_s=computing_s),
         ownership=owned,
-        past=Past(settings.state_directory),
+        journal_state=JournalState(settings.state_directory),
         reports=Reports(settings.state_directory),
         scenes=Scenes(),
         circumstances=circumstances,

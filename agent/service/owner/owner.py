@@ -47,9 +47,9 @@ class Owner:
         self._closing = False
         self._reconciled = False
         self._board.stands(self._standing())
-        left = household.past.left_behind()
+        left = household.journal_state.unacknowledged_end()
         if left is not None:
-            self._board.left_behind(left.state, left.run_id, left.kind, left.alarm)
+            self._board.show_unacknowledged_end(left.state, left.run_id, left.kind, left.alarm)
 
     # ------------------------------------------------------------------ Control
 
@@ -117,7 +117,7 @@ class Owner:
         with self._changed:
             self._require_nothing_runs()
             if self._board.state in allowed_requests.STICKY:
-                self._house.past.acknowledge(self._board.status().run_id)
+                self._house.journal_state.acknowledge(self._board.status().run_id)
             if self._board.state is not RunState.IDLE:
                 self._board.idle()
             self.reconcile_if_reached()
@@ -252,7 +252,7 @@ class Owner:
 
     def _standing(self) -> Standing:
         try:
-            return self._house.past.standing(self.settings, self._house.config.parent)
+            return self._house.journal_state.standing(self.settings, self._house.config.parent)
         except Exception:  # figures to look at: the machine must be free again without them
             log.exception("what the machine was left as is not known")
             return Standing()

@@ -14,7 +14,7 @@ from agent.service.owner.health import Health
 from agent.service.owner.request_translation import Devices
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.event_log import Bulletin
-from agent.service.state.journal_state import Past
+from agent.service.state.journal_state import JournalState
 from agent.service.state.live_view import Scenes
 from agent.service.state.reports import Reports
 from agent.service.state.status_board import Board
@@ -36,7 +36,7 @@ class Household:
     board: Board
     health: Health
     ownership: Ownership
-    past: Past
+    journal_state: JournalState
     reports: Reports
     scenes: Scenes = field(default_factory=Scenes)
     devices: Devices = field(default_factory=Devices)

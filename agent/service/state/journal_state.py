@@ -24,12 +24,12 @@ from drivers.errors import VolcalError
 
 log = structlog.get_logger()
 
-BROKEN_OFF_CODE = 480
+INTERRUPTED_CODE = 480
 FAULT_CODE = 100
 
 
 @dataclass(frozen=True)
-class LeftBehind:
+class UnacknowledgedEnd:
     """A run whose end has not been acknowledged yet."""
 
     state: RunState
@@ -39,12 +39,12 @@ class LeftBehind:
 
 
 @dataclass(frozen=True)
-class Past:
+class JournalState:
     """Reads through its own connections, which never delay the run that writes."""
 
     directory: Path
 
-    def left_behind(self) -> LeftBehind | None:
+    def unacknowledged_end(self) -> UnacknowledgedEnd | None:
         """Return the last run if it was aborted, faulted or interrupted, and no reset has acknowledged that."""
         if not has_journal(self.directory):
             return None
@@ -55,12 +55,12 @@ class Past:
         state = RunState(run.state)
         if state in STICKY:
             alarm = Alarm(FAULT_CODE, run.reason or state.value, "see to it, then reset")
-            return LeftBehind(state, run.run_id, run.kind, alarm)
+            return UnacknowledgedEnd(state, run.run_id, run.kind, alarm)
         if state in FINAL or state is RunState.WRITTEN:
             return None
         text = f"run {run.run_id} was interrupted while {state.value}"
         hint = "check the machine: nothing is known of what happened since; then reset"
-        return LeftBehind(RunState.FAULTED, run.run_id, run.kind, Alarm(BROKEN_OFF_CODE, text, hint))
+        return UnacknowledgedEnd(RunState.FAULTED, run.run_id, run.kind, Alarm(INTERRUPTED_CODE, text, hint))
 
     def acknowledge(self, run_id: str | None) -> None:
         """Acknowledge the end of a run; durable when it returns. Raise JournalFailed if it cannot be written."""

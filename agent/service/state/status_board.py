@@ -65,8 +65,8 @@ class Board:
     def stands(self, standing: Standing) -> None:
         self._change(**vars(standing))
 
-    def left_behind(self, state: RunState, run_id: str, kind: str, alarm: Alarm) -> None:
-        """What an earlier life of the service has left."""
+    def show_unacknowledged_end(self, state: RunState, run_id: str, kind: str, alarm: Alarm) -> None:
+        """Enter the unacknowledged end of a run from before the service started."""
         self._change(run_id=run_id, kind=kind, alarms=(alarm,))
         self.enter(state, alarm.text)
 
@@ -75,13 +75,13 @@ class Board:
         self._change(balls=0, touches=0)
         self.enter(RunState.IDLE, "reset")
 
-    def reconciled(self, found: Reconciliation) -> None:
-        """What the controller holds, as it says itself; what is left for a person to do is an alarm."""
-        self._change(active_bank=found.active_bank, written_not_active=found.waiting_bank)
-        self.bulletin.publish("note", found.text, {"found": found.found.value, "done": found.done.value})
-        log.info("reconciled", text=found.text)
-        if found.person:
-            self.alarm(alarm_of(StoreError(found.found.value, hint=found.person)))
+    def reconciled(self, result: Reconciliation) -> None:
+        """Take over the bank that the controller reports; an instruction to a person becomes an alarm."""
+        self._change(active_bank=result.active_bank, written_not_active=result.waiting_bank)
+        self.bulletin.publish("note", result.text, {"found": result.state.value, "done": result.action.value})
+        log.info("reconciled", text=result.text)
+        if result.instruction:
+            self.alarm(alarm_of(StoreError(result.state.value, hint=result.instruction)))
 
     # ------------------------------------------------------------------ a run
 

@@ -18,7 +18,7 @@ from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.results.run_outcome import Outcome
-from agent.runs.reconcile_result import Done, Found, Reconciliation
+from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
 from agent.runs.session import Request, RunResult
 from agent.service.owner.health import Health
 from agent.service.owner.owner import Owner
@@ -26,7 +26,7 @@ from agent.service.owner.owner_parts import Household
 from agent.service.owner.request_translation import Devices
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.event_log import Bulletin
-from agent.service.state.journal_state import Past
+from agent.service.state.journal_state import JournalState
 from agent.service.state.reports import Reports
 from agent.service.state.status_board import Board
 from agent.settings.schema import Settings
@@ -70,7 +70,7 @@ class AbsentDevices(Devices):
         self.asked.append("away" if self.away else "reached")
         if self.away:
             raise self.away.pop()
-        return Reconciliation(Found.UNKNOWN, Done.NOTHING, 0)
+        return Reconciliation(CompensationState.UNKNOWN, ReconcileAction.NOTHING, 0)
 
 
 class Puppet:
@@ -172,7 +172,7 @@ def house(
             board=Board("case-study", bulletin),
             health=Health(VirtualClock().now, hang_timeout_s=30.0, computing_s=900.0),
             ownership=owned,
-            past=Past(state),
+            journal_state=JournalState(state),
             reports=Reports(state, lambda *_: {}),
             devices=AbsentDevices(make_clock=lambda _: VirtualClock(), status=status),
             carry_out=puppet,

@@ -1,0 +1,39 @@
+"""Statements of the journal's reader: the columns of each row, in the order of its fields, and their tables.
+
+They stand apart from the reader so that a change of the tables can be made here, beside `journal_schema.sql`. A list of
+kinds is one JSON parameter, so that every statement is constant. `{aside}` marks the point at which the reader can
+leave out rows of withdrawals and returns.
+"""
+
+# ruff: noqa: S608  every statement is put together from constants of this module
+
+from __future__ import annotations
+
+RUN = "SELECT run, run_id, kind, started, ended, state, reason, software FROM runs "
+COUNTS = (
+    "SELECT run, run_id, kind, started, ended, state, reason, software, "
+    "(SELECT count(*) FROM balls WHERE balls.run = runs.run), "
+    "(SELECT count(*) FROM steps WHERE steps.run = runs.run AND kind = 'TouchTowards' AND result IS NOT NULL) "
+    "FROM runs "
+)
+LAST_RUN_WITH_STEPS = RUN + "WHERE run IN (SELECT run FROM steps) ORDER BY run DESC LIMIT 1"
+LAST_WORKING_RUN = RUN + (
+    "WHERE run IN (SELECT run FROM steps UNION SELECT run FROM origins WHERE begun_s IS NOT NULL) "
+    "ORDER BY run DESC LIMIT 1"
+)
+STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM steps "
+DECISION = "SELECT run, run_id, decisions.rowid, at, decisions.kind, record FROM decisions JOIN runs USING (run) "
+TABLE = (
+    "SELECT run, run_id, tables.rowid, at, role, bank, crc32, origin_mm, step_mm, resolution_mm, shape "
+    "FROM tables JOIN runs USING (run) "
+)
+ACTIVE_TABLE = TABLE + (
+    "WHERE role IN ('backup', 'restored') OR (role = 'staged' AND EXISTS (SELECT 1 FROM decisions "
+    "WHERE decisions.run = tables.run AND decisions.kind IN (SELECT value FROM json_each(:kinds)))) "
+    "ORDER BY tables.rowid DESC LIMIT 1"
+)
+EVENT = (
+    "SELECT rowid, at, kind, record FROM events WHERE run = :run AND rowid > :after "
+    "AND (:kinds IS NULL OR kind IN (SELECT value FROM json_each(:kinds))){aside} ORDER BY rowid LIMIT :limit"
+)
+IMAGE = "SELECT origin_mm, step_mm, resolution_mm, shape, counts FROM tables WHERE "
