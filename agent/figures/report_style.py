@@ -1,8 +1,8 @@
-"""How figures look: one place for colours, and figures that follow the page's light or dark theme.
+"""Style of report figures: one set of colours, following the page's light or dark theme.
 
-Figures are drawn with stand-in colours that the finished SVG exchanges for CSS variables of the page, so one
-drawing serves a light screen, a dark one and paper. The series colours are Okabe and Ito's, which people with
-any of the common colour deficiencies tell apart; the map colours (viridis) grow evenly in lightness.
+Figures are drawn with placeholder colours that are replaced by CSS variables of the page in the finished SVG, so one
+drawing serves a light screen, a dark one and paper. The series colours are those of Okabe and Ito, distinguishable with
+the common colour deficiencies; the map colours (viridis) increase evenly in lightness.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Margins:
-    """Room around the panels in inches. Finding it from what is drawn would double the time of a report."""
+    """Margins around the panels in inches. Computing them from the drawing would double the time of a report."""
 
     left: float = 0.66
     right: float = 0.15
@@ -79,7 +79,7 @@ class Margins:
 
 
 class Drawing:
-    """A figure under the house style: `with Drawing("name", width, height) as figure: …` then `.svg()`."""
+    """Figure in the house style: `with Drawing("name", width, height) as figure: …` then `.svg()`."""
 
     def __init__(self, name: str, width_in: float, height_in: float, margins: Margins | None = None) -> None:
         self.name = name
@@ -110,7 +110,7 @@ class Drawing:
             self._context.__exit__(None, None, None)
 
     def svg(self) -> str:
-        """The `<svg>` element, ready to stand in a page."""
+        """Return the `<svg>` element, ready to embed in a page."""
         return self._svg
 
 
@@ -128,7 +128,7 @@ def _raw_svg(figure: Figure) -> str:
 
 
 def _themed(svg: str, name: str) -> str:
-    """Drop what belongs to a file of its own, let the page colour it and keep its ids apart from others'."""
+    """Remove file-level metadata, use the page's colours and fonts, and prefix ids to keep them unique on the page."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)

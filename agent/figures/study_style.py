@@ -1,7 +1,7 @@
-"""How the figures of studies look: light background, one set of colours, labels with units.
+"""Style of study figures: light background, one set of colours, labels with units.
 
-The colours are Okabe and Ito's, which people with any of the common colour deficiencies tell apart; the map colours
-(viridis) grow evenly in lightness. The same drawing is given as PNG and as SVG.
+The colours are those of Okabe and Ito, distinguishable with the common colour deficiencies; the map colours (viridis)
+increase evenly in lightness. Each drawing is rendered as PNG and as SVG.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ PURPLE = "#cc79a7"
 SKY = "#56b4e9"
 AMBER = "#e69f00"
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, INK)
-"""Colours of series, in the order in which they are used."""
+"""Colours of series, in order of use."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""Markers of series, so that no colour alone tells two apart."""
+"""Markers of series, so that they can be told apart without colour."""
 
 DOTS_PER_INCH = 150
 
@@ -78,14 +78,14 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One drawing in both forms."""
+    """One drawing in both formats."""
 
     png: bytes
     svg: str
 
 
 def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
-    """Draw a figure of `size_in` (width, height) inches under the house style; the same input gives the same bytes."""
+    """Draw a figure of `size_in` (width, height) inches in the house style; the same input gives the same bytes."""
     with mpl.rc_context(_SETTINGS):
         mpl.rcParams["svg.hashsalt"] = name
         figure = Figure(figsize=size_in, dpi=DOTS_PER_INCH)
@@ -94,7 +94,7 @@ def picture(name: str, draw: Draw, size_in: tuple[float, float]) -> Picture:
 
 
 def from_zero(axes: Axes, label: str) -> None:
-    """Label the ordinate and let it begin at zero, as a length in µm should."""
+    """Label the ordinate and start it at zero."""
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
 

@@ -1,6 +1,7 @@
-"""Studies of the procedure: each looks at a case by simulation and in closed form, and leaves a figure and its numbers.
+"""Studies of the procedure: each examines a case by simulation and in closed form, and produces a figure and its
+numbers.
 
-A study is a function `run(case: StudyCase) -> StudyResult` in a module of this package and one line here.
+A study is a function `run(case: StudyCase) -> StudyResult` in a module of this package, with one entry here.
 """
 
 STUDIES: dict[str, str] = {
@@ -15,4 +16,4 @@ STUDIES: dict[str, str] = {
     "trajectory": "agent.studies.trajectory:run",
     "volumetric-error": "agent.studies.volumetric_error:run",
 }
-"""Name on the command line → "module:function"; imported only when asked for."""
+"""Name on the command line → "module:function"; a module is imported only if its study is run."""

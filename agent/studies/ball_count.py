@@ -1,4 +1,5 @@
-"""How many balls a bar of given length needs: volumetric error left for 3 to 15 balls, and the share of the gain."""
+"""Number of balls needed on a bar of given length: residual volumetric error and share of the gain for 3 to 15
+balls."""
 
 from __future__ import annotations
 
@@ -39,12 +40,12 @@ class Curve:
 
     @property
     def fewest(self) -> int | None:
-        """The smallest number of balls with `ENOUGH` of the gain."""
+        """Smallest number of balls that reaches the share `ENOUGH` of the gain, or None."""
         return next((n for n, share in zip(COUNTS, self.shares, strict=True) if share and share >= ENOUGH), None)
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Bars of the case's length with 3 to 15 balls, in the case's set."""
+    """Evaluate bars of the case's length with 3 to 15 balls, in the case's position set."""
     bar, evaluator, variants, positions = (
         Bar.of(case.artefact),
         ProcedureEvaluator(case),
@@ -70,7 +71,10 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def gain_shares(verdicts: Sequence[Verdict], before: VolumetricRms) -> tuple[float | None, ...]:
-    """(VE - VCE) over that of the best count, rigidly aligned; None where not identified or nothing gains."""
+    """Return (VE - VCE) relative to that of the best ball count, rigidly aligned.
+
+    A share is None if the machine was not identified or no ball count gains anything.
+    """
     left = [aligned_um(verdict) for verdict in verdicts]
     best = min((value for value in left if value is not None), default=before.aligned_um)
     if best >= before.aligned_um:
@@ -120,7 +124,7 @@ def _draw(figure: Figure, curves: Sequence[Curve], before: VolumetricRms) -> Non
 
 
 def _draw_shares(axes: Axes, curves: Sequence[Curve]) -> None:
-    """The ways that gain anything, with the published number of balls."""
+    """Draw the variants that gain anything, and the published number of balls."""
     axes.axhline(100.0 * ENOUGH, color=QUIET, linestyle=":")
     axes.axvline(PUBLISHED_BALLS, color=INK, linestyle="--", linewidth=1.0)
     for series, curve in enumerate(curves):

@@ -1,6 +1,6 @@
-"""Items handed to a worker together, and how one that fails is named.
+"""Chunks of items handed to a worker together, and errors that name the failed item.
 
-What runs in a worker's process is here, and nothing that a worker does not need.
+This module contains only what a worker process executes.
 """
 
 from __future__ import annotations
@@ -23,19 +23,20 @@ Result = TypeVar("Result")
 
 _LONGEST_NAME = 60
 
-_CHUNKS_A_WORKER = 8  # so many that the last ones end together
-_LARGEST = 32  # items, so that the progress moves; handing over a task of 100 kB costs less than one item
+_CHUNKS_A_WORKER = 8  # enough that all workers finish at about the same time
+_LARGEST = 32  # items, so that progress is visible; sending a task of 100 kB costs less than one item
 
 
 @dataclass(frozen=True)
 class Chunk(Generic[Item]):
-    """Some items of a list, from number `first` on."""
+    """Consecutive items of a list, starting at index `first`."""
 
     first: int
     items: Sequence[Item]
 
     def run(self, task: Callable[[Item], Result]) -> list[Result]:
-        """The results, each computed by itself; whatever fails becomes an error of the one tree that names the item."""
+        """Return the result of each item, computed independently; any failure becomes a VolcalError that names the
+        item."""
         results: list[Result] = []
         for number, item in enumerate(self.items, start=self.first):
             try:
@@ -46,40 +47,43 @@ class Chunk(Generic[Item]):
 
 
 def split_into_chunks(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
-    """Chunks of equal size but for the last one, for so many workers."""
+    """Split the items into chunks of equal size, except for the last one, for the given number of workers."""
     size = max(1, min(_LARGEST, -(-len(items) // (_CHUNKS_A_WORKER * workers))))
     return [Chunk(start, items[start : start + size]) for start in range(0, len(items), size)]
 
 
 def run_chunk(task: bytes, chunk: Chunk[Any]) -> list[Any]:
-    """The results of a chunk for a pickled task, with one thread of the linear algebra from now on: sums split among
-    threads depend on their number."""
+    """Return the results of a chunk for a pickled task, and limit linear algebra to one thread from then on.
+
+    Sums split among threads depend on the number of threads.
+    """
     function = _unpickled(task)
-    threadpool_limits(limits=1)  # of what the task has loaded
+    threadpool_limits(limits=1)  # after unpickling, since it affects only libraries that are already loaded
     return chunk.run(function)
 
 
 def run_chunk_on_cluster(task: bytes, chunk: Chunk[Any], software: Mapping[str, str]) -> list[Any]:
-    """The same on another computer; ConfigurationError where its software is not the one that hands out the work."""
+    """Run a chunk on another computer. Raise ConfigurationError if its software versions differ from the
+    submitter's."""
     here = local_software()
     for name, wanted in software.items():
         if here[name] != wanted:
             raise ConfigurationError(
                 f"a worker of the cluster has {name} {here[name]}, this computer {wanted}",
-                hint="numbers would depend on who computed them: install the same versions everywhere",
+                hint="results would depend on the computer: install the same versions everywhere",
             )
     return run_chunk(task, chunk)
 
 
 def local_software() -> dict[str, str]:
-    """Versions of what the numbers of a study depend on."""
+    """Return the versions of all software that affects the numbers of a study."""
     names = ("volcal", "numpy", "scipy")
     return {"Python": ".".join(platform.python_version_tuple()[:2]), **{name: version(name) for name in names}}
 
 
 @lru_cache(maxsize=2)
 def _unpickled(task: bytes) -> Callable[[Any], Any]:
-    """Kept, because one task comes with many chunks."""
+    """Return the unpickled task, cached because many chunks share one task."""
     unpickled: Callable[[Any], Any] = pickle.loads(task)  # noqa: S301  pickled by the process that started this work
     return unpickled
 

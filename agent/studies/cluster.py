@@ -1,7 +1,7 @@
-"""The work of a study on a Dask cluster. `distributed` is an optional part: `pip install volcal[cluster]`.
+"""Study workers on a Dask cluster. `distributed` is an optional dependency: `pip install volcal[cluster]`.
 
-Every wait is bounded: for the connection, for the first worker, and for a sign of life of the scheduler whenever
-nothing comes back. How long a chunk computes is not.
+Every wait is bounded: for the connection, for the first worker, and for a response of the scheduler while no result
+arrives. The computing time of a chunk is not bounded.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ POLL_S = 2.0
 CLOSE_S = 5.0
 SCHEMES = ("tcp", "tls")
 
-_HEADER = struct.Struct("<Q")  # how many bytes of message follow
+_HEADER = struct.Struct("<Q")  # number of message bytes that follow
 _LONGEST_GREETING = 1 << 20
 
 
 class DaskWorkers:
-    """The workers of the scheduler at `address`, connected within the block.
+    """Workers of the scheduler at `address`, connected inside the `with` block.
 
-    Raises ConfigurationError for what is no address or another software there, LinkLost and LinkTimeout for a scheduler
-    or workers that are not there (any more), RunError for a worker that died, and the named error of a failed item.
+    Raise ConfigurationError for an invalid address or different software versions, LinkLost or LinkTimeout if scheduler
+    or workers cannot be reached (any more), RunError if a worker died, and the named error of a failed item.
     """
 
     def __init__(self, address: str) -> None:
@@ -52,7 +52,7 @@ class DaskWorkers:
         self._client: Client | None = None
 
     def __enter__(self) -> Self:
-        # What distributed logs about lost connections is said by the errors raised here.
+        # The errors raised here already report lost connections, which distributed would log as well.
         for name in ("distributed", "distributed.client"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
@@ -95,7 +95,7 @@ class DaskWorkers:
         return max(1, sum(self._workers(client).values()))
 
     def _gathered(self, client: Client, futures: Sequence[Work], done: OnItemsDone) -> list[list[Any]]:
-        """Results in the order of the futures, taken as they come."""
+        """Collect the results as they arrive and return them in the order of the futures."""
         number = {future.key: place for place, future in enumerate(futures)}
         found: list[list[Any]] = [[] for _ in futures]
         pending, finished = set(futures), 0
@@ -120,8 +120,11 @@ class DaskWorkers:
         return ready, rest
 
     def _result(self, client: Client, future: Work) -> list[Any]:
-        """What a ready future holds. Its worker may have died since then: it is computed once more, as long as that
-        takes, while the scheduler gives signs of life and has workers."""
+        """Return the result of a finished future.
+
+        If its worker has died since, the chunk is computed again; this waits as long as the scheduler responds and has
+        workers.
+        """
         loop = client.loop.asyncio_loop  # type: ignore[union-attr]
         fetching = client.gather(future, asynchronous=True)  # type: ignore[no-untyped-call]
         coming = asyncio.run_coroutine_threadsafe(fetching, loop)
@@ -130,7 +133,7 @@ class DaskWorkers:
             while not futures_done([coming], timeout=POLL_S).done:
                 timeout.update(bool(self._workers(client)))
         finally:
-            coming.cancel()  # nothing where it has ended
+            coming.cancel()  # no effect if it has finished
         return self._taken(coming)
 
     def _taken(self, ended: ConcurrentFuture[list[Any]]) -> list[Any]:
@@ -139,17 +142,17 @@ class DaskWorkers:
         except VolcalError:
             raise
         except KilledWorker as error:
-            hint = "was memory short there?"
-            raise RunError("workers of the cluster died again and again", hint=hint, link=self._address) from error
+            hint = "check the memory of the workers"
+            raise RunError("workers of the cluster died repeatedly", hint=hint, link=self._address) from error
         except (CancelledError, OSError) as error:
             raise self._lost() from error
         except (ImportError, RuntimeError, AttributeError, pickle.UnpicklingError) as error:
             hint = "install the same volcal[cluster] on scheduler and workers"
-            message = f"the cluster does not understand the work: {' '.join(str(error).split())}"
+            message = f"the cluster cannot run the task: {' '.join(str(error).split())}"
             raise ConfigurationError(message, hint=hint, link=self._address) from error
 
     def _workers(self, client: Client) -> dict[str, int]:
-        """Threads of each worker, asked of the scheduler: a sign of its life too."""
+        """Ask the scheduler for the threads of each worker; the response also shows that the scheduler is alive."""
         scheduler = client.scheduler
         if scheduler is None or client.status != "running":
             raise self._lost()
@@ -161,33 +164,34 @@ class DaskWorkers:
 
     def _lost(self) -> LinkLost:
         hint = "start the study again; the same seed gives the same numbers"
-        return LinkLost("the Dask scheduler is gone in the middle of the work", hint=hint, link=self._address)
+        return LinkLost("the connection to the Dask scheduler was lost during the work", hint=hint, link=self._address)
 
 
 class _WorkerTimeout:
-    """How long the scheduler has been without workers, looked at every POLL_S."""
+    """Time that the scheduler has had no workers, updated every POLL_S."""
 
     def __init__(self, address: str) -> None:
         self._address = address
         self._seconds = 0.0
 
     def update(self, has_workers: bool) -> None:
-        """LinkTimeout after FIRST_WORKER_S of nobody."""
+        """Raise LinkTimeout after FIRST_WORKER_S without workers."""
         self._seconds = 0.0 if has_workers else self._seconds + POLL_S
         if self._seconds > FIRST_WORKER_S:
-            hint = "have they the same volcal[cluster], and memory enough?"
-            raise LinkTimeout("the Dask scheduler has no worker any more", hint=hint, link=self._address)
+            hint = "check that the workers have the same volcal[cluster] and enough memory"
+            raise LinkTimeout("the Dask scheduler has no workers left", hint=hint, link=self._address)
 
 
 def _greet(address: str) -> None:
-    """A client waits without end for the greeting of whatever accepts its connection: look first whether one comes."""
+    """Check that a Dask scheduler greets; the client would wait forever for a greeting from whatever accepts its
+    connection."""
     parts = urlsplit(address)
     if parts.scheme != "tcp":
         return
     with socket.create_connection((str(parts.hostname), int(parts.port or 0)), timeout=CONNECT_S) as connection:
         header = connection.recv(_HEADER.size, socket.MSG_WAITALL)
     if len(header) < _HEADER.size or _HEADER.unpack(header)[0] > _LONGEST_GREETING:
-        raise ConnectionError("this is no greeting of a Dask scheduler")
+        raise ConnectionError("the response is not a greeting of a Dask scheduler")
 
 
 def _client(address: str) -> Client:
@@ -202,5 +206,5 @@ def _checked(address: str) -> str:
     except ValueError:
         port = None
     if port is None or parts.scheme not in SCHEMES or not parts.hostname or parts.path not in ("", "/"):
-        raise ConfigurationError(f"'{address}' is no address of a Dask scheduler", hint=hint, key="--cluster")
+        raise ConfigurationError(f"'{address}' is not an address of a Dask scheduler", hint=hint, key="--cluster")
     return address

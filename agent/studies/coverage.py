@@ -1,8 +1,7 @@
-"""Do the 95 % regions of an estimate hold the truth in 95 % of the machines, for machines richer than the model?
+"""Coverage of the 95 % regions of an estimate, for machines that are richer than the model.
 
-Each machine is drawn with a deflection of one of several forms, measured once in the case's set and once more in the
-held-out positions, and identified twice: with the Legendre order of the machine file, and with the order for which the
-measurements speak.
+Each machine is drawn with one of several forms of deflection, measured in the case's set and in the held-out positions,
+and identified twice: with the Legendre order of the machine file, and with the order favoured by the measurements.
 """
 
 from __future__ import annotations
@@ -46,8 +45,8 @@ PARAMETERS = "parameters"
 _CANDIDATES = (5, 7, 9)
 _POINTS, _JOINT = 100, 12
 _GRID = (16, 8, 8)
-_BETTER_KNOWN = 0.5  # than before: a parameter that the measurements speak of
-_CHECKED = 5  # one machine as modelled for so many of another making
+_BETTER_KNOWN = 0.5  # uncertainty relative to the prior below which a parameter counts as measured
+_CHECKED = 5  # number of richer machines per machine as modelled
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ class ComparedEstimate:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTask:
-    """Task: the number and form of a machine → what both estimates say of it, held against what it is."""
+    """Task that draws the machine of a number and form, and compares both of its estimates with the truth."""
 
     machine: MachineDescription
     artefact: Artefact
@@ -87,7 +86,7 @@ class CoverageTask:
         return [self._compared(random_machine, *found, again, points) for found in self._estimates(seen, form)]
 
     def _joined(self, random_machine: RandomMachine, rng: np.random.Generator) -> Observations:
-        """Set and held-out positions measured with the same artefact on the same day."""
+        """Measure set and held-out positions with the same artefact under the same conditions."""
         parts = (self.planned, self.held_out)
         further = replace(self.held_out, position=self.held_out.position + self.planned.position.max() + 1)
         rows = {
@@ -133,7 +132,7 @@ class CoverageTask:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Coverage over `case.machines` machines, forms in turn, and over some that are as modelled."""
+    """Compute the coverage over `case.machines` machines with alternating forms, and over some that are as modelled."""
     machines = [(number, DEFLECTION_FORMS[number % len(DEFLECTION_FORMS)]) for number in range(case.machines)]
     machines += [(case.machines + extra, AS_MODELLED) for extra in range(max(case.machines // _CHECKED, 2))]
     found = case.map(_comparison(case), machines)
@@ -165,13 +164,13 @@ def _comparison(case: StudyCase) -> CoverageTask:
 
 @dataclass(frozen=True, eq=False)
 class CoverageTable:
-    """Shares held, over all that was compared."""
+    """Observed coverages over all comparisons."""
 
     compared: Sequence[ComparedEstimate]
     rng: np.random.Generator
 
     def select(self, chosen: str, form: str | None = None) -> list[ComparedEstimate]:
-        """Those of one choice to choose the order: of one form, or of the mixture of all."""
+        """Return the comparisons with one choice of the order, for one form or for all forms together."""
         forms = DEFLECTION_FORMS if form is None else (form,)
         return [one for one in self.compared if one.chosen == chosen and one.form in forms]
 
@@ -244,7 +243,7 @@ def _shares(table: CoverageTable, of: Sequence[ComparedEstimate]) -> dict[str, O
 
 
 def _pairs(table: CoverageTable, of: Sequence[ComparedEstimate]) -> dict[str, list[float]]:
-    """Share held and its standard error, by region."""
+    """Return observed coverage and its standard error, by region."""
     shares = _shares(table, of)
     return {region: _rounded([share.observed, share.standard_error]) for region, share in shares.items()}
 

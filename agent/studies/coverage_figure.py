@@ -1,4 +1,4 @@
-"""The figure of the coverage study: shares held by form, and observed against nominal levels."""
+"""Figure of the coverage study: observed coverage by form, and observed against nominal levels."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from twin.uncertainty.coverage import ObservedCoverage
 
 LEVELS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99])
 BAND = (93.0, 97.0)
-_APART = 0.13  # between regions of one form
+_APART = 0.13  # horizontal distance between the regions of one form
 _LOWEST = 70.0
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One way to choose the order. `shares`: region → one for each of `groups`; `curves`: region → observed share at
-    each of `LEVELS`."""
+    """Results for one choice of the order.
+
+    `shares`: region → observed coverage of each of `groups`; `curves`: region → observed coverage at each of `LEVELS`.
+    """
 
     title: str
     groups: tuple[str, ...]
@@ -32,7 +34,7 @@ class Panel:
 
 
 def draw(figure: Figure, panels: Sequence[Panel]) -> None:
-    """A row for each panel: by form on the left, reliability on the right."""
+    """Draw one row per panel: coverage by form on the left, reliability on the right."""
     axes = figure.subplots(len(panels), 2, width_ratios=(2.1, 1.0), squeeze=False)
     for (left, right), panel in zip(axes, panels, strict=True):
         _by_form(left, panel)

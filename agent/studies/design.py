@@ -1,8 +1,8 @@
-"""Designed sets against S1, S2, S3 and their combinations: volumetric compensated error over machine minutes.
+"""Designed sets compared with S1, S2, S3 and their combinations: volumetric compensated error over machine time.
 
 Every set is evaluated by the closed form for whole procedures (`twin.uncertainty.error_budget`), with the deflection of
-the machine file, which neither the model nor the search knows. The named sets are evaluated under the published
-formulation as well: distances, unit weights, no prior.
+the machine file, which neither the model nor the search knows. The named sets are also evaluated under the published
+formulation: distances, unit weights, no prior.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ GRID_DEG = 15.0
 SETS = ("S1", "S2", "S3", "S1+S2", "S1+S3", "S2+S3", "S1+S2+S3")
 REFERENCE = "S3"
 SLOT_SHARES = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.75, 1.0)
-"""Slots, as shares of the time of the reference."""
+"""Time slots, as shares of the machine time of the reference set."""
 VARIANT_SHARE = 0.5
-"""Slot of the artefact search, likewise."""
+"""Time slot of the artefact search, as a share of the machine time of the reference set."""
 TOUCHES, BALLS, THETAS_DEG = (5, 9, 13), (5, 7, 9, 15), (0.0, 5.0, 30.0)
 SLOT_KIND, TARGET_KIND = "design for a slot", "design for a target"
 COLUMNS = (
@@ -65,8 +65,11 @@ CENTRES = Options(estimate_scales=False, outliers="none")
 
 @dataclass(frozen=True)
 class EvaluatedSet:
-    """One set. `vce_um`: closed form with deflection; `criterion_um`: what the search minimises; of named sets also
-    `published_um` under the published formulation, and `with_prior_um` the same with our prior; all rigidly aligned."""
+    """Results of one set, rigidly aligned.
+
+    `vce_um`: closed form with deflection; `criterion_um`: criterion of the search; for named sets also `published_um`
+    under the published formulation, and `with_prior_um` under the same with the prior.
+    """
 
     name: str
     kind: str
@@ -84,7 +87,7 @@ class EvaluatedSet:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Named sets, designs for slots and for the reference's own VCE, and the artefact search at one slot."""
+    """Evaluate named sets, designs for time slots and for the reference's VCE, and an artefact search at one slot."""
     evaluator = SetEvaluator.of(case)
     base = variants_of(case.job, Path())[0]
     named = [evaluator.evaluate_named(base, name, case.positions(name)) for name in SETS]
@@ -116,7 +119,7 @@ def run(case: StudyCase) -> StudyResult:
 
 @dataclass(frozen=True, eq=False)
 class SetEvaluator:
-    """The same yardstick for all: `field` of the case's assumptions on the evaluation grid."""
+    """Evaluates all sets in the same way: `field` is the residual field form of the case on the evaluation grid."""
 
     field: FieldForm
 
@@ -170,7 +173,7 @@ def _job(variant: Variant) -> Job:
 
 
 def _options(job: Job) -> list[Variant]:
-    """One thing at a time: touches, balls, tilt."""
+    """Return variants of touches, balls and tilt, changing one at a time."""
     choices: list[dict[str, Sequence[int] | Sequence[float]]] = [
         {"touches": TOUCHES},
         {"balls": BALLS},
@@ -193,7 +196,8 @@ def _row(one: EvaluatedSet) -> list[Cell]:
 def _summary(
     evaluator: SetEvaluator, named: Sequence[EvaluatedSet], designs: Sequence[EvaluatedSet]
 ) -> dict[str, object]:
-    """The VCE of the reference, ours and published, and in what share of its time a design has it."""
+    """Summarise the VCE of the reference, ours and published, and the share of its time in which a design reaches
+    it."""
     reference = next(one for one in named if one.name == REFERENCE)
     rivals = {
         "reference": reference.vce_um,
@@ -210,7 +214,7 @@ def _summary(
 
 
 def _share(designs: Sequence[EvaluatedSet], vce_um: float, reference: EvaluatedSet) -> float | None:
-    """Of the reference's time in which a design is at least as good; None where none is."""
+    """Return the share of the reference's time in which a design is at least as good, or None if none is."""
     soonest = min((one.minutes for one in designs if one.vce_um <= vce_um), default=None)
     return None if soonest is None else soonest / reference.minutes
 

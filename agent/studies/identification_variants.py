@@ -1,4 +1,4 @@
-"""The ways of identification that stand side by side in a study: the one asked for and the published one."""
+"""Identification variants that a study compares: the requested one and the published ones."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from agent.studies.monte_carlo import with_stated_scales
 from twin.identification import Options
 
 PUBLISHED = Options(formulation="distances", weights="unit", use_prior=False)
-"""All distances of a position alike, nothing known of the machine."""
+"""Published method: all distances of a position with equal weight, no prior."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdentificationVariant:
-    """How to identify, with scales as stated: what closed form and simulation both speak of."""
+    """Identification options with scales as stated, so that closed form and simulation are comparable."""
 
     options: Options
 
@@ -24,13 +24,14 @@ class IdentificationVariant:
 
     @property
     def title(self) -> str:
-        """The label, saying which variant is the published one."""
+        """Label that also marks the published method."""
         published = IdentificationVariant(PUBLISHED).label == self.label
         return f"{self.label} (published method)" if published else self.label
 
 
 def identification_variants(options: Options) -> tuple[IdentificationVariant, ...]:
-    """The variant asked for first, then the published method with the family as prior, then as published; each once."""
+    """Return the requested variant, the published method with the family as prior, and the published method, without
+    duplicates."""
     candidates = (options, replace(PUBLISHED, use_prior=True), PUBLISHED)
     found: dict[str, IdentificationVariant] = {}
     for candidate in candidates:

@@ -24,7 +24,7 @@ Verdicts = Sequence[tuple[Verdict, ...]]
 
 
 def run(case: StudyCase) -> StudyResult:
-    """The case's bar with other tilts, in S2 and in S2+S3."""
+    """Evaluate the case's bar with other tilts, in S2 and in S2+S3."""
     bar, evaluator, variants = Bar.of(case.artefact), ProcedureEvaluator(case), identification_variants(case.options)
     places = [(name, tilt) for name in SETS for tilt in TILTS_DEG]
     trials = [ProcedureVariant.of(case, bar.with_(tilt_deg=tilt), case.positions(name)) for name, tilt in places]
@@ -47,7 +47,10 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def saving(rows: Verdicts, variant: int) -> float | None:
-    """Share of the VCE, rigidly aligned, that the largest tilt saves against a straight bar; None if not identified."""
+    """Return the share of the VCE, rigidly aligned, that the largest tilt saves against a straight bar.
+
+    Return None if one of them was not identified.
+    """
     straight, tilted = aligned_um(rows[0][variant]), aligned_um(rows[-1][variant])
     return None if straight is None or tilted is None else 1.0 - tilted / straight
 

@@ -1,8 +1,8 @@
-"""Whole procedures by simulation, against the closed form: the volumetric error of many machines before and after.
+"""Whole procedures by Monte Carlo simulation, compared with the closed form: VE and VCE of many machines.
 
-Each machine is drawn, measured and identified by itself, twice with the same random numbers: as a run identifies
-(scales of noise, prior and misfit from the data, contradicting balls rejected), and with all scales as stated, which is
-what the closed form speaks of.
+Each machine is drawn, measured and identified independently, twice with the same random numbers: as in a run (scales of
+noise, prior and misfit from the data, contradicting balls rejected), and with all scales as stated, to which the closed
+form applies.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COVERAGE_FACTOR = 2.0
 
 @dataclass(frozen=True)
 class SimulatedMachine:
-    """One machine: parameters of the truth (t,) and of the estimate (p,), and how the identification went."""
+    """One machine: true (t,) and estimated (p,) parameters, and diagnostics of the identification."""
 
     truth: Array
     estimate: Array
@@ -47,8 +47,10 @@ class SimulatedMachine:
 
 @dataclass(frozen=True, eq=False)
 class ProcedureTask:
-    """Task: the number of a machine → what a procedure makes of it. The same number is the same machine, with the same
-    artefact, in every procedure of the same assumptions and seed."""
+    """Task that simulates the procedure on the machine with a given number.
+
+    In all procedures with the same assumptions and seed, a number stands for the same machine and artefact.
+    """
 
     planned: Observations
     artefact: Artefact
@@ -60,7 +62,7 @@ class ProcedureTask:
 
     @classmethod
     def of(cls, case: StudyCase, planned: Observations, options: Options | None = None) -> ProcedureTask:
-        """Of the case's artefact and machines; by default with the case's options."""
+        """Return the task for the case's artefact and machines, by default with the case's options."""
         chosen = options or case.options
         family = case.machine.family
         return cls(planned, case.artefact, family, case.assumptions, chosen, case.tool_offset, case.seed)
@@ -90,17 +92,17 @@ class ErrorSample:
 
     @property
     def expected(self) -> VolumetricRms:
-        """Root of the mean square over the machines, what the closed form gives the expectation of."""
+        """Root of the mean square over the machines; the closed form gives its expectation."""
         return VolumetricRms(*(float(np.sqrt(np.mean(values**2))) for values in (self.raw_mm, self.aligned_mm)))
 
     @property
     def standard_error(self) -> VolumetricRms:
-        """Of `expected`: that of the mean square, carried through the root."""
+        """Standard error of `expected`, propagated from that of the mean square."""
         return VolumetricRms(*(_error_of_root(values) for values in (self.raw_mm, self.aligned_mm)))
 
 
 def run(case: StudyCase) -> StudyResult:
-    """VE and VCE of `case.machines` machines measured in the case's set."""
+    """Simulate `case.machines` machines measured in the case's set and compare VE and VCE with the closed form."""
     planned = case.procedure.plan(case.positions()).observations
     grid = evaluation_grid(case.machine.model.ranges_mm)
     form = FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
@@ -127,13 +129,13 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def with_stated_scales(options: Options) -> Options:
-    """The same with nothing learned but the parameters: an estimate linear in the measurements."""
+    """Return the options with fixed scales and without outlier rejection: an estimate linear in the measurements."""
     return replace(options, estimate_scales=False, outliers="none")
 
 
 @dataclass(frozen=True, eq=False)
 class SimulationComparison:
-    """`closed`: expectation in closed form; the others by simulation, `plain` of what `closed` speaks of."""
+    """Closed form and simulation: `plain` is simulated with scales as stated, like `closed`; `usual` as in a run."""
 
     closed: VolumetricRms
     before: ErrorSample
@@ -187,12 +189,12 @@ def _summary(
 
 
 def deviation(simulated_mm: float, closed_mm: float, error_mm: float) -> float | None:
-    """Simulation less closed form in standard errors; None where one machine alone gives none."""
+    """Return simulation less closed form in standard errors, or None if there is only one machine."""
     return (simulated_mm - closed_mm) / error_mm if error_mm > 0.0 else None
 
 
 def _figures(spread: ErrorSample) -> dict[str, object]:
-    """Root mean square with its standard error, median and the middle 95 % in µm."""
+    """Return root mean square with its standard error, median and central 95 % interval in µm."""
     expected, error = spread.expected, spread.standard_error
     figures: dict[str, object] = {}
     for kind, values, mean_um, error_um in (
@@ -240,7 +242,7 @@ def _draw_distribution(axes: Axes, found: SimulationComparison) -> None:
 
 
 def _draw_convergence(axes: Axes, found: SimulationComparison) -> None:
-    """Root mean square over the first machines, with what it may be off by, and where it should go."""
+    """Draw the running root mean square over the machines with its uncertainty, and the closed form as its limit."""
     squares = (UM_PER_MM * found.plain.aligned_mm) ** 2
     count = np.arange(1, len(squares) + 1)
     mean = np.cumsum(squares) / count

@@ -1,4 +1,4 @@
-"""A map of the workspace: the length of a deviation over one XY plane."""
+"""Map of the workspace: length of a deviation over one XY plane."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Plane:
 
 
 def map_nodes(ranges_mm: Ranges) -> tuple[Array, Array, float]:
-    """x, y and the height of the map: the published one, in a machine that does not reach it the middle."""
+    """Return x, y and the height of the map: the published height, or the middle if the machine does not reach it."""
     x, y, (low, high) = ranges_mm
     height_mm = MAP_HEIGHT_MM if low <= MAP_HEIGHT_MM <= high else 0.5 * (low + high)
     return np.linspace(*x, PLANE_SHAPE[0]), np.linspace(*y, PLANE_SHAPE[1]), height_mm
 
 
 def draw_plane(axes: Axes, plane: Plane, top_um: float) -> AxesImage:
-    """The map with its lines of equal length, coloured from zero to `top_um`."""
+    """Draw the map with contour lines, coloured from zero to `top_um`."""
     extent = (plane.x_mm[0], plane.x_mm[-1], plane.y_mm[0], plane.y_mm[-1])
     values = plane.length_um.T
     image = axes.imshow(

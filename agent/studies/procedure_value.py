@@ -19,12 +19,12 @@ from twin.uncertainty.error_budget import ErrorBudget, error_budget_of_form
 from twin.uncertainty.residual_field_form import FieldForm
 
 FEWEST_MACHINES = 2
-"""One machine has no spread."""
+"""Minimum number of machines for a standard error."""
 
 
 @dataclass(frozen=True, eq=False)
 class ProcedureVariant:
-    """An artefact and what would be measured on it; `planned` None where no position has three balls within reach."""
+    """Artefact and its planned observations; `planned` is None if no position has three balls within reach."""
 
     artefact: Artefact
     planned: Observations | None
@@ -40,8 +40,11 @@ class ProcedureVariant:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of one trial identified in one variant: root of the expected mean square VCE in closed form, and the same over
-    simulated `machines` with its standard error. None: not identified, or not simulated."""
+    """Result for one procedure and identification variant.
+
+    `expected`: root of the expected mean square VCE in closed form, None if not identified; `simulated` and
+    `standard_error`: the same from `machines` simulated machines, None if not simulated.
+    """
 
     expected: VolumetricRms | None
     simulated: VolumetricRms | None = None
@@ -49,7 +52,8 @@ class Verdict:
     machines: int = 0
 
     def with_simulation(self, spread: ErrorSample | None) -> Verdict:
-        """With what simulated machines say; None: some of them could not be identified."""
+        """Return the verdict with simulation results; `spread` None means that some machines could not be
+        identified."""
         if spread is None:
             return Verdict(None)
         return Verdict(self.expected, spread.expected, spread.standard_error, len(spread.raw_mm))
@@ -57,13 +61,13 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class ProcedureEvaluator:
-    """Judges trials of a case."""
+    """Evaluates procedure variants of a case."""
 
     case: StudyCase
 
     @cached_property
     def field(self) -> FieldForm:
-        """The form of the field left over the published grid; evaluated once for all trials."""
+        """Residual field form over the published grid, built once for all variants."""
         case = self.case
         grid = evaluation_grid(case.machine.model.ranges_mm)
         return FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
@@ -74,7 +78,7 @@ class ProcedureEvaluator:
         return self.field.before()
 
     def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:
-        """Closed form; None for what `identify` would refuse."""
+        """Return the closed-form error budget, or None if `identify` would refuse the set."""
         family = self.case.machine.family
         if trial.planned is None:
             return None
@@ -119,7 +123,7 @@ class ProcedureEvaluator:
         pairs: Sequence[tuple[int, int]],
         share: int,
     ) -> list[ErrorSample | None]:
-        """VCE of `share` machines for each pair of trial and variant; None where one of them is refused."""
+        """Return the VCE of `share` machines for each (trial, variant) pair; None if one of the machines is refused."""
         if not pairs:
             return []
         tasks = tuple(self.procedure(trials[row], variants[variant]) for row, variant in pairs)
@@ -132,7 +136,8 @@ class ProcedureEvaluator:
         return ErrorSample.compensated(self.field, machines) if len(machines) == len(found) else None
 
     def procedure(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ProcedureTask:
-        """The trial as a task that simulates it on a machine of a number. DataError where it has nothing to measure."""
+        """Return the task that simulates the trial on a numbered machine. Raise DataError if there is nothing to
+        measure."""
         if trial.planned is None:
             raise DataError("none of the positions has three balls within reach")
         case = self.case
@@ -148,8 +153,10 @@ class ProcedureEvaluator:
 
 
 def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedMachine | None:
-    """What the procedure makes of a machine; None where it is refused: a set that just identifies the machine it was
-    planned for need not identify this one."""
+    """Return the simulation of a machine, or None if its identification is refused.
+
+    A set that just identifies the machine it was planned for need not identify this one.
+    """
     try:
         return procedure(machine)
     except SingularSet:
@@ -158,7 +165,7 @@ def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedM
 
 @dataclass(frozen=True, eq=False)
 class _Several:
-    """Task: number of a procedure and of a machine → that procedure on that machine."""
+    """Task that runs one of several procedures on a machine, given the indices of both."""
 
     procedures: tuple[ProcedureTask, ...]
 

@@ -1,4 +1,4 @@
-"""Which sets to measure: volumetric error left against machine time for S1, S2, S3 and all their combinations."""
+"""Choice of position sets: residual volumetric error against machine time for S1, S2, S3 and all combinations."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NAME_OFFSET = (5, 5)
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """A combination of sets: what it measures, how long it takes, and the verdict of each variant."""
+    """Combination of sets: its planned measurement, machine time, and the verdict of each identification variant."""
 
     name: str
     trial: ProcedureVariant
@@ -40,7 +40,7 @@ class Strategy:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """All combinations of the published sets at the stations of the case."""
+    """Evaluate all combinations of the published sets at the stations of the case."""
     evaluator, variants = ProcedureEvaluator(case), identification_variants(case.options)
     sets = [case.positions(expression) for expression in EXPRESSIONS]
     trials = [ProcedureVariant.of(case, case.artefact, positions) for positions in sets]
@@ -64,7 +64,7 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def pareto_front(found: Sequence[Strategy], variant: int) -> tuple[str, ...]:
-    """Names of the combinations that none beats in both machine time and VCE (rigidly aligned), fastest first."""
+    """Return the combinations that no other beats in both machine time and VCE (rigidly aligned), fastest first."""
     known = [(one.minutes, aligned_um(one.verdicts[variant]), one.name) for one in found]
     best, names = float("inf"), []
     for _, value, name in sorted((minutes, value, name) for minutes, value, name in known if value is not None):
@@ -116,7 +116,7 @@ def _draw(
 
 
 def _draw_variant(panel: BrokenAxes, found: Sequence[Strategy], variant: int, names: Sequence[str]) -> None:
-    """All combinations as small marks; those of the front large, named and joined."""
+    """Draw all combinations as small marks, those of the Pareto front large, labelled and connected."""
     best = sorted((one for one in found if one.name in names), key=lambda one: one.minutes)
     others = [one for one in found if one.name not in names and aligned_um(one.verdicts[variant]) is not None]
     panel.draw_curve([one.minutes for one in best], [one.verdicts[variant] for one in best], variant)

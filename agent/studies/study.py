@@ -1,4 +1,4 @@
-"""What a study is given and what it gives back."""
+"""Input and result of a study."""
 
 from __future__ import annotations
 
@@ -27,13 +27,16 @@ Result = TypeVar("Result")
 Cell = str | int | float | bool | None
 
 Progress = Callable[[str, int, int], None]
-"""Is told what is being done, how much of it is done, and how much there is."""
+"""Callback with the current activity, the number of items done and the total number."""
 
 
 @dataclass(frozen=True, eq=False)
 class StudyCase:
-    """`options`: how to identify; `machines`: how many to draw; `position_set`: what `--set` says, None for the set of
-    the settings."""
+    """Input of a study.
+
+    `options`: identification options; `machines`: number of machines to draw; `position_set`: value of `--set`, None
+    for the set of the settings.
+    """
 
     job: Job
     options: Options
@@ -57,17 +60,20 @@ class StudyCase:
 
     @property
     def tool_offset(self) -> Array:
-        """(3,) mm."""
+        """Tool offset (3,) in mm."""
         return self.job.tool_offset_mm
 
     @property
     def assumptions(self) -> TruthAssumptions:
-        """What procedures meet in this case: machines of the family with the deflection of the machine file."""
+        """Truth assumptions of this case: machines of the family with the deflection of the machine file."""
         return TruthAssumptions.of_case(self.machine)
 
     def positions(self, expression: str | None = None) -> tuple[Position, ...]:
-        """Positions of `S1`, `S1+S3` … or of a position file, at the stations of the case; by default those that the
-        user asked for. Raises TwinError for an unknown set, UserError for a file."""
+        """Return the positions of `S1`, `S1+S3` … or of a position file, at the stations of the case.
+
+        The default is the set that the user requested. Raise TwinError for an unknown set, UserError for an invalid
+        file.
+        """
         expression = expression or self.position_set
         if expression is None:
             return self.job.positions
@@ -85,14 +91,15 @@ class StudyCase:
         return tuple(self.job.settings.procedure.stations or self.procedure.stations)
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], what: str = "machines") -> list[Result]:
-        """The results of `task` for all items, in their order, by the workers; `what` is shown as progress."""
+        """Return the results of `task` for all items in their order, computed by the workers; `what` labels the
+        progress."""
         total = len(items)
         self.progress(what, 0, total)
         return self.workers.map(task, items, lambda done: self.progress(what, done, total))
 
     @property
     def facts(self) -> dict[str, object]:
-        """What the numbers of a study rest on, for its summary."""
+        """Conditions of the study, for its summary."""
         return {
             "machine": self.machine.name,
             "artefact": self.artefact.name,
@@ -109,8 +116,11 @@ class StudyCase:
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
-    """A table (`columns`, whose names carry units, and `rows`), the `summary` that JSON can hold, and the figure:
-    `draw` puts it on an empty one of `size_in` inches under the style of `agent.figures.study_style`."""
+    """Result of a study.
+
+    A table (`columns`, with units in their names, and `rows`), the `summary` with JSON-compatible values, and the
+    figure: `draw` draws it on an empty figure of `size_in` inches in the style of `agent.figures.study_style`.
+    """
 
     name: str
     title: str
@@ -122,7 +132,7 @@ class StudyResult:
 
 
 def run_study(name: str, case: StudyCase) -> StudyResult:
-    """The result of the study of that name, with what its numbers rest on in the summary."""
+    """Run the named study and add the conditions of the case to its summary."""
     module, _, attribute = STUDIES[name].partition(":")
     run: Callable[[StudyCase], StudyResult] = getattr(import_module(module), attribute)
     result = run(case)

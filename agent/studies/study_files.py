@@ -1,4 +1,4 @@
-"""The files of a study: NAME.png, NAME.svg, NAME.csv and NAME.json, all of them or none."""
+"""Files of a study: NAME.png, NAME.svg, NAME.csv and NAME.json, written all or none."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from agent.files import write_all_atomically
 from agent.studies.study import Cell, StudyResult
 
 DIGITS = 8
-"""Significant digits in the CSV; more than any of its figures is known to."""
+"""Significant digits in the CSV file, more than any figure is accurate to."""
 
 
 def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
-    """Write the four files, which appear complete or not at all; their paths by suffix. Raises InputError."""
+    """Write the four files, all or none, and return their paths by suffix. Raise InputError if they cannot be
+    written."""
     drawn = picture(result.name, result.draw, result.size_in)
     contents: dict[str, str | bytes] = {
         "png": drawn.png,
@@ -31,25 +32,25 @@ def write_result(result: StudyResult, folder: Path) -> dict[str, Path]:
 
 
 def document(result: StudyResult) -> dict[str, object]:
-    """The summary as JSON takes it."""
+    """Return the summary with JSON-compatible values."""
     plain = {key: as_plain(value) for key, value in result.summary.items()}
     return {"study": result.name, "title": result.title, **plain}
 
 
 def format_rows(result: StudyResult) -> str:
-    """The table as CSV with one header line."""
+    """Return the table as CSV with one header line."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(result.columns)
     for row in result.rows:
         if len(row) != len(result.columns):
-            raise ValueError(f"a row of {result.name} has {len(row)} cells, {len(result.columns)} columns are named")
+            raise ValueError(f"a row of {result.name} has {len(row)} cells for {len(result.columns)} columns")
         writer.writerow([_cell(value) for value in row])
     return text.getvalue()
 
 
 def as_plain(value: object) -> object:
-    """Numbers, lists and mappings of numpy as those of Python."""
+    """Return numpy numbers, arrays and nested containers as plain Python values."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""What compensation follows of a machine: deviation along Z of one true machine and of the models identified on it."""
+"""Compensation along a trajectory: deviation along Z of one true machine and of the models identified on it."""
 
 from __future__ import annotations
 
@@ -30,8 +30,11 @@ STROKES = (":", "--", "-")
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryResult:
-    """Along the trajectory, less the rigid motion of the workspace, (n, 3) in µm: the machine M; for each number of
-    balls that can be identified the model C and the expected rms of M less C."""
+    """Fields along the trajectory without the rigid motion of the workspace, (n, 3) in µm.
+
+    `machine_um`: the machine M; `models_um` and `sigma_um`: for each identifiable number of balls the model C and the
+    expected rms of M less C.
+    """
 
     z_mm: Array
     machine_um: Array
@@ -39,16 +42,16 @@ class TrajectoryResult:
     sigma_um: dict[int, Array]
 
     def residual_um(self, count: int) -> float | None:
-        """Rms length of M less C over the trajectory; None where there is no C."""
+        """Return the rms length of M less C over the trajectory, or None if there is no C."""
         return _rms(self.machine_um - self.models_um[count]) if count in self.models_um else None
 
     def expected_residual_um(self, count: int) -> float | None:
-        """The same as expected over all machines."""
+        """Return the same rms length as expected over all machines."""
         return _rms(self.sigma_um[count]) if count in self.sigma_um else None
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Machine number 0 of the seed, measured with 3, 5 and 11 balls in the case's set."""
+    """Compare machine number 0 of the seed, measured with 3, 5 and 11 balls in the case's set, with its models."""
     variant, line = identification_variants(case.options)[0], middle_line(case.machine.model.ranges_mm)
     followed = compare_along(case, variant, line)
     where = f"X = {line[0, 0]:g} mm, Y = {line[0, 1]:g} mm"
@@ -64,7 +67,7 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def middle_line(ranges_mm: Ranges) -> Array:
-    """(n, 3) axis positions over the whole of Z in the middle of X and Y."""
+    """Return axis positions (n, 3) over the full range of Z in the middle of X and Y."""
     x, y, z = ranges_mm
     line = np.tile([0.5 * sum(x), 0.5 * sum(y), 0.0], (POINTS, 1))
     line[:, 2] = np.linspace(*z, POINTS)
@@ -72,7 +75,7 @@ def middle_line(ranges_mm: Ranges) -> Array:
 
 
 def compare_along(case: StudyCase, variant: IdentificationVariant, line: Array) -> TrajectoryResult:
-    """Machine and models along axis positions `line` (n, 3)."""
+    """Return machine and models along axis positions `line` (n, 3)."""
     evaluator, bar, positions = ProcedureEvaluator(case), Bar.of(case.artefact), case.positions()
     basis, deflection = evaluator.field.columns_at(line, aligned=True)
     truth = draw_truth(case.assumptions, generator(case.seed, 0), case.tool_offset).parameters

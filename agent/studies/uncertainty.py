@@ -1,8 +1,8 @@
-"""Where the error that compensation leaves comes from: contributions in closed form, each beside its own simulation.
+"""Sources of the residual error after compensation: contributions in closed form, each with its own simulation.
 
-The day is not a perfect one: the artefact is warm, its thermometer errs, the machine drifts while a position is
-measured, and the true machines have higher Legendre orders than the model, and the deflection of the machine file. The
-estimator knows of the thermometer, not of the drift.
+Conditions are not ideal: the artefact is warm, its thermometer has an error, the machine drifts during each position,
+and the true machines have higher Legendre orders than the model as well as the deflection of the machine file. The
+estimator knows of the thermometer error, but not of the drift.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ NAME = "uncertainty"
 TOGETHER = "all together"
 
 ORDERS_BEYOND = 2
-"""Of the true machines beyond the model, as the simulated machine of the case study has them."""
+"""Orders of the true machines beyond the model's, as in the simulated machine of the case study."""
 
 WARMER_K = 3.0
-"""The artefact than the reference temperature of its certificate."""
+"""Temperature of the artefact above the reference temperature of its certificate."""
 
 THERMOMETER_K = 0.1
 DRIFT_MM = 0.5e-3
@@ -64,7 +64,8 @@ COLUMNS = (
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Contributions of the case's set, each simulated alone on `case.machines` machines, and all of them together."""
+    """Compute the contributions for the case's set, simulating each alone and all together on `case.machines`
+    machines."""
     trial = _Trial.of(case)
     assumptions = study_assumptions(case)
     budget = trial.budget(assumptions)
@@ -86,7 +87,7 @@ def run(case: StudyCase) -> StudyResult:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """The case's set, identified by an estimator that knows its thermometer; scales as stated."""
+    """The case's set, identified with scales as stated by an estimator that includes the thermometer error."""
 
     case: StudyCase
     planned: Observations
@@ -110,13 +111,13 @@ class _Trial:
         )
 
     def simulated(self, assumptions: TruthAssumptions, what: str) -> ErrorSample:
-        """VCE of the case's machines, drawn from this assumptions."""
+        """Return the VCE of the case's machines, drawn under these assumptions."""
         task = replace(ProcedureTask.of(self.case, self.planned, self.options), assumptions=assumptions)
         return ErrorSample.compensated(self.form(assumptions), self.case.map(task, range(self.case.machines), what))
 
 
 def study_assumptions(case: StudyCase) -> TruthAssumptions:
-    """What the procedures of this study meet."""
+    """Return the truth assumptions of this study."""
     return TruthAssumptions(
         family=extended_family(case.machine),
         deflection=case.machine.deflection,
@@ -127,7 +128,7 @@ def study_assumptions(case: StudyCase) -> TruthAssumptions:
 
 
 def extended_family(machine: MachineDescription) -> Family:
-    """The machine's family continued to higher orders, its amplitudes falling as they do."""
+    """Return the machine's family extended to higher orders, with amplitudes that continue to fall."""
     model = machine.model
     orders = {error: order + ORDERS_BEYOND for error, order in model.orders.items()}
     richer = ErrorModel(model.chain, model.ranges_mm, orders, model.cross_effect)

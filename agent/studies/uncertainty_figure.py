@@ -1,4 +1,4 @@
-"""Figure of the study `uncertainty`: contributions, distribution, map, and what stays open of the 21 errors."""
+"""Figure of the study `uncertainty`: contributions, distribution, map, and remaining uncertainty of the 21 errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROTATING = "ABC"
 
 @dataclass(frozen=True, eq=False)
 class InfluenceResult:
-    """One influence: its part in closed form, and what simulations with it alone leave. None: not simulated."""
+    """Contribution of one influence in closed form, and from simulations with it alone (None if not simulated)."""
 
     name: str
     closed: VolumetricRms
@@ -33,7 +33,7 @@ class InfluenceResult:
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyResult:
-    """`parts`: one for each influence; `together`: simulated machines that meet all of them."""
+    """Results of the study: `parts`, one per influence; `together`: machines simulated with all influences."""
 
     parts: tuple[InfluenceResult, ...]
     budget: ErrorBudget
@@ -51,7 +51,7 @@ def draw(figure: Figure, found: UncertaintyResult) -> None:
 
 
 def _draw_contributions(axes: Axes, found: UncertaintyResult) -> None:
-    """Largest on top, the whole below; lengths add up as squares do."""
+    """Draw the contributions, largest on top and the total at the bottom; their squares add up."""
     ordered = sorted(found.parts, key=lambda part: part.closed.aligned_mm)
     bars = [InfluenceResult("all together", found.budget.expected, found.together), *ordered]
     places = np.arange(len(bars))
@@ -110,7 +110,7 @@ def _draw_map(figure: Figure, axes: Axes, budget: ErrorBudget) -> None:
 
 
 def _draw_motions(panels: tuple[Axes, Axes], budget: ErrorBudget) -> None:
-    """Displacements in µm, rotations and squareness in µrad; root mean square over the range of the axis."""
+    """Draw displacements in µm, rotations and squareness in µrad, each as rms over the range of its axis."""
     model = budget.field.form.model
     family = motion_uncertainty(model, budget.field.family_moments)
     left = motion_uncertainty(model, budget.total)

@@ -1,4 +1,4 @@
-"""Does the valuation number tell what a set is worth? Random sets: the number before, simulated procedures after."""
+"""Test of the valuation number: random sets with their valuation in advance and the simulated outcome."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class SetTask:
-    """Task: the number of a set → what its procedure makes of all machines."""
+    """Task that simulates the procedure of the set with a given number on all machines."""
 
     procedures: Sequence[ProcedureTask]
     machines: int
@@ -53,7 +53,7 @@ class SetTask:
 
 @dataclass(frozen=True)
 class SimulatedSet:
-    """One set: its valuation (%) and expected VCE, rms of the simulated VCE with its standard error; aligned."""
+    """One set: its valuation (%) and expected VCE, and rms of the simulated VCE with its standard error; aligned."""
 
     name: str
     positions: int
@@ -65,7 +65,7 @@ class SimulatedSet:
 
 
 def run(case: StudyCase) -> StudyResult:
-    """`RANDOM_SETS` random sets and the named ones, each by its valuation and by simulation."""
+    """Compare valuation and simulation for `RANDOM_SETS` random sets and the named ones."""
     machines = max(FEWEST_MACHINES, case.machines // MACHINES_SHARE)
     sets = [(name, tuple(case.positions(name))) for name in NAMED]
     sets += [(f"random {number + 1}", chosen) for number, chosen in enumerate(random_sets(case, RANDOM_SETS))]
@@ -90,7 +90,7 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def random_sets(case: StudyCase, count: int) -> list[tuple[Position, ...]]:
-    """Sets of 2 to 24 positions at one to all stations, each by chance out of what is within reach."""
+    """Return random sets of 2 to 24 reachable positions at one to all stations."""
     reached = _within_reach(case)
     found = []
     for number in range(count):
@@ -107,7 +107,7 @@ def _within_reach(case: StudyCase) -> list[Position]:
     offered = [Position(s, *angles) for s in case.procedure.stations for angles in orientation_grid(GRID_DEG)]
     reached = list(case.procedure.plan(offered).positions)
     if len(reached) < LARGEST:
-        raise DataError(f"only {len(reached)} positions are within reach", hint="take another machine or artefact")
+        raise DataError(f"only {len(reached)} positions are within reach", hint="use another machine or artefact")
     return reached
 
 

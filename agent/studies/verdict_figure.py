@@ -1,6 +1,7 @@
-"""Verdicts as curves over what was varied, on an axis broken where a way is far worse than no compensation at all.
+"""Verdicts as curves, on an axis that is broken if a variant is far worse than no compensation.
 
-Below, linear and from zero, is what is worth comparing; above, logarithmic, what makes a machine worse.
+The lower part, linear from zero, shows the results worth comparing; the upper, logarithmic, those that make a machine
+worse.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from agent.studies.verdict_table import aligned_um
 from twin.machine.volumetric import VolumetricRms
 
 FAR_BEYOND = 1.5
-"""Times VE: what is larger stands in the upper part."""
+"""Multiple of VE above which a value is drawn in the upper part."""
 
 TWO_STANDARD_ERRORS = 2.0
 HEADROOM = 1.12
@@ -29,7 +30,8 @@ HEADROOM = 1.12
 
 @dataclass(frozen=True, eq=False)
 class BrokenAxes:
-    """`lower`: linear from zero to `limit_um`; `upper`: logarithmic above it, None where nothing is there."""
+    """Axes in one or two parts: `lower` linear from zero to `limit_um`, `upper` logarithmic above it or None if not
+    needed."""
 
     lower: Axes
     upper: Axes | None
@@ -39,7 +41,7 @@ class BrokenAxes:
     def add(
         cls, figure: Figure, slot: SubplotSpec, rows: Sequence[Sequence[Verdict]], before: VolumetricRms
     ) -> BrokenAxes:
-        """In a slot of the figure, with room for the closed form of `rows` and for VE."""
+        """Add the axes in a slot of the figure, with room for the closed form of `rows` and for VE."""
         values = [value for row in rows for value in map(aligned_um, row) if value is not None]
         beyond = [value for value in values if value > FAR_BEYOND * before.aligned_um]
         near = [value for value in values if value <= FAR_BEYOND * before.aligned_um]
@@ -58,16 +60,16 @@ class BrokenAxes:
         return (self.lower,) if self.upper is None else (self.lower, self.upper)
 
     def axes_for(self, value_um: float) -> Axes:
-        """Where a value is seen."""
+        """Return the part in which a value is drawn."""
         return self.lower if self.upper is None or value_um <= self.limit_um else self.upper
 
     @property
     def top(self) -> Axes:
-        """The part that bears the title."""
+        """Part that bears the title."""
         return self.lower if self.upper is None else self.upper
 
     def draw_curve(self, places: Sequence[float], verdicts: Sequence[Verdict], series: int) -> None:
-        """Closed form as a line with a gap where nothing is identified, the simulation as open squares."""
+        """Draw the closed form as a line, with gaps if nothing is identified, and the simulation as open squares."""
         expected = [np.nan if value is None else value for value in map(aligned_um, verdicts)]
         for axes in self.parts:
             axes.plot(places, expected, color=SERIES[series], marker=MARKERS[series])
@@ -82,7 +84,7 @@ class BrokenAxes:
         self.lower.set_ylabel("VCE, rigidly aligned / µm")
 
     def set_abscissa(self, low: float, high: float, ticks: Sequence[float] | None = None) -> None:
-        """The same abscissa for both parts."""
+        """Set the same abscissa for both parts."""
         for axes in self.parts:
             axes.set_xlim(low, high)
             if ticks is not None:
@@ -90,7 +92,7 @@ class BrokenAxes:
 
 
 def draw_simulated(axes: Axes, places: Sequence[float], verdicts: Sequence[Verdict], colour: str) -> None:
-    """Simulated procedures as open squares with two standard errors."""
+    """Draw simulated procedures as open squares with two standard errors."""
     for place, verdict in zip(places, verdicts, strict=True):
         if verdict.simulated is not None and verdict.standard_error is not None:
             error = TWO_STANDARD_ERRORS * verdict.standard_error.aligned_um
@@ -99,7 +101,7 @@ def draw_simulated(axes: Axes, places: Sequence[float], verdicts: Sequence[Verdi
 
 
 def draw_legend(figure: Figure, titles: Sequence[str], before: VolumetricRms) -> None:
-    """Below the panels: the ways in the order of their series, VE, and what the open squares are."""
+    """Draw a legend below the panels: variants in the order of their series, VE, and the open squares."""
     entries = [
         Line2D([], [], color=SERIES[series], marker=MARKERS[series], label=title) for series, title in enumerate(titles)
     ]
@@ -110,7 +112,7 @@ def draw_legend(figure: Figure, titles: Sequence[str], before: VolumetricRms) ->
 
 
 def plain_numbers(axes: Axes) -> None:
-    """10, 30, 100 instead of powers on a logarithmic ordinate."""
+    """Label a logarithmic ordinate with 10, 30, 100 instead of powers."""
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())

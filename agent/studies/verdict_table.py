@@ -1,4 +1,4 @@
-"""Verdicts as cells of a table."""
+"""Table cells of verdicts."""
 
 from __future__ import annotations
 
@@ -18,28 +18,30 @@ COLUMNS = (
     "simulated_vce_aligned_um",
     "simulated_vce_aligned_standard_error_um",
 )
-"""`vce_…` in closed form; an empty cell: not identified, or not simulated."""
+"""Columns of a verdict. `vce_…` is the closed form; an empty cell means not identified or not simulated."""
 
 
 FEWEST_MACHINES = 30
-"""With fewer, the standard error is itself a guess."""
+"""Number of machines below which the standard error is itself too uncertain."""
 
 
 def cells(label: str, trial: ProcedureVariant, verdict: Verdict) -> tuple[Cell, ...]:
-    """The cells of `COLUMNS`."""
+    """Return the cells of `COLUMNS`."""
     measured = 0 if trial.planned is None else trial.planned.size
     simulated, error = _both(verdict.simulated), _both(verdict.standard_error)
     return (label, measured, *_both(verdict.expected), simulated[0], error[0], simulated[1], error[1])
 
 
 def aligned_um(verdict: Verdict) -> float | None:
-    """Closed form, rigidly aligned; None where nothing is identified."""
+    """Return the closed-form VCE, rigidly aligned, or None if nothing is identified."""
     return None if verdict.expected is None else verdict.expected.aligned_um
 
 
 def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
-    """Largest distance of simulation from closed form, rigidly aligned, in standard errors; None where too few machines
-    were simulated to know a standard error."""
+    """Return the largest difference between simulation and closed form, rigidly aligned, in standard errors.
+
+    Return None if too few machines were simulated to know a standard error.
+    """
     distances = [
         abs(verdict.simulated.aligned_mm - verdict.expected.aligned_mm) / verdict.standard_error.aligned_mm
         for verdict in (verdict for row in rows for verdict in row)

@@ -1,6 +1,6 @@
-"""How large the volumetric error of a family of machines is, and how it lies in the workspace of a typical one.
+"""Volumetric error of a family of machines, and its distribution in the workspace of a typical one.
 
-No grid is evaluated for a machine: its volumetric error is a quadratic form of its parameters.
+No grid is evaluated per machine, since the volumetric error is a quadratic form of the parameters.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class FamilyErrors:
 
     @property
     def typical(self) -> int:
-        """The machine whose raw volumetric error is nearest to the median."""
+        """Index of the machine whose raw volumetric error is nearest to the median."""
         return int(np.abs(self.raw_um - np.median(self.raw_um)).argmin())
 
 
 def run(case: StudyCase) -> StudyResult:
-    """Distribution over `case.machines` machines, and the map of the one of median volumetric error."""
+    """Compute the distribution over `case.machines` machines, and a map of the machine of median volumetric error."""
     what, family = "volumetric error", case.assumptions.family
     case.progress(what, 0, 2)
     grid = evaluation_grid(family.model.ranges_mm)
@@ -63,14 +63,14 @@ def run(case: StudyCase) -> StudyResult:
 
 
 def draw_family(family: Family, form: QuadraticForm, machines: int, rng: np.random.Generator) -> FamilyErrors:
-    """Volumetric errors of `machines` of a family; `form` holds what acts on all of them."""
+    """Draw machines of a family and return their volumetric errors; `form` includes the deflection common to all."""
     parameters = family.draw(rng, machines)
     raw_mm, aligned_mm = form.values(parameters)
     return FamilyErrors(parameters, 1e3 * raw_mm, 1e3 * aligned_mm)
 
 
 def median_planes(field: FieldForm, parameters: Array) -> tuple[Plane, Plane]:
-    """Length of the deviation at one height: as it is, and less the rigid motion that fits the workspace best."""
+    """Return the length of the deviation at one height, raw and without the best rigid motion of the workspace."""
     x_mm, y_mm, height_mm = map_nodes(field.model.ranges_mm)
     points = np.stack(np.meshgrid(x_mm, y_mm, [height_mm], indexing="ij"), axis=-1).reshape(-1, 3)
     maps = []

@@ -1,7 +1,7 @@
-"""Who does the work of a study: one task for each of many items, on the cores of this computer or of a cluster.
+"""Workers of a study: one task applied to many items, on the cores of this computer or on a cluster.
 
-Every item is computed by itself, by the same code and with one thread, and whatever is drawn at random for it comes
-from a generator of its own. So the results do not depend on how many workers there are, nor on which of them did what.
+Every item is computed independently, by the same code with one thread, and draws its random numbers from its own
+generator. The results therefore do not depend on the number of workers or on their assignment.
 """
 
 from __future__ import annotations
@@ -28,34 +28,38 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 OnItemsDone = Callable[[int], None]
-"""Is told how many items are done."""
+"""Callback with the number of items done."""
 
 END_S = 5.0
-"""How long a process that was told to end is waited for."""
+"""Time to wait for a terminated process, in s."""
 
 
 class Workers(Protocol):
-    """`map` gives the results in the order of the items. Task, items and results must be picklable: a task is a
-    function of a module, a `functools.partial` of one, or an instance of a dataclass with `__call__`. An item that
-    fails ends the work with an error that names it."""
+    """Workers that map a task over items.
+
+    `map` returns the results in the order of the items. Task, items and results must be picklable: a task is a
+    module-level function, a `functools.partial` of one, or an instance of a dataclass with `__call__`. A failed item
+    ends the work with an error that names it.
+    """
 
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]: ...
 
 
 def generator(seed: int, *item: int) -> np.random.Generator:
-    """The random numbers of one item of a study: independent of those of every other item."""
+    """Return the random generator of one item of a study, independent of those of all other items."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=item))
 
 
 def local_cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 class LocalWorkers:
-    """Processes on this computer, started with the first work and ended with the block; one is this process itself.
+    """Processes on this computer, started at first use and ended with the `with` block; a single worker is this
+    process.
 
-    Raises UserError or VolcalError naming the item that failed, RunError when a process died.
+    Raise UserError or VolcalError naming the failed item, RunError if a process died.
     """
 
     def __init__(self, processes: int | None = None) -> None:
@@ -82,8 +86,8 @@ class LocalWorkers:
             return self._in_processes(pickled, chunks, done)
         except BrokenProcessPool:
             self._stop()
-            hint = "was memory short? Take fewer --workers"
-            raise RunError("a worker process died in the middle of its work", hint=hint) from None
+            hint = "if memory was short, use fewer --workers"
+            raise RunError("a worker process died during its work", hint=hint) from None
         except BaseException:
             self._stop()
             raise
@@ -111,8 +115,10 @@ class LocalWorkers:
         return self._pool
 
     def _stop(self) -> None:
-        """End the processes at once, whatever they are doing, then the thread that led them: left to the interpreter's
-        end, it closes a pipe that is being written to there."""
+        """Terminate the processes immediately, then end the thread of the pool that manages them.
+
+        Left to the interpreter's exit, that thread would close a pipe that is still being written to.
+        """
         if self._pool is None:
             return
         own = [child for child in multiprocessing.active_children() if child.pid not in self._others]
@@ -125,7 +131,8 @@ class LocalWorkers:
 
 
 def _here(task: bytes, items: Sequence[Item], done: OnItemsDone) -> list[Result]:
-    """In this process, from the same pickled task as everywhere: an array may come out of it laid out otherwise."""
+    """Run in this process, from the same pickled task as elsewhere, since unpickling may change an array's memory
+    layout."""
     found: list[Result] = []
     with threadpool_limits(limits=1):
         for number, item in enumerate(items):
@@ -136,7 +143,7 @@ def _here(task: bytes, items: Sequence[Item], done: OnItemsDone) -> list[Result]
 
 @contextmanager
 def _without_interrupt() -> Iterator[None]:
-    """Processes started inside never see the keyboard's interrupt: only this one decides what it means."""
+    """Shield processes started inside from the keyboard interrupt, which only this process handles."""
     former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -145,7 +152,8 @@ def _without_interrupt() -> Iterator[None]:
 
 
 def _end_with_parent() -> None:
-    """A worker waits for work on a pipe that it holds open itself, so it would outlive a parent that was killed."""
+    """End this worker with its parent: it waits for work on a pipe that it holds open itself, so it would outlive a
+    killed parent."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_exit_after, args=(parent.join,), daemon=True).start()

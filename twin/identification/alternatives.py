@@ -1,10 +1,11 @@
-"""How well the scales are known, and what that does to the estimate.
+"""Uncertainty of the estimated scales, and its effect on the estimate.
 
-The measurements say little about some scales, above all about those of misfit that they hardly see. What is stated must
-not rest on the likeliest values alone. The log scales are taken as normal about these, with the inverse of the Fisher
-information plus that of their priors as covariance (Laplace), and k free scales by k + 1 points of equal weight that
-have exactly this mean and covariance (spherical simplex; Julier, Proc. ACC 2003). With V = σ²I + A D⁻¹Aᵀ the Fisher
-information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V', for which the posterior is enough.
+The measurements determine some scales poorly, above all those of misfit that they hardly observe, so what is stated
+must not depend on the likeliest values alone. The log scales are taken as normal about these values, with covariance
+the inverse of the Fisher information plus that of their priors (Laplace approximation). The k free scales are
+represented by k + 1 points of equal weight with exactly this mean and covariance (spherical simplex; Julier, Proc. ACC
+2003). With V = σ²I + A D⁻¹Aᵀ the Fisher information of two log variances is half the trace of V⁻¹ ∂V V⁻¹ ∂V', which
+follows from the posterior alone.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from twin.identification.normal import Posterior, PriorPrecision, Scales
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Scales that may be the right ones as well, and what the measurements then say: `z` (P,), `covariance` (P, P)."""
+    """Scales that are also plausible, and the resulting posterior mean `z` (P,) and `covariance` (P, P)."""
 
     scales: Scales
     z: Array
@@ -31,8 +32,10 @@ class Alternative:
 def alternatives(
     matrix: Array, precision: PriorPrecision, posterior: Posterior, z: Array, scales: Scales, rows: int
 ) -> tuple[Alternative, ...]:
-    """Of equal weight, for the normal `matrix` (P, P) of `rows` equations and the posterior and its mean z (P,) at the
-    likeliest `scales`."""
+    """Return equally weighted alternatives about the likeliest `scales`.
+
+    `matrix` (P, P) is the normal matrix of `rows` equations; `posterior` and its mean z (P,) are those at `scales`.
+    """
     free = np.array(free_scales(precision))
     spread = np.zeros((int(free.sum()), len(free)))
     spread[:, free] = np.linalg.cholesky(_log_covariance(precision, posterior, scales, rows)[np.ix_(free, free)]).T
@@ -49,7 +52,7 @@ def alternatives(
 
 
 def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
-    """(P,) and (P, P) over all alternatives together."""
+    """Return mean (P,) and covariance (P, P) of the mixture of all alternatives."""
     mean = np.mean([one.z for one in found], axis=0)
     covariance = np.zeros((len(mean), len(mean)))
     for one in found:
@@ -58,9 +61,10 @@ def mean_and_covariance(found: Sequence[Alternative]) -> tuple[Array, Array]:
 
 
 def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Scales, rows: int) -> Array:
-    """(6, 6) of the log scales; those that are not free have their prior's."""
+    """Return the covariance (6, 6) of the log scales; scales that are not free have their prior variance."""
     prior = precision.matrix(scales)
-    kept = posterior.covariance @ prior  # the part of each unknown that is prior; what is left of 1 has been measured
+    # C D: share of each unknown that comes from the prior; 1 - C D is the share that comes from the measurements
+    kept = posterior.covariance @ prior
     measured = np.eye(len(kept)) - kept
     information = np.zeros((len(SCALE_PRIORS), len(SCALE_PRIORS)))
     information[0, 0] = rows - len(kept) + float(np.vdot(kept.T, kept))
@@ -80,6 +84,6 @@ def _shifted(scales: Scales, shift: Array) -> Scales:
 
 
 def _simplex(size: int) -> Array:
-    """(size + 1, size) points with mean zero and the unit matrix as covariance."""
+    """Return size + 1 points (size + 1, size) with mean zero and unit covariance."""
     centred = np.eye(size + 1) - 1.0 / (size + 1)
     return np.asarray(np.linalg.svd(centred)[0][:, :size] * np.sqrt(size + 1.0))

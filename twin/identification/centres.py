@@ -1,8 +1,8 @@
 """Formulation `centres`: ball centres with a free pose per position, eliminated by projection.
 
-The covariance of each centre whitens its three equations; what the six pose increments of a position can do to its
-whitened equations is an orthonormal basis of 3·balls × 6, so that projecting them out is one small product per position
-(variable projection; Golub and Pereyra 1973).
+The covariance of each centre whitens its three equations. The effect of the six pose increments of a position on its
+whitened equations spans a space with an orthonormal basis of 3·balls × 6, so projecting it out is one small product per
+position (variable projection; Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ from twin.arrays import Array
 from twin.identification.poses import PoseProjector, Poses, weighted
 from twin.identification.problem import IdentificationProblem, Sides
 
-_LINEAR_MM = 1e-6  # increments below it have no second order (1e-15 mm), and the first is projected out anyhow
-_POSITIONS = 16  # whitened at a time: few enough to stay in the cache, enough to fill a matrix product
+_LINEAR_MM = 1e-6  # smaller increments have a negligible second order (1e-15 mm); the first order is projected out
+_POSITIONS = 16  # positions whitened at a time: few enough for the cache, enough for an efficient matrix product
 
 
 @dataclass(frozen=True, eq=False)
 class CentreEquations:
-    """`weight` (K, width, 3, 3) W of each place, zero in the empty ones; `parts` (K·6, P) QᵀWA of the design A.
+    """Whitened equations of the ball centres.
 
-    The whitened design W A is as large as the design itself and is formed piece by piece where it is needed: fresh
-    pages of memory cost more than the products.
+    `weight` (K, width, 3, 3): whitening W of each slot, zero in empty slots; `parts` (K·6, P): QᵀWA of the design A.
+    The whitened design W A is as large as the design itself and is computed piecewise when needed, because allocating
+    memory for it costs more than the products.
     """
 
     problem: IdentificationProblem
@@ -56,7 +57,7 @@ class CentreEquations:
         )
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Aᵀy (P,) and |y|² for the exact `sides` at z and at the poses that fit best there."""
+        """Return Aᵀy (P,), |y|² and the best-fitting poses for the exact `sides` at z."""
         layout = self.problem.layout
         left, local = sides
         white = self._whitened(left - poses.place(layout, local))
@@ -64,6 +65,7 @@ class CentreEquations:
         poses = poses.moved(increments, self.problem.arms)
         if np.abs(increments).max() > _LINEAR_MM:
             white = self._whitened(left - poses.place(layout, local))
+        # y = W (A z - exact residual): solving A z' = y gives the next iterate z' itself, not its step
         target = self._whitened(self.problem.change(z)) - white if z.any() else -white
         parts = self.projector.parts(target[:, :, None]).reshape(-1)
         scaled = weighted(self.weight.swapaxes(2, 3), target.reshape(*self.weight.shape[:3], 1)).reshape(-1)
@@ -71,20 +73,21 @@ class CentreEquations:
         return right, float(np.vdot(target, target) - parts @ parts), poses
 
     def remaining(self, sides: Sides, poses: Poses) -> Array:
-        """Whitened residuals (K, 3 width) of both sides without what the pose increments can take."""
+        """Return the whitened residuals (K, 3 width) after removing the effect of pose increments."""
         left, local = sides
         white = self._whitened(left - poses.place(self.problem.layout, local))
         return self.projector.remove(white[:, :, None])[:, :, 0]
 
     def projected(self, size: int) -> Array:
-        """(n, 3, size) whitened design of the first unknowns without what the pose increments can take."""
+        """Return the whitened design (n, 3, size) of the first unknowns after removing the effect of pose
+        increments."""
         layout = self.problem.layout
         white = weighted(self.weight, self.problem.design[..., :size]).reshape(layout.positions, -1, size)
         white -= self.projector.q @ self.parts.reshape(layout.positions, 6, -1)[:, :, :size]
         return layout.unpad(white.reshape(*self.weight.shape[:3], size))
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """AᵀCA of the first `size` unknowns and trace C, C the covariance of the equations' noise."""
+        """Return AᵀCA of the first `size` unknowns and trace C, where C is the noise covariance of the equations."""
         layout = self.problem.layout
         found = self.projected(size)
         q = layout.unpad(self.projector.q.reshape(*self.weight.shape[:3], 6))
@@ -98,7 +101,7 @@ class CentreEquations:
 
 
 def _whitening(covariance: Array, unit_weights: bool) -> Array:
-    """(n, 3, 3) W with WᵀW = covariance⁻¹; with unit weights the same multiple of 1 for all rows."""
+    """Return W (n, 3, 3) with WᵀW = covariance⁻¹; with unit weights the same multiple of 1 for all rows."""
     variance = np.einsum("nii->ni", covariance)
     if unit_weights:
         return np.broadcast_to(np.eye(3) / np.sqrt(np.median(variance.mean(axis=1))), covariance.shape)
@@ -108,7 +111,7 @@ def _whitening(covariance: Array, unit_weights: bool) -> Array:
 
 
 def _gram(weight: Array, design: Array) -> Array:
-    """(P, P) (WA)ᵀ(WA), a few positions at a time."""
+    """Return the Gram matrix (WA)ᵀ(WA) (P, P), computed a few positions at a time."""
     size = design.shape[-1]
     gram, room = np.zeros((size, size)), np.empty((_POSITIONS, *design.shape[1:]))
     for start in range(0, len(design), _POSITIONS):

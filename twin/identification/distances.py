@@ -1,10 +1,10 @@
-"""Formulation `distances`, the published method: all distances between balls of a position against the calibrated ones.
+"""Formulation `distances`, the published method: all pairwise ball distances of a position against the calibrated ones.
 
     |p_i - p_j| = |b_i(T) - b_j(T)|,   p = X + t + d(X; E)
 
-Distances that share a ball are correlated, and there are more of them than independent ones: with full weights each
-position's distances are whitened with the pseudo-inverse of their covariance (generalised least squares); with unit
-weights all count alike, as published.
+Distances that share a ball are correlated, and there are more of them than independent ones. With full weights the
+distances of each position are whitened with the pseudo-inverse of their covariance (generalised least squares); with
+unit weights all count equally, as published.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from twin.errors import SingularSet
 from twin.identification.poses import Poses
 from twin.identification.problem import IdentificationProblem, Sides, tool_points
 
-_DEPENDENT = 1e-8  # eigenvalue of the distances' correlation below which a combination tells nothing of its own
+_DEPENDENT = 1e-8  # relative eigenvalue of the distances' covariance below which a combination is redundant
 
 
 Rows = np.ndarray[Any, np.dtype[np.int64]]
@@ -27,7 +27,7 @@ Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class PositionPairs:
-    """Pairs of one position: sorted rows `first`, `second` (m,); `whitening` (r, m)."""
+    """Ball pairs of one position: sorted rows `first`, `second` (m,); `whitening` (r, m)."""
 
     first: Rows
     second: Rows
@@ -36,7 +36,8 @@ class PositionPairs:
 
 @dataclass(frozen=True, eq=False)
 class DistanceEquations:
-    """`white` (M, P) whitened equations of all distances; `noise` their covariance, one (r, r) per position."""
+    """Whitened distance equations: `white` (M, P) of all positions; `noise`: their noise covariances, one (r, r) per
+    position."""
 
     problem: IdentificationProblem
     pairs: tuple[PositionPairs, ...]
@@ -64,12 +65,12 @@ class DistanceEquations:
         return cls(problem, tuple(pairs), stacked, tuple(noise), stacked.T @ stacked, len(stacked))
 
     def right_side(self, z: Array, sides: Sides, poses: Poses) -> tuple[Array, float, Poses]:
-        """Aᵀy (P,), |y|² for the exact distances at z, whose sides these are; poses play no part."""
+        """Return Aᵀy (P,) and |y|² for the exact distances of `sides` at z, and the unused `poses`."""
         target = self.white @ z - self._remaining(sides)
         return self.white.T @ target, float(target @ target), poses
 
     def noise_gram(self, size: int) -> tuple[Array, float]:
-        """AᵀCA of the first `size` unknowns and trace C, C the covariance of the equations' noise."""
+        """Return AᵀCA of the first `size` unknowns and trace C, where C is the noise covariance of the equations."""
         gram = np.zeros((size, size))
         start = 0
         for covariance in self.noise:
@@ -79,7 +80,7 @@ class DistanceEquations:
         return gram, float(sum(np.trace(covariance) for covariance in self.noise))
 
     def _remaining(self, sides: Sides) -> Array:
-        """Whitened exact distance errors (M,), as found less as calibrated."""
+        """Return the whitened exact distance errors (M,), measured less calibrated."""
         left, local = sides
         errors = []
         for pair in self.pairs:
@@ -92,9 +93,13 @@ class DistanceEquations:
 def _position(
     problem: IdentificationProblem, points: Array, ends: tuple[int, int], design: Array, unit: float | None
 ) -> tuple[PositionPairs, Array, Array]:
-    """Pairs, whitened rows and their noise covariance for sorted rows from ... to and their design (m, 3, P)."""
+    """Return the pairs of one position, their whitened rows and the noise covariance of these.
+
+    `ends` delimits the sorted rows of the position; `design` (m, 3, P) is their design.
+    """
     start, end = ends
     first, second = (index + start for index in np.triu_indices(end - start, k=1))
+    # derivative of |p_i - p_j|: the unit vector of the pair for p_i, its negative for p_j
     line = points[first] - points[second]
     line /= np.linalg.norm(line, axis=1)[:, None]
     pick = np.zeros((len(first), end - start, 3))
@@ -110,13 +115,13 @@ def _position(
 
 
 def _whitening(covariance: Array) -> Array:
-    """(r, m) W with WᵀW the pseudo-inverse of a covariance (m, m) of rank r."""
+    """Return W (r, m) with WᵀW the pseudo-inverse of a covariance (m, m) of rank r."""
     values, vectors = np.linalg.eigh(covariance)
     used = values > _DEPENDENT * values[-1]
     return np.asarray((vectors[:, used] / np.sqrt(values[used])).T)
 
 
 def _unit_deviation(problem: IdentificationProblem) -> float:
-    """One standard deviation for all distances: that of the difference of two typical coordinates."""
+    """Return one standard deviation for all distances: that of the difference of two typical coordinates."""
     variances = np.einsum("nii->n", problem.observations.covariance) / 3.0
     return float(np.sqrt(2.0 * np.median(variances)))

@@ -1,15 +1,16 @@
-"""A machine whose field changes while it is measured: the low errors and the tip, each in a few ways of time.
+"""Drift of the machine's field during the measurement: low-order errors and the tip, driven by a few thermal
+regressors.
 
-What a warming machine does is smooth in space: scales grow, guides and columns bend, squareness opens, the tip wanders.
-It is smooth in time too. What grows does so along with a thermometer; what bends, by a difference of two temperatures,
-may besides have a lag of its own, for which there are further ways. Together they are a small block of unknowns,
-`field = Σ course · form`, with a prior that is stated per kelvin. A row's `course` is zero where the family
-(or an earlier estimate) is the prior of the machine: at the beginning. What the estimate is to hold for is a later
-state, most often the last one: its parameters are those of the beginning and what has drifted until then, and what the
-drift leaves open of them is in their covariance.
+The drift of a warming machine is smooth in space: scales expand, guides and columns bend, squareness changes, the tip
+moves. It is also smooth in time. Expansion follows one thermometer; bending follows the difference of two temperatures
+and may also have a time lag of its own, for which there are further regressors. Together they form a small block of
+unknowns, `field = Σ regressor · form`, with a prior stated per kelvin. A row's regressors are zero in the state to
+which the prior of the machine (family or earlier estimate) refers: at the start. The estimate usually refers to a later
+state, most often the last one: its parameters are those at the start plus the drift until then, and their covariance
+includes the uncertainty of the drift.
 
-A rigid motion of the artefact or of the whole machine between two positions is in the poses already; the tip's drift is
-seen within a position alone.
+A rigid motion of the artefact or of the whole machine between two positions is absorbed by the poses, so the drift of
+the tip is observed only within a position.
 """
 
 from __future__ import annotations
@@ -24,14 +25,17 @@ from twin.errors import DataError
 from twin.machine.error_model import ErrorModel, Parameter, error_motion_kind
 from twin.machine.kinematic_chain import AXES
 
-_STRAIGHTNESS_ORDER = 2  # the lowest there is: a bow
-_OTHER_ORDER = 1  # of a scale and of a rotation
+_STRAIGHTNESS_ORDER = 2  # lowest order of a straightness series: a bow
+_OTHER_ORDER = 1  # lowest order of a scale and of a rotation
 
 
 @dataclass(frozen=True)
 class DriftPrior:
-    """Standard deviations per kelvin: strain of scales (1/K); `bending` of angles (rad/K), and of bows over half the
-    travel; of the tip, mm/K. What grows evenly does so by its whole expansion, what bends by a difference of two."""
+    """Standard deviations of the drift per kelvin.
+
+    `strain_per_k`: scales (1/K), driven by the full temperature rise; `bending_per_k`: angles (rad/K) and bows over
+    half the travel, driven by the difference of two temperatures; `tip_mm_per_k`: tip (mm/K).
+    """
 
     strain_per_k: float = 12e-6
     bending_per_k: float = 0.7e-6
@@ -45,8 +49,11 @@ class DriftPrior:
 
 @dataclass(frozen=True, eq=False)
 class MachineDrift:
-    """`places` (f,) of the parameters that drift, their `deviations` (f,) mm/K or rad/K; `ways` in which they
-    do: scales and tip in the first alone."""
+    """Drift unknowns of a machine.
+
+    `parameter_indices` (f,): parameters that drift; `deviations` (f,): their prior standard deviations in mm/K or
+    rad/K; `regressor_count`: number of thermal regressors. Scales and tip depend on the first regressor only.
+    """
 
     names: tuple[str, ...]
     parameter_indices: tuple[int, ...]
@@ -58,7 +65,7 @@ class MachineDrift:
     def of(
         cls, model: ErrorModel, prior: DriftPrior, regressor_count: int, free: np.ndarray[Any, np.dtype[np.bool_]]
     ) -> MachineDrift:
-        """`free` (p,) bool: parameters that are not held at zero."""
+        """Return the drift of a model; `free` (p,) bool marks the parameters that are not held at zero."""
         drifting = [(place, one) for place, one in enumerate(model.parameters) if _drifts(one) and free[place]]
         deviations = [_per_k(prior, one) * _lever_mm(model, one) for _, one in drifting]
         names, places = tuple(one.name for _, one in drifting), tuple(place for place, _ in drifting)
@@ -66,12 +73,12 @@ class MachineDrift:
 
     @property
     def forms(self) -> int:
-        """Parameters that drift, and the three directions of the tip."""
+        """Number of drifting fields: parameters that drift and the three directions of the tip."""
         return len(self.parameter_indices) + 3
 
     @property
     def bending(self) -> list[int]:
-        """Of the forms, those that drift in all ways."""
+        """Indices of the drifting fields that depend on all regressors."""
         return [number for number, name in enumerate(self.names) if not _is_scale(name)]
 
     @property
@@ -79,7 +86,10 @@ class MachineDrift:
         return self.forms + (self.regressor_count - 1) * len(self.bending)
 
     def columns(self, basis: Array, course: Array) -> Array:
-        """(n, 3, size) mm per unit: `basis` (n, 3, p) of the model at the rows, `course` (n, ways) K."""
+        """Return the design columns (n, 3, size) in mm per unit.
+
+        `basis` (n, 3, p): fields of the model's parameters at the rows; thermal regressors (n, w) in K.
+        """
         forms = np.empty((len(basis), 3, self.forms))
         forms[:, :, :-3] = basis[:, :, self.parameter_indices] * self.deviations
         forms[:, :, -3:] = self.tip_mm_per_k * np.eye(3)
@@ -88,27 +98,30 @@ class MachineDrift:
         return np.concatenate((course[:, 0, None, None] * forms, *further), axis=2)
 
     def change_matrix(self, course: Array) -> Array:
-        """(f + 3, size) `change` by z."""
+        """Return the derivative (f + 3, size) of `change` with respect to z."""
         units = np.diag(np.append(self.deviations, np.full(3, self.tip_mm_per_k)))
         further = [share * units[:, self.bending] for share in course[1:].tolist()]
         return np.concatenate((course[0] * units, *further), axis=1)
 
     def change(self, z: Array, course: Array) -> Array:
-        """(f + 3,) by how much parameters and tip are off, for unknowns z (size,), where the course is (ways,) K."""
+        """Return the change (f + 3,) of parameters and tip for unknowns z (size,) at thermal regressors (w,) in K."""
         return np.asarray(self.change_matrix(course) @ z)
 
 
 @dataclass(frozen=True, eq=False)
 class DriftEstimate:
-    """What a set says of the drift: z (size,) of `drift` with its covariance."""
+    """Estimated drift: z (size,) of `drift` with its covariance."""
 
     drift: MachineDrift
     z: Array
     covariance: Array
 
     def change(self, course: Array) -> dict[str, tuple[float, float]]:
-        """By name (``EXX[1]``, ``tip X``): mm or rad by which the field is off where the course is (ways,) K, and its
-        standard uncertainty."""
+        """Return, by name (``EXX[1]``, ``tip X``), the change in mm or rad at thermal regressors (w,) in K and its
+        uncertainty.
+
+        The uncertainty is a standard uncertainty.
+        """
         values = self.drift.change(self.z, course)
         matrix = self.drift.change_matrix(course)
         doubts = np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", matrix, self.covariance, matrix), 0.0))
@@ -132,7 +145,7 @@ def _per_k(prior: DriftPrior, parameter: Parameter) -> float:
 
 
 def _lever_mm(model: ErrorModel, parameter: Parameter) -> float:
-    """What makes a strain the parameter's own: half the travel for a displacement, 1 for an angle."""
+    """Return the factor from strain or angle to the parameter: half the travel for a displacement, 1 for an angle."""
     if parameter.unit == "rad":
         return 1.0
     low, high = model.ranges_mm[AXES.index(parameter.error[2])]

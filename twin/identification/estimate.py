@@ -1,4 +1,4 @@
-"""The result of an identification."""
+"""Result of an identification."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from twin.machine.error_model import ErrorModel
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """What the data say about the fields beside the model: mode coefficients (q,), their covariance (q, q) and that
-    with the parameters (p, q); a field in mm is `amplitude_mm` · modes · coefficients.
+    """Estimated fields that the model cannot represent.
 
-    `unresolved_mm2`: variance, per direction, of what is too short in space for the modes.
+    `coefficients` (q,) of the modes, their `covariance` (q, q) and `cross_covariance` (p, q) with the parameters; a
+    field in mm is `amplitude_mm` · modes · coefficients. `unresolved_mm2`: variance per direction of the misfit that is
+    too short in wavelength for the modes.
     """
 
     modes: MisfitModes
@@ -37,22 +38,22 @@ class Misfit:
     unresolved_mm2: float = 0.0
 
     def field(self, axis_positions: Array) -> Array:
-        """Expected misfit (n, 3) mm at axis positions (n, 3)."""
+        """Return the expected misfit (n, 3) in mm at axis positions (n, 3)."""
         return np.asarray(self.amplitude_mm * (self.modes.at(axis_positions) @ self.coefficients))
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Parameters (p,) mm or rad of the compensation model with their covariance (p, p), given everything: marginal over
-    poses, certificate, thermal strain and misfit.
+    """Parameters (p,) in mm or rad of the compensation model with their covariance (p, p).
 
-    `residuals_mm` (n, 3) in the order of the observations, rejected rows included; `chi2_normalised`: squared residuals
-    in units of the stated noise per degree of freedom; `rejected`: (position, ball, tool) of the rows left out;
-    `scales`: found for noise, prior and misfit; `misfit`: None where it was switched off; `information` (p, p): of the
-    measurements alone in units of `prior_scale`; `z` (P,), `z_covariance` (P, P): of all `unknowns` together;
-    `alternatives`: of equal weight, what the measurements say under other scales that they allow;
-    `order_evidence`: how likely each Legendre order was, where the order was chosen by it; `drift`: of the machine
-    while it was measured, where that was looked for; all else is marginal over it.
+    The covariance is marginal over poses, certificate, thermal strain and misfit. `residuals_mm` (n, 3): in the order
+    of the observations, including rejected rows; `chi2_normalised`: squared residuals in units of the stated noise per
+    degree of freedom; `rejected`: (position, ball, tool) of rejected rows; `scales`: estimated for noise, prior and
+    misfit; `misfit`: None if it was switched off; `information` (p, p): of the measurements alone, in units of
+    `prior_scale`; `z` (P,), `z_covariance` (P, P): of all `unknowns` jointly; `alternatives`: equally weighted results
+    under other scales that the measurements allow; `order_evidence`: evidence of each Legendre order if the order was
+    chosen by it; `drift`: drift of the machine during the measurement if it was estimated; everything else is marginal
+    over it.
     """
 
     model: ErrorModel
@@ -75,41 +76,42 @@ class Estimate:
     drift: DriftEstimate | None = field(default=None, repr=False)
 
     def carried_over(self, process_noise: ArrayLike | None = None, nights: float = 1.0) -> CarriedOverPrior:
-        """What it knows, as the prior of a later estimate.
+        """Return the estimate as the prior of a later one, `nights` later.
 
-        `process_noise` (p,) standard deviations (mm or rad) by which each parameter may have changed in a night.
+        `process_noise` (p,): standard deviations (mm or rad) by which each parameter may have changed per night.
         """
         known = CarriedOverPrior(self.unknowns, self.z, self.z_covariance, self.scales)
         return known if process_noise is None else known.after(process_noise, nights)
 
     @property
     def prior_scale(self) -> Array:
-        """(p,) mm or rad: the unit of each parameter, its standard deviation in the family."""
+        """Unit of each parameter (p,) in mm or rad: its standard deviation in the family."""
         return self.unknowns.scale
 
     @property
     def scales_at_bounds(self) -> tuple[str, ...]:
-        """In words, which scale ran into its bounds: there the stated uncertainty is a guess."""
+        """Descriptions of the scales that reached a bound; the uncertainty that depends on them is a guess."""
         return scales_at_bounds(self.scales)
 
     @property
     def standard_uncertainty(self) -> Array:
-        """(p,) of each parameter."""
+        """Standard uncertainty (p,) of each parameter."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
     @property
     def rank(self) -> int:
-        """How many independent combinations of parameters the measurements alone determine."""
+        """Number of independent parameter combinations that the measurements alone determine."""
         return self._seen.rank
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
-        """What they leave open, size - rank directions."""
+        """Directions that the measurements leave undetermined, size - rank of them."""
         return self._seen.null_directions
 
     @property
     def conditioning(self) -> float:
-        """Largest over smallest singular value of what they determine, parameters in units of their prior."""
+        """Ratio of the largest to the smallest singular value of the determined part, parameters in units of their
+        prior."""
         return self._seen.conditioning
 
     @property

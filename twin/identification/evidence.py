@@ -5,7 +5,7 @@ With the poses projected out and z integrated out, twice the negative log margin
     rows ln σ² + |y|²/σ² - rᵀ H⁻¹ r/σ⁴ + ln det H - ln det D,   H = N/σ² + D
 
 (MacKay 1992; Rasmussen and Williams 2006, 5.4). The gradient needs only the diagonal of H⁻¹. Each log scale has a weak
-normal prior and bounds, so that a small set cannot make it run away.
+normal prior and bounds, so that a small set cannot drive it to extreme values.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True)
 class OrderEvidence:
-    """Log evidence of a Legendre order, zero for the likeliest of those compared, and the scales that led to it."""
+    """Log evidence of a Legendre order, zero for the likeliest of those compared, and the scales at which it was
+    reached."""
 
     order: int
     relative_log: float
@@ -35,7 +36,7 @@ class OrderEvidence:
 
 @dataclass(frozen=True)
 class ScalePrior:
-    """Log-normal prior of a scale: median 1, `factor` one standard deviation, within `low` ... `high`."""
+    """Log-normal prior of a scale: median 1, one standard deviation `factor`, bounds `low` and `high`."""
 
     factor: float
     low: float
@@ -54,16 +55,16 @@ NOISE = ScalePrior(3.0, 0.3, 10.0)
 PRIOR = ScalePrior(1.5, 0.3, 3.0)
 MISFIT = ScalePrior(3.0, 0.1, 10.0)
 SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS))
-"""In the order of `Scales.values`."""
+"""Priors in the order of `Scales.values`."""
 _NAMES = ("touch noise", "family prior", *MISFIT_KINDS)
 _AT_BOUND = 1e-3  # of a log scale
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 
-_ACCURACY = 1e-3  # gradient per equation: leaves a log scale right to about 0.01, far below what any set can tell
+_ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01, far below their uncertainty
 
 
 def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start: Scales) -> Scales:
-    """Scales at the maximum of the marginal likelihood times their own priors."""
+    """Return the scales at the maximum of the marginal likelihood times their priors."""
     free = free_scales(precision)
     log_start: Logs = np.log(start.values)[free]
     cost = _cost(normal, precision, start)
@@ -80,29 +81,31 @@ def most_likely_scales(normal: NormalEquations, precision: PriorPrecision, start
 
 
 def log_evidence(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> float:
-    """Log marginal likelihood times the priors of the scales, but for what only the rows and their covariances say."""
+    """Return the log marginal likelihood times the scales' priors, without terms that depend only on rows and
+    covariances."""
     logs = np.log(scales.values)[free_scales(precision)]
     return -0.5 * _cost(normal, precision, scales)(logs)[0] * normal.rows
 
 
 def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
-    """In words, which scale stands at its lower or upper bound."""
+    """Describe the scales that reached their lower or upper bound."""
     found = []
     for name, value, prior in zip(_NAMES, scales.values, SCALE_PRIORS, strict=True):
         for bound in (prior.low, prior.high):
             if abs(math.log(value / bound)) < _AT_BOUND:
-                found.append(f"{name}: {bound:g} times as stated, as far as its scale may go")
+                found.append(f"{name}: {bound:g} times as stated, the bound of its scale")
     return tuple(found)
 
 
 def free_scales(precision: PriorPrecision) -> list[bool]:
-    """Which of noise, prior and kinds of misfit: what is known from before has its scale already."""
+    """Return flags for noise, prior and kinds of misfit: true if the scale is free, false if a carried-over prior fixes
+    it."""
     found = [True, *(precision.has_free_scale(block) for block in scaled_blocks(precision.blocks))]
     return found + [False] * (len(SCALE_PRIORS) - len(found))
 
 
 def scaled_blocks(blocks: UnknownBlocks) -> tuple[slice, ...]:
-    """Blocks that have a scale, in the order of `Scales.values`."""
+    """Return the blocks that have a scale, in the order of `Scales.values`."""
     return blocks.parameters, *blocks.kinds
 
 
@@ -126,7 +129,8 @@ def _cost(normal: NormalEquations, precision: PriorPrecision, others: Scales) ->
 
 
 def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, scales: Scales) -> tuple[float, Array]:
-    """Twice the negative log marginal likelihood, but for a constant, and its derivatives by the log scales (6,)."""
+    """Return twice the negative log marginal likelihood, up to a constant, and its derivatives by the log scales
+    (6,)."""
     blocks, variance = precision.blocks, scales.noise**2
     posterior = Posterior.of(normal.matrix, precision, scales)
     right = normal.right / variance + precision.information_vector
@@ -136,6 +140,7 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     variances = posterior.variances if prior is None else np.diagonal(posterior.covariance)
     taken = variances * precision.diagonal(scales)
     trace = float(taken.sum()) if prior is None else float((prior * posterior.covariance).sum())
+    # rows ln σ² + |y|²/σ² - rᵀH⁻¹r (with r the weighted right side) + ln det H - ln det D
     value = normal.rows * math.log(variance) + normal.square / variance - float(right @ z)
     value += posterior.log_determinant - _log_determinant(precision, scales)
     noise = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
@@ -147,13 +152,13 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
 
 
 def _log_scale_derivative(block: slice, taken: Array, weighted_z: Array, z: Array) -> float:
-    """Derivative by ln of the variance scale of a block: unknowns - trace of their share - weighted square."""
+    """Return the derivative by the log variance of a block: unknowns - trace of their share - weighted square."""
     size = block.stop - block.start
     return float(size - taken[block].sum() - weighted_z[block] @ z[block])
 
 
 def _log_determinant(precision: PriorPrecision, scales: Scales) -> float:
-    """ln det of the prior precision, but for the constant part of what is known."""
+    """Return ln det of the prior precision, without the constant part of a carried-over prior."""
     diagonal = np.log(precision.diagonal(scales))
     if precision.known is not None:
         diagonal[precision.known.members] = 0.0

@@ -1,4 +1,4 @@
-"""From ball centres to the compensation model."""
+"""Identification of the compensation model from ball centres."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 @dataclass(frozen=True, eq=False)
 class _RowSelection:
-    """A solution and which rows of the whole problem it rests on."""
+    """Rows of the whole problem that are accepted, and the solution based on them if it has been computed."""
 
     problem: IdentificationProblem
     accepted: Mask
@@ -46,9 +46,10 @@ def identify(
     family: Family,
     options: Options | None = None,
 ) -> Estimate:
-    """Parameters of `model` from ball centres found on `artefact`; `family` is the prior and sets the units.
+    """Estimate the parameters of `model` from ball centres measured on `artefact`; `family` is the prior and sets the
+    units.
 
-    Raises SingularSet for a set that cannot determine anything, DataError for balls that the artefact does not have.
+    Raise SingularSet for a set that determines nothing, and DataError for balls that the artefact does not have.
     """
     options = options or Options()
     if family.model != model:
@@ -59,7 +60,7 @@ def identify(
 
 
 def accepted_rows(family: Family, observations: Observations, artefact: Artefact, options: Options) -> Mask:
-    """(n,) which rows `identify` would keep."""
+    """Return the mask (n,) of the rows that `identify` would accept."""
     _check_set(observations)
     whole = build_problem(family, observations, artefact, options)
     accepted = np.empty(observations.size, dtype=bool)
@@ -70,7 +71,7 @@ def accepted_rows(family: Family, observations: Observations, artefact: Artefact
 def identify_accepted(
     family: Family, observations: Observations, artefact: Artefact, options: Options, accepted: Mask
 ) -> Estimate:
-    """`identify` with the rows `accepted` (n,) and no other; those left out count as rejected."""
+    """Identify with exactly the rows `accepted` (n,); all others count as rejected."""
     whole = build_problem(family, observations, artefact, options)
     chosen = accepted[whole.layout.order]
     problem = whole if chosen.all() else whole.with_rows(chosen)
@@ -78,19 +79,19 @@ def identify_accepted(
 
 
 def _check_set(observations: Observations) -> None:
-    """What no prior can mend."""
+    """Check conditions that no prior can replace: enough positions and enough different balls."""
     counts = np.unique(observations.position, return_counts=True)[1]
     useful = int((counts >= 2).sum())
     if useful < 2:
         raise SingularSet(
             f"{len(counts)} position(s), {useful} of them with two balls or more, cannot separate machine errors "
             "from artefact errors",
-            hint="measure the artefact in at least two positions, better those of S3",
+            hint="measure the artefact in at least two positions, preferably those of S3",
         )
     if len(np.unique(observations.ball)) < _FEWEST_BALLS:
         raise SingularSet(
             f"fewer than {_FEWEST_BALLS} different balls were measured",
-            hint="use an artefact with more balls or measure those left out",
+            hint="use an artefact with more balls or measure more of them",
         )
 
 
@@ -101,7 +102,7 @@ def _select_rows(whole: IdentificationProblem, options: Options) -> _RowSelectio
 
 
 def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSelection:
-    """Reject and refit, always on ball centres with the prior, until no ball contradicts the rest."""
+    """Reject and refit, always on ball centres with the prior, until no ball contradicts the others."""
     screening = replace(options, formulation="centres", weights="full", use_prior=True)
     accepted = np.ones(whole.observations.size, dtype=bool)
     problem = whole
@@ -123,7 +124,7 @@ def _check_rejected_share(accepted: Mask) -> None:
     if rejected > _MOST_REJECTED * accepted.size:
         raise DataError(
             f"{rejected} of {accepted.size} ball centres contradict the rest",
-            hint="check artefact file, ball numbers, tool offset and units before measuring again",
+            hint="check the artefact file, ball numbers, tool offset and units before measuring again",
         )
 
 
@@ -159,8 +160,11 @@ def _estimate(whole: IdentificationProblem, selection: _RowSelection, options: O
 
 
 def _state(whole: IdentificationProblem, options: Options) -> Array | None:
-    """(Q, P) from all unknowns at the beginning to the lasting ones in the state for which the estimate is to hold;
-    None where nothing drifted."""
+    """Return the matrix (Q, P) from all unknowns at the start to the lasting ones in the state that the estimate
+    describes.
+
+    Return None if drift is not estimated.
+    """
     drift, blocks, scale = whole.unknowns.drift, whole.blocks, whole.unknowns.scale
     if drift is None:
         return None
@@ -200,14 +204,15 @@ def _misfit(whole: IdentificationProblem, solution: Solution, z: Array, covarian
 
 
 def _unresolved(misfit_mm: float, modes: MisfitModes, solution: Solution) -> float:
-    """Variance that the modes leave out, expected over what the scales may be."""
+    """Return the variance left out by the modes, expected over the plausible scales."""
     likely = [one.scales for one in solution.alternatives] or [solution.scales]
     squares = np.mean([np.square(scales.kinds) for scales in likely], axis=0)
     return float(misfit_mm**2 * (modes.left_out @ squares))
 
 
 def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution: Solution) -> Array:
-    """(n, 3) mm in the order of the observations given; each position at its pose of the solution."""
+    """Return the residuals (n, 3) in mm in the order of the given observations, each position at its pose of the
+    solution."""
     accepted, poses = selection.accepted, solution.poses
     left, local = solution.sides if accepted.all() else whole.sides(solution.z)
     if isinstance(solution.equations, DistanceEquations):
@@ -220,7 +225,7 @@ def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution:
 
 
 def _spread(poses: Poses, whole: IdentificationProblem, accepted: Mask) -> Poses:
-    """Poses of all positions; one of which no row is accepted takes that of a neighbour."""
+    """Return poses of all positions; a position without accepted rows takes the pose of a neighbour."""
     position = whole.observations.position
     place = np.searchsorted(np.unique(position[accepted]), np.unique(position))
     place = np.minimum(place, len(poses.rotation) - 1)

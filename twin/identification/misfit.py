@@ -1,14 +1,14 @@
-"""What the model cannot represent: a small set of smooth fields beside it, with a Gaussian prior.
+"""Misfit: smooth fields that the model cannot represent, with a Gaussian prior.
 
-A machine has more than 21 Legendre series. Gravity and heat bend it in ways that depend on several axes at once (mixed
-terms: products of Legendre polynomials of low total degree), and the rails of each axis wave between their screws
-(orders above the model's, alone and with a linear lever in another axis). These kinds are told apart, because a machine
-that bends much need not have wavy rails, nor does one bad rail make the others bad: each has a scale of its own. Within
-a kind the prior standard deviations fall with the order as those of families do.
+A machine has more errors than 21 Legendre series can describe. Gravity and heat bend it in ways that depend on several
+axes at once (mixed terms: products of Legendre polynomials of low total degree), and the rails of each axis undulate
+between their screws (orders above the model's, alone and with a linear lever in another axis). Each kind has its own
+scale, because a machine that bends strongly need not have wavy rails, and one bad rail does not make the others bad.
+Within a kind the prior standard deviations fall with the order, as those of families do.
 
-What the model or a rigid motion can represent of them is taken out by least squares over the workspace, so that the two
-never compete; the rest is condensed to its leading modes (Karhunen-Loève). What the modes leave out is short in space:
-it is kept as a variance without correlation.
+The part that the model or a rigid motion can represent is removed by least squares over the workspace, so that the two
+do not compete; the rest is condensed to its leading modes (Karhunen-Loève). The remainder, of short wavelength, is
+represented by a variance without correlation.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from twin.machine.legendre import legendre_values, normalised
 from twin.machine.rigid_motion import rigid_fields
 
 MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1 / 6, "waves along Z": 1 / 6}
-"""Kinds of misfit in their order, with the part of the prior variance that each has."""
+"""Kinds of misfit in their order, with the share of the prior variance of each."""
 
 _MIXED_DEGREE = 6
 _ORDERS_BEYOND = 8
 _MIXED_DECAY = 0.75  # prior standard deviation per degree
 _WAVE_DECAY = 0.85  # per order; rail waves fall off more slowly than the series themselves
-_LEVER = 0.4  # of a wave with a lever beside the one without
-_MOST_MODES = (24, 12, 12, 12)  # by kind; what they leave out is small enough to be taken for uncorrelated
-_CHUNK = 1000  # points whose basis is held at a time
+_LEVER = 0.4  # amplitude of a wave with a lever relative to one without
+_MOST_MODES = (24, 12, 12, 12)  # by kind; the remainder is small enough to be treated as uncorrelated
+_CHUNK = 1000  # points whose basis is held in memory at a time
 _DEPENDENT = 1e-10  # of the largest eigenvalue: combinations of parameters that do not change the field
 
 Degrees = tuple[int, int, int]
@@ -46,9 +46,9 @@ Weights = dict[Degrees, float]
 class MisfitModes:
     """Modes with unit-normal coefficients: field = candidates · `mixing` - model and rigid motion · `removed`.
 
-    `degrees` Legendre degrees in x, y, z of each candidate (c); `mixing` (3, c, q) mm; `removed` (p, q);
-    `rigid` (6, q); `sizes`: how many modes are of each kind, one kind after the other; `left_out` (kinds,): variance
-    per direction, mean over the workspace, of what the modes of a kind leave out. All together have a prior rms of 1.
+    `degrees`: Legendre degrees in x, y, z of each candidate (c); `mixing` (3, c, q) in mm; `removed` (p, q); `rigid`
+    (6, q); `sizes`: number of modes of each kind, in consecutive blocks; `left_out` (kinds,): variance per direction,
+    mean over the workspace, that the modes of a kind leave out. Modes and remainder together have a prior rms of 1.
     """
 
     model: ErrorModel
@@ -65,7 +65,8 @@ class MisfitModes:
         return int(self.mixing.shape[2])
 
     def at(self, axis_positions: Array, basis: Array | None = None) -> Array:
-        """Modes (n, 3, q) mm at axis positions (n, 3). `basis`: the model's there for this tool, if at hand."""
+        """Return the modes (n, 3, q) in mm at axis positions (n, 3). `basis`: basis of the model there for this tool,
+        if available."""
         if basis is None:
             basis = deviation_basis(self.model, axis_positions, self.tool_offset)
         candidates = _candidates(self.degrees, self.model.ranges_mm, axis_positions)
@@ -78,7 +79,7 @@ class MisfitModes:
 
 @lru_cache(maxsize=16)
 def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> MisfitModes:
-    """Modes for a model and the tool offset (mm) for which the two are kept apart."""
+    """Return the modes for a model and the tool offset (mm) at which model and misfit are separated."""
     offset = np.array(tool_offset)
     kinds = _kinds(model)
     degrees = tuple(degree for kind in kinds for degree in kind)
@@ -104,10 +105,10 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Represented:
-    """What model and rigid motions can represent of the candidates, in the mean over the workspace.
+    """Part of the candidates that model and rigid motions can represent, averaged over the workspace.
 
     `inverse` (k, k): pseudo-inverse of the products of the known fields; `common` (3, k, c): products with the
-    candidates, by direction; `squares` (c,) mean square of each candidate.
+    candidates, by direction; `squares` (c,): mean square of each candidate.
     """
 
     inverse: Array
@@ -132,14 +133,16 @@ class _Represented:
         return cls(_pseudo_inverse(gram), common, squares)
 
     def share(self, mixing: Array) -> Array:
-        """(k, q) of the known fields that are contained in combinations (3, c, q) of the candidates."""
+        """Return the known fields (k, q) contained in combinations (3, c, q) of the candidates."""
         contained = np.tensordot(self.common, mixing, axes=((0, 2), (0, 1)))
         return np.asarray(self.inverse @ contained)
 
     def left(self, chosen: slice, deviations: Array) -> Array:
-        """(3c, 3c) mean products of what is left of the chosen candidates, times their deviations (c,)."""
+        """Return mean products (3c, 3c) of the chosen candidates without the represented part, times deviations
+        (c,)."""
         common = np.concatenate([part[:, chosen] * deviations for part in self.common], axis=1)
         own = np.tile(self.squares[chosen] * deviations**2, 3)
+        # residual of a least-squares projection on the known fields G: CᵀC - CᵀG (GᵀG)⁻¹ GᵀC
         return np.asarray(np.diag(own) - common.T @ self.inverse @ common)
 
 
@@ -155,6 +158,7 @@ def _condensed(represented: _Represented, chosen: slice, deviations: Array, shar
     own = deviations[chosen]
     rising, vectors = np.linalg.eigh(represented.left(chosen, own))
     values, vectors = rising[::-1], vectors[:, ::-1]
+    # Karhunen-Loève: leading eigenvectors of the prior covariance, scaled to the kind's share of the variance
     size = np.sqrt(share / values.sum())
     mixing = np.zeros((3, len(deviations), most))
     mixing[:, chosen] = size * vectors[:, :most].reshape(3, len(own), most) * own[:, None]
@@ -162,7 +166,8 @@ def _condensed(represented: _Represented, chosen: slice, deviations: Array, shar
 
 
 def _kinds(model: ErrorModel) -> Sequence[Weights]:
-    """By kind: Legendre degrees in x, y, z of each candidate and its prior standard deviation, relative."""
+    """Return, for each kind, the Legendre degrees in x, y, z of its candidates and their relative prior standard
+    deviation."""
     waves = [_waves(axis, highest) for axis, highest in enumerate(model.highest_order)]
     mixed = {degrees: weight for degrees, weight in _mixed().items() if not any(degrees in wave for wave in waves)}
     return mixed, *waves
@@ -189,7 +194,8 @@ def _waves(axis: int, highest: int) -> Weights:
 
 
 def _quadrature(model: ErrorModel, degrees: tuple[Degrees, ...]) -> tuple[Array, Array]:
-    """Gauss-Legendre points (n, 3) over the workspace, exact for all products, and weights (n,) that sum to 1."""
+    """Return Gauss-Legendre points (n, 3) over the workspace, exact for all products, and weights (n,) that sum to
+    1."""
     nodes, weights = [], []
     for axis, (low, high) in enumerate(model.ranges_mm):
         node, weight = np.polynomial.legendre.leggauss(max(degree[axis] for degree in degrees) + 1)
@@ -201,7 +207,7 @@ def _quadrature(model: ErrorModel, degrees: tuple[Degrees, ...]) -> tuple[Array,
 
 
 def _pseudo_inverse(gram: Array) -> Array:
-    """Of products of fields whose sizes differ by orders of magnitude; a field that is zero stays out."""
+    """Return the pseudo-inverse of the Gram matrix of fields of very different sizes; zero fields are excluded."""
     size = np.sqrt(np.diagonal(gram))
     size = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(gram / np.multiply.outer(size, size))
@@ -211,7 +217,7 @@ def _pseudo_inverse(gram: Array) -> Array:
 
 
 def _candidates(degrees: tuple[Degrees, ...], ranges_mm: Ranges, points: Array) -> Array:
-    """(n, c) products of Legendre polynomials."""
+    """Return products of Legendre polynomials (n, c)."""
     tables = []
     for axis in range(3):
         argument = normalised(points[:, axis], ranges_mm[axis])

@@ -1,4 +1,4 @@
-"""The equations reduced to the few shared unknowns: normal equations with the poses already projected out."""
+"""Normal equations of the shared unknowns, with the poses already projected out, their prior and their posterior."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twin.identification.unknowns import UnknownBlocks
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Σ|A z - y|² over `rows` independent equations of unit noise: AᵀA (P, P), Aᵀy (P,), |y|²."""
+    """Normal equations of Σ|A z - y|² over `rows` independent equations of unit noise: AᵀA (P, P), Aᵀy (P,), |y|²."""
 
     matrix: Array
     right: Array
@@ -27,7 +27,7 @@ class NormalEquations:
     rows: int
 
     def misfit_square(self, z: Array) -> float:
-        """|A z - y|²."""
+        """Return |A z - y|²."""
         return max(0.0, self.square - 2.0 * float(self.right @ z) + float(z @ self.matrix @ z))
 
 
@@ -44,17 +44,17 @@ class Scales:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Noise, prior, kinds of misfit."""
+        """Scales of noise, prior and kinds of misfit."""
         return self.noise, self.prior, *self.kinds
 
     @property
     def kinds(self) -> tuple[float, float, float, float]:
-        """Of the misfit, in the order of `MISFIT_KINDS`."""
+        """Scales of the misfit, in the order of `MISFIT_KINDS`."""
         return self.mixed, self.waves_x, self.waves_y, self.waves_z
 
     @property
     def misfit(self) -> float:
-        """Of the prior rms of all kinds of misfit together."""
+        """Scale of the prior rms of all kinds of misfit together."""
         shares = MISFIT_KINDS.values()
         return math.sqrt(sum(share * scale**2 for share, scale in zip(shares, self.kinds, strict=True)))
 
@@ -73,7 +73,7 @@ class JointPrior:
 
     @classmethod
     def at_zero(cls, blocks: UnknownBlocks, precision: Array) -> JointPrior:
-        """Parameters at zero with a given precision (p, p)."""
+        """Return a prior that holds the parameters at zero with precision (p, p)."""
         members, full = np.zeros(blocks.size, dtype=bool), np.zeros((blocks.size, blocks.size))
         members[blocks.parameters] = True
         full[blocks.parameters, blocks.parameters] = precision
@@ -82,22 +82,23 @@ class JointPrior:
 
 @dataclass(frozen=True, eq=False)
 class PriorPrecision:
-    """Prior precision of z at scale 1: what is `known`, and the unit matrix with mean zero for all else."""
+    """Prior precision of z at scale 1: the `known` joint prior, and the unit matrix with mean zero for all other
+    unknowns."""
 
     blocks: UnknownBlocks
     known: JointPrior | None = None
 
     def has_free_scale(self, block: slice) -> bool:
-        """Whether a block is there and none of it is known, so that its scale is free."""
+        """Return True if the block is not empty and none of it has a joint prior, so that its scale is free."""
         return block.stop > block.start and (self.known is None or not self.known.members[block].any())
 
     @property
     def information_vector(self) -> Array:
-        """(P,) precision times prior mean."""
+        """Precision times prior mean (P,)."""
         return np.zeros(self.blocks.size) if self.known is None else self.known.information_vector
 
     def matrix(self, scales: Scales) -> Array:
-        """(P, P)."""
+        """Return the prior precision (P, P) for the given scales."""
         full = np.zeros((self.blocks.size, self.blocks.size))
         self.add_to(full, scales)
         return full
@@ -111,7 +112,7 @@ class PriorPrecision:
         np.einsum("ii->i", matrix)[:] += diagonal
 
     def diagonal(self, scales: Scales) -> Array:
-        """(P,) of the unit-matrix form."""
+        """Return the diagonal (P,) of the part that is a scaled unit matrix."""
         diagonal = np.ones(self.blocks.size)
         diagonal[self.blocks.parameters] = scales.prior**-2
         for kind, scale in zip(self.blocks.kinds, scales.kinds, strict=False):
@@ -121,10 +122,10 @@ class PriorPrecision:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of z by its precision: `factor` (P, P) is the lower Cholesky factor, Fortran-ordered.
+    """Posterior of z, represented by its precision: `factor` (P, P) is the lower Cholesky factor, in Fortran order.
 
     In unit-prior coordinates the precision is at least 1 in every direction that the measurements leave open, so the
-    explicit inverse, where it is asked for, loses nothing.
+    explicit inverse, where it is needed, is numerically safe.
     """
 
     factor: Array
@@ -140,12 +141,12 @@ class Posterior:
 
     @cached_property
     def log_determinant(self) -> float:
-        """Of the precision."""
+        """Log determinant of the precision."""
         return 2.0 * float(np.log(np.diagonal(self.factor)).sum())
 
     @cached_property
     def covariance(self) -> Array:
-        """(P, P)."""
+        """Posterior covariance (P, P)."""
         lower, _ = dpotri(self.factor, lower=1)
         covariance: Array = lower + lower.T
         np.einsum("ii->i", covariance)[:] *= 0.5
@@ -153,18 +154,18 @@ class Posterior:
 
     @cached_property
     def variances(self) -> Array:
-        """(P,) diagonal of the covariance."""
+        """Diagonal (P,) of the covariance."""
         inverse, _ = dtrtri(self.factor, lower=1)
         return np.asarray(np.einsum("ij,ij->j", inverse, inverse))
 
     def times(self, z: Array) -> Array:
-        """Precision · z (P,)."""
+        """Return precision · z (P,)."""
         return np.asarray(self.factor @ (self.factor.T @ z))
 
     def solve(self, right: Array) -> Array:
-        """Posterior mean for the weighted right-hand side (P,) or (P, m)."""
+        """Return the posterior mean for a weighted right-hand side (P,) or (P, m)."""
         return np.asarray(dpotrs(self.factor, right, lower=1)[0])
 
     def whiten(self, rows: Array) -> Array:
-        """(n, P) W of rows (n, P) A, with W Wᵀ = A C Aᵀ for the covariance C."""
+        """Return W (n, P) for rows A (n, P), with W Wᵀ = A C Aᵀ for the covariance C."""
         return np.asarray(dtrsm(1.0, self.factor, rows.T, lower=1).T)

@@ -1,8 +1,8 @@
-"""What a set-up can see of a model, and what it cannot, in words.
+"""Observability of a model by a set-up, with null directions described in words.
 
 Information matrices are taken in unit-prior coordinates (each parameter in units of its prior standard deviation), so
-that mm and rad compare. A null direction is a combination of parameters that leaves all measurements unchanged; some
-leave the whole field at the tool point unchanged as well (with one tool they do no harm), others do not.
+that mm and rad are comparable. A null direction is a combination of parameters that leaves all measurements unchanged.
+Some also leave the whole field at the tool point unchanged (they do no harm with a single tool), others do not.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ FIXED = "because the family holds it at its prior value"
 
 @dataclass(frozen=True)
 class NullDirection:
-    """`loadings`: change of each parameter involved, in its own unit, for one prior standard deviation of the first.
+    """Combination of parameters that the measurements do not determine.
 
+    `loadings`: change of each parameter involved, in its own unit, for one prior standard deviation of the first.
     `changes_field`: the direction moves the tool point relative to the workpiece by more than a rigid motion.
-    `circumstance`: the part of the text that says under which circumstances it is not seen.
+    `circumstance`: the part of the text that says under which circumstances the direction is not observed.
     """
 
     text: str
@@ -42,7 +43,7 @@ class NullDirection:
 
 @dataclass(frozen=True)
 class Observability:
-    """Rank of the parameters, the directions left open (p - rank of them) and the conditioning of the rest."""
+    """Rank of the parameters, the undetermined directions (p - rank of them) and the conditioning of the rest."""
 
     rank: int
     null_directions: tuple[NullDirection, ...]
@@ -50,9 +51,9 @@ class Observability:
 
 
 def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool = False) -> Observability:
-    """What the field at the tool point shows at best, measured everywhere with tools (T, 3) in units of `scale` (p,).
+    """Return the best possible observability, with the field measured everywhere with tools (T, 3).
 
-    `aligned`: a rigid motion of the workspace does not count as a change.
+    Parameters are in units of `scale` (p,). If `aligned`, a rigid motion of the workspace does not count as a change.
     """
     form = field_form(model, scale, tool_offsets, aligned)
     return observability(model, form, scale, tool_offsets, "by the tool point")
@@ -61,7 +62,7 @@ def field_observability(model: ErrorModel, scale: Array, tool_offsets: Array, al
 def observability(
     model: ErrorModel, information: Array, scale: Array, tool_offsets: Array, observer: str = "by this set"
 ) -> Observability:
-    """Rank and named null space of an information matrix (p, p) in units of `scale` (p,)."""
+    """Return rank and named null space of an information matrix (p, p) in units of `scale` (p,)."""
     values, vectors = np.linalg.eigh(information)
     open_ = values <= _NULL * max(float(values[-1]), 1e-300)
     used = values[~open_]
@@ -71,15 +72,16 @@ def observability(
 
 
 def null_space(information: Array) -> Array:
-    """Orthonormal basis (p, r) of what an information matrix (p, p) in unit-prior coordinates leaves open."""
+    """Return an orthonormal basis (p, r) of the null space of an information matrix (p, p) in unit-prior
+    coordinates."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray(vectors[:, values <= _NULL * max(float(values[-1]), 1e-300)])
 
 
 def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool) -> Array:
-    """(p, p) mean square field in mm² over the workspace and the tools, in units of `scale`.
+    """Return the mean square field (p, p) in mm² over the workspace and the tools, in units of `scale`.
 
-    `aligned`: less one best rigid motion, the same for all tools.
+    If `aligned`, the best rigid motion common to all tools is removed.
     """
     highest = model.highest_order
     grid = evaluation_grid(model.ranges_mm, (highest[0] + 5, highest[1] + 5, highest[2] + 5))
@@ -96,7 +98,7 @@ def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bo
 
 
 def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
-    """One line for each kind of null direction: `EBY[1..5]: not seen with one straight probe along Y`."""
+    """Return one line for each kind of null direction: `EBY[1..5]: not seen with one straight probe along Y`."""
     groups: dict[tuple[str, ...], list[NullDirection]] = {}
     for direction in directions:
         key = (*(name.split("[")[0] for name in direction.loadings), direction.circumstance)
@@ -105,7 +107,7 @@ def summary(directions: Sequence[NullDirection]) -> tuple[str, ...]:
 
 
 def join_names(names: Sequence[str]) -> str:
-    """`EXX`, `EXX and EYY`, `EXX, EYY and EZZ`."""
+    """Return `EXX`, `EXX and EYY`, or `EXX, EYY and EZZ`."""
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
@@ -128,7 +130,7 @@ def _directions(
 
 
 def _parts(direction: Array, pivot: int) -> list[int]:
-    """The pivot, then what else takes part: in the model's order, or the largest first where they are too many."""
+    """Return the pivot and the other parameters involved, in model order, or by falling size if there are many."""
     size = np.abs(direction)
     others = [int(part) for part in np.flatnonzero(size > _PART * size.max()) if part != pivot]
     if len(others) > _MANY_PARTNERS:
@@ -137,7 +139,8 @@ def _parts(direction: Array, pivot: int) -> list[int]:
 
 
 def _sparse_basis(null: Array) -> list[tuple[int, Array]]:
-    """Gauss-Jordan with full pivoting: (pivot parameter, direction) pairs, each pivot in one direction only."""
+    """Return (pivot parameter, direction) pairs by Gauss-Jordan with full pivoting; each pivot occurs in one direction
+    only."""
     rows = null.T.copy()
     pivots: list[int] = []
     for row in range(len(rows)):
@@ -178,7 +181,7 @@ def _group_text(members: list[NullDirection]) -> str:
 
 
 def _orders(names: list[str]) -> str:
-    """`EBY[1..5]` from `EBY[1]`, …, `EBY[5]`."""
+    """Return `EBY[1..5]` for `EBY[1]`, …, `EBY[5]`."""
     error, bracket, _ = names[0].partition("[")
     orders = list(dict.fromkeys(name[len(error) + 1 : -1] for name in names))
     if not bracket or len(orders) == 1:

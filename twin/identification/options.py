@@ -1,4 +1,4 @@
-"""How an identification is to be done."""
+"""Options of an identification."""
 
 from __future__ import annotations
 
@@ -17,21 +17,34 @@ OutlierPolicy = Literal["reject", "none"]
 
 @dataclass(frozen=True, eq=False)
 class Options:
-    """Choices of an identification; the defaults are those of a production run.
+    """Options of an identification; the defaults are those of a production run.
 
     `formulation`: ball centres with free poses, or pairwise distances (the published method).
-    `use_prior`: the family as Gaussian prior; off, directions that the data leave open stay zero.
-    `prior_standard_deviation` (p,) mm or rad instead of the family's.
-    `carried_over`: what an earlier estimate knows of machine, artefact and misfit, instead of family and certificate.
-    `weights`: the observations' covariances, or all coordinates or distances alike (then without nuisance blocks).
-    `estimate_scales`: scales of touch noise, prior and misfit by maximum marginal likelihood; off, all are 1.
-    `outliers`: reject and refit by studentised residuals, or keep all.
-    `false_alarm`: chance that a set without outliers loses a ball.
-    `misfit_mm`: prior rms, over the workspace, of what the model cannot represent; 0 switches it off. What is carried
-    over keeps its own.
+
+    `use_prior`: use the family as Gaussian prior; otherwise directions that the data leave open stay zero.
+
+    `prior_standard_deviation` (p,) in mm or rad: replaces that of the family.
+
+    `carried_over`: posterior of machine, artefact and misfit from an earlier estimate, replacing family and
+    certificate.
+
+    `weights`: the observations' covariances, or equal weights of all coordinates or distances (without nuisance
+    unknowns).
+
+    `estimate_scales`: estimate the scales of touch noise, prior and misfit by maximum marginal likelihood; otherwise
+    all are 1.
+
+    `outliers`: reject and refit by studentised residuals, or accept all rows.
+
+    `false_alarm`: probability that a set without outliers loses a ball.
+
+    `misfit_mm`: prior rms over the workspace of the errors that the model cannot represent; 0 switches them off. A
+    carried-over estimate keeps its own value.
+
     `temperature_standard_uncertainty_k`: of the artefact's thermometer, common to all rows.
+
     `drift`: prior of a drift along the thermal regressors of the observations; None if the machine does not drift.
-    `state_regressors` (w,) K: thermal regressors of the state that the estimate describes; None for all zero.
+    `state_regressors` (w,) in K: thermal regressors of the state that the estimate describes; None for all zero.
     """
 
     formulation: Formulation = "centres"
@@ -61,12 +74,12 @@ class Options:
             self._check_carried()
 
     def _check_carried(self) -> None:
-        """What is carried over is a prior of everything, and has its units already."""
+        """Check that options agree with a carried-over estimate, which already includes every prior and its units."""
         if not self.use_prior or self.weights != "full":
-            hint = "switch the prior on and take full weights, or start without the earlier estimate"
-            raise DataError("an estimate can only be carried over with prior and full weights", hint=hint)
+            hint = "switch the prior on and use full weights, or omit the earlier estimate"
+            raise DataError("carrying over an estimate requires the prior and full weights", hint=hint)
         if self.prior_standard_deviation is not None:
-            raise DataError("give either prior standard deviations or an estimate carried over, not both")
+            raise DataError("give either prior standard deviations or a carried-over estimate, not both")
 
 
 def _check_word(name: str, value: str, known: tuple[str, ...]) -> None:

@@ -1,12 +1,13 @@
-"""Which Legendre order the measurements speak for.
+"""Choice of the Legendre order by evidence.
 
-The evidence of an order is its marginal likelihood: poses projected out, parameters, certificate, strain and misfit
-integrated out, scales at their likeliest values times their own priors. Every order is asked about the same ball
-centres, so what only these say is the same for all and left out; the size of a model against what it explains is in
-its determinants. Outliers are therefore looked for once, with the highest order, before any order is compared.
+The evidence of an order is its marginal likelihood: poses projected out; parameters, certificate, strain and misfit
+integrated out; scales at their likeliest values, times their priors. All orders are compared on the same ball centres,
+so factors common to all are omitted; the determinants balance the size of a model against what it explains. Outliers
+are therefore rejected once, with the highest order, before any comparison.
 
-What a low order leaves, its misfit explains nearly as well; but a table holds the parameters and not the misfit. So of
-all orders against which there is no very strong evidence the highest is taken: its prior keeps it from following noise.
+The misfit explains what a low order leaves almost as well as a higher order does, but a compensation table contains the
+parameters and not the misfit. So the highest order against which there is no very strong evidence is chosen: its prior
+keeps it from following noise.
 """
 
 from __future__ import annotations
@@ -37,17 +38,17 @@ def identify_by_evidence(
     options: Options | None = None,
     candidates: Sequence[int] = ORDERS,
 ) -> Estimate:
-    """`identify` with the order for which the measurements speak; `family_of` gives the family for a Legendre order.
+    """Identify with the Legendre order favoured by the measurements; `family_of` returns the family for an order.
 
-    The order is judged by ball centres with full weights, whatever the formulation of the estimate, and the evidence
-    of all candidates is in `order_evidence` of the result. Raises DataError where there is nothing to compare (prior
-    off, or an estimate carried over, whose order is given).
+    Orders are compared on ball centres with full weights, whatever the formulation of the estimate, and
+    `order_evidence` of the result lists the evidence of all candidates. Raise DataError if there is nothing to compare
+    (prior off, or a carried-over estimate, whose order is fixed).
     """
     options = options or Options()
     if not options.use_prior or options.carried_over is not None:
-        raise DataError("orders are compared with the family as prior, not without it", hint="give the order")
+        raise DataError("comparing orders requires the family as prior", hint="give the order explicitly")
     if not candidates:
-        raise DataError("no order to compare")
+        raise DataError("there is no order to compare")
     judged = replace(options, formulation="centres", weights="full")
     accepted = accepted_rows(family_of(max(candidates)), observations, artefact, judged)
     seen = observations.where(accepted)

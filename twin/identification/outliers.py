@@ -1,8 +1,8 @@
-"""Ball centres that contradict the rest: studentised residuals of three components at a time.
+"""Outlying ball centres, found by studentised residuals of three components at a time.
 
-For ball i with remaining whitened residual r_i and its covariance C_i under the model, t² = r_iᵀ C_i⁻¹ r_i is what the
-ball would say against a fit without it (leave one out). Its scale is taken from the median over the balls, which gross
-errors do not move, and the limit from the F distribution at a false alarm rate shared by all balls (Bonferroni).
+For ball i with whitened residual r_i and its covariance C_i under the model, t² = r_iᵀ C_i⁻¹ r_i compares the ball with
+a fit without it (leave one out). The scale of t² is the median over the balls, which gross errors do not affect, and
+the limit comes from the F distribution at a false alarm rate shared by all balls (Bonferroni).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from twin.identification.centres import CentreEquations
 from twin.identification.solution import Solution
 
 _MEDIAN_OF_CHI2_3 = 2.365974
-_QUIETEST = 0.3  # of the stated noise: closer agreement than this is not taken as the scale
-_COMPARABLE = 0.05  # of the worst: one gross error bends the fit, so lesser ones are judged once it is gone
-_RIDGE = 1e-6  # a component that the fit takes up entirely says nothing
+_QUIETEST = 0.3  # lower bound of the scale, relative to the stated noise
+_COMPARABLE = 0.05  # of the worst: a gross error distorts the fit, so smaller ones are tested after its removal
+_RIDGE = 1e-6  # keeps the covariance invertible for a component that the fit absorbs entirely
 
 Rows = np.ndarray[Any, np.dtype[np.int64]]
 
 
 def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
-    """Sorted rows to be rejected now: of each position at most the worst one beyond the limit."""
+    """Return the sorted rows to reject now: in each position at most the worst row beyond the limit."""
     square = studentised_squares(solution)
     limit = 3.0 * float(fdtri(3.0, solution.degrees_of_freedom, 1.0 - false_alarm / len(square)))
     limit = max(limit, _COMPARABLE * float(square.max()))
@@ -36,17 +36,18 @@ def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
 
 
 def studentised_squares(solution: Solution) -> Array:
-    """t² (n,) of the sorted rows of a solution in `centres`, scaled so that its median is that of χ² with three degrees
-    of freedom."""
+    """Return t² (n,) of the sorted rows of a solution in `centres`, scaled to the median of χ² with three degrees of
+    freedom."""
     equations = solution.equations
     if not isinstance(equations, CentreEquations):
-        raise DataError("studentised residuals belong to the formulation of ball centres")
+        raise DataError("studentised residuals require the formulation 'centres'")
     layout, size = equations.problem.layout, equations.problem.blocks.size
     variance = solution.scales.noise**2
     q = layout.unpad(equations.projector.q.reshape(layout.positions, -1, 3, 6))
     rows = equations.projected(size)
     spread_root = solution.posterior.whiten(rows.reshape(-1, size)).reshape(rows.shape)
     spread = spread_root @ spread_root.transpose(0, 2, 1)
+    # covariance of the residual: noise, less the part taken up by the pose, less the part taken up by the unknowns
     covariance = variance * (np.eye(3) * (1.0 + _RIDGE) - q @ q.transpose(0, 2, 1)) - spread
     residuals = layout.unpad(equations.remaining(solution.sides, solution.poses).reshape(layout.positions, -1, 3))
     solved = np.linalg.solve(covariance, residuals[:, :, None])[:, :, 0]

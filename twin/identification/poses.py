@@ -11,15 +11,15 @@ import numpy as np
 from twin.arrays import Array
 
 _NO_ROLL = 1e-9  # second over first singular value of the moments: off-axis below 3e-5 of the length
-_WELL_SEEN = 1e-5  # smallest over largest eigenvalue of the same above which Cholesky loses no more than 5 digits
-_UNSEEN = 1e-10  # eigenvalue of the scaled 6x6 normal equations below which an increment is not seen
+_WELL_SEEN = 1e-5  # ratio of eigenvalues of the 6x6 normal equations above which Cholesky loses at most 5 digits
+_UNSEEN = 1e-10  # relative eigenvalue of the 6x6 normal equations below which an increment is undetermined
 
 
 @dataclass(frozen=True, eq=False)
 class RowLayout:
-    """Rows sorted by position and laid out as (positions, width) with empty places at the end of short ones.
+    """Rows sorted by position and laid out as (positions, width), with empty slots at the end of short positions.
 
-    `order` (n,) brings the given rows into position order; `counts` (K,) balls of each position.
+    `order` (n,) sorts the given rows by position; `counts` (K,): number of balls of each position.
     """
 
     order: np.ndarray[Any, np.dtype[np.int64]]
@@ -40,27 +40,27 @@ class RowLayout:
 
     @cached_property
     def full(self) -> bool:
-        """No empty places."""
+        """True if there are no empty slots."""
         return bool(self.counts.min() == self.counts.max())
 
     @cached_property
     def present(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """(K, width)."""
+        """Mask (K, width) of the slots that hold a row."""
         return np.asarray(np.arange(self.width) < self.counts[:, None])
 
     @cached_property
     def source(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """(K·width,) sorted row of each place; any row for the empty ones."""
+        """Sorted row (K·width,) of each slot; an arbitrary row for empty slots."""
         starts = np.cumsum(self.counts) - self.counts
         return np.asarray(starts[:, None] + np.arange(self.width) * self.present).reshape(-1)
 
     @cached_property
     def index(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """(n,) position of each sorted row, 0 ... K-1."""
+        """Position (n,) of each sorted row, 0 ... K-1."""
         return np.repeat(np.arange(self.positions), self.counts)
 
     def pad(self, rows: Array) -> Array:
-        """(K, width, ...) from sorted rows (n, ...), zeros in the empty places."""
+        """Lay sorted rows (n, ...) out as (K, width, ...), with zeros in empty slots."""
         shape = (self.positions, self.width, *rows.shape[1:])
         if self.full:
             return rows.reshape(shape)
@@ -69,25 +69,28 @@ class RowLayout:
         return padded
 
     def unpad(self, padded: Array) -> Array:
-        """Sorted rows (n, ...) from (K, width, ...)."""
+        """Return sorted rows (n, ...) from (K, width, ...)."""
         return padded.reshape(-1, *padded.shape[2:]) if self.full else padded[self.present]
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Rotation (K, 3, 3) and translation (K, 3) mm from the artefact's frame to the workpiece's: p = t + R b."""
+    """Rotation (K, 3, 3) and translation (K, 3) in mm from the artefact's frame to the workpiece's: p = t + R b."""
 
     rotation: Array
     translation: Array
 
     def place(self, layout: RowLayout, local: Array) -> Array:
-        """Workpiece coordinates (n, 3) of artefact points (n, 3), rows sorted by position."""
+        """Return the workpiece coordinates (n, 3) of artefact points (n, 3), rows sorted by position."""
         turned = layout.pad(local) @ self.rotation.transpose(0, 2, 1)
         turned += self.translation[:, None, :]
         return layout.unpad(turned)
 
     def moved(self, increments: Array, arms: PoseArms) -> Poses:
-        """Poses after increments (K, 6): shift (mm) of the position's centroid, turn about it in rad times the arm."""
+        """Return the poses after increments (K, 6).
+
+        An increment is a shift (mm) of the position's centroid and a rotation about it in rad times the arm.
+        """
         turn = _rotations(increments[:, 3:] / arms.length[:, None])
         rotation = turn @ self.rotation
         centroid = self.translation + (self.rotation @ arms.middle[:, :, None])[:, :, 0]
@@ -97,7 +100,7 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseArms:
-    """Middle of the balls of each position (K, 3) in the artefact's frame, and half their extent (K,) mm."""
+    """Middle of the balls of each position (K, 3) in the artefact's frame, and half their extent (K,) in mm."""
 
     middle: Array
     length: Array
@@ -112,9 +115,9 @@ class PoseArms:
 
 
 def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
-    """Best rigid pose of each position by Kabsch's method: artefact points (n, 3) onto found points (n, 3).
+    """Fit the rigid pose of each position by Kabsch's method: artefact points (n, 3) onto measured points (n, 3).
 
-    Where the balls of a position stand in one line their roll is not seen: the roll of the mount is taken, which
+    If the balls of a position lie on one line, their roll cannot be determined and that of the mount is used, which
     keeps the artefact's Y axis horizontal.
     """
     counts = layout.counts[:, None]
@@ -123,6 +126,7 @@ def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
     present = layout.present[:, :, None]
     offset = (here - middle[:, None, :]) * present
     found_offset = (there - found_middle[:, None, :]) * present
+    # Kabsch: U S Vᵀ of the cross moments; R = V diag(1, 1, det) Uᵀ is the best proper rotation
     left, weights, right = np.linalg.svd(offset.transpose(0, 2, 1) @ found_offset)
     handedness = np.sign(np.linalg.det(left @ right))
     rotation = _recompose(left, right, handedness)
@@ -133,9 +137,9 @@ def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
 
 @dataclass(frozen=True, eq=False)
 class PoseProjector:
-    """Orthonormal basis `q` (K, 3 width, 6) of what pose increments can do to the whitened equations.
+    """Orthonormal basis `q` (K, 3 width, 6) of the effect of pose increments on the whitened equations.
 
-    `back` (K, 6, 6) turns the projections Qᵀ r into increments; `seen` is the number of increments that are seen.
+    `back` (K, 6, 6) converts the projections Qᵀ r into increments; `seen`: number of increments that are determined.
     """
 
     q: Array
@@ -144,9 +148,11 @@ class PoseProjector:
 
     @classmethod
     def of(cls, layout: RowLayout, poses: Poses, local: Array, arms: PoseArms, weight: Array) -> PoseProjector:
-        """`weight` (K, width, 3, 3): W of each place, WᵀW the inverse covariance, zero in the empty ones."""
+        """Build the projector; `weight` (K, width, 3, 3): W of each slot, WᵀW the inverse covariance, zero in empty
+        slots."""
         lever = (layout.pad(local) - arms.middle[:, None, :]) @ poses.rotation.transpose(0, 2, 1)
         lever /= arms.length[:, None, None]
+        # derivative of a point: the unit matrix for the shift, ω × lever for the rotation ω
         jacobian = np.zeros((*lever.shape, 6))
         for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             jacobian[:, :, one, one] = 1.0
@@ -164,20 +170,20 @@ class PoseProjector:
         return cls(white @ back, back, int(seen.sum()))
 
     def parts(self, white: Array) -> Array:
-        """Qᵀ A: (K, 6, m) from whitened equations (K, 3 width, m)."""
+        """Return Qᵀ A (K, 6, m) for whitened equations (K, 3 width, m)."""
         return self.q.transpose(0, 2, 1) @ white
 
     def increments(self, white: Array) -> Array:
-        """Least-squares pose increments (K, 6) for whitened right-hand sides (K, 3 width)."""
+        """Return the least-squares pose increments (K, 6) for whitened right-hand sides (K, 3 width)."""
         return (self.back @ self.parts(white[:, :, None]))[:, :, 0]
 
     def remove(self, white: Array) -> Array:
-        """(I - Q Qᵀ) A for whitened equations (K, 3 width, m)."""
+        """Return (I - Q Qᵀ) A for whitened equations (K, 3 width, m)."""
         return white - self.q @ self.parts(white)
 
 
 def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
-    """W A for rows (..., 3, m); scaling alone where W is diagonal, as it is for one sigma per ball."""
+    """Return W A for rows (..., 3, m); a diagonal W, as for one sigma per ball, only scales."""
     diagonal = np.einsum("...ii->...i", weight)
     if np.count_nonzero(weight) == np.count_nonzero(diagonal):
         return np.asarray(np.multiply(rows, diagonal[..., None], out=out))
@@ -185,7 +191,8 @@ def weighted(weight: Array, rows: Array, out: Array | None = None) -> Array:
 
 
 def _inverse_root(gram: Array) -> Array | None:
-    """B (K, 6, 6) with Bᵀ G B = 1 by Cholesky; None unless every position sees all six increments well."""
+    """Return B (K, 6, 6) with Bᵀ G B = 1 by Cholesky, or None unless every position determines all six increments
+    well."""
     try:
         back = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
     except np.linalg.LinAlgError:
@@ -201,14 +208,14 @@ def _recompose(left: Array, right: Array, handedness: Array) -> Array:
 
 
 def _upright_frame(axis: Array) -> Array:
-    """(3, 3) whose first column is `axis` and whose second is horizontal; the Y axis where `axis` is vertical."""
+    """Return axes (3, 3) with `axis` as first and a horizontal second column; the Y axis if `axis` is vertical."""
     azimuth = np.arctan2(axis[1], axis[0]) if np.hypot(axis[0], axis[1]) > 1e-9 else 0.0
     lateral = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     return np.column_stack((axis, lateral, np.cross(axis, lateral)))
 
 
 def _rotations(turns: Array) -> Array:
-    """Rotation matrices (K, 3, 3) of rotation vectors (K, 3) in rad (Rodrigues)."""
+    """Return the rotation matrices (K, 3, 3) of rotation vectors (K, 3) in rad (Rodrigues)."""
     angle = np.sqrt(np.einsum("ki,ki->k", turns, turns))
     cross = np.zeros((len(turns), 3, 3))
     cross[:, [2, 0, 1], [1, 2, 0]] = turns

@@ -1,4 +1,4 @@
-"""What the compensated machine will be worth, before anything is written."""
+"""Predicted accuracy of the compensated machine, before anything is written to it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from twin.machine.grid_quadrature import GridQuadrature
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import VolumetricRms
 
-_CHUNK = 500  # points whose basis is held at a time
+_CHUNK = 500  # points whose basis is held in memory at a time
 
 
 class FieldKnowledge(Protocol):
-    """What must be known of an estimate to say what it leaves; an estimate that was read back has it too."""
+    """Properties of an estimate needed to predict the residual field; a stored estimate has them too."""
 
     @property
     def model(self) -> ErrorModel: ...
@@ -32,10 +32,10 @@ class FieldKnowledge(Protocol):
 
 
 def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> VolumetricRms:
-    """Predicted volumetric compensated error at axis positions (n, 3): root of the expected mean square, over the
-    posterior, of machine less model; raw and after the best rigid motion.
+    """Return the predicted volumetric compensated error at axis positions (n, 3), raw and after the best rigid motion.
 
-    Holds the covariance of the parameters and all that is known of the misfit: expected value and covariance.
+    It is the root of the expected mean square, over the posterior, of machine less model, and includes the covariance
+    of the parameters and the expected value and covariance of the misfit.
     """
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -47,9 +47,9 @@ def predicted_vce(estimate: FieldKnowledge, points: ArrayLike, tool_offset: Arra
 def field_uncertainty(
     estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike, aligned_over: ArrayLike | None = None
 ) -> Array:
-    """Posterior root mean square (n, 3) mm of machine less model at axis positions (n, 3), per direction.
+    """Return the posterior rms (n, 3) in mm of machine less model at axis positions (n, 3), per direction.
 
-    `aligned_over` (m, 3): of what is left after the best rigid motion over these axis positions.
+    If `aligned_over` (m, 3) is given, the best rigid motion over these axis positions is removed first.
     """
     at, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
@@ -65,7 +65,8 @@ def field_uncertainty(
 
 
 def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset: ArrayLike) -> Array:
-    """Expected outer product (3n, 3n) mm² of machine less model at axis positions (n, 3), point by point x, y, z."""
+    """Return the expected outer product (3n, 3n) in mm² of machine less model at axis positions (n, 3), in x, y, z
+    order."""
     grid, offset = as_points(points, "points"), as_vector(tool_offset, 3, "tool offset")
     moments = _second_moments(estimate)
     columns = field_columns(estimate, grid, offset).reshape(-1, len(moments))
@@ -73,8 +74,10 @@ def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset
 
 
 def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:
-    """Mean squares (p + q, p + q) in mm² of the field's columns over axis positions (n, 3), raw and after the best
-    rigid motion."""
+    """Return the mean squares (p + q, p + q) in mm² of the field's columns over axis positions (n, 3).
+
+    The first form is raw, the second after the best rigid motion.
+    """
     sums = _sums(estimate, points, offset)
     rigid = sums.shared.T @ sums.share
     return sums.field / len(points), (sums.field - 0.5 * (rigid + rigid.T)) / len(points)
@@ -82,7 +85,7 @@ def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Over a grid: `field` FᵀF of the field's columns, `shared` GᵀF with the rigid motions G, `motion` GᵀG."""
+    """Sums over a grid: `field` FᵀF of the field's columns, `shared` GᵀF with the rigid motions G, `motion` GᵀG."""
 
     field: Array
     shared: Array
@@ -90,7 +93,7 @@ class _Sums:
 
     @property
     def share(self) -> Array:
-        """(6, p + q) rigid motion that each column contains."""
+        """Rigid motion (6, p + q) that each column contains."""
         return np.asarray(np.linalg.lstsq(self.motion, self.shared, rcond=1e-12)[0])
 
 
@@ -111,7 +114,7 @@ def _sums(estimate: FieldKnowledge, grid: Array, offset: Array) -> _Sums:
 
 
 def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
-    """Highest powers of x, y, z in a column: a series or the cross-effect with a lever, or a mode of the misfit."""
+    """Return the highest powers of x, y, z in a column: a series or cross-effect with a lever, or a misfit mode."""
     modes = () if estimate.misfit is None else estimate.misfit.modes.degrees
     x, y, z = (
         max(max(order, 2) + 1, *(degrees[axis] for degrees in modes), 0)
@@ -121,13 +124,13 @@ def _degrees(estimate: FieldKnowledge) -> tuple[int, int, int]:
 
 
 def _motions_about(grid: Array, offset: Array) -> Callable[[Array], Array]:
-    """Rigid motions about the middle of the grid's tool points, as a function of axis positions."""
+    """Return the rigid motions about the middle of the grid's tool points, as a function of axis positions."""
     middle, size_mm = grid.mean(axis=0) + offset, max(float(np.ptp(grid, axis=0).max()), 1.0)
     return lambda points: rigid_fields(points + offset, middle, size_mm)
 
 
 def _second_moments(estimate: FieldKnowledge) -> Array:
-    """Expected outer product of (true less estimated parameters, true misfit coefficients)."""
+    """Return the expected outer product of (true less estimated parameters, true misfit coefficients)."""
     misfit = estimate.misfit
     if misfit is None:
         return estimate.covariance
@@ -136,12 +139,13 @@ def _second_moments(estimate: FieldKnowledge) -> Array:
 
 
 def unresolved_variance(estimate: FieldKnowledge) -> float:
-    """Variance (mm²), per direction and without correlation, of what is too short in space for the misfit's modes."""
+    """Return the variance (mm²) per direction of the misfit that is too short in wavelength for the modes; it is
+    uncorrelated."""
     return 0.0 if estimate.misfit is None else estimate.misfit.unresolved_mm2
 
 
 def field_columns(estimate: FieldKnowledge, points: Array, offset: Array) -> Array:
-    """(n, 3, p + q) mm per parameter and per misfit coefficient."""
+    """Return the field (n, 3, p + q) in mm per parameter and per misfit coefficient."""
     basis = deviation_basis(estimate.model, points, offset)
     misfit = estimate.misfit
     if misfit is None:

@@ -1,4 +1,4 @@
-"""The unknowns of a set and their units: from family and certificate, or from an earlier estimate."""
+"""Unknowns of a set and their units, from family and certificate or from an earlier estimate."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from twin.machine.machine_population import Family
 
 
 def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options: Options) -> Unknowns:
-    """Unknowns of a set, in the units of the family or of what is carried over.
+    """Return the unknowns of a set, in the units of the family or of the carried-over estimate.
 
-    Raises DataError for a prior of zero, of the wrong shape, or that of another model.
+    Raise DataError if the prior is zero, has the wrong shape or belongs to another model.
     """
     errors, carried = _artefact_errors(artefact, options), options.carried_over
     scale = _scale(family, options) if carried is None else carried.unknowns.scale
@@ -30,7 +30,7 @@ def unknowns_of(family: Family, artefact: Artefact, seen: Observations, options:
         return Unknowns(family.model, scale, errors, modes, options.misfit_mm, drift)
     old = carried.unknowns
     if old.model != family.model:
-        raise DataError("the estimate carried over belongs to another model", hint="identify the model that it is of")
+        raise DataError("the carried-over estimate belongs to another model", hint="identify with its model")
     if old.artefact.matches(artefact):
         thermometer = old.artefact.thermometer_standard_uncertainty_k
         thermometer = thermometer or options.temperature_standard_uncertainty_k
@@ -57,7 +57,7 @@ def _scale(family: Family, options: Options) -> Array:
     if not scale.any():
         raise DataError(
             "every prior standard deviation is zero, so there is nothing to identify",
-            hint="give the family of the machine half-widths above zero ([model.family])",
+            hint="give the machine's family half-widths above zero ([model.family])",
         )
     return scale
 
@@ -73,7 +73,7 @@ def _artefact_errors(artefact: Artefact, options: Options) -> ArtefactErrors:
 
 
 def _certificate_factor(covariance: Array) -> Array:
-    """(3N, m) without the directions in which the certificate is perfect."""
+    """Return a factor (3N, m) of the covariance, without directions in which the certificate has no uncertainty."""
     diagonal = np.diagonal(covariance)
     if np.count_nonzero(covariance) == np.count_nonzero(diagonal):
         factor = np.diag(np.sqrt(diagonal))
@@ -89,7 +89,7 @@ def _modes(family: Family, seen: Observations) -> MisfitModes:
 
 
 def _symmetric_factor(covariance: Array, name: str) -> Array:
-    """L with L Lᵀ = covariance for a positive semi-definite matrix; DataError otherwise."""
+    """Return L with L Lᵀ = covariance for a positive semi-definite matrix. Raise DataError otherwise."""
     scale = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     scale = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.multiply.outer(scale, scale))

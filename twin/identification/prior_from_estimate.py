@@ -1,8 +1,8 @@
-"""What one estimate knows, as the prior of the next one (fusion of nights).
+"""Posterior of one estimate as the prior of the next one (fusion of nights).
 
-Machine, artefact and misfit are the same in both nights, so what was learned of them is kept together: the joint
-Gaussian of all shared unknowns. Taken as the prior of the next night it gives, but for rounding, what one fit of both
-nights would have given. Process noise is what the machine may have changed in between: a random walk of its parameters.
+Machine, artefact and misfit are the same in both nights, so the prior is the joint Gaussian of all shared unknowns. The
+result is, up to rounding, the same as from one fit of both nights. Process noise models the change of the machine in
+between as a random walk of its parameters.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ _WALK_GRID = (20, 10, 10)
 
 @dataclass(frozen=True, eq=False)
 class CarriedOverPrior:
-    """Mean (P,) and covariance (P, P) of z, whose units `unknowns` states; `scales` led to them.
+    """Mean (P,) and covariance (P, P) of z, in the units of `unknowns`; `scales`: scales of the estimate they come
+    from.
 
-    Raises DataError, naming the unknown, for a covariance that is singular or no covariance.
+    Raise DataError, naming the unknown, for a covariance that is singular or invalid.
     """
 
     unknowns: Unknowns
@@ -42,25 +43,26 @@ class CarriedOverPrior:
         object.__setattr__(self, "mean", as_vector(self.mean, size, "mean carried over"))
         covariance = np.asarray(self.covariance, dtype=np.float64)
         if covariance.shape != (size, size) or not np.isfinite(covariance).all():
-            raise DataError(f"the covariance carried over must be a finite ({size}, {size}) matrix")
+            raise DataError(f"the carried-over covariance must be a finite ({size}, {size}) matrix")
         wrong = np.abs(covariance - covariance.T).max(axis=1) > _ASYMMETRY * np.abs(covariance).max()
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise DataError("the covariance carried over is not symmetric", row=row, unknown=self.unknowns.name(row))
+            raise DataError("the carried-over covariance is not symmetric", row=row, unknown=self.unknowns.name(row))
         place = dpotrf(covariance, lower=1)[1]
         if place:
             raise DataError(
-                "the covariance carried over is singular or indefinite",
-                hint="an estimate always leaves some doubt in every unknown: take its file as it was written",
+                "the carried-over covariance is singular or indefinite",
+                hint="every unknown of an estimate has some uncertainty: use its file exactly as it was written",
                 row=int(place) - 1,
                 unknown=self.unknowns.name(int(place) - 1),
             )
         object.__setattr__(self, "covariance", covariance)
 
     def after(self, process_noise: ArrayLike, nights: float = 1.0) -> CarriedOverPrior:
-        """Some nights later: each parameter has walked by `process_noise` (p,) standard deviations (mm or rad) a night.
+        """Return the prior some nights later: each parameter's random walk adds `process_noise` (p,) (mm or rad) per
+        night.
 
-        A parameter that the family holds at zero (no unit) stays there.
+        `process_noise` holds standard deviations. A parameter that the family holds at zero (no unit) stays there.
         """
         noise = as_vector(process_noise, self.unknowns.model.size, "process noise")
         if (noise < 0.0).any():
@@ -76,8 +78,10 @@ class CarriedOverPrior:
 
 
 def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Array:
-    """(p,) standard deviations (mm or rad) of a change shaped like the family whose field has an expected rms of
-    `field_mm` over the workspace after the best rigid motion."""
+    """Return standard deviations (p,) (mm or rad) of a change shaped like the family.
+
+    The field of the change has an expected rms of `field_mm` over the workspace after the best rigid motion.
+    """
     if not field_mm >= 0.0:
         raise DataError(f"the rms of the process noise must not be negative, not {field_mm}")
     deviation = family.prior_standard_deviation
@@ -87,7 +91,7 @@ def process_noise(family: Family, field_mm: float, tool_offset: ArrayLike) -> Ar
 
 
 def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior:
-    """What is carried over to the unknowns of another night; what these have beside it keeps its own prior."""
+    """Return the carried-over prior for the unknowns of another night; new unknowns keep their own prior."""
     pairs = list(_shared(carried.unknowns, unknowns))
     there, here = (
         np.concatenate([np.arange(part.start, part.stop) for part in parts]) for parts in zip(*pairs, strict=True)
@@ -103,7 +107,7 @@ def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior
 
 
 def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
-    """Blocks of z before and now that mean the same."""
+    """Yield pairs of blocks of z, before and now, with the same meaning."""
     before, now = old.blocks, new.blocks
     yield before.parameters, now.parameters
     if old.artefact.certificate is new.artefact.certificate:

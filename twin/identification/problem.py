@@ -1,11 +1,11 @@
-"""The linearised equations of a set of ball centres, in unit-prior coordinates.
+"""Linearised equations of a set of ball centres, in unit-prior coordinates.
 
 For row i of position k, with ball b and tool offset t,
 
     X_i + t + d(X_i; E) + misfit(X_i) + drift(X_i, i) = c_k + R_k (b_i(T) + δb_i + δs b_i) + noise
 
-and every unknown but the poses is a vector z of unit-normal prior: parameters E, certificate errors δb, thermal strain
-δs (CTE and thermometer), misfit modes, drift of the machine. Rows are accepted sorted by position.
+and every unknown except the poses is part of a vector z with unit-normal prior: parameters E, certificate errors δb,
+thermal strain δs (CTE and thermometer), misfit modes, drift of the machine. Rows are sorted by position.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from twin.machine.forward_model import deviation_basis, exact_deviation
 from twin.machine.machine_population import Family
 
 Rows = np.ndarray[Any, np.dtype[np.int64]]
-Sides = tuple[Array, Array]  # of the exact equations: workpiece points (n, 3) and artefact points (n, 3) mm
+Sides = tuple[Array, Array]  # sides of the exact equations: workpiece points (n, 3) and artefact points (n, 3) in mm
 
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
-    """Errors of the artefact at the rows: `strain_rows` (n, s) strain of each row per unit of each thermal unknown."""
+    """Errors of the artefact at the rows; `strain_rows` (n, s): strain of each row per unit of each thermal unknown."""
 
     errors: ArtefactErrors
     strain_rows: Array
 
     def displacement(self, ball: np.ndarray[Any, Any], z_certificate: Array, z_strain: Array) -> Array:
-        """Change (n, 3) of the artefact's points in its own frame."""
+        """Return the change (n, 3) of the artefact's points in its own frame."""
         change = np.zeros((len(ball), 3))
         if z_certificate.size:
             change += (self.errors.certificate @ z_certificate).reshape(-1, 3)[ball]
@@ -51,10 +51,10 @@ class Nuisance:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """Everything that does not change while the poses and z are improved. Rows (n) sorted by position.
+    """Quantities that stay fixed while the poses and z are refined. Rows (n) are sorted by position.
 
-    `local` (n, 3) mm: nominal artefact points at the rows' temperature and elevation; `design` (K, width, 3, P):
-    derivative of the left side less the right side with respect to z, at `poses`, laid out by position; an empty place
+    `local` (n, 3) in mm: nominal artefact points at the rows' temperature and elevation; `design` (K, width, 3, P):
+    derivative of the left less the right side with respect to z, at `poses`, laid out by position; an empty slot
     repeats another row of its position.
     """
 
@@ -70,7 +70,7 @@ class IdentificationProblem:
     design: Array
 
     def sides(self, z: Array) -> Sides:
-        """Both sides at z; the artefact points are yet to be placed by a pose."""
+        """Return both sides at z; the artefact points are not yet placed by a pose."""
         seen, blocks = self.observations, self.blocks
         left = tool_points(seen) + self.deviation(z)
         if blocks.size > blocks.misfit.start:
@@ -79,7 +79,7 @@ class IdentificationProblem:
         return left, self.local + change
 
     def sides_after(self, sides: Sides, step: Array) -> Sides:
-        """Both sides after a step (P,) of z so small that its second order does not matter."""
+        """Return both sides after a step (P,) of z whose second order is negligible."""
         seen, blocks = self.observations, self.blocks
         left, local = sides
         moved = self.change(_only(step, blocks.parameters, blocks.misfit, blocks.drift))
@@ -87,13 +87,13 @@ class IdentificationProblem:
         return left + moved, local + change
 
     def change(self, z: Array) -> Array:
-        """A z (n, 3) mm: the left side less the right side to first order."""
-        # as one flat product: numpy multiplies a stack of small matrices one by one
+        """Return A z (n, 3) in mm: left less right side to first order."""
+        # one flat product, since numpy multiplies stacked small matrices one at a time
         changes = self.design.reshape(-1, len(z)) @ z
         return self.layout.unpad(changes.reshape(self.design.shape[:3]))
 
     def deviation(self, z: Array) -> Array:
-        """Exact model deviation (n, 3) mm at the rows."""
+        """Return the exact model deviation (n, 3) in mm at the rows."""
         seen, parameters = self.observations, self.unknowns.parameters(z)
         deviation = np.zeros_like(seen.axis_positions)
         if not parameters.any():
@@ -104,7 +104,7 @@ class IdentificationProblem:
         return deviation
 
     def with_rows(self, accepted: np.ndarray[Any, Any]) -> IdentificationProblem:
-        """The problem with only the rows that `accepted` (n,) bool selects."""
+        """Return the problem restricted to the rows selected by `accepted` (n,) bool."""
         layout = RowLayout.of(self.observations.position[accepted])
         local = self.local[accepted]
         seen = self.observations.where(accepted)
@@ -127,9 +127,9 @@ class IdentificationProblem:
 def build_problem(
     family: Family, observations: Observations, artefact: Artefact, options: Options
 ) -> IdentificationProblem:
-    """Problem at the rigid poses of the measured points.
+    """Build the problem at the rigid poses of the measured points.
 
-    DataError for a ball that the artefact does not have and for a prior that cannot be used.
+    Raise DataError for a ball that the artefact does not have or an invalid prior.
     """
     _check_balls(observations, artefact)
     layout = RowLayout.of(observations.position)
@@ -155,7 +155,7 @@ def build_problem(
 
 
 def _only(z: Array, *blocks: slice) -> Array:
-    """z (P,) with zero outside the blocks."""
+    """Return z (P,) with zeros outside the given blocks."""
     accepted = np.zeros_like(z)
     for block in blocks:
         accepted[block] = z[block]
@@ -163,7 +163,7 @@ def _only(z: Array, *blocks: slice) -> Array:
 
 
 def tool_points(observations: Observations) -> Array:
-    """Nominal tool points (n, 3) mm: axis positions + tool offset."""
+    """Return the nominal tool points (n, 3) in mm: axis positions + tool offset."""
     return np.asarray(observations.axis_positions + observations.tool_offsets[observations.tool])
 
 
@@ -175,7 +175,7 @@ def _check_balls(observations: Observations, artefact: Artefact) -> None:
             f"ball {observations.ball[row]} is not on the artefact '{artefact.name}' with {artefact.count} balls",
             row=row,
             column="ball",
-            hint="balls count from 0 in the artefact's list",
+            hint="balls are numbered from 0 in the order of the artefact file",
         )
 
 
@@ -184,7 +184,7 @@ def _is_sorted(order: np.ndarray[Any, Any]) -> bool:
 
 
 def _artefact_points(artefact: Artefact, seen: Observations) -> Array:
-    """(n, 3) mm in the artefact frame at the temperature and elevation of each row."""
+    """Return points (n, 3) in mm in the artefact frame at the temperature and elevation of each row."""
     strain = artefact.cte_per_k * (seen.temperature_c - artefact.reference_temperature_c)
     points = artefact.balls[seen.ball] * strain[:, None]
     elevations, group = np.unique(seen.elevation_rad, return_inverse=True)
@@ -193,20 +193,20 @@ def _artefact_points(artefact: Artefact, seen: Observations) -> Array:
 
 
 def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.ndarray[Any, Any]]]:
-    """Each tool in use with its rows; with a single one a slice, which copies nothing."""
+    """Return each tool in use with its rows; for a single tool a slice, which avoids a copy."""
     if (tools == tools[0]).all():
         return [(int(tools[0]), slice(None))]
     return [(int(tool), np.flatnonzero(tools == tool)) for tool in np.unique(tools)]
 
 
 def _laid_out(layout: RowLayout, rows: Array) -> Array:
-    """(K, width, ...) from sorted rows (n, ...); an empty place repeats another row of its position."""
+    """Lay sorted rows (n, ...) out as (K, width, ...); an empty slot repeats another row of its position."""
     laid = rows if layout.full else rows.take(layout.source, axis=0)
     return laid.reshape(layout.positions, layout.width, *rows.shape[1:])
 
 
 def _design(unknowns: Unknowns, nuisance: Nuisance, seen: Observations, layout: RowLayout, poses: Poses) -> Array:
-    """(K·width, 3, P)."""
+    """Return the design (K·width, 3, P)."""
     source, blocks = layout.source, unknowns.blocks
     at, tool = seen.axis_positions[source], seen.tool[source]
     if blocks.size == blocks.parameters.stop and (tool == tool[0]).all():
@@ -239,6 +239,7 @@ def _fill_field(
 def _fill_artefact(
     design: Array, blocks: UnknownBlocks, nuisance: Nuisance, source: Rows, ball: Rows, rotation: Array
 ) -> None:
+    # right side R (b + δb + δs b): derivatives enter with a minus, -R per certificate error and -R b per strain
     errors = nuisance.errors
     certificate = errors.certificate.reshape(len(errors.balls), 3, -1)
     design[:, :, blocks.certificate] = -(rotation @ certificate[ball])

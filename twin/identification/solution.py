@@ -1,4 +1,4 @@
-"""Solving the equations of one formulation: scales, Gauss-Newton on the exact model, covariance."""
+"""Solution of the equations of one formulation: scales, Gauss-Newton on the exact model, covariance."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from twin.identification.problem import IdentificationProblem, Sides
 from twin.identification.unknowns import UnknownBlocks
 
 _MAX_STEPS = 8
-_CONVERGED = 1e-3  # of a prior standard deviation; a step leaves less than 1e-3 of itself to the next one
+_CONVERGED = 1e-3  # of a prior standard deviation; each step is less than 1e-3 of the previous one
 
 Equations = CentreEquations | DistanceEquations
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """z (P,), poses, both sides of the exact equations at z, and what led there.
+    """Solution z (P,) with poses, both sides of the exact equations at z, and the equations and prior it was derived
+    from.
 
-    `covariance` (P, P) of z about the truth, parameters and misfit valid; `free`: whether the scales were estimated;
-    `alternatives`: where their uncertainty has been counted, what each other set of scales leads to.
+    `covariance` (P, P): of z about the truth, valid for parameters and misfit; `scales_estimated`: the scales come from
+    the data; `alternatives`: solutions for other plausible scales, once their uncertainty has been included.
     """
 
     equations: Equations
@@ -48,7 +49,10 @@ class Solution:
 
 
 def solve(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
-    """Maximum a posteriori solution; SingularSet where the prior is off and the set leaves part of the field open."""
+    """Return the maximum a posteriori solution.
+
+    Raise SingularSet if the prior is off and the set leaves part of the field open.
+    """
     if options.weights == "unit":
         return _solve_plain(problem, options, formulation)
     equations = _equations(problem, formulation, unit_weights=False)
@@ -71,7 +75,8 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
 
 
 def average_over_scales(solution: Solution) -> Solution:
-    """The solution with z and covariance over all scales that the measurements allow, instead of the likeliest only."""
+    """Return the solution with z and covariance averaged over all plausible scales instead of the likeliest ones
+    only."""
     if not solution.scales_estimated:
         return solution
     equations, scales = solution.equations, solution.scales
@@ -83,7 +88,8 @@ def average_over_scales(solution: Solution) -> Solution:
 
 
 def log_evidence_and_scales(problem: IdentificationProblem, options: Options) -> tuple[float, Scales]:
-    """Log evidence of ball centres with full weights, but for what only the rows say, and the likeliest scales."""
+    """Return the log evidence of ball centres with full weights, up to terms of the rows only, and the likeliest
+    scales."""
     equations = _equations(problem, "centres", unit_weights=False)
     normal, _, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
     precision = _precision(problem, equations.matrix, options)
@@ -100,21 +106,21 @@ def _equations(problem: IdentificationProblem, formulation: Formulation, unit_we
 
 
 def _normal(equations: Equations, z: Array, poses: Poses) -> tuple[NormalEquations, Poses, Sides]:
-    """Normal equations with the exact residuals at z, the poses that fit best there, and both sides there."""
+    """Return the normal equations with the exact residuals at z, the best-fitting poses, and both sides at z."""
     sides = equations.problem.sides(z)
     right, square, poses = equations.right_side(z, sides, poses)
     return NormalEquations(equations.matrix, right, square, equations.rows), poses, sides
 
 
 def _start_scales(options: Options) -> Scales:
-    """All one, but for those that are carried over with what they led to."""
+    """Return initial scales: all one, except those that belong to a carried-over estimate."""
     carried = options.carried_over
     return Scales() if carried is None else replace(carried.scales, noise=1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Gain:
-    """z for the right side of normal equations."""
+    """Map from the right side of normal equations to z."""
 
     posterior: Posterior
     variance: float
@@ -127,10 +133,11 @@ class _Gain:
 def _iterate(
     equations: Equations, gain: _Gain, normal: NormalEquations, poses: Poses
 ) -> tuple[Array, NormalEquations, Poses, Sides]:
-    """Gauss-Newton: exact residuals, one factorisation; the field is linear to nanometres, so two steps do.
+    """Iterate Gauss-Newton with exact residuals and one factorisation; the field is linear to nanometres, so two steps
+    suffice.
 
-    The sides at the last z are those of the step before, carried on by the design: a step below `_CONVERGED` leaves
-    less than 1e-9 mm to the second order.
+    The sides at the last z are those of the previous step, updated by the design: a step below `_CONVERGED` has a
+    second-order effect below 1e-9 mm.
     """
     z = gain.of(normal)
     for _ in range(_MAX_STEPS):
@@ -140,12 +147,12 @@ def _iterate(
             return z, normal, poses, equations.problem.sides_after(sides, z - previous)
     raise SingularSet(
         "the identification does not converge",
-        hint="check units, ball numbers and tool offset: the errors look far larger than those of a machine",
+        hint="check units, ball numbers and tool offset: the errors are far larger than those of a machine",
     )
 
 
 def _precision(problem: IdentificationProblem, matrix: Array, options: Options) -> PriorPrecision:
-    """Unit prior; with the prior off, only directions that the measurements leave open are held at zero."""
+    """Return the unit prior; with the prior off, only directions that the measurements leave open are held at zero."""
     if options.use_prior:
         return PriorPrecision(problem.blocks, problem.known)
     block = problem.blocks.parameters
@@ -166,8 +173,11 @@ def _refuse_open_field(problem: IdentificationProblem, information: Array) -> No
 
 
 def _solve_plain(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
-    """The published weighting: all equations alike, no nuisance. Its covariance is that of the estimator under the full
-    model (sandwich), so that what it is worth is still told honestly."""
+    """Solve with the published weighting: all equations equal, no nuisance unknowns.
+
+    The covariance is that of this estimator under the full model (sandwich), so that its accuracy is still stated
+    correctly.
+    """
     equations = _equations(problem, formulation, unit_weights=True)
     block, size = problem.blocks.parameters, problem.blocks.size
     information = equations.matrix[block, block]
@@ -198,13 +208,17 @@ def _null_projector(information: Array) -> Array:
 
 
 def _sandwich(equations: Equations, posterior: Posterior, problem: IdentificationProblem) -> tuple[Array, float]:
-    """Covariance (P, P) of truth less estimate for the gain H⁻¹ Aᵀ, and the expected square of the residuals, where the
-    truth follows the prior, the noise its stated covariance and the nuisance the full model."""
+    """Return the covariance (P, P) of truth less estimate for the gain H⁻¹ Aᵀ, and the expected square of the
+    residuals.
+
+    The truth follows the prior, the noise its stated covariance and the nuisance unknowns the full model.
+    """
     blocks = problem.blocks
     block, rest = blocks.parameters, slice(blocks.parameters.stop, blocks.size)
     own, shared = equations.matrix[block, block], equations.matrix[block, rest]
     gram, total = equations.noise_gram(block.stop)
     others, noise = posterior.solve(shared), posterior.solve(gram)
+    # error of the parameters: (1 - H⁻¹N) z - H⁻¹Aᵀ(A₂ z₂ + noise), with z₂ the nuisance unknowns
     kept = np.eye(block.stop) - posterior.solve(own)
     error = kept @ kept.T + posterior.solve(noise.T) + others @ others.T
     full = np.eye(blocks.size)

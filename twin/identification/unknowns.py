@@ -1,4 +1,4 @@
-"""What the shared unknowns of an identification stand for, each in units of its prior standard deviation."""
+"""Shared unknowns of an identification, each in units of its prior standard deviation."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes
 from twin.machine.error_model import ErrorModel
 
-_SAME = 1e-9  # of the largest variance: how far two covariances of one certificate may differ
+_SAME = 1e-9  # of the largest variance: tolerance for two covariances of the same certificate
 
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
 class UnknownBlocks:
-    """Where each kind of unknown stands in z; `kinds`: within the misfit, one after the other; the drift comes last."""
+    """Index slices of each kind of unknown in z; `kinds`: consecutive slices within the misfit; the drift is last."""
 
     parameters: slice
     certificate: slice
@@ -34,7 +34,7 @@ class UnknownBlocks:
     def of(
         cls, parameters: int, certificate: int, strain: int, misfit: Sequence[int] = (), drift: int = 0
     ) -> UnknownBlocks:
-        """One after the other, of these sizes; of the misfit those of its kinds."""
+        """Return consecutive blocks of the given sizes; `misfit` gives the size of each kind of misfit."""
         ends = np.cumsum([parameters, certificate, strain, *misfit]).tolist()
         first, second, third, *kinds = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
         return cls(first, second, third, slice(third.stop, ends[-1]), tuple(kinds), drift)
@@ -50,10 +50,10 @@ class UnknownBlocks:
 
 @dataclass(frozen=True, eq=False)
 class ArtefactErrors:
-    """What is not known of one artefact, and which artefact that is.
+    """Uncertain quantities of one artefact, and its identity.
 
-    `balls` (N, 3) mm and `cte_per_k` as certified; `certificate` (3N, m) factor of the certificate's covariance, m = 0
-    for a perfect one; standard uncertainties of the CTE (1/K) and of the thermometer (K), 0 for none.
+    `balls` (N, 3) in mm and `cte_per_k` as certified; `certificate` (3N, m): factor of the certificate's covariance, m
+    = 0 for a perfect one; standard uncertainties of the CTE (1/K) and of the thermometer (K), 0 for none.
     """
 
     balls: Array
@@ -64,7 +64,7 @@ class ArtefactErrors:
 
     @property
     def strain_names(self) -> tuple[str, ...]:
-        """Thermal unknowns in their order."""
+        """Names of the thermal unknowns in their order."""
         doubts = (
             ("cte", self.cte_standard_uncertainty_per_k),
             ("thermometer", self.thermometer_standard_uncertainty_k),
@@ -72,7 +72,8 @@ class ArtefactErrors:
         return tuple(name for name, doubt in doubts if doubt > 0.0)
 
     def strain_rows(self, warmer_k: Array) -> Array:
-        """(n, s) strain per unit of each thermal unknown for rows so much (n,) warmer than the reference."""
+        """Return the strain (n, s) per unit of each thermal unknown for rows warmer than the reference by `warmer_k`
+        (n,)."""
         columns = {
             "cte": self.cte_standard_uncertainty_per_k * warmer_k,
             "thermometer": np.full(len(warmer_k), self.cte_per_k * self.thermometer_standard_uncertainty_k),
@@ -81,7 +82,7 @@ class ArtefactErrors:
         return np.stack(chosen, axis=1) if chosen else np.zeros((len(warmer_k), 0))
 
     def matches(self, artefact: Artefact) -> bool:
-        """Whether the artefact and its certificate are the same."""
+        """Return True if the artefact and its certificate are the same."""
         if self.balls.shape != artefact.balls.shape or not np.array_equal(self.balls, artefact.balls):
             return False
         doubt = (self.cte_per_k, self.cte_standard_uncertainty_per_k)
@@ -94,8 +95,11 @@ class ArtefactErrors:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """z (P,): parameters = `scale` (p,) mm or rad · z, certificate and strain of `artefact`, misfit = `misfit_mm` ·
-    `modes` · z, and what the machine drifted while it was measured; an estimate that is kept has no such part."""
+    """Meaning of the vector z (P,).
+
+    Parameters = `scale` (p,) in mm or rad · z; certificate and strain belong to `artefact`; misfit = `misfit_mm` ·
+    `modes` · z; `drift` is the drift of the machine during the measurement. A stored estimate has no drift.
+    """
 
     model: ErrorModel
     scale: Array
@@ -112,7 +116,7 @@ class Unknowns:
         return UnknownBlocks.of(self.model.size, certificate, strains, misfit, drift)
 
     def name(self, index: int) -> str:
-        """For people: `EXX[1]`, `certificate 3`, `strain cte`, `misfit 12`."""
+        """Return a readable name: `EXX[1]`, `certificate 3`, `strain cte`, `misfit 12`."""
         blocks = self.blocks
         if index < blocks.certificate.start:
             return self.model.names[index]
@@ -125,9 +129,9 @@ class Unknowns:
         return f"drift {index - blocks.drift.start}"
 
     def parameters(self, z: Array) -> Array:
-        """(p,) in mm or rad from z (P,)."""
+        """Return the parameters (p,) in mm or rad from z (P,)."""
         return np.asarray(self.scale * z[self.blocks.parameters])
 
     def physical_covariance(self, unit: Array) -> Array:
-        """Covariance (p, p) of the parameters from that of their z."""
+        """Return the covariance (p, p) of the parameters from that of their z."""
         return np.asarray(unit * np.multiply.outer(self.scale, self.scale))

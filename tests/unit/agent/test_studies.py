@@ -105,7 +105,7 @@ class TestFiles:
         assert json.loads((tmp_path / "example.json").read_text())["title"] == "Another"
 
     def test_a_row_of_another_width_is_refused(self) -> None:
-        with pytest.raises(ValueError, match="3 cells, 4 columns"):
+        with pytest.raises(ValueError, match="3 cells for 4 columns"):
             format_rows(result(rows=[(1, 2.0, "S1")]))
 
     def test_a_file_in_the_place_of_the_folder_is_found_out_before_the_work(self, tmp_path: Path) -> None:
