@@ -6,10 +6,12 @@ everything that asked for a decision is told as it was.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from agent.execution.journal_rows import EventRow
-from agent.execution.record_text import in_words
 from agent.execution.run_record import RunRecord
 from agent.reports.page import EventLine
 
@@ -50,6 +52,19 @@ def _told(note: EventRow) -> str:
         reason = note.record.get("reason")
         return f"{note.record['state']}: {reason}" if reason else str(note.record["state"])
     if note.kind == "note":
-        others = in_words({name: value for name, value in note.record.items() if name != "text"})
+        others = record_in_words({name: value for name, value in note.record.items() if name != "text"})
         return f"{note.record['text']} ({others})" if others else str(note.record["text"])
-    return in_words(note.record)
+    return record_in_words(note.record)
+
+
+def record_in_words(record: Mapping[str, Any]) -> str:
+    """Return a record as `name value, name value`: numbers to four digits, empty values left out."""
+    return ", ".join(f"{name} {_shown(value)}" for name, value in record.items() if value not in ("", None))
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_shown(part) for part in value) + "]"
+    return str(value)

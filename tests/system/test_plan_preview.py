@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from agent.cli.main import main
 from agent.errors import PlanRefused
-from agent.planning.preview.page import PROGRAM
+from agent.planning.preview.preview_files import PROGRAM
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "case-study.toml"
 PACKAGE = Path(__file__).resolve().parents[2] / "agent" / "preview"

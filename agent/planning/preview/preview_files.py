@@ -1,21 +1,50 @@
-"""The files of a preview: a picture and a page, both or none."""
+"""Files of a preview, both or none: a picture, and a page that holds data, style and program and needs no network."""
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
 
 from agent.errors import PlanRefused
 from agent.files import write_all_atomically
 from agent.planning.job import Job
+from agent.planning.preview.blob import embedded
 from agent.planning.preview.builder import preview_of
 from agent.planning.preview.figure import draw_png
-from agent.planning.preview.page import render_page
+from agent.planning.preview.scene import Preview
 
 PICTURE, PAGE = "plan.png", "plan.html"
+PROGRAM = ("camera.js", "model.js", "shapes.js", "painting.js", "controls.js", "input.js")
+"""Scripts of the page, in this order: each uses definitions of those before it."""
 
 
 def write_preview(job: Job, folder: Path, refused: PlanRefused | None = None) -> list[Path]:
-    """Draw the plan of `job` into `folder`; `refused`: what preflight had against it. The files written."""
+    """Draw the plan of `job` into `folder` and return the files written. `refused`: the error of preflight."""
     preview = preview_of(job, refused)
     write_all_atomically(folder, {PICTURE: draw_png(preview), PAGE: render_page(preview)})
     return [folder / PICTURE, folder / PAGE]
+
+
+def render_page(preview: Preview) -> str:
+    """Return the HTML text of a preview; reads no clock and no device."""
+    environment = Environment(
+        loader=PackageLoader("agent.planning.preview", package_path=""),
+        autoescape=select_autoescape(["html"]),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("preview.html").render(
+        preview=preview,
+        css=_own("preview.css"),
+        data=Markup(embedded(preview)),  # noqa: S704  JSON without any <
+        program=Markup("\n").join(_own(name) for name in PROGRAM),
+    )
+
+
+def _own(name: str) -> Markup:
+    text = resources.files("agent.planning.preview").joinpath(name).read_text(encoding="utf-8")
+    return Markup(text)  # noqa: S704  our own file

@@ -20,7 +20,7 @@ from agent.planning.preview.artefact_placement import standing_bodies
 from agent.planning.preview.blob import document, embedded
 from agent.planning.preview.builder import preview_of
 from agent.planning.preview.figure import draw_png
-from agent.planning.preview.page import render_page
+from agent.planning.preview.preview_files import render_page
 from agent.planning.preview.refusal import named_in, refusal_of
 from agent.planning.preview.scene import Preview
 from agent.planning.preview.tip_path import Waypoint, walk

@@ -1,0 +1,166 @@
+"""Rules of the house that no linter knows: size of folders and modules, one meaning per class name, docstrings."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOMS = ("agent", "benchmarks", "campaigns", "drivers", "simulators", "twin", "volcal")
+MOST_MODULES = 25
+SMALL_LINES = 40
+MOST_RELATIVE_DOCSTRINGS = 0.10
+
+SMALL = {
+    "one module a plugin, found by its entry point": (
+        "drivers.canopen_mount.plugin",
+        "drivers.linuxcnc.plugin",
+        "drivers.modbus_cnc.plugin",
+        "drivers.serial_cnc.plugin",
+    ),
+    "one module a command, found by its name": ("agent.cli.verify", "agent.cli.service_commands.serve"),
+    "one module a group of HTTP endpoints": ("agent.service.http.diagnostics",),
+    "one module a table format": ("twin.compensation.controllers.gcode_csv", "twin.compensation.controllers.neutral"),
+    "one module a figure": ("agent.reports.page.probe_figure",),
+    "a program of its own": ("agent.service.http.description", "campaigns.fortnight.serving"),
+    "the only module that knows every endpoint of the service": ("agent.service.daemon.extensions",),
+    "sqlite3 is confined to the journal's own modules": ("agent.execution.journal_copy",),
+    "a calculation with tests of its own": (
+        "agent.probing.paths.ball_order",
+        "agent.reports.page.position_naming",
+        "agent.results.volumetric_summary",
+        "drivers.linuxcnc.compensation.reduction",
+        "twin.artefact.end_ball_alignment",
+        "twin.machine.motion_uncertainty",
+    ),
+    "one step of the run, beside its siblings": ("agent.runs.resume.abandon",),
+    "the choice among the stores, above all of them": ("drivers.linuxcnc.compensation.factory",),
+    "settings stand apart from the driver that reads them": ("drivers.serial_cnc.tape.settings",),
+    "a thread of its own": ("drivers.modbus_cnc.heartbeat",),
+    "files only; its caller starts processes": ("simulators.linuxcnc.work",),
+    "all bad plans, for the campaign and for its test": ("campaigns.bad_plans.catalogue",),
+}
+"""Modules of under 40 lines with at most one importer, by the reason to stand alone."""
+
+SAME_NAME = {
+    "driver and simulator each have their own reading of the protocol": {
+        "CommandCode",
+        "DriveState",
+        "ModalState",
+        "TableDescriptor",
+    },
+    "each campaign has its own cases and rows": {"Machine", "Row", "Trace", "Trial"},
+    "to be renamed": {
+        "Body",
+        "Done",
+        "Judge",
+        "Material",
+        "MotionKind",
+        "MotionResult",
+        "Orientation",
+        "Place",
+        "Question",
+        "Request",
+        "Result",
+        "Table",
+        "TemperatureSettings",
+        "Verification",
+    },
+}
+"""Public class names that two modules define, by the reason."""
+
+RELATIVE = re.compile(
+    r"(What|Of|Where|Whether|Whose|When|Which|Who|How|Nothing|Those|The one|From where|By how)\b",
+)
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Paths by dotted name; a package by its own name."""
+    paths = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
+    names = (".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths)
+    return dict(zip(names, paths, strict=True))
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in modules().items()}
+
+
+def imported_by(tree: ast.Module) -> Iterator[str]:
+    """Names of the modules that an import statement anywhere in the module refers to."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+def test_no_folder_has_more_modules_than_can_be_read_at_a_glance() -> None:
+    counts = Counter(path.parent for path in modules().values() if path.name != "__init__.py")
+    assert {str(folder): count for folder, count in counts.items() if count > MOST_MODULES} == {}
+
+
+def test_a_small_module_with_one_importer_says_why() -> None:
+    importers: dict[str, set[str]] = defaultdict(set)
+    for name, tree in trees().items():
+        for imported in imported_by(tree):
+            importers[imported].add(name)
+    small = {
+        name
+        for name, path in modules().items()
+        if path.name not in ("__init__.py", "__main__.py")
+        and len(path.read_text(encoding="utf-8").splitlines()) < SMALL_LINES
+        and len(importers[name] - {name}) <= 1
+    }
+    assert small - {name for names in SMALL.values() for name in names} == set()
+
+
+def test_the_small_modules_that_are_listed_exist() -> None:
+    assert {name for names in SMALL.values() for name in names} - set(modules()) == set()
+
+
+def test_a_public_class_name_has_one_meaning() -> None:
+    places: dict[str, list[str]] = defaultdict(list)
+    for name, tree in trees().items():
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(name)
+    allowed = set().union(*SAME_NAME.values())
+    assert {name: where for name, where in places.items() if len(where) > 1 and name not in allowed} == {}
+
+
+def docstrings() -> Iterator[tuple[str, str]]:
+    """Docstrings of modules, classes and functions with the place of each."""
+    for name, tree in trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                text = ast.get_docstring(node)
+                if text:
+                    yield f"{name}:{getattr(node, 'lineno', 1)}", text
+
+
+def test_docstrings_do_not_complete_the_name_as_a_relative_clause() -> None:
+    found = list(docstrings())
+    relative = [place for place, text in found if RELATIVE.match(text)]
+    assert len(relative) <= MOST_RELATIVE_DOCSTRINGS * len(found), relative
+
+
+@pytest.mark.parametrize(
+    ("text", "relative"),
+    [
+        ("What the run needs.", True),
+        ("Of the last thousand.", True),
+        ("Offset of the tool.", False),
+        ("Return x.", False),
+    ],
+)
+def test_the_pattern_knows_a_relative_beginning(text: str, relative: bool) -> None:
+    assert bool(RELATIVE.match(text)) is relative
