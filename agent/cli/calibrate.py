@@ -19,10 +19,11 @@ from agent.cli.progress import watching
 from agent.errors import GateRefused
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.planning.job import prepare_job
 from agent.results.run_outcome import Outcome
-from agent.runs.kinds.kind import FullCalibration, Kind
-from agent.runs.session import Request, RunResult, carry_out
+from agent.runs.requested_run import job_of, kind_of
+from agent.runs.run_context import RunHooks
+from agent.runs.run_request import RunRequest
+from agent.runs.session import RunResult, carry_out
 from agent.settings.load import load_settings, naming, with_overrides
 from agent.settings.schema import Settings
 
@@ -43,7 +44,7 @@ def calibrate_command(
         load_settings(config), position_set=position_set, stations=stations, formulation=formulation
     )
     with naming(config):
-        ended = run_calibration(settings, config.resolve().parent)
+        ended = run_here(calibration_here(), settings, config.resolve().parent)
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
     else:
@@ -51,11 +52,20 @@ def calibrate_command(
     conclude(ended)
 
 
-def run_calibration(settings: Settings, base: Path, kind: Kind | None = None) -> RunResult:
-    """Prepare the job, run it with a progress bar on stderr; Ctrl-C and SIGTERM abort it."""
-    job = prepare_job(settings, base)
+def calibration_here() -> RunRequest:
+    """Return the request for a calibration from the command line: whoever types it stands by."""
+    return RunRequest(kind="calibrate", source="command line", consent=True)
+
+
+def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: float | None = None) -> RunResult:
+    """Carry out a request in this process, with a progress bar on stderr; Ctrl-C and SIGTERM abort it.
+
+    `nights` since the last accepted one; None: by the calendar.
+    """
+    job = job_of(request, settings, base)
+    kind = kind_of(request, slot_minutes=request.slot_minutes, nights=nights)
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
-        return carry_out(Request(job, base, listener, interrupts.append, kind or FullCalibration()))
+        return carry_out(job, kind, base, RunHooks(announce=listener, attach=interrupts.append))
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from agent.cli.calibrate import conclude, run_calibration, summary_table
+from agent.cli.calibrate import calibration_here, conclude, run_here, summary_table
 from agent.cli.errors import reported
 from agent.cli.simulator_process import SimulatorProcess
 from agent.files import translated
@@ -73,7 +73,7 @@ def demo_command(
         connected = connect(settings, simulator.ready, out)
         click.echo(_introduction(simulator.ready), err=True)
         with naming(config):
-            ended = run_calibration(connected, config.resolve().parent)
+            ended = run_here(calibration_here(), connected, config.resolve().parent)
         truth = _truth_after(simulator, before)
     if as_json:
         click.echo(json.dumps(_document(ended, truth), allow_nan=False))

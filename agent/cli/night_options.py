@@ -9,10 +9,10 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from agent.cli.calibrate import run_calibration, summary_table
+from agent.cli.calibrate import run_here, summary_table
 from agent.cli.options import config_option
 from agent.results.run_outcome import NightReport, Outcome
-from agent.runs.kinds.kind import Kind
+from agent.runs.run_request import RunRequest
 from agent.runs.session import RunResult
 from agent.settings.load import load_settings, naming
 
@@ -38,11 +38,11 @@ def night_options(command: click.decorators.FC) -> click.decorators.FC:
     return command
 
 
-def run_night(config: Path, kind: Kind, *, as_json: bool) -> RunResult:
+def run_night(config: Path, request: RunRequest, nights: float | None, *, as_json: bool) -> RunResult:
     """Carry it out and print what it found."""
     settings = load_settings(config)
     with naming(config):
-        ended = run_calibration(settings, config.resolve().parent, kind)
+        ended = run_here(request, settings, config.resolve().parent, nights=nights)
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
     else:

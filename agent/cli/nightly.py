@@ -11,7 +11,7 @@ from agent.cli.errors import fail, reported
 from agent.cli.night_options import night_options, run_night
 from agent.cli.options import Duration
 from agent.results.run_outcome import Decision
-from agent.runs.kinds.nightly import Night
+from agent.runs.run_request import run_request
 
 
 @click.command("nightly")
@@ -35,8 +35,15 @@ def nightly_command(
 
     Out of limits: calibrate in full where that is permitted and fits, else keep that it is needed and end with 4.
     """
-    kind = Night(slot_minutes=slot, full_allowed=full_allowed, station=standing_at, nights=nights)
-    ended = run_night(config, kind, as_json=as_json)
+    request = run_request(
+        kind="nightly",
+        source="command line",
+        stations=None if standing_at is None else [standing_at],
+        slot_minutes=slot,
+        full_allowed=full_allowed,
+        consent=True,
+    )
+    ended = run_night(config, request, nights, as_json=as_json)
     if ended.error is not None:
         raise fail(ended.error)
     night = ended.outcome.night

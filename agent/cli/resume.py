@@ -20,7 +20,8 @@ from agent.execution.run_lock import run_lock
 from agent.results.run_outcome import Decision
 from agent.runs.reconcile_result import ReconcileAction
 from agent.runs.resume.abandon import give_up as end_without_going_on
-from agent.runs.resume.resume import ResumeRequest, resume
+from agent.runs.resume.resume import resume
+from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
@@ -46,7 +47,7 @@ def resume_command(config: Path, give_up: bool, as_json: bool) -> None:
     if resumed_by_service(settings):
         return
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
-        ended = resume(ResumeRequest(settings.state_directory, listener, interrupts.append))
+        ended = resume(settings.state_directory, RunHooks(announce=listener, attach=interrupts.append))
     _tell(ended, as_json=as_json)
 
 

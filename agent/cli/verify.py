@@ -10,7 +10,7 @@ from agent.cli.errors import fail, reported
 from agent.cli.night_options import night_options, run_night
 from agent.errors import MeasurementFault
 from agent.results.run_outcome import Decision
-from agent.runs.kinds.verify import Verification
+from agent.runs.run_request import run_request
 
 
 @click.command("verify")
@@ -21,7 +21,9 @@ def verify_command(config: Path, standing_at: int | None, nights: float | None, 
 
     Exit code 0 within limits, 4 out of them.
     """
-    ended = run_night(config, Verification(station=standing_at, nights=nights), as_json=as_json)
+    stations = None if standing_at is None else [standing_at]
+    request = run_request(kind="verify", source="command line", stations=stations, consent=True)
+    ended = run_night(config, request, nights, as_json=as_json)
     if ended.error is not None:
         raise fail(ended.error)
     night = ended.outcome.night

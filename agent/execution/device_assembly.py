@@ -1,9 +1,10 @@
-"""From settings to open-able devices: clocks, plugins, roles. The only place where names become objects."""
+"""Clock and rig from the settings: the only module where the names of drivers become objects."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from agent.execution.rig import Rig, in_role
@@ -99,3 +100,11 @@ def mount_at_station(devices: Mapping[str, Device], name: str, station: int, key
 
 def stations_of(settings: Settings) -> range:
     return range(1, len(settings.stations.places_mm) + 1)
+
+
+@dataclass(frozen=True)
+class Devices:
+    """How clock and rig of a machine are made; another pair for a machine that exists already, as in tests."""
+
+    assemble: Callable[[Settings, Clock, Path], Rig] = assemble
+    make_clock: Callable[[ClockSettings], Clock] = make_clock

@@ -27,7 +27,7 @@ class RunStateTracker:
     """State of one run and its announcements: every change of the state goes through here."""
 
     def __init__(self, journal: RunJournal, listener: Listener, replayed: deque[RunState] | None = None) -> None:
-        """`replayed`: states that a run which is gone on with has been in; entered again, they are no news."""
+        """`replayed`: states that a resumed run has been in; entered again, they are not announced."""
         self._replayed = deque[RunState]() if replayed is None else replayed
         self._silent = False
         self._journal = journal
@@ -36,9 +36,9 @@ class RunStateTracker:
         self._held_in: RunState | None = None
 
     def enter(self, state: RunState, reason: str = "") -> None:
-        """Change the state; a change that the table does not know is a defect and raises ValueError."""
+        """Change the state. ValueError, a defect, for a change that the table of states does not have."""
         if not may_follow(self.state, state):
-            raise ValueError(f"no way from {self.state.value} to {state.value}")
+            raise ValueError(f"no change from {self.state.value} to {state.value}")
         self.state = state
         if self._replayed and self._replayed[0] is state:
             self._replayed.popleft()
@@ -47,9 +47,9 @@ class RunStateTracker:
         self._announce(reason)
 
     def announce_again(self) -> None:
-        """A replay is over: say where the run goes on."""
+        """Announce the state in which a run resumes, once its replay is over."""
         if self._silent:
-            self._announce("gone on with")
+            self._announce("resumed")
 
     def _announce(self, reason: str) -> None:
         state, self._silent = self.state, False
@@ -59,27 +59,27 @@ class RunStateTracker:
             self._listener(Announcement("state", reason or state.value, {"state": state.value}))
 
     def hold(self) -> None:
-        """Held, where the table of states has a way there; elsewhere the machine stands still and the state stays."""
+        """Enter held if the table of states permits it; otherwise the machine stands still and the state stays."""
         if may_follow(self.state, RunState.HELD):
             self._held_in = self.state
             self.enter(RunState.HELD)
 
-    def go_on(self) -> None:
-        """Back to what was held."""
+    def resume(self) -> None:
+        """Return to the state that was held."""
         if self.state is RunState.HELD and self._held_in is not None:
             self.enter(self._held_in)
 
     def note(self, text: str, **data: object) -> None:
-        """Something worth remembering that changes nothing."""
+        """Journal and announce a note that changes nothing."""
         try:
             self._journal.event("note", {"text": text, **data})
         finally:
             self._listener(Announcement("note", text, data))
 
-    def told(self, text: str) -> None:
-        """What a plan's own record says already; not journaled again."""
+    def announce_note(self, text: str) -> None:
+        """Announce a note that a record of the plan has journaled already."""
         self._listener(Announcement("note", text, {}))
 
     def progress(self, text: str, **data: object) -> None:
-        """For who watches only; not journaled."""
+        """Announce progress without journaling it."""
         self._listener(Announcement("progress", text, data))

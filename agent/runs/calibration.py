@@ -21,8 +21,9 @@ from agent.results.table_image import image_of
 from agent.results.thermal_drift import balls_for_estimate
 from agent.runs.change_since_reference import change_since
 from agent.runs.consent import Consent, asked, granted
-from agent.runs.guarded_run import GuardedRun, Means
+from agent.runs.guarded_run import GuardedRun
 from agent.runs.reference_state import Accepted, LastAccepted, record_accepted
+from agent.runs.run_context import RunContext
 from drivers.errors import NotActiveYet
 from drivers.roles import TableImage
 from twin.formats.estimate_file import format_estimate
@@ -34,12 +35,12 @@ class CalibrationRun(GuardedRun):
     def __init__(
         self,
         job: Job,
-        means: Means,
+        context: RunContext,
         last: LastAccepted | None = None,
         nights: float = 0.0,
         consent: Consent = Consent.ASK,
     ) -> None:
-        super().__init__(job, means)
+        super().__init__(job, context)
         self._last = last
         self._nights = nights
         self._consent = consent

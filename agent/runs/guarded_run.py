@@ -9,13 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.errors import Aborted, GateRefused, JournalFailed, PlanDiverged, PlanRefused
-from agent.execution.engine import Engine
-from agent.execution.journal import RunJournal
-from agent.execution.rig import Rig
-from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
 from agent.execution.steps import Step
-from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
 from agent.probing import publish
 from agent.probing.position import PositionRules
@@ -28,7 +23,7 @@ from agent.results.journal_entries import record_probe
 from agent.results.observations import Correction, no_correction
 from agent.results.run_outcome import NightReport, Proof
 from agent.results.table_image import table_of
-from drivers.clock import Clock
+from agent.runs.run_context import RunContext
 from drivers.errors import LinkError, VolcalError
 from drivers.roles import Activation
 
@@ -53,29 +48,17 @@ class Progress:
     error: VolcalError | None = None
 
 
-@dataclass(frozen=True)
-class Means:
-    """What a run is carried out with: one open rig, the engine on it, the run's journal, state and requests."""
-
-    rig: Rig
-    engine: Engine
-    journal: RunJournal
-    tracker: RunStateTracker
-    supervisor: Supervisor
-    clock: Clock
-
-
 class GuardedRun(ABC):
     """The compensation that was found is restored on every way out but the accepted one, and read back."""
 
-    def __init__(self, job: Job, means: Means) -> None:
+    def __init__(self, job: Job, context: RunContext) -> None:
         self._job = job
-        self._rig = means.rig
-        self._engine = means.engine
-        self._journal = means.journal
-        self._tracker = means.tracker
-        self._supervisor = means.supervisor
-        self._clock = means.clock
+        self._rig = context.rig
+        self._engine = context.engine
+        self._journal = context.journal
+        self._tracker = context.tracker
+        self._supervisor = context.supervisor
+        self._clock = context.clock
         self.progress = Progress()
 
     @abstractmethod

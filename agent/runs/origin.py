@@ -13,10 +13,10 @@ from agent.errors import PlanDiverged
 from agent.execution.journal_reader import JournalReader
 from agent.results.journal_entries import input_files, sha256_of
 from agent.runs.consent import Consent
-from agent.runs.kinds.kind import FullCalibration, Kind
+from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.kinds.nightly import Night
 from agent.runs.kinds.verify import Verification
-from agent.runs.start_conditions import Outset
+from agent.runs.planned_run import Kind, StartConditions
 from agent.settings.load import POSITION_FILES
 from agent.settings.schema import Settings
 from drivers.errors import InputError
@@ -33,7 +33,7 @@ class Origin:
     settings: Settings
     kind: Kind
     base: Path
-    outset: Outset
+    start: StartConditions
     files: Mapping[str, str]
     begun_s: float
     begun_at: str
@@ -50,15 +50,15 @@ class Origin:
                 )
 
 
-def origin_record(settings: Settings, kind: Kind, base: Path, outset: Outset) -> dict[str, Any]:
+def origin_record(settings: Settings, kind: Kind, base: Path, start: StartConditions) -> dict[str, Any]:
     """Return the record for `RunJournal.origin`."""
     options = {f.name: getattr(kind, f.name) for f in fields(kind) if f.name != "name"}  # type: ignore[arg-type]
     return {
         "kind": kind.name,
         "options": {name: value.value if isinstance(value, Enum) else value for name, value in options.items()},
         "base": str(base),
-        "at": outset.at,
-        "start_mm": list(outset.start_mm),
+        "at": start.at,
+        "start_mm": list(start.start_mm),
         "files": digests(settings, base),
     }
 
@@ -75,7 +75,7 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
         settings=Settings.model_validate(with_current_keys(json.loads(row.settings_text), Settings)),
         kind=_kind(record["kind"], record["options"]),
         base=Path(record["base"]),
-        outset=Outset(run, record["at"], (x, y, z)),
+        start=StartConditions(run, record["at"], (x, y, z)),
         files=record["files"],
         begun_s=row.begun_s,
         begun_at=row.begun_at,

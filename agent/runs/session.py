@@ -1,243 +1,246 @@
-"""One run from settings to a closed journal: lock, devices, preflight, what its kind does, report."""
+"""Session of a run, from a job and its kind to a closed journal: lock, devices, preflight, the run itself, results.
+
+`carry_out` begins a new run; `agent.runs.resume.resume` continues an interrupted one. Both are made of the same parts:
+`run_resources` (lock, journal, clock, supervisor), `open_rig`, and a `Session` that collects what the run reaches and
+turns it into a `RunResult`.
+"""
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from agent.errors import Aborted, Interrupted, PlanRefused
-from agent.execution.device_assembly import assemble, closed_after, make_clock, slice_of
-from agent.execution.engine import Observer
-from agent.execution.journal import Journal, RunJournal
-from agent.execution.rig import Rig
-from agent.execution.run_lock import run_lock
-from agent.execution.run_state import Listener, RunStateTracker
+from agent.execution.device_assembly import closed_after, slice_of
+from agent.execution.engine import Engine
+from agent.execution.journal import Journal
+from agent.execution.run_state import RunStateTracker
 from agent.execution.states import RunState
-from agent.execution.steps import Record, Step
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import Job
-from agent.planning.preflight import PreflightResult
-from agent.reports.renderer import Reports, rebuilt_here
 from agent.results.journal_entries import record_outcome
 from agent.results.run_outcome import Outcome
-from agent.runs.guarded_run import Means, Progress, attempt
-from agent.runs.kinds.kind import FullCalibration, Kind, Ready
+from agent.runs.guarded_run import Progress, attempt
+from agent.runs.origin import origin_record
+from agent.runs.planned_run import Kind, PlannedRun, StartConditions
 from agent.runs.reference_state import write_copy
 from agent.runs.result_files import write_results
-from agent.runs.run_start import Beginning, Fresh, Wanted
-from agent.runs.start_conditions import Outset
-from agent.settings.schema import Settings
+from agent.runs.run_context import RunContext, RunHooks
+from agent.runs.run_start import enter_in_journal, read_start_conditions
+from agent.runs.step_progress import S_PER_MIN, StepProgress
+from agent.settings.schema import ClockSettings
 from drivers.clock import Clock, InterruptibleClock, utc_timestamp, wall_seconds
 from drivers.errors import UserError, VolcalError
 
 
-def new_run_id() -> str:
-    """``20261121T012233Z-3f2a``: sorts by time, and two runs in one second differ."""
-    stamp = utc_timestamp().split(".", maxsplit=1)[0].replace("-", "").replace(":", "")
-    return f"{stamp}Z-{secrets.token_hex(2)}"
-
-
-@dataclass(frozen=True)
-class Request:
-    """What somebody asked for. `interrupts` is handed the supervisor, so that signals can reach it.
-
-    `clock` and `rig`: instead of those that the settings describe, for a machine that somebody holds already. `files`:
-    whether results are written as files too; the journal has them anyway. `asked`: who wanted it and how, kept with
-    the run. `lock`: what keeps everybody else from the machine meanwhile. `observer` sees every step and its result.
-    `passed` is handed what has passed its preflight, and may still refuse it.
-    `beginning`: anew, or where a run that broke off goes on. `reports` makes the files of its report.
-    """
-
-    job: Job
-    base: Path
-    listener: Listener
-    interrupts: Callable[[Supervisor], None]
-    kind: Kind = field(default_factory=FullCalibration)
-    clock: Clock | None = None
-    rig: Callable[[Settings, Clock, Path], Rig] | None = None
-    files: bool = True
-    run_id: str = field(default_factory=new_run_id)
-    asked: Mapping[str, object] = field(default_factory=dict)
-    lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
-    observer: Observer | None = None
-    passed: Callable[[Ready], None] = lambda _: None
-    beginning: Beginning = field(default_factory=Fresh)
-    reports: Reports = rebuilt_here
-
-
 @dataclass(frozen=True)
 class RunResult:
-    """`error` is the first cause where the run did not complete."""
+    """Result of a run. `error`: the first cause if the run did not complete."""
 
     outcome: Outcome
     error: VolcalError | None
 
 
-def carry_out(request: Request) -> RunResult:
-    """Carry out a run of any kind. Raises before a run exists (lock, link, configuration); afterwards every end,
-    good or bad, is an `RunResult` with the journal closed."""
-    began = wall_seconds()
-    settings = request.job.settings
-    run_id = request.run_id
+def new_run_id() -> str:
+    """Return an identity such as ``20261121T012233Z-3f2a``: it sorts by time, and two runs in one second differ."""
+    stamp = utc_timestamp().split(".", maxsplit=1)[0].replace("-", "").replace(":", "")
+    return f"{stamp}Z-{secrets.token_hex(2)}"
+
+
+def carry_out(
+    job: Job,
+    kind: Kind,
+    base: Path,
+    hooks: RunHooks | None = None,
+    *,
+    run_id: str | None = None,
+    asked: Mapping[str, object] | None = None,
+) -> RunResult:
+    """Carry out a new run.
+
+    `base`: directory at which relative paths of the settings start. `run_id`: by default a new one. `asked`: who asked
+    for the run, and for what; journaled with it.
+
+    Raises while no run exists yet (lock, link, configuration); afterwards every end, good or bad, is a `RunResult`, and
+    the journal is closed.
+    """
+    hooks, run_id, settings = hooks or RunHooks(), run_id or new_run_id(), job.settings
+    with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
+        clock = resources.interruptible(resources.clock)
+        rig = hooks.devices.assemble(settings, clock, base)
+        journal = enter_in_journal(resources.journal, run_id, job, kind, clock, asked or {})
+        tracker = RunStateTracker(journal, hooks.announce)
+        steps = StepProgress(tracker, hooks.observe)
+        engine = Engine(rig.actions(journal.run), journal, steps.observe)
+        context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
+        session = Session(context, steps, job, kind, resources.began_s)
+        with session.ended_by_errors():
+            tracker.enter(RunState.PREFLIGHT)
+            with open_rig(context):
+                start = read_start_conditions(rig, journal, settings.state_directory)
+                journal.origin(origin_record(settings, kind, base, start))
+                run = session.plan(start).begin(context)
+                journal.begun()
+                resources.journal.close_dead(journal.run, f"broke off, followed by run {run_id}")
+                session.progress = run.carry_out()
+        return session.result()
+
+
+@dataclass(frozen=True)
+class RunResources:
+    """Resources of one run, held until it has ended. `began_s`: wall-clock seconds at its begin."""
+
+    journal: Journal
+    clock: Clock
+    supervisor: Supervisor
+    began_s: float
+
+    def interruptible(self, clock: Clock) -> Clock:
+        """Return `clock`, based on the run's, with waits that the supervisor can interrupt."""
+        return InterruptibleClock(clock, self.supervisor.check, slice_of(self.clock))
+
+
+@contextmanager
+def run_resources(
+    state_directory: Path, clock_settings: ClockSettings, run_id: str, hooks: RunHooks
+) -> Iterator[RunResources]:
+    """Lock the machine, open the journal, make the clock, and attach the supervisor; closed in the reverse order."""
+    began_s = wall_seconds()
     with (
-        request.lock(settings.state_directory, run_id),
-        _journal(settings.state_directory) as journal,
-        closed_after(request.clock or make_clock(settings.clock)) as outer,
+        hooks.lock(state_directory, run_id),
+        _journal(state_directory) as journal,
+        closed_after(hooks.devices.make_clock(clock_settings)) as clock,
     ):
-        supervisor = Supervisor(outer)
-        request.interrupts(supervisor)
-        clock = InterruptibleClock(request.beginning.clock(outer), supervisor.check, slice_of(outer))
-        rig = (request.rig or assemble)(settings, clock, request.base)
-        wanted = Wanted(run_id, request.job, request.kind, request.base)
-        run_journal, tracker = request.beginning.written(journal, wanted, clock, request.listener)
-        if request.asked:
-            run_journal.event("asked", request.asked)
-        session = _Session(request, run_id, clock, supervisor, run_journal, tracker)
-        return session.run(rig, began)
+        supervisor = Supervisor(clock)
+        hooks.attach(supervisor)
+        yield RunResources(journal, clock, supervisor, began_s)
 
 
-class _Session:
-    def __init__(
-        self,
-        request: Request,
-        run_id: str,
-        clock: Clock,
-        supervisor: Supervisor,
-        journal: RunJournal,
-        tracker: RunStateTracker,
-    ) -> None:
-        self._request = request
-        self._beginning = request.beginning
-        self._run_id = run_id
-        self._clock = clock
-        self._supervisor = supervisor
-        self._journal = journal
-        self._tracker = tracker
-        self._job = request.job
-        self._touches = 0
-        self._balls = 0
-        self._preflight_result: PreflightResult | None = None
+@contextmanager
+def open_rig(context: RunContext) -> Iterator[None]:
+    """Open the rig for the block and let the supervisor hold it; complaints on closing become notes."""
+    rig, tracker = context.rig, context.tracker
 
-    def run(self, rig: Rig, began: float) -> RunResult:
-        started_s = self._clock.now()
-        progress = Progress()
+    def hold() -> None:
+        rig.machine.hold()
+        tracker.hold()
+
+    def resume() -> None:
+        rig.machine.resume()
+        tracker.resume()
+
+    rig.open()
+    try:
+        context.supervisor.on_hold, context.supervisor.on_resume = hold, resume
+        yield
+    finally:
+        for complaint in rig.close():
+            tracker.note(f"closing: {complaint}")
+
+
+class Session:
+    """Plan, progress and result of one run, new or resumed."""
+
+    def __init__(self, context: RunContext, steps: StepProgress, job: Job, kind: Kind, began_s: float) -> None:
+        """`began_s`: wall-clock seconds at the begin of the run."""
+        self._context = context
+        self._steps = steps
+        self._job = job
+        self._kind = kind
+        self._began_s = began_s
+        self._started_s = context.clock.now()
+        self._planned: PlannedRun | None = None
+        self.progress = Progress()
+
+    def plan(self, start: StartConditions) -> PlannedRun:
+        """Run the preflight from `start`, and have it permitted. Raises PlanRefused or UserError."""
+        context = self._context
+        planned = self._kind.plan(self._job, start, context.supervisor.look)
+        context.hooks.preflight_passed(planned.job, planned.preflight)
+        self._planned, self._steps.preflight = planned, planned.preflight
+        context.tracker.note(
+            "preflight passed: no collision, no limit",
+            machine_minutes=planned.preflight.machine_minutes,
+            commands=planned.preflight.commands,
+            wall_seconds=planned.preflight.wall_seconds,
+        )
+        return planned
+
+    @contextmanager
+    def ended_by_errors(self) -> Iterator[None]:
+        """End the run if an error leaves the block: nothing has moved, since a run under way ends its errors itself."""
         try:
-            self._tracker.enter(self._beginning.state)
-            progress = self._on(rig)
+            yield
         except VolcalError as error:
-            progress.error = error
-            self._not_begun(error)
-        minutes = (self._clock.now() - started_s) / 60.0
-        outcome = self._outcome(progress, minutes, wall_seconds() - began)
-        attempt("record the outcome", lambda: record_outcome(self._journal, outcome))
-        if self._request.files:
-            self._feed_history()
-            outcome = write_results(self._job, outcome, progress, self._report())
-            write_copy(self._job.settings.state_directory, self._run_id)
-        return RunResult(outcome, progress.error)
+            self.progress = Progress(error=error)
+            self._enter_end(error)
 
-    def _not_begun(self, error: VolcalError) -> None:
-        """Nothing has moved."""
+    def _enter_end(self, error: VolcalError) -> None:
+        enter, reason = self._context.tracker.enter, str(error)
         if isinstance(error, (Aborted, Interrupted)):
-            self._tracker.enter(RunState.ABORTING, str(error))
-            self._tracker.enter(RunState.ABORTED, str(error))
+            enter(RunState.ABORTING, reason)
+            enter(RunState.ABORTED, reason)
             return
         refused = isinstance(error, (PlanRefused, UserError))
-        self._tracker.enter(RunState.REFUSED if refused else RunState.FAULTED, str(error))
+        enter(RunState.REFUSED if refused else RunState.FAULTED, reason)
+
+    def result(self) -> RunResult:
+        """Journal the outcome and write the result files, if wanted."""
+        context, progress = self._context, self.progress
+        outcome = self._outcome()
+        attempt("record the outcome", lambda: record_outcome(context.journal, outcome))
+        if context.hooks.write_files:
+            self._feed_history()
+            outcome = write_results(self._measured_job, outcome, progress, self._report())
+            write_copy(self._measured_job.settings.state_directory, context.journal.run_id)
+        return RunResult(outcome, progress.error)
+
+    @property
+    def _measured_job(self) -> Job:
+        planned = self._job if self._planned is None else self._planned.job
+        return self.progress.job or planned
 
     def _feed_history(self) -> None:
-        """The machine is as it should be and the journal has it all: a database that is away is worth a note."""
-        from agent.history.sync import feed  # noqa: PLC0415  a database's client, wanted once a run
+        """Feed the history. The machine is as it should be and the journal complete, so a database that cannot be
+        reached is worth only a note."""
+        from agent.history.sync import feed  # noqa: PLC0415  a database's client, needed once a run
 
-        complaint = feed(self._job.settings, self._run_id)
+        complaint = feed(self._measured_job.settings, self._context.journal.run_id)
         if complaint:
-            attempt("note the complaint", lambda: self._tracker.note(complaint))
+            self._note(complaint)
 
     def _report(self) -> Mapping[str, str | bytes]:
-        """Empty where nothing was begun, or where it could not be made; `volcal report` makes it any time."""
-        if self._preflight_result is None:
+        """Return the files of the report. Empty if the run was not planned, or if the report failed; `volcal report`
+        makes it at any time."""
+        if self._planned is None:
             return {}
         try:
-            return self._request.reports(self._job.settings.state_directory, self._run_id)
-        except VolcalError as error:
-            complaint = f"no report: {error}"
-            attempt("note the complaint", lambda: self._tracker.note(complaint))
-            return {}
-
-    def _on(self, rig: Rig) -> Progress:
-        rig.open()
-        try:
-            self._supervisor.on_hold = lambda: self._hold(rig)
-            self._supervisor.on_resume = lambda: self._resume(rig)
-            request = self._request
-            wanted = Wanted(self._run_id, request.job, request.kind, request.base)
-            ready = self._preflight(self._beginning.outset(rig, self._journal, wanted))
-            engine = self._beginning.engine(rig, self._journal, self._observe)
-            run = ready.begin(Means(rig, engine, self._journal, self._tracker, self._supervisor, self._clock))
-            self._beginning.begun(run, self._journal, self._tracker)
-            progress = run.carry_out()
-            if progress.error is not None:
-                self._beginning.broken_off(rig, self._tracker.note)
-            self._job = progress.job or self._job
-            return progress
-        finally:
-            for complaint in rig.close():
-                self._tracker.note(f"closing: {complaint}")
-
-    def _hold(self, rig: Rig) -> None:
-        rig.machine.hold()
-        self._tracker.hold()
-
-    def _resume(self, rig: Rig) -> None:
-        rig.machine.resume()
-        self._tracker.go_on()
-
-    def _preflight(self, outset: Outset) -> Ready:
-        ready = self._request.kind.ready(self._job, replace(outset, watch=self._supervisor.look))
-        self._request.passed(ready)
-        self._job, self._preflight_result = ready.job, ready.preflight
-        preflight = ready.preflight
-        self._tracker.note(
-            "preflight passed: no collision, no limit",
-            machine_minutes=preflight.machine_minutes,
-            commands=preflight.commands,
-            wall_seconds=preflight.wall_seconds,
-        )
-        return ready
-
-    def _observe(self, step: Step, result: object) -> None:
-        """Report progress on the time scale of the preflight: the share done and the minutes left at this step."""
-        if self._request.observer is not None:
-            self._request.observer(step, result)
-        if type(step).__name__ == "TouchTowards":
-            self._touches += 1
-        if isinstance(step, Record) and "note" in step.payload:
-            self._tracker.told(step.payload["note"])
-        if not isinstance(step, Record) or step.kind != "ball" or self._preflight_result is None:
-            return
-        self._balls += 1
-        done_s = self._preflight_result.timeline.get(step.key)
-        if done_s is not None:
-            left_s = self._preflight_result.machine_seconds - done_s
-            self._tracker.progress(
-                step.key, fraction=done_s / self._preflight_result.machine_seconds, minutes_left=left_s / 60.0
+            return self._context.hooks.reports(
+                self._measured_job.settings.state_directory, self._context.journal.run_id
             )
+        except VolcalError as error:
+            self._note(f"no report: {error}")
+            return {}
 
-    def _outcome(self, progress: Progress, minutes: float, wall_s: float) -> Outcome:
-        finding = progress.finding
+    def _note(self, complaint: str) -> None:
+        attempt("note the complaint", lambda: self._context.tracker.note(complaint))
+
+    def _outcome(self) -> Outcome:
+        context, progress, finding = self._context, self.progress, self.progress.finding
+        settings = self._measured_job.settings
         return Outcome(
-            state=self._tracker.state,
-            run_id=self._run_id,
-            position_set=self._job.settings.procedure.position_set,
-            formulation=self._job.settings.identification.formulation,
-            balls=self._balls if finding is None else finding.observations.size,
-            touches=self._touches,
-            machine_minutes=minutes,
-            wall_seconds=wall_s,
-            predicted_minutes=None if self._preflight_result is None else self._preflight_result.machine_minutes,
+            state=context.tracker.state,
+            run_id=context.journal.run_id,
+            position_set=settings.procedure.position_set,
+            formulation=settings.identification.formulation,
+            balls=self._steps.balls if finding is None else finding.observations.size,
+            touches=self._steps.touches,
+            machine_minutes=(context.clock.now() - self._started_s) / S_PER_MIN,
+            wall_seconds=wall_seconds() - self._began_s,
+            predicted_minutes=None if self._planned is None else self._planned.preflight.machine_minutes,
             table_bank=progress.active_bank,
             report=None,
             rank=None if finding is None else finding.estimate.rank,
@@ -249,7 +252,7 @@ class _Session:
             proof=progress.proof,
             night=progress.night,
             reversal=() if progress.prepared is None else progress.prepared.reversals,
-            kind=self._request.kind.name,
+            kind=self._kind.name,
             reason="" if progress.error is None else str(progress.error),
         )
 

@@ -1,7 +1,7 @@
-"""What everybody may ask of the one owner of the machine, whichever door they come through.
+"""Requests to the one owner of the machine, the same for every endpoint.
 
-HTTP, the page, the panel gateway, OPC UA and the timer all speak to a `Control`; none of them knows another. Every
-method may be called from any thread and returns at once; what a request leads to is told by `status` and by events.
+HTTP, the page, the panel gateway, OPC UA and the timer all use a `Control`; none of them knows another. Every method
+may be called from any thread and returns at once; `status` and events report what a request leads to.
 """
 
 from __future__ import annotations
@@ -9,46 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from enum import Enum
 from queue import Queue
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from agent.execution.states import RunState
-
-KindName = Literal["calibrate", "verify", "nightly"]
-KINDS: tuple[KindName, ...] = ("calibrate", "verify", "nightly")
-
-
-class Source(Enum):
-    """Who asked: it is written into the journal with the run."""
-
-    TIMER = "timer"
-    PAGE = "page"
-    PANEL = "panel"
-    OPC_UA = "opc ua"
-    COMMAND = "command line"
-
-
-@dataclass(frozen=True)
-class StartRequest:
-    """A run that somebody wants. None: as the settings say.
-
-    `consent`: a person stands at the machine and has confirmed that it may move; a timer never has it, and the agent
-    then decides from permissions alone. `full_allowed`: a night may become a full calibration.
-    """
-
-    kind: KindName
-    source: Source
-    position_set: str | None = None
-    stations: tuple[int, ...] | None = None
-    slot_minutes: float | None = None
-    full_allowed: bool | None = None
-    consent: bool = False
+from agent.runs.run_request import RunRequest, Source
 
 
 @dataclass(frozen=True)
 class Question:
-    """What the run wants to know of a person; it waits for `Control.answer` with the same `number`."""
+    """Question of the run to a person; the run waits for `Control.answer` with the same `number`."""
 
     number: int
     text: str
@@ -57,7 +27,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Alarm:
-    """Something that needs an answer. `code`: stable number for panels (docs/reference/alarms.md); `hint`: what to
+    """Condition that needs a reaction. `code`: stable number for panels (docs/reference/alarms.md); `hint`: what to
     do; `where`: device, step, file … of the error."""
 
     code: int
@@ -68,13 +38,13 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Status:
-    """The whole of it at one instant; frozen, so that it can be handed to anybody.
+    """State of the service at one instant.
 
     `state`: of the run under way or, between runs, of the last one until it is reset (faulted and aborted are sticky).
     `packml`: its ISA-TR88.00.02 name. `doing`: in words. `fraction` 0…1 and `minutes_left` of machine time by the
-    rehearsal. VE in µm, aligned: of the last accepted estimate, before and with the table. `may`: the requests that
+    preflight. VE in µm, aligned: of the last accepted estimate, before and with the table. `may`: the requests that
     make sense now (``start``, ``hold``, ``resume``, ``abort``, ``reset``, ``answer``, ``resume_run``).
-    `unfinished`: the run that broke off and can be resumed. `written_not_active`: a bank that waits for a restart of
+    `unfinished`: the interrupted run that can be resumed. `written_not_active`: a bank that waits for a restart of
     the controller.
     """
 
@@ -103,7 +73,7 @@ class Status:
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened. `number` counts up without gaps while the service lives; `kind`: ``state``,
+    """Event of the service. `number` counts up without gaps while the service lives; `kind`: ``state``,
     ``progress``, ``note``, ``gate``, ``ball``, ``lost`` (a ball that was not found), ``temperature``, ``question``,
     ``alarm``, ``outcome``."""
 
@@ -118,18 +88,19 @@ class Control(Protocol):
 
     def status(self) -> Status: ...
 
-    def start(self, request: StartRequest) -> str:
-        """The identity of the run that has begun. Raises Busy, naming the run under way; UserError for a request that
-        cannot be; PermissionMissing where reset or an answer is wanted first."""
+    def start(self, request: RunRequest) -> str:
+        """Start a run and return its identity. Raises Busy, naming the run under way; UserError for a request that
+        cannot be carried out; PermissionMissing if a reset or an answer is needed first."""
         ...
 
     def resume_run(self, source: Source) -> str:
-        """Go on with the unfinished run. Raises as `start`; UserError where there is none."""
+        """Resume the unfinished run and return its identity. Raises as `start`; UserError if there is none."""
         ...
 
     def restore_table(self, run_id: str, role: str, source: Source) -> str:
-        """Have a table act again that run `run_id` has kept as `role` (``backup``, ``staged``, ``restored``). Raises as
-        `start`; the identity is that of the run that restores it. Nothing moves."""
+        """Reactivate the table that run `run_id` has stored as `role` (``backup``, ``staged``, ``restored``).
+
+        Return the identity of the run that restores it; raises as `start`. Nothing moves."""
         ...
 
     def hold(self) -> None: ...
@@ -145,9 +116,9 @@ class Control(Protocol):
         ...
 
     def answer(self, number: int, yes: bool) -> None:
-        """To the open question of that number. UserError for any other."""
+        """Answer the open question of that number. UserError for any other number."""
         ...
 
     def subscribe(self) -> AbstractContextManager[Queue[Event]]:
-        """Events from now on; a reader that lags far behind loses the oldest progress events first."""
+        """Subscribe to the events from now on; a reader that lags far behind loses the oldest progress events first."""
         ...

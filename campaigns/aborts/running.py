@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from agent.execution import steps as s
+from agent.execution.device_assembly import Devices
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
 from agent.planning.case_file import SHIPPED_CONFIGURATION
-from agent.runs.session import Request, RunResult, carry_out
+from agent.runs.kinds.calibrate import FullCalibration
+from agent.runs.run_context import RunHooks
+from agent.runs.session import RunResult, carry_out
 from campaigns.aborts.breaking import Breaking
 from campaigns.aborts.case import FORMER, FORMER_BANK, Memory, job_of, world_of
 from campaigns.aborts.judging import found
@@ -104,17 +107,9 @@ def _carried_out(breaking: Breaking, directory: Path, **sections: dict[str, Any]
     def keep(supervisor: Supervisor) -> None:
         breaking.supervisor = supervisor
 
-    return carry_out(
-        Request(
-            job,
-            SHIPPED_CONFIGURATION,
-            lambda _: None,
-            keep,
-            clock=breaking.clock,
-            rig=lambda _, clock, __: breaking.rig(rig_of(breaking.world, clock, job)),
-            files=False,
-        )
-    )
+    devices = Devices(lambda _, clock, __: breaking.rig(rig_of(breaking.world, clock, job)), lambda _: breaking.clock)
+    hooks = RunHooks(attach=keep, devices=devices, write_files=False)
+    return carry_out(job, FullCalibration(), SHIPPED_CONFIGURATION, hooks)
 
 
 ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {

@@ -28,14 +28,17 @@ from time import perf_counter
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
 
 
+from agent.execution.device_assembly import Devices
 from agent.execution.rig import Rig
 from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.planning.job import Job
 from agent.results.run_outcome import Decision, Outcome
-from agent.runs.kinds.kind import FullCalibration, Kind
+from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.kinds.night_plan import standing
 from agent.runs.kinds.nightly import Night
-from agent.runs.session import Request, carry_out
+from agent.runs.planned_run import Kind
+from agent.runs.run_context import RunHooks
+from agent.runs.session import carry_out
 from benchmarks.places import memory_directory, write_csv
 from campaigns.nights.figure import draw
 from campaigns.nights.row import Row
@@ -119,17 +122,9 @@ class Machine:
 
     def _run(self, world: World, night: int) -> Outcome:
         job = standing(case(self._state), self._season.station(night))
-        request = Request(
-            job,
-            SHIPPED_CONFIGURATION,
-            lambda _: None,
-            lambda _: None,
-            kind=self._kind(night),
-            clock=VirtualClock(),
-            rig=lambda _, clock, __: rig_of(world, clock, job),
-            files=False,
-        )
-        ended = carry_out(request)
+        devices = Devices(lambda _, clock, __: rig_of(world, clock, job), lambda _: VirtualClock())
+        hooks = RunHooks(devices=devices, write_files=False)
+        ended = carry_out(job, self._kind(night), SHIPPED_CONFIGURATION, hooks)
         if world.collisions:
             raise RuntimeError(f"night {night}: {world.collisions[0]}")
         return ended.outcome

@@ -9,8 +9,7 @@ from agent.execution.states import RunState
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, run_preflight, whole_procedure
 from agent.runs.guarded_run import GuardedRun
-from agent.runs.kinds.kind import Ready
-from agent.runs.start_conditions import Outset
+from agent.runs.planned_run import PlannedRun, StartConditions
 from drivers.clock import VirtualClock
 
 
@@ -33,10 +32,10 @@ class Moving:
     def __post_init__(self) -> None:
         self.preflight: PreflightResult | None = None
 
-    def ready(self, job: Job, outset: Outset) -> Ready:
+    def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         if self.preflight is None:
-            self.preflight = run_preflight(job, outset.start_mm)
-        return Ready(job, self.preflight, lambda means: MovingRun(job, means))
+            self.preflight = run_preflight(job, start.start_mm)
+        return PlannedRun(job, self, start, self.preflight, lambda context: MovingRun(job, context))
 
 
 class AlarmClock(VirtualClock):

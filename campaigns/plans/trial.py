@@ -10,9 +10,11 @@ from pathlib import Path
 from time import perf_counter
 
 from agent.errors import PlanRefused
+from agent.execution.device_assembly import Devices
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.runs.session import Request, RunResult, carry_out
+from agent.runs.run_context import RunHooks
+from agent.runs.session import RunResult, carry_out
 from benchmarks.places import memory_directory
 from campaigns.nights.play import rig_of
 from campaigns.plans.drawing import Drawn, draw
@@ -117,18 +119,8 @@ def _judge_world(trial: Trial, what: str, world: World) -> None:
 def _carried_out(
     drawn: Drawn, kind: Moving, world: World, clock: AlarmClock, prepare: Callable[[Supervisor], None]
 ) -> RunResult:
-    return carry_out(
-        Request(
-            drawn.job,
-            Path("/"),
-            lambda _: None,
-            prepare,
-            kind=kind,
-            clock=clock,
-            rig=lambda _, watched, __: rig_of(world, watched, drawn.job),
-            files=False,
-        )
-    )
+    devices = Devices(lambda _, watched, __: rig_of(world, watched, drawn.job), lambda _: clock)
+    return carry_out(drawn.job, kind, Path("/"), RunHooks(attach=prepare, devices=devices, write_files=False))
 
 
 def reason_of(error: VolcalError) -> str:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import agent.runs.kinds.kind
+import agent.runs.kinds.calibrate
+from agent.execution.device_assembly import Devices
 from agent.execution.encoding import table_digest
 from agent.execution.journal import RunJournal
 from agent.execution.journal_reader import open_journal
@@ -21,8 +22,10 @@ from agent.execution.steps import Step
 from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
 from agent.planning.preflight import run_preflight, unwatched
-from agent.runs.resume.resume import ResumeRequest, resume
-from agent.runs.session import Request, RunResult, carry_out
+from agent.runs.kinds.calibrate import FullCalibration
+from agent.runs.resume.resume import resume
+from agent.runs.run_context import RunHooks
+from agent.runs.session import RunResult, carry_out
 from agent.settings.schema import Settings
 from drivers.clock import Clock, VirtualClock
 from simulators.backend import SimulatedMachineDevice
@@ -130,7 +133,7 @@ def cache_preflight() -> None:
             done[start_mm] = run_preflight(job, start_mm, procedure, watch)
         return done[start_mm]
 
-    agent.runs.kinds.kind.run_preflight = once  # type: ignore[attr-defined]
+    agent.runs.kinds.calibrate.run_preflight = once  # type: ignore[attr-defined]
 
 
 @dataclass
@@ -141,13 +144,13 @@ class Machine:
 
     def run(self, settings: Settings, fuse: Fuse | None = None) -> RunResult:
         job = prepare_job(settings, Path.cwd())
-        rig = self._rig(fuse)
-        request = Request(job, Path.cwd(), _nobody, _nobody, clock=VirtualClock(), rig=rig, files=False, run_id="run")
-        return carry_out(request)
+        return carry_out(job, FullCalibration(), Path.cwd(), self._hooks(fuse), run_id="run")
 
-    def go_on(self) -> RunResult:
-        request = ResumeRequest(STATE, _nobody, _nobody, clock=VirtualClock(), rig=self._rig(None), files=False)
-        return resume(request)
+    def resume(self) -> RunResult:
+        return resume(STATE, self._hooks(None))
+
+    def _hooks(self, fuse: Fuse | None) -> RunHooks:
+        return RunHooks(devices=Devices(self._rig(fuse), lambda _: VirtualClock()), write_files=False)
 
     @property
     def table(self) -> list[int]:

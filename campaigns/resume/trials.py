@@ -88,7 +88,7 @@ class Breaks:
     def conclude(self) -> None:
         """In a copy: go on with the run that has died, and write down what came of it."""
         try:
-            ended = self.machine.go_on()
+            ended = self.machine.resume()
             if ended.error is not None:
                 raise ended.error
             result = signature(self.machine) | {"again": measured_twice()}

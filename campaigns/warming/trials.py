@@ -30,13 +30,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first
 
 import numpy as np
 
+from agent.execution.device_assembly import Devices
 from agent.execution.journal_reader import open_journal
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.planning.job import Job, prepare_job
 from agent.results.estimation import find
 from agent.results.table_image import image_of
 from agent.results.thermal_drift import options_of
-from agent.runs.session import Request, RunResult, carry_out
+from agent.runs.kinds.calibrate import FullCalibration
+from agent.runs.run_context import RunHooks
+from agent.runs.session import RunResult, carry_out
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from benchmarks.places import memory_directory, write_csv
@@ -120,16 +123,9 @@ def carried_out(seed: int, temperatures: TemperatureSettings) -> Run:
     with memory_directory("warming") as directory:
         state = Path(directory) / "state"
         world, job = World(_scenario(seed, temperatures)), prepare_job(_settings(state), SHIPPED_CONFIGURATION)
-        request = Request(
-            job,
-            SHIPPED_CONFIGURATION,
-            lambda _: None,
-            lambda _: None,
-            clock=VirtualClock(),
-            rig=lambda _, clock, __: rig_of(world, clock, job),
-            files=False,
-        )
-        ended = carry_out(request)
+        devices = Devices(lambda _, clock, __: rig_of(world, clock, job), lambda _: VirtualClock())
+        hooks = RunHooks(devices=devices, write_files=False)
+        ended = carry_out(job, FullCalibration(), SHIPPED_CONFIGURATION, hooks)
         if ended.error is not None or world.collisions or not world.controller.active_bank:
             raise RuntimeError(f"seed {seed}: {ended.error or ended.outcome.proof or world.collisions}")
         with open_journal(state) as reader:

@@ -106,6 +106,6 @@ def test_a_jump_over_the_proof_is_refused() -> None:
         tracker = RunStateTracker(journal.start_run("r", "calibrate", {}, "0", VirtualClock()), lambda _: None)
         for state in CHAIN[1:6]:
             tracker.enter(state)
-        with pytest.raises(ValueError, match="no way from activating to complete"):
+        with pytest.raises(ValueError, match="no change from activating to complete"):
             tracker.enter(RunState.COMPLETE)
         journal.close()

@@ -17,8 +17,8 @@ from service_house import PATIENCE_S, house
 
 from agent.errors import Aborted, Busy, PlanRefused
 from agent.execution.states import FINAL, FORWARD, PACKML, RunState, may_follow
+from agent.runs.run_request import KINDS, SOURCES, RunRequest
 from agent.service.allowed_requests import AT_REST, MAY, STICKY
-from agent.service.control import KINDS, Source, StartRequest
 from drivers.errors import LinkLost, PermissionMissing, UserError
 
 S = RunState
@@ -58,9 +58,9 @@ class Requests(RuleBasedStateMachine):
     def running(self) -> bool:
         return self.state not in AT_REST
 
-    @rule(kind=st.sampled_from(KINDS), source=st.sampled_from(Source), consent=st.booleans())
+    @rule(kind=st.sampled_from(KINDS), source=st.sampled_from(SOURCES), consent=st.booleans())
     def start(self, kind, source, consent) -> None:
-        request = StartRequest(kind, source, consent=consent)
+        request = RunRequest(kind=kind, source=source, consent=consent)
         if self.running:
             with pytest.raises(Busy, match=self.run_id):
                 self.owner.start(request)

@@ -6,21 +6,20 @@ import dataclasses
 import os
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-import agent.runs.session
+from agent.execution.device_assembly import Devices, assemble
 from agent.execution.rig import Rig
 from agent.execution.run_state import Announcement
 from agent.execution.supervisor import Supervisor
 from agent.planning.job import prepare_job
-from agent.runs.kinds.kind import FullCalibration, Kind
-from agent.runs.session import Request, RunResult, carry_out
+from agent.runs.kinds.calibrate import FullCalibration
+from agent.runs.planned_run import Kind
+from agent.runs.run_context import RunHooks
+from agent.runs.session import RunResult, carry_out
 from agent.settings.schema import Settings
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
@@ -90,7 +89,6 @@ def merged(base: dict[str, Any], sections: dict[str, Any]) -> dict[str, Any]:
 class Night:
     """One machine that may be calibrated again and again; `tamper` is handed the rig before each run."""
 
-    monkeypatch: pytest.MonkeyPatch
     tamper: Callable[[Rig], Rig] = lambda rig: rig
     world: World | None = None
     heard: list[Announcement] = field(default_factory=list)
@@ -105,23 +103,19 @@ class Night:
     ) -> RunResult:
         """Calibrate, or a run of another `kind`; the world of the first run stays the world of the following ones.
         `files`: write results."""
-        with self.in_place():
-            job = prepare_job(Settings.model_validate(settings), Path.cwd())
-            chosen = kind or FullCalibration()
-            return carry_out(Request(job, Path.cwd(), self.heard.append, interrupts, chosen, files=files))
+        job = prepare_job(Settings.model_validate(settings), Path.cwd())
+        hooks = replace(self.hooks, attach=interrupts, write_files=files)
+        return carry_out(job, kind or FullCalibration(), Path.cwd(), hooks)
 
-    @contextmanager
-    def in_place(self) -> Iterator[None]:
-        """Whatever runs inside runs on this machine, on virtual time."""
-        assemble = agent.runs.session.assemble
+    @property
+    def hooks(self) -> RunHooks:
+        """Hooks of a run on this machine, on virtual time, that writes no files."""
 
         def assembled(*given: Any) -> Rig:
             return self.tamper(self._with_first_world(assemble(*given)))
 
-        with self.monkeypatch.context() as patch:
-            patch.setattr(agent.runs.session, "make_clock", lambda _: VirtualClock())
-            patch.setattr(agent.runs.session, "assemble", assembled)
-            yield
+        devices = Devices(assembled, lambda _: VirtualClock())
+        return RunHooks(announce=self.heard.append, devices=devices, write_files=False)
 
     def _with_first_world(self, rig: Rig) -> Rig:
         """The machine of the first run, with all that happened to it; its time starts anew with each run's clock."""

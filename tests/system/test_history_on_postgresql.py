@@ -121,13 +121,10 @@ def _free_port() -> int:
 @pytest.fixture(scope="module")
 def measured() -> Iterator[tuple[Path, dict[str, object]]]:
     """A real run on the simulated machine, and its settings."""
-    with (
-        memory_directory() as directory,
-        pytest.MonkeyPatch.context() as patch,
-    ):
+    with memory_directory() as directory:
         state = Path(directory) / "state"
         document = short_document(state)
-        ended = Night(patch).run(document, files=False)
+        ended = Night().run(document, files=False)
         assert ended.outcome.state is RunState.COMPLETE, stored_run(state).states
         yield state, document
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from agent.results.run_outcome import Decision, Outcome
 from agent.runs.kinds import nightly
 from agent.runs.kinds.verify import Verification
 from agent.runs.reference_state import COPY_NAME, full_needed, last_accepted, write_copy
+from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult
 from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
@@ -51,7 +53,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Calibrated]:
     with memory_directory() as directory:
         state = Path(directory) / "state"
         settings = short_document(state, nightly=WIDE, identification={"order": 4})
-        night = Night(monkeypatch)
+        night = Night()
         first = night.run(settings, files=False)
         assert first.outcome.state is RunState.COMPLETE
         assert first.outcome.proof is not None
@@ -68,7 +70,7 @@ def test_without_an_accepted_night_there_is_nothing_to_compare_with(monkeypatch:
     with memory_directory() as directory:
         settings = short_document(Path(directory) / "state")
         for kind in (Verification(), nightly.Night()):
-            ended = Night(monkeypatch).run(settings, kind=kind, files=False)
+            ended = Night().run(settings, kind=kind, files=False)
             assert isinstance(ended.error, ConfigurationError)
             assert "volcal calibrate" in str(ended.error)
             assert ended.outcome.state is RunState.REFUSED
@@ -198,10 +200,10 @@ class Commands:
         monkeypatch.setattr(
             agent.cli.night_options, "load_settings", lambda _: Settings.model_validate(machine.settings)
         )
+        monkeypatch.setattr("agent.cli.calibrate.RunHooks", partial(RunHooks, devices=machine.night.hooks.devices))
 
     def run(self, *arguments: str) -> Result:
-        with self._machine.night.in_place():
-            return CliRunner().invoke(main, [*arguments, "--nights", "1", "--config", "volcal.toml"])
+        return CliRunner().invoke(main, [*arguments, "--nights", "1", "--config", "volcal.toml"])
 
 
 def test_commands_tell_within_limits_by_their_exit_code(machine: Calibrated, monkeypatch: pytest.MonkeyPatch) -> None:

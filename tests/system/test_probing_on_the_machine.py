@@ -240,7 +240,7 @@ def test_a_crumb_is_noticed_named_and_cleaned_up(state: Path) -> None:
 
 def test_a_run_journals_and_reports_what_it_found_of_the_probe(state: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
-    ended = Night(monkeypatch).run(short_document(state, qualification={"pretravel_map": True}))
+    ended = Night().run(short_document(state, qualification={"pretravel_map": True}))
     assert ended.error is None
     page = (state / ended.outcome.run_id / "report.html").read_text()
     assert "Probe and stylus" in page

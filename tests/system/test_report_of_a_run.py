@@ -42,9 +42,9 @@ class Season:
 
 @pytest.fixture(scope="module")
 def season() -> Iterator[Season]:
-    with memory_directory() as directory, pytest.MonkeyPatch.context() as patch:
+    with memory_directory() as directory:
         state = Path(directory) / "state"
-        night, document = Night(patch), short_document(state)
+        night, document = Night(), short_document(state)
         document["nightly"] = {"check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}
         calibrated = night.run(document)
         verified = night.run(document, kind=Verification(station=1, nights=1.0))

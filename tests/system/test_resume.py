@@ -29,7 +29,7 @@ from agent.runs.kinds import nightly
 from agent.runs.reconcile import reconcile
 from agent.runs.reconcile_result import CompensationState, ReconcileAction
 from agent.runs.resume.abandon import give_up
-from agent.runs.resume.resume import ResumeRequest, resume
+from agent.runs.resume.resume import resume
 from agent.runs.session import RunResult
 from agent.runs.unfinished_run import unfinished_run
 from agent.settings.schema import Settings
@@ -55,13 +55,12 @@ class Broken:
         """The same for one test alone, which is then the working directory."""
         shutil.copytree(Path.cwd(), directory / "copy")
         monkeypatch.chdir(directory / "copy")
-        night = Night(monkeypatch)
+        night = Night()
         night.world = copy.deepcopy(self.night.world)
         return Broken(night)
 
     def resume(self) -> RunResult:
-        with self.night.in_place():
-            return resume(ResumeRequest(STATE, self.night.heard.append, lambda _: None, files=False))
+        return resume(STATE, self.night.hooks)
 
     @property
     def rig(self) -> Rig:
@@ -87,9 +86,8 @@ def broken_at(place: tuple[str, int]) -> Broken:
         rig.store.activate(1)
         return with_device(rig, Cut(rig.devices["twin"], *place, lose))
 
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        night = Night(monkeypatch, tamper=tamper)
-        ended = night.run(document(), files=False)
+    night = Night(tamper=tamper)
+    ended = night.run(document(), files=False)
     assert isinstance(ended.error, LinkLost), ended
     return Broken(night)
 
@@ -275,7 +273,7 @@ def test_a_table_that_waits_for_a_restart_is_completed_by_the_next_start(monkeyp
             stores.append(Late(rig.devices["twin"]))
         return replace(rig, store=stores[0])
 
-    broken = Broken(Night(monkeypatch, tamper=tamper))
+    broken = Broken(Night(tamper=tamper))
     ended = broken.night.run(document(), files=False)
     assert isinstance(ended.error, NotActiveYet)
     assert ended.outcome.state is RunState.WRITTEN
@@ -309,7 +307,7 @@ def test_a_night_goes_on_while_its_slot_lasts(monkeypatch, tmp_path: Path) -> No
     monkeypatch.chdir(tmp_path / "night")
     wide = {"slot_minutes": 30.0, "check_positions": 1, "max_chi2": 4.0, "max_ve_growth": 20.0, "step_evidence": 30.0}
     settings = short_document(STATE, nightly=wide, identification={"order": 4}, clock={"kind": "real"})
-    broken = Broken(Night(monkeypatch))
+    broken = Broken(Night())
     assert broken.night.run(settings, files=False).outcome.state is RunState.COMPLETE
 
     def lose() -> None:

@@ -48,9 +48,9 @@ class TwoNights:
 
 @pytest.fixture(scope="module")
 def nights() -> Iterator[TwoNights]:
-    with pytest.MonkeyPatch.context() as patch, memory_directory() as directory:
+    with memory_directory() as directory:
         state = Path(directory) / "state"
-        night = Night(patch)
+        night = Night()
         first = night.run(document(state))
         assert night.world is not None
         truth = night.world.truth
@@ -186,7 +186,7 @@ def test_table_applied_with_the_wrong_sign_is_noticed_and_withdrawn(monkeypatch,
     def wrong(rig: Rig) -> Rig:
         return dataclasses.replace(rig, store=WrongSign(rig.store))
 
-    night = Night(monkeypatch, tamper=wrong)
+    night = Night(tamper=wrong)
     ended = night.run(short_document(state))
     assert ended.error is None
     proof = ended.outcome.proof
@@ -203,7 +203,7 @@ def test_table_applied_with_the_wrong_sign_is_noticed_and_withdrawn(monkeypatch,
 
 
 def test_proof_that_cannot_be_met_restores_the_former_bank(monkeypatch, state: Path) -> None:
-    night = Night(monkeypatch)
+    night = Night()
     ended = night.run(short_document(state, verification={"max_remaining_fraction": 1e-3}), files=False)
     assert ended.outcome.proof is not None
     assert not ended.outcome.proof.accepted
@@ -214,7 +214,7 @@ def test_proof_that_cannot_be_met_restores_the_former_bank(monkeypatch, state: P
 
 
 def test_s2_with_distances_is_refused_by_the_gates_as_shipped(monkeypatch, state: Path) -> None:
-    night = Night(monkeypatch)
+    night = Night()
     ended = night.run(
         document(
             state,
@@ -239,7 +239,7 @@ def test_s2_with_distances_is_refused_by_the_gates_as_shipped(monkeypatch, state
 def test_machine_without_error_is_left_alone(monkeypatch, state: Path) -> None:
     settings = short_document(state)
     settings["devices"]["twin"]["options"]["ideal"] = True
-    night = Night(monkeypatch)
+    night = Night()
     ended = night.run(settings)
     assert isinstance(ended.error, GateRefused)
     assert (night.active, night.banks) == (0, {})

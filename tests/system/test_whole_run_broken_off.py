@@ -196,7 +196,7 @@ def test_bank_that_does_not_become_active_is_noticed(broken: Broken, monkeypatch
         monkeypatch.setattr(rig.devices["twin"], "activate", lambda _: None, raising=False)
         return rig
 
-    night = Night(monkeypatch, tamper=tamper)
+    night = Night(tamper=tamper)
     ended = night.run(short_document(broken.state), files=False)
     assert isinstance(ended.error, ReadBackMismatch)
     assert ended.error.where["step"].startswith("activate/")
@@ -219,7 +219,7 @@ def test_table_that_reads_back_differently_is_never_activated(broken: Broken, mo
         monkeypatch.setattr(rig.devices["twin"], "read_table", one_count_off, raising=False)
         return rig
 
-    night = Night(monkeypatch, tamper=tamper)
+    night = Night(tamper=tamper)
     ended = night.run(short_document(broken.state), files=False)
     assert isinstance(ended.error, ReadBackMismatch)
     assert "step publish/" in str(ended.error)

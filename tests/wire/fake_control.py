@@ -10,8 +10,9 @@ from typing import Any
 
 from agent.errors import Busy
 from agent.execution.states import PACKML, RunState
+from agent.runs.run_request import RunRequest, Source
 from agent.service.alarms import alarm_of
-from agent.service.control import Event, Question, Source, StartRequest, Status
+from agent.service.control import Event, Question, Status
 from drivers.errors import LinkLost, PermissionMissing, UserError
 
 AT_REST = (RunState.IDLE, RunState.COMPLETE, RunState.REFUSED)
@@ -50,7 +51,7 @@ class FakeControl:
     def status(self) -> Status:
         return self._status
 
-    def start(self, request: StartRequest) -> str:
+    def start(self, request: RunRequest) -> str:
         if self._status.state in (RunState.FAULTED, RunState.ABORTED):
             raise PermissionMissing("reset first")
         if self._status.state not in AT_REST:

@@ -52,7 +52,7 @@ def test_a_start_in_one_frame(ask, control):
         "calibrate",
         "S3",
         15.0,
-        (2,),
+        [2],
         True,
     )
     assert ask("03 001c 0002") == "03 04 00 2a 00 01"

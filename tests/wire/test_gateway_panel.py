@@ -14,7 +14,6 @@ from fake_control import FakeControl
 from pyModbusTCP.client import ModbusClient
 
 from agent.execution.states import RunState
-from agent.service.control import Source
 from agent.service.gateway.access import access_code_path
 from agent.service.gateway.endpoint import GatewayDoor
 from agent.settings.panel_gateway import GatewaySettings
@@ -131,8 +130,8 @@ def test_what_is_not_known_is_marked(panel):
 def test_start_hold_resume_abort_reset(panel, control):
     assert panel.give(START, kind=3, sets="S1+S3", slot=155, stations=0b101, full=2) == DONE
     request = control.asked[0][1]
-    assert (request.kind, request.source, request.consent) == ("nightly", Source.PANEL, True)
-    assert (request.position_set, request.slot_minutes, request.stations) == ("S1+S3", 15.5, (1, 3))
+    assert (request.kind, request.source, request.consent) == ("nightly", "panel", True)
+    assert (request.position_set, request.slot_minutes, request.stations) == ("S1+S3", 15.5, [1, 3])
     assert request.full_allowed is True
     assert panel.read(STATE, 3) == [2, 6, 3]
     for command, state in ((HOLD, 3), (RESUME, 2), (ABORT, 12), (RESET, 0)):

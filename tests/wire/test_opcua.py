@@ -24,7 +24,6 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from fake_control import FakeControl
 
 from agent.execution.states import RunState
-from agent.service.control import Source
 from agent.service.opcua.certificates import own_certificate
 from agent.service.opcua.endpoint import OpcUaDoor
 from agent.service.opcua.model import METHODS, NAMESPACE, PROGRAM_STATES, VARIABLES
@@ -172,8 +171,8 @@ def test_a_run_from_start_to_abort(world):
 
     asyncio.run(scene())
     request = world.control.asked[0][1]
-    assert (request.kind, request.source, request.consent) == ("calibrate", Source.OPC_UA, True)
-    assert (request.position_set, request.stations, request.slot_minutes) == ("S1+S3", (1, 2), 15.5)
+    assert (request.kind, request.source, request.consent) == ("calibrate", "opc ua", True)
+    assert (request.position_set, request.stations, request.slot_minutes) == ("S1+S3", [1, 2], 15.5)
     assert ("abort", "dust on the balls") in world.control.asked
 
 

@@ -14,10 +14,10 @@ from agent.cli.errors import fail, reported
 from agent.cli.options import Duration, measured_options
 from agent.errors import Busy, GateRefused, RunError
 from agent.execution.states import RunState
+from agent.runs.run_request import KINDS
 from agent.service.alarms import CODES
 from agent.service.allowed_requests import AT_REST
 from agent.service.client import Client
-from agent.service.control import KINDS
 from agent.settings.load import read_settings
 from drivers.clock import Clock, Deadline, RealClock
 from drivers.errors import LinkError, PermissionMissing, VolcalError

@@ -1,7 +1,8 @@
-"""A full calibration that a night has asked for: done in a slot that permits it, waited for in one that does not."""
+"""Full calibration that an earlier night found necessary: done in a slot that permits it, otherwise awaited."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from agent.errors import GateRefused, PlanRefused
@@ -11,19 +12,19 @@ from agent.planning.preflight import run_preflight
 from agent.results.run_outcome import Decision, NightReport
 from agent.runs.calibration import CalibrationRun
 from agent.runs.consent import Consent
-from agent.runs.guarded_run import GuardedRun, Means
+from agent.runs.guarded_run import GuardedRun
 from agent.runs.kinds.check_measurement import judged, measure, require_table_of
 from agent.runs.kinds.drift_check import Judge
-from agent.runs.kinds.kind import Ready
-from agent.runs.kinds.night_plan import LOOK, NightPlan, looking_plan, only_looking
+from agent.runs.kinds.night_plan import VERIFICATION, NightPlan, verification_only, verification_plan
 from agent.runs.kinds.position_choice import Chooser
+from agent.runs.planned_run import Kind, PlannedRun, StartConditions
 from agent.runs.reference_state import FullNeeded
-from agent.runs.start_conditions import Outset
+from agent.runs.run_context import RunContext
 
 
 @dataclass(frozen=True)
 class Slot:
-    """Machine minutes of a night, its reserve included, and whether a full calibration may fill it."""
+    """Slot of a night. `minutes` of machine time, `reserve` included; `full_allowed`: for a full calibration too."""
 
     minutes: float
     full_allowed: bool
@@ -33,29 +34,59 @@ class Slot:
         return minutes + self.reserve <= self.minutes
 
 
-def ready_for_full(here: Job, station: int, judge: Judge, slot: Slot, pending: FullNeeded, outset: Outset) -> Ready:
-    """The full calibration that an earlier night has asked for; where it cannot be tonight, a verification."""
-    if slot.full_allowed:
-        preflight = run_preflight(here, outset.start_mm, watch=outset.watch)
-        if slot.holds(preflight.machine_minutes):
-            return Ready(here, preflight, lambda means: FullRun(here, means, judge, station, pending))
-    plan = looking_plan(Chooser(here, station), judge)
-    own = plan.job(here)
-    preflight = run_preflight(own, outset.start_mm, only_looking(plan), outset.watch)
-    if not slot.holds(preflight.machine_minutes):
-        raise PlanRefused(
-            f"the verification takes {preflight.machine_minutes:.1f} min, the slot has {slot.minutes:g}",
-            hint=f"a full calibration is needed since run {pending.run_id}: give a slot for it",
+@dataclass(frozen=True, eq=False)
+class PendingCalibration:
+    """Night that follows the finding `pending`: a full calibration of the job `here` is due."""
+
+    kind: Kind
+    here: Job
+    station: int
+    judge: Judge
+    slot: Slot
+    pending: FullNeeded
+
+    def plan(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
+        """Plan the full calibration or, if it cannot be done tonight, a verification.
+
+        Raises PlanRefused if the slot is too short even for the verification.
+        """
+        return self._full(start, watch) or self._verification(start, watch)
+
+    def _full(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun | None:
+        if not self.slot.full_allowed:
+            return None
+        preflight = run_preflight(self.here, start.start_mm, watch=watch)
+        if not self.slot.holds(preflight.machine_minutes):
+            return None
+        return PlannedRun(
+            self.here,
+            self.kind,
+            start,
+            preflight,
+            lambda context: FullRun(self.here, context, self.judge, self.station, self.pending),
         )
-    return Ready(own, preflight, lambda means: WaitingRun(own, means, judge, plan, pending))
+
+    def _verification(self, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
+        slot, pending = self.slot, self.pending
+        plan = verification_plan(Chooser(self.here, self.station), self.judge)
+        own = plan.job(self.here)
+        preflight = run_preflight(own, start.start_mm, verification_only(plan), watch)
+        if not slot.holds(preflight.machine_minutes):
+            raise PlanRefused(
+                f"the verification takes {preflight.machine_minutes:.1f} min, the slot has {slot.minutes:g}",
+                hint=f"a full calibration is needed since run {pending.run_id}: give a slot for it",
+            )
+        return PlannedRun(
+            own, self.kind, start, preflight, lambda context: WaitingRun(own, context, self.judge, plan, pending)
+        )
 
 
 class FullRun(GuardedRun):
-    """The full calibration that a night asked for, in a slot that it was permitted."""
+    """Full calibration that an earlier night found necessary, in a slot that permits it."""
 
-    def __init__(self, job: Job, means: Means, judge: Judge, station: int, pending: FullNeeded) -> None:
-        super().__init__(job, means)
-        self._means = means
+    def __init__(self, job: Job, context: RunContext, judge: Judge, station: int, pending: FullNeeded) -> None:
+        super().__init__(job, context)
+        self._context = context
         self._judge = judge
         self._station = station
         self._pending = pending
@@ -72,14 +103,14 @@ class FullRun(GuardedRun):
             reason=self._pending.reason,
             ve_before_um=self._judge.before_um,
         )
-        calibrate_in_full(self, self._job, self._means, self._judge, report)
+        calibrate_in_full(self, self._job, self._context, self._judge, report)
 
 
 class WaitingRun(GuardedRun):
-    """A full calibration is needed and not permitted: look, tell, write nothing."""
+    """Verification while a full calibration is needed and not permitted: measure, report, write nothing."""
 
-    def __init__(self, job: Job, means: Means, judge: Judge, plan: NightPlan, pending: FullNeeded) -> None:
-        super().__init__(job, means)
+    def __init__(self, job: Job, context: RunContext, judge: Judge, plan: NightPlan, pending: FullNeeded) -> None:
+        super().__init__(job, context)
         self._judge = judge
         self._plan = plan
         self._pending = pending
@@ -87,7 +118,7 @@ class WaitingRun(GuardedRun):
     def _work(self) -> None:
         require_table_of(self._judge.last, self._begin())
         self._prepare_probe()
-        measured = measure(self._engine, self._plan, LOOK, self._plan.first, self._job, self._rules)
+        measured = measure(self._engine, self._plan, VERIFICATION, self._plan.first, self._job, self._rules)
         self.progress.measured = measured
         self._tracker.enter(RunState.IDENTIFYING)
         report = judged(self._judge, self._plan, self._job, measured, self._correction).report
@@ -96,9 +127,12 @@ class WaitingRun(GuardedRun):
         raise refusal_until_full(f"{self._pending.reason} (run {self._pending.run_id})")
 
 
-def calibrate_in_full(run: GuardedRun, job: Job, means: Means, judge: Judge, report: NightReport) -> None:
-    """From now on `run` is a full calibration with all that it has reached; consent was given with the permission."""
-    full = CalibrationRun(job, means, judge.last, judge.nights, Consent.GIVEN)
+def calibrate_in_full(run: GuardedRun, job: Job, context: RunContext, judge: Judge, report: NightReport) -> None:
+    """Continue `run` as a full calibration of `job` with everything it has reached so far.
+
+    Consent to the change was given with the permission for a full calibration.
+    """
+    full = CalibrationRun(job, context, judge.last, judge.nights, Consent.GIVEN)
     full.progress = run.progress
     full.progress.job = job
     full.progress.night = report

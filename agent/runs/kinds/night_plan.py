@@ -4,33 +4,33 @@ The choice needs only the covariance of what is known of the machine, so nothing
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from agent.errors import PlanRefused
-from agent.execution.steps import Plan
+from agent.execution.steps import Plan, Point
 from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult, Procedure, run_preflight
 from agent.probing.repeated_positions import joined
 from agent.probing.run_plan import Measured, MeasuringOrder, measure_positions
 from agent.runs.kinds.drift_check import Judge
 from agent.runs.kinds.position_choice import Chooser
-from agent.runs.start_conditions import Outset
 from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 
-LOOK, FURTHER = "look", "further"
+VERIFICATION, FURTHER = "look", "further"
 FEWEST_FUSED = 2
 """Fewer positions cannot separate machine errors from artefact errors."""
 
-_AHEAD = 1.3  # choose for so much more time: what positions cost together is less than one by one
+_AHEAD = 1.3  # time to choose for, relative to the time left: together positions cost less than one by one
 _MOST_TRIES = 6
 _MOST = 100
 
 
 @dataclass(frozen=True, eq=False)
 class NightPlan:
-    """At `station`: `held_out` and `looked_at` first (the verification), then `further`, then `held_out` again."""
+    """Positions of a night at `station`: `held_out` and `looked_at` first (the verification), then `further`, then
+    `held_out` again."""
 
     station: int
     held_out: tuple[Position, ...]
@@ -42,7 +42,7 @@ class NightPlan:
         return (*self.held_out, *self.looked_at)
 
     def job(self, job: Job) -> Job:
-        """The job of the night: what is fused, and what is held out."""
+        """Return the job of the night: positions that are fused and positions that are held out."""
         return replace(
             standing(job, self.station),
             positions=(*self.looked_at, *self.further),
@@ -56,28 +56,28 @@ class NightPlan:
 
 
 def standing(job: Job, station: int) -> Job:
-    """The same with the artefact at `station`; a slot is too short for the reversal of the axes."""
+    """Return the job with the artefact at `station`, without the axes' reversal: a slot is too short for it."""
     stations = job.settings.stations.model_copy(update={"standing_at": station})
     preparation = replace(job.preparation, reversal=None)
     return replace(job, settings=job.settings.model_copy(update={"stations": stations}), preparation=preparation)
 
 
 def station_of(job: Job, named: int | None) -> int:
-    """Where the artefact stands: as named, or as the settings say. ConfigurationError where nobody knows."""
+    """Return the artefact's station: as `named`, otherwise as the settings say. ConfigurationError if neither does."""
     station = named if named is not None else job.settings.stations.standing_at
     if station is None:
         raise ConfigurationError(
-            "nobody has said at which station the artefact stands, and at night nobody carries it",
+            "the artefact's station is not set, and at night it stays where it stands",
             key="stations.standing_at",
-            hint="set it, or give --standing-at",
+            hint="set it, or pass --standing-at",
         )
     if station not in job.layout.locations_mm:
         raise ConfigurationError(f"there is no station {station}", key="stations.places_mm")
     return station
 
 
-def looking_plan(chooser: Chooser, judge: Judge) -> NightPlan:
-    """The verification alone."""
+def verification_plan(chooser: Chooser, judge: Judge) -> NightPlan:
+    """Return the plan of a verification alone."""
     chosen = chooser.job.settings.nightly
     held = _held_out(chooser, chosen.held_out_positions)
     looked = chooser.noticing(judge.known, chosen.check_positions, held)
@@ -85,7 +85,7 @@ def looking_plan(chooser: Chooser, judge: Judge) -> NightPlan:
 
 
 def night_plan(
-    chooser: Chooser, judge: Judge, slot_minutes: float, outset: Outset
+    chooser: Chooser, judge: Judge, slot_minutes: float, start_mm: Point, watch: Callable[[], None]
 ) -> tuple[NightPlan, PreflightResult]:
     """Plan as many positions as fit into the slot less its reserve, timed by the preflight.
 
@@ -108,7 +108,7 @@ def night_plan(
             chooser.station, held, offered[: chosen.check_positions], offered[chosen.check_positions : count]
         )
         own = plan.job(chooser.job)
-        tried[count] = plan, run_preflight(own, outset.start_mm, whole_night(plan), outset.watch)
+        tried[count] = plan, run_preflight(own, start_mm, whole_night(plan), watch)
         left = room - tried[count][1].machine_minutes
         more = offered[count : count + 1]
         count += 1 if more and left > chooser.minutes(more) else -1 if left < 0.0 else 0
@@ -119,11 +119,11 @@ def night_plan(
 
 
 def whole_night(plan: NightPlan) -> Procedure:
-    """Everything of a night that moves: verification, the rest, and the proof."""
+    """Return the procedure of a whole night: verification, further positions and proof."""
 
     def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
         prepared = yield from job.preparing()
-        measured = yield from measure_positions(plan.order(LOOK, plan.first), job.layout, prepared.rules)
+        measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
         if plan.further:
             order = plan.order(FURTHER, plan.further)
             more = yield from measure_positions(order, job.layout, prepared.rules, measured.standings)
@@ -135,19 +135,19 @@ def whole_night(plan: NightPlan) -> Procedure:
     return procedure
 
 
-def only_looking(plan: NightPlan) -> Procedure:
-    """A verification; what it measures is what it judges by."""
+def verification_only(plan: NightPlan) -> Procedure:
+    """Return the procedure of a verification alone, which judges by its own measurements."""
 
     def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
         prepared = yield from job.preparing()
-        measured = yield from measure_positions(plan.order(LOOK, plan.first), job.layout, prepared.rules)
+        measured = yield from measure_positions(plan.order(VERIFICATION, plan.first), job.layout, prepared.rules)
         return measured, measured
 
     return procedure
 
 
 def only_these(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> Procedure:
-    """Some more positions, after the probe was checked."""
+    """Return the procedure of additional positions, without another probe check."""
 
     def procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
         measured = yield from measure_positions(plan.order(prefix, positions), job.layout, job.rules)
@@ -157,7 +157,7 @@ def only_these(plan: NightPlan, prefix: str, positions: Sequence[Position]) -> P
 
 
 def positions_in(measured: Measured) -> tuple[Position, ...]:
-    """What has been measured."""
+    """Return the positions that have been measured."""
     first = [position.balls[0] for position in measured.positions if position.balls]
     return tuple(Position(ball.station, ball.azimuth_deg, ball.elevation_deg) for ball in first)
 

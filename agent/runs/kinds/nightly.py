@@ -1,8 +1,8 @@
-"""`nightly`: verify, then use the rest of the slot for what is least known, and fuse it with the nights before."""
+"""`nightly`: verify, measure what is least known in the rest of the slot, and fuse it with the earlier nights."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from agent.errors import MeasurementFault, PlanRefused
@@ -21,15 +21,14 @@ from agent.results.thermal_drift import balls_for_estimate, going_on, observed
 from agent.runs.calibration import CalibrationRun
 from agent.runs.change_since_reference import change_since
 from agent.runs.consent import Consent
-from agent.runs.guarded_run import Means
+from agent.runs.kinds.calibrate import nights_since
 from agent.runs.kinds.check_measurement import judged, measure, require_table_of
 from agent.runs.kinds.drift_check import Judge, Judgement
-from agent.runs.kinds.full_calibration import Slot, calibrate_in_full, ready_for_full, refusal_until_full
-from agent.runs.kinds.kind import Ready, nights_since
+from agent.runs.kinds.full_calibration import PendingCalibration, Slot, calibrate_in_full, refusal_until_full
 from agent.runs.kinds.night_plan import (
     FEWEST_FUSED,
     FURTHER,
-    LOOK,
+    VERIFICATION,
     NightPlan,
     night_plan,
     only_these,
@@ -39,21 +38,23 @@ from agent.runs.kinds.night_plan import (
 )
 from agent.runs.kinds.position_choice import Chooser
 from agent.runs.kinds.step_proof import prove_step
+from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.runs.reference_state import full_needed, record_accepted, record_full_needed, require_accepted
-from agent.runs.start_conditions import Outset
+from agent.runs.run_context import RunContext
 from twin.artefact.position_set import Position
 from twin.units import S_PER_MIN
 
 DIAGNOSIS = "diagnosis"
 SUSPECTS = 8
-"""Errors that are told apart where one of them has jumped."""
+"""Number of suspected errors that a diagnosis discriminates between."""
 
 
 @dataclass(frozen=True)
 class Night:
-    """`slot_minutes`, `full_allowed`: None as the settings say; the rest as for a verification.
+    """Kind that verifies and improves. `slot_minutes`, `full_allowed`: None as the settings say; the rest as for a
+    `Verification`.
 
-    `full_allowed`: somebody carries the artefact tonight, and consents to a machine that has changed.
+    `full_allowed`: a person carries the artefact tonight and consents to a machine that has changed.
     """
 
     slot_minutes: float | None = None
@@ -62,24 +63,30 @@ class Night:
     nights: float | None = None
     name: str = "nightly"
 
-    def ready(self, job: Job, outset: Outset) -> Ready:
+    def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         chosen = job.settings.nightly
-        last = require_accepted(job, outset.run)
+        last = require_accepted(job, start.run)
         station = station_of(job, self.station)
         here = standing(job, station)
-        judge = Judge(job, last, nights_since(last, self.nights, outset.at))
+        judge = Judge(job, last, nights_since(last, self.nights, start.at))
         slot = Slot(
             chosen.slot_minutes if self.slot_minutes is None else self.slot_minutes,
             chosen.full_allowed if self.full_allowed is None else self.full_allowed,
             chosen.reserve_minutes,
         )
-        pending = full_needed(job.settings.state_directory, outset.run)
+        pending = full_needed(job.settings.state_directory, start.run)
         if pending is not None:
-            return ready_for_full(here, station, judge, slot, pending, outset)
+            return PendingCalibration(self, here, station, judge, slot, pending).plan(start, watch)
         chooser = Chooser(here, station)
-        plan, preflight = night_plan(chooser, judge, slot.minutes, outset)
+        plan, preflight = night_plan(chooser, judge, slot.minutes, start.start_mm, watch)
         own = plan.job(job)
-        return Ready(own, preflight, lambda means: NightlyRun(own, means, judge, plan, chooser, preflight, slot))
+        return PlannedRun(
+            own,
+            self,
+            start,
+            preflight,
+            lambda context: NightlyRun(own, context, judge, plan, chooser, preflight, slot),
+        )
 
 
 class NightlyRun(CalibrationRun):
@@ -88,15 +95,15 @@ class NightlyRun(CalibrationRun):
     def __init__(
         self,
         job: Job,
-        means: Means,
+        context: RunContext,
         judge: Judge,
         plan: NightPlan,
         chooser: Chooser,
         preflight: PreflightResult,
         slot: Slot,
     ) -> None:
-        super().__init__(job, means, judge.last, judge.nights, Consent.REFUSED)
-        self._means = means
+        super().__init__(job, context, judge.last, judge.nights, Consent.REFUSED)
+        self._context = context
         self._judge = judge
         self._plan = plan
         self._chooser = chooser
@@ -110,7 +117,7 @@ class NightlyRun(CalibrationRun):
         plan = self._plan
         require_table_of(self._judge.last, self._begin())
         self._prepare_probe()
-        measured = self._measure(LOOK, plan.first)
+        measured = self._measure(VERIFICATION, plan.first)
         judgement = self._judged(measured)
         if judgement.within:
             measured, judgement = self._use_rest(measured, judgement)
@@ -128,22 +135,22 @@ class NightlyRun(CalibrationRun):
         return measured, self._judged(measured)
 
     def _still_fitting(self) -> tuple[Position, ...]:
-        """Of the positions to come, those for which there is time, that of the proof kept."""
+        """Return the further positions for which time is left, the time of the proof reserved."""
         further = list(self._plan.further)
-        needed = self._planned_minutes_after(LOOK)
+        needed = self._planned_minutes_after(VERIFICATION)
         while further and needed > self._left_minutes:
             needed -= self._chooser.minutes([further.pop()])
         return tuple(further)
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """A slot goes on while nothing runs. What was measured for the verification is of use only if the rest of it
-        can be measured too."""
+        """The slot goes on while a run is interrupted. Measurements of an unfinished verification are of use only if
+        the rest of it can be measured too."""
         at_s = self._preflight_result.timeline.get(following.key)
         needed = 0.0 if at_s is None else (self._preflight_result.machine_seconds - at_s) / S_PER_MIN
-        needed -= self._planned_minutes_after(LOOK)
+        needed -= self._planned_minutes_after(VERIFICATION)
         if max(needed, 0.0) > self._left_minutes or self._left_minutes <= 0.0:
             return PlanRefused(
-                f"the night cannot be gone on with: {self._left_minutes:.1f} min are left of its slot of "
+                f"the night cannot be resumed: {self._left_minutes:.1f} min are left of its slot of "
                 f"{self._slot.minutes:g} min, the verification alone needs {max(needed, 0.0):.1f} min more",
                 hint="wait for the next night; what was measured stays in the journal",
             )
@@ -172,11 +179,11 @@ class NightlyRun(CalibrationRun):
     # ------------------------------------------------------------------ out of limits
 
     def _out_of_limits(self, measured: Measured, judgement: Judgement) -> None:
-        """Calibrate in full where that is permitted and fits; else find out what has changed, and ask for it."""
+        """Calibrate in full if that is permitted and fits; otherwise diagnose the change and request a calibration."""
         full = standing(self._judge.job, self._plan.station)
         if self._slot.full_allowed and self._minutes_of(full) <= self._left_minutes:
             report = replace(judgement.report, decision=Decision.FULL_DONE)
-            calibrate_in_full(self, full, self._means, self._judge, report)
+            calibrate_in_full(self, full, self._context, self._judge, report)
             return
         report = self._diagnosed(measured, judgement)
         self._tracker.enter(RunState.IDENTIFYING)
@@ -186,7 +193,7 @@ class NightlyRun(CalibrationRun):
         raise refusal_until_full(report.reason)
 
     def _diagnosed(self, measured: Measured, judgement: Judgement) -> NightReport:
-        """The rest of the slot for the positions that tell apart what may have jumped."""
+        """Use the rest of the slot for positions that discriminate between the suspected errors."""
         done, report = positions_in(measured), judgement.report
         chosen = list(
             self._chooser.telling_apart(
@@ -232,7 +239,8 @@ class NightlyRun(CalibrationRun):
         after_um = judge.left_um(finding.estimate, finding.estimate.parameters)
         report = replace(report, ve_now_um=now_um, ve_after_um=after_um)
         worth = 1.0 - after_um / now_um >= chosen.nightly.min_gain
-        if not worth or self._planned_minutes_after(FURTHER if self._plan.further else LOOK) > self._left_minutes:
+        last_part = FURTHER if self._plan.further else VERIFICATION
+        if not worth or self._planned_minutes_after(last_part) > self._left_minutes:
             record_accepted(self._journal, judge.last.accepted)
             self._end(replace(report, decision=Decision.FUSED))
             return

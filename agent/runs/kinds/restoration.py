@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,10 +15,10 @@ from agent.planning.job import Job
 from agent.planning.preflight import PreflightResult
 from agent.probing import publish
 from agent.probing.run_plan import Measured
-from agent.runs.guarded_run import GuardedRun, Means
-from agent.runs.kinds.kind import Ready
+from agent.runs.guarded_run import GuardedRun
+from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.runs.reference_state import TABLE_RESTORED
-from agent.runs.start_conditions import Outset
+from agent.runs.run_context import RunContext
 from drivers.errors import InputError, NotActiveYet
 from drivers.roles import TableImage
 
@@ -29,26 +30,26 @@ _NOTHING = Measured((), (), 0, None, {})
 
 @dataclass(frozen=True)
 class Restoration:
-    """Latest table stored by `run_id` with `role`."""
+    """Kind that reactivates the latest table stored by `run_id` with `role`."""
 
     run_id: str
     role: Role = "backup"
     name: str = "restore"
 
-    def ready(self, job: Job, _: Outset) -> Ready:
-        """Return the prepared run. Raise InputError if the journal has no such table."""
+    def plan(self, job: Job, start: StartConditions, _: Callable[[], None]) -> PlannedRun:
+        """Return the planned run. Raise InputError if the journal has no such table."""
         image = stored_table(job.settings.state_directory, self.run_id, self.role)
         preflight = PreflightResult(_NOTHING, _NOTHING, {}, (), 0.0, 0.0, 0)
-        return Ready(job, preflight, lambda means: RestorationRun(job, means, image, self))
+        return PlannedRun(job, self, start, preflight, lambda context: RestorationRun(job, context, image, self))
 
 
 class RestorationRun(GuardedRun):
     """Stage, read back, activate, read back; if that fails, the previous table is reactivated."""
 
-    def __init__(self, job: Job, means: Means, image: TableImage | None, wanted: Restoration) -> None:
-        super().__init__(job, means)
+    def __init__(self, job: Job, context: RunContext, image: TableImage | None, kind: Restoration) -> None:
+        super().__init__(job, context)
         self._image = image
-        self._wanted = wanted
+        self._kind = kind
 
     def _work(self) -> None:
         found = self._begin()
@@ -65,9 +66,9 @@ class RestorationRun(GuardedRun):
         except NotActiveYet as waits:
             late = f". {waits.message}. {waits.hint}"
         crc32 = None if self._image is None else table_digest(self._image)
-        record = {"of_run": self._wanted.run_id, "role": self._wanted.role, "bank": bank, "crc32": crc32}
+        record = {"of_run": self._kind.run_id, "role": self._kind.role, "bank": bank, "crc32": crc32}
         self._journal.decision(TABLE_RESTORED, record)
-        text = f"bank {bank} holds the {self._wanted.role} table of run {self._wanted.run_id}{late}"
+        text = f"bank {bank} holds the {self._kind.role} table of run {self._kind.run_id}{late}"
         self._tracker.enter(RunState.COMPLETE, text)
 
     def _staged(self, active: int) -> int:

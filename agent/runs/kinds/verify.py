@@ -1,46 +1,55 @@
-"""`verify`: a few positions with the compensation active against the last accepted night; nothing is written."""
+"""`verify`: compare a few positions, compensation active, with the last accepted night; nothing is written."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from agent.execution.states import RunState
 from agent.planning.job import Job
 from agent.planning.preflight import run_preflight
-from agent.runs.guarded_run import GuardedRun, Means
+from agent.runs.guarded_run import GuardedRun
+from agent.runs.kinds.calibrate import nights_since
 from agent.runs.kinds.check_measurement import judged, measure, require_table_of
 from agent.runs.kinds.drift_check import Judge
-from agent.runs.kinds.kind import Ready, nights_since
-from agent.runs.kinds.night_plan import LOOK, NightPlan, looking_plan, only_looking, standing, station_of
+from agent.runs.kinds.night_plan import (
+    VERIFICATION,
+    NightPlan,
+    standing,
+    station_of,
+    verification_only,
+    verification_plan,
+)
 from agent.runs.kinds.position_choice import Chooser
+from agent.runs.planned_run import PlannedRun, StartConditions
 from agent.runs.reference_state import require_accepted
-from agent.runs.start_conditions import Outset
+from agent.runs.run_context import RunContext
 
 
 @dataclass(frozen=True)
 class Verification:
-    """`station` where the artefact stands, None: as the settings say; `nights` since the last accepted one, None: by
-    the calendar."""
+    """Kind that only verifies. `station` at which the artefact stands, None: as the settings say; `nights` since the
+    last accepted one, None: by the calendar."""
 
     station: int | None = None
     nights: float | None = None
     name: str = "verify"
 
-    def ready(self, job: Job, outset: Outset) -> Ready:
-        last = require_accepted(job, outset.run)
+    def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
+        last = require_accepted(job, start.run)
         station = station_of(job, self.station)
-        judge = Judge(job, last, nights_since(last, self.nights, outset.at))
-        plan = looking_plan(Chooser(standing(job, station), station), judge)
+        judge = Judge(job, last, nights_since(last, self.nights, start.at))
+        plan = verification_plan(Chooser(standing(job, station), station), judge)
         own = plan.job(job)
-        preflight = run_preflight(own, outset.start_mm, only_looking(plan), outset.watch)
-        return Ready(own, preflight, lambda means: VerifyRun(own, means, judge, plan))
+        preflight = run_preflight(own, start.start_mm, verification_only(plan), watch)
+        return PlannedRun(own, self, start, preflight, lambda context: VerifyRun(own, context, judge, plan))
 
 
 class VerifyRun(GuardedRun):
     """Measures, judges, and leaves everything as it was."""
 
-    def __init__(self, job: Job, means: Means, judge: Judge, plan: NightPlan) -> None:
-        super().__init__(job, means)
+    def __init__(self, job: Job, context: RunContext, judge: Judge, plan: NightPlan) -> None:
+        super().__init__(job, context)
         self._judge = judge
         self._plan = plan
 
@@ -48,7 +57,7 @@ class VerifyRun(GuardedRun):
         require_table_of(self._judge.last, self._begin())
         self._prepare_probe()
         job, plan = self._job, self._plan
-        measured = measure(self._engine, plan, LOOK, plan.first, job, self._rules)
+        measured = measure(self._engine, plan, VERIFICATION, plan.first, job, self._rules)
         self.progress.measured = measured
         self._tracker.enter(RunState.IDENTIFYING)
         report = self.progress.night = judged(self._judge, plan, job, measured, self._correction).report

@@ -1,4 +1,4 @@
-"""Engine of a resumed run: recorded steps are answered from the journal, the rest is carried out."""
+"""Engine of a resumed run: recorded steps are answered from the journal, the remaining ones are done."""
 
 from __future__ import annotations
 
@@ -10,56 +10,57 @@ from agent.execution.encoding import encode_step, table_digest
 from agent.execution.engine import Action, Engine, Observer
 from agent.execution.journal import RunJournal
 from agent.execution.replay_log import RecordedStep, ReplayLog
-from agent.execution.steps import ActivateBank, AwaitActive, ReadActiveBank, ReadTable, Record, StageTable, Step
+from agent.execution.steps import ReadTable, Record, Step
 from agent.runs.resume.replay_clock import ResumedClock
-from agent.runs.resume.step_trace import Trace
+from agent.runs.resume.step_trace import StepTrace
 from drivers.roles import TableImage
 
-WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
-"""Steps of the compensation's store: nothing moves for them."""
 
+class Return(Protocol):
+    """Return of the machine to the state in which the first step without a record can be done."""
 
-class ReturnPath(Protocol):
-    """Brings the machine back to where the next step can be carried out."""
-
-    def compensation(self, following: Step) -> bool:
-        """Reactivate the bank that was active; nothing moves. Return True if `following` has already taken effect."""
+    @property
+    def complete(self) -> bool:
+        """Compensation and machine are as they were."""
         ...
 
-    def machine(self, following: Step) -> None:
-        """Withdraw, and return to where the step began."""
+    def before(self, following: Step) -> bool:
+        """Return as far as `following`, a step without a record, needs it. True if `following` has taken effect
+        already."""
         ...
 
 
 class Replay:
-    """Compares the steps of the rebuilt plan with the recorded ones. `unfinished`: the step that began and did not end,
-    met once everything before it has been replayed."""
+    """Records of an interrupted run, compared with the steps of the rebuilt plan. `interrupted_step`: the step that
+    began and did not end; it follows the last one replayed."""
 
-    def __init__(self, recorded: ReplayLog, clock: ResumedClock, trace: Trace) -> None:
+    def __init__(self, recorded: ReplayLog, clock: ResumedClock, trace: StepTrace) -> None:
         self._recorded = recorded
         self._clock = clock
         self.trace = trace
-        self.unfinished = recorded.unfinished
+        self.interrupted_step = recorded.unfinished
 
     @property
     def over(self) -> bool:
         return not self._recorded.steps
 
     def next(self, step: Step) -> RecordedStep:
-        """Return the recorded step that matches `step`. Raise PlanDiverged if it is another one."""
+        """Return the record of `step`. PlanDiverged if the next record is of another step."""
         recorded = self._recorded.steps.popleft()
         _require_same(recorded, step)
         if recorded.finished_s is not None:
             self._clock.replayed_to(recorded.finished_s)
         return recorded
 
-    def require_unfinished(self, step: Step) -> None:
-        if self.unfinished is not None:
-            _require_same(self.unfinished, step)
+    def end(self, step: Step) -> None:
+        """End the replay before `step`. PlanDiverged if another step was interrupted."""
+        interrupted, self.interrupted_step = self.interrupted_step, None
+        if interrupted is not None:
+            _require_same(interrupted, step)
 
 
 class ReplayingEngine(Engine):
-    """`stored` returns a table that the journal or the controller still has, by bank and CRC-32."""
+    """Engine that replays. `stored` looks up a table that journal or controller still have, by bank and CRC-32."""
 
     def __init__(
         self,
@@ -73,27 +74,26 @@ class ReplayingEngine(Engine):
         self._writer = journal
         self._replay = replay
         self._stored = stored
-        self._returning: ReturnPath | None = None
-        self._compensated = self._arrived = False
+        self._return: Return | None = None
 
-    def returns_by(self, returning: ReturnPath) -> None:
-        """Set the return path; to be called before the first plan is run."""
-        self._returning = returning
+    def returns_by(self, return_: Return) -> None:
+        """Set how the machine returns once the replay is over; without it, it is taken to be where it was."""
+        self._return = return_
 
     def _do_durably(self, step: Step) -> Any:
         result = self._done_or_recorded(step)
-        if not self._arrived:
+        if self._return is None or not self._return.complete:
             self._replay.trace.see(step, result)
         return result
 
     def _done_or_recorded(self, step: Step) -> Any:
         if isinstance(step, Record):
-            # Conclusions of the plan cost nothing; the journal knows which of them it already has.
+            # A conclusion of the plan costs nothing; the journal knows which of them it has already.
             return super()._do_durably(step)
         if not self._replay.over:
             return self._recorded(step)
-        if self._come_back(step):
-            # It had taken effect before the interruption: a writing step is never carried out twice.
+        if self._has_taken_effect(step):
+            # A step that writes is never done twice.
             self._writer.begin(step)
             self._writer.finish(step, None, begun=True)
             return None
@@ -105,20 +105,12 @@ class ReplayingEngine(Engine):
             return self._stored(step.bank, result["crc32"])
         return result
 
-    def _come_back(self, step: Step) -> bool:
-        """Return the compensation first, the machine only for a step that needs it; each once. True if `step`
-        is already complete."""
-        returning, done = self._returning, False
-        if returning is None or self._arrived:
-            return done
-        if not self._compensated:
-            self._replay.require_unfinished(step)
-            self._compensated = True
-            done = returning.compensation(step)
-        if not isinstance(step, WRITING):
-            self._arrived = True
-            returning.machine(step)
-        return done
+    def _has_taken_effect(self, step: Step) -> bool:
+        """Return the machine as far as `step` needs it. True if `step` took effect before the interruption."""
+        if self._return is None or self._return.complete:
+            return False
+        self._replay.end(step)
+        return self._return.before(step)
 
 
 def _require_same(recorded: RecordedStep, step: Step) -> None:
@@ -135,11 +127,11 @@ def _require_same(recorded: RecordedStep, step: Step) -> None:
 
 
 def require_crc(image: TableImage | None, bank: int, crc32: int) -> TableImage:
-    """Return the table. Raise PlanDiverged if the bank no longer holds it."""
+    """Return `image`. PlanDiverged if a bank does not hold the table that it held."""
     if image is None or table_digest(image) != crc32:
         raise PlanDiverged(
             f"bank {bank} does not hold the table any more that it held when the run read it",
-            hint="somebody has written it since; start a new run",
+            hint="it has been written since; start a new run",
             bank=bank,
         )
     return image

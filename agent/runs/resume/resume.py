@@ -3,88 +3,119 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
-from agent.execution.engine import Observer
+from agent.execution.journal import RunJournal
 from agent.execution.journal_reader import open_journal
 from agent.execution.journal_schema import FILE_NAME
 from agent.execution.rig import Rig
-from agent.execution.run_lock import run_lock
-from agent.execution.run_state import Listener
-from agent.execution.supervisor import Supervisor
+from agent.execution.run_state import RunStateTracker
+from agent.execution.states import RunState
 from agent.planning.job import prepare_job
-from agent.reports.renderer import Reports, rebuilt_here
-from agent.runs.kinds.kind import Ready
 from agent.runs.origin import Origin, read_origin
-from agent.runs.resume.resume_start import Resumption
-from agent.runs.session import Request, RunResult, carry_out
-from agent.runs.unfinished_run import UnfinishedRun, unfinished_run
-from agent.settings.schema import Settings
-from drivers.clock import Clock
-from drivers.errors import InputError
+from agent.runs.reconcile import reconcile
+from agent.runs.resume.replay_clock import ResumedClock
+from agent.runs.resume.replay_engine import Replay, ReplayingEngine, require_crc
+from agent.runs.resume.return_to_position import ReturnToPosition
+from agent.runs.resume.step_trace import StepTrace
+from agent.runs.run_context import RunContext, RunHooks
+from agent.runs.run_start import record_asked
+from agent.runs.session import RunResult, Session, open_rig, run_resources
+from agent.runs.step_progress import StepProgress
+from agent.runs.unfinished_run import unfinished_run
+from drivers.clock import utc_timestamp
+from drivers.errors import InputError, VolcalError
+from drivers.roles import TableImage
 
 
-@dataclass(frozen=True)
-class ResumeRequest:
-    """Request to resume the unfinished run of `state_directory`; the rest as in `agent.runs.session.Request`.
+def resume(
+    state_directory: Path, hooks: RunHooks | None = None, *, asked: Mapping[str, object] | None = None
+) -> RunResult:
+    """Resume the unfinished run of `state_directory`, with the settings, kind and files it began with.
 
-    The run continues with the settings, the kind and the files that it began with, whatever they are now.
+    The run is planned again from the conditions it began with; its recorded steps are answered from the journal, the
+    machine is brought back to where it was, and the remaining steps are done. `asked`: who asked for it; journaled.
+
+    Raises InputError if there is nothing to resume, PlanDiverged if a file has changed, and as `carry_out` until the
+    run is active again; afterwards every end is a `RunResult`.
     """
-
-    state_directory: Path
-    listener: Listener
-    interrupts: Callable[[Supervisor], None]
-    clock: Clock | None = None
-    rig: Callable[[Settings, Clock, Path], Rig] | None = None
-    files: bool = True
-    asked: Mapping[str, object] = field(default_factory=dict)
-    lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
-    observer: Observer | None = None
-    passed: Callable[[Ready], None] = lambda _: None
-    reports: Reports = rebuilt_here
-
-
-def resume(request: ResumeRequest) -> RunResult:
-    """Resume the run. Raise InputError if there is nothing to resume, PlanDiverged if a file has changed, and as
-    `carry_out` before the run is active again; afterwards every end is a `RunResult`."""
-    run = require_resumable(request.state_directory)
-    origin = origin_of(request.state_directory, run)
-    origin.require_unchanged()
-    return carry_out(
-        Request(
-            job=prepare_job(origin.settings, origin.base),
-            base=origin.base,
-            listener=request.listener,
-            interrupts=request.interrupts,
-            kind=origin.kind,
-            clock=request.clock,
-            rig=request.rig,
-            files=request.files,
-            run_id=run.run_id,
-            asked=request.asked,
-            lock=request.lock,
-            observer=request.observer,
-            passed=request.passed,
-            beginning=Resumption(origin),
-            reports=request.reports,
-        )
-    )
+    hooks = hooks or RunHooks()
+    origin = resumable_origin(state_directory)
+    settings, run_id, job = origin.settings, origin.run_id, prepare_job(origin.settings, origin.base)
+    with run_resources(settings.state_directory, settings.clock, run_id, hooks) as resources:
+        run_clock = ResumedClock(resources.clock, origin.begun_s)
+        clock = resources.interruptible(run_clock)
+        rig = hooks.devices.assemble(settings, clock, origin.base)
+        journal, recorded = resources.journal.continue_run(origin.start.run, run_id, clock)
+        record_asked(journal, asked or {})
+        tracker = RunStateTracker(journal, hooks.announce, recorded.states)
+        steps = StepProgress(tracker, hooks.observe)
+        replay = Replay(recorded, run_clock, StepTrace())
+        engine = ReplayingEngine(rig.actions(journal.run), journal, steps.observe, replay, stored_tables(journal, rig))
+        context = RunContext(rig, engine, journal, tracker, resources.supervisor, clock, hooks)
+        session = Session(context, steps, job, origin.kind, resources.began_s)
+        with session.ended_by_errors():
+            tracker.enter(RunState.RESUMING)
+            with open_rig(context):
+                run = session.plan(origin.start).begin(context)
+                prefix = f"resume-{recorded.resumptions + 1}"
+                engine.returns_by(ReturnToPosition(prefix, run, context, replay.trace, run_clock, time_s(origin)))
+                session.progress = run.carry_out()
+                if session.progress.error is not None:
+                    _note_compensation(rig, origin, tracker.note)
+        return session.result()
 
 
-def require_resumable(state_directory: Path) -> UnfinishedRun:
-    """Return the unfinished run. Raise InputError, with the reason, if there is none or it cannot be resumed."""
+def resumable_origin(state_directory: Path) -> Origin:
+    """Return the origin of the unfinished run.
+
+    Raises InputError, with the reason, if there is none, it cannot be resumed, or the journal cannot be read;
+    PlanDiverged if a file has changed since the run began.
+    """
     run = unfinished_run(state_directory)
     file = str(state_directory / FILE_NAME)
     if run is None:
         raise InputError("there is no run to resume: the last one ended regularly", file=file)
     if not run.resumable:
         raise InputError(f"run {run.run_id} cannot be resumed: {run.refusal}", file=file)
-    return run
-
-
-def origin_of(state_directory: Path, run: UnfinishedRun) -> Origin:
-    """Return the origin of a run. Raise InputError as `read_origin`, or if the journal cannot be read."""
     with open_journal(state_directory) as reader:
-        return read_origin(reader, run.run)
+        origin = read_origin(reader, run.run)
+    origin.require_unchanged()
+    return origin
+
+
+def stored_tables(journal: RunJournal, rig: Rig) -> Callable[[int, int], TableImage]:
+    """Return a lookup of tables by bank and CRC-32: in the journal, otherwise in the controller.
+
+    The lookup raises PlanDiverged if the bank does not hold that table any more.
+    """
+
+    def stored(bank: int, crc32: int) -> TableImage:
+        return journal.stored_table(crc32) or require_crc(rig.store.read_table(bank), bank, crc32)
+
+    return stored
+
+
+def time_s(origin: Origin) -> float:
+    """Return the machine seconds at which the run continues.
+
+    If machine time is wall time, the interruption has passed for the run as well: the time counts for its slot.
+    """
+    if origin.settings.clock.kind != "real":
+        return origin.begun_s
+    passed = datetime.fromisoformat(utc_timestamp()) - datetime.fromisoformat(origin.begun_at)
+    return origin.begun_s + passed.total_seconds()
+
+
+def _note_compensation(rig: Rig, origin: Origin, note: Callable[[str], None]) -> None:
+    """Compare the compensation with the journal after an error, and restore it if necessary.
+
+    The run's own exit path knows only what the replay has reached; a new table may be active that it never reached.
+    """
+    try:
+        found = reconcile(rig, origin.settings.state_directory, of_run=origin.start.run)
+    except VolcalError as error:
+        note(f"could not see what the controller's compensation is: {error}")
+        return
+    note(f"compensation: {found.text}")

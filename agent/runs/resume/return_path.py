@@ -25,17 +25,17 @@ from agent.execution.steps import (
 from agent.probing.ball import BallLost, measure_ball, point
 from agent.probing.position import PositionRules
 from agent.probing.recovery import WITHDRAW_FEED_MM_PER_S, withdraw
-from agent.runs.resume.step_trace import AxisMove, Trace
+from agent.runs.resume.step_trace import AxisMove, StepTrace
 from twin.arrays import Array
 from twin.units import UM_PER_MM
 
 
 @dataclass(frozen=True)
-class WayBack:
+class ReturnPath:
     """`prefix` begins every key; `tolerance_mm` of the datum ball."""
 
     prefix: str
-    trace: Trace
+    trace: StepTrace
     rules: PositionRules
     tolerance_mm: float
 

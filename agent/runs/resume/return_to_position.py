@@ -1,14 +1,9 @@
-"""What a run that is gone on with does between the last recorded step and the first new one."""
+"""Return of a resumed run between its last recorded step and its first new one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from agent.errors import PlanDiverged, PlanRefused
+from agent.errors import PlanDiverged
 from agent.execution.encoding import table_digest
-from agent.execution.engine import Engine
-from agent.execution.rig import Rig
-from agent.execution.run_state import RunStateTracker
 from agent.execution.steps import (
     ActivateBank,
     AwaitActive,
@@ -21,71 +16,86 @@ from agent.execution.steps import (
     TouchTowards,
 )
 from agent.probing import publish
-from agent.probing.position import PositionRules
+from agent.runs.guarded_run import GuardedRun
 from agent.runs.resume.replay_clock import ResumedClock
-from agent.runs.resume.return_path import WayBack
-from agent.runs.resume.step_trace import Trace
+from agent.runs.resume.return_path import ReturnPath
+from agent.runs.resume.step_trace import StepTrace
+from agent.runs.run_context import RunContext
 from drivers.roles import Activation
 
+WRITING = (ReadActiveBank, AwaitActive, ReadTable, StageTable, ActivateBank)
+"""Steps of the compensation store: the machine need not be where it was for them."""
 
-class Returning:
-    """`aside` does steps that no replay will meet; `rules` as the run knows them by then; `time_s` machine seconds that
-    it is by now."""
+
+class ReturnToPosition:
+    """Return of a resumed run: the compensation before the first new step, the machine before the first that needs
+    it."""
 
     def __init__(
         self,
         prefix: str,
-        rig: Rig,
-        trace: Trace,
-        aside: Engine,
-        rules: Callable[[], PositionRules],
-        too_late: Callable[[Step], PlanRefused | None],
-        tracker: RunStateTracker,
+        run: GuardedRun,
+        context: RunContext,
+        trace: StepTrace,
         clock: ResumedClock,
         time_s: float,
-        activation: Activation,
     ) -> None:
+        """`prefix` begins the keys of all steps; `time_s`: machine seconds at which the run continues."""
         self._prefix = prefix
-        self._rig = rig
+        self._run = run
+        self._rig = context.rig
+        self._tracker = context.tracker
+        self._aside = context.engine.aside()
         self._trace = trace
-        self._aside = aside
-        self._rules = rules
-        self._too_late = too_late
-        self._tracker = tracker
         self._clock = clock
         self._time_s = time_s
-        self._activation = activation
+        self._activation = run.activation
+        self._compensated = False
+        self.complete = False
 
-    def compensation(self, following: Step) -> bool:
+    def before(self, following: Step) -> bool:
+        taken_effect = False
+        if not self._compensated:
+            self._compensated = True
+            taken_effect = self._return_compensation(following)
+        if not isinstance(following, WRITING):
+            self.complete = True
+            self._return_machine(following)
+        return taken_effect
+
+    def _return_compensation(self, following: Step) -> bool:
+        """Activate the bank that was active; nothing moves. True if `following` has taken effect already."""
         self._clock.run_on(self._time_s)
-        return self._aside.run(acting_again(f"{self._prefix}/compensation", self._trace, following, self._activation))
+        prefix = f"{self._prefix}/compensation"
+        return self._aside.run(reactivation(prefix, self._trace, following, self._activation))
 
-    def machine(self, following: Step) -> None:
-        self._at_rest()
-        refusal = self._too_late(following)
+    def _return_machine(self, following: Step) -> None:
+        """Withdraw, and return to where `following` began."""
+        self._await_rest()
+        refusal = self._run.too_late(following)
         if refusal is not None:
             raise refusal
         if isinstance(following, (MoveTo, TouchTowards)):
             self._trace.came.begins(following.target_mm, touch=isinstance(following, TouchTowards))
         self._rig.last_motion = self._trace.came
-        rules = self._rules()
-        way = WayBack(self._prefix, self._trace, rules, rules.drift.fault_mm)
-        self._aside.run(way.plan(following))
+        rules = self._run.rules
+        path = ReturnPath(self._prefix, self._trace, rules, rules.drift.fault_mm)
+        self._aside.run(path.plan(following))
         self._tracker.announce_again()
 
-    def _at_rest(self) -> None:
-        """What the process that died had begun may still go on: a controller that hears nothing takes a second to
-        notice, and drives that turn do not know that anybody is missing."""
+    def _await_rest(self) -> None:
+        """Stop and wait until nothing moves. A motion of the process that died may still go on: a controller takes a
+        second to notice that its client is gone, and turning drives do not notice at all."""
         complaints = self._rig.stop()
         if complaints:
             self._tracker.note(f"stopping what may still move: {'; '.join(complaints)}")
         self._rig.await_standstill()
 
 
-def acting_again(prefix: str, trace: Trace, following: Step, activation: Activation) -> Plan[bool]:
-    """Read back, compare, decide: the bank that acted acts again, and the bank that was written holds what was written.
+def reactivation(prefix: str, trace: StepTrace, following: Step, activation: Activation) -> Plan[bool]:
+    """Make the bank active again that was, and restore the contents of the bank that was written, as far as needed.
 
-    True where `following` is an activation that broke off and has taken effect all the same.
+    True if `following` is an interrupted activation that has taken effect nevertheless.
     """
     expected = trace.active_bank
     if expected is None or isinstance(following, AwaitActive):
@@ -100,8 +110,8 @@ def acting_again(prefix: str, trace: Trace, following: Step, activation: Activat
         held = yield ReadTable(f"{prefix}/table", expected)
         if expected in trace.contents and (held is None or table_digest(held) != trace.contents[expected]):
             raise PlanDiverged(
-                f"bank {expected} does not hold the table any more that acted when the run broke off",
-                hint="somebody has written it since; start a new run",
+                f"bank {expected} does not hold the table any more that was active when the run was interrupted",
+                hint="it has been written since; start a new run",
                 bank=expected,
             )
     if active != expected:
@@ -110,15 +120,15 @@ def acting_again(prefix: str, trace: Trace, following: Step, activation: Activat
 
 
 def _written(prefix: str, staged: StageTable) -> Plan[None]:
-    """A bank may have lost what was written into it: it is written again, unless it acts."""
+    """Write the bank again if it has lost its contents. PlanDiverged if it is active, since then it is not written."""
     held = yield ReadTable(f"{prefix}/staged", staged.bank)
     if held is not None and held.same_as(staged.table):
         return
     active = yield ReadActiveBank(f"{prefix}/acting")
     if active == staged.bank:
         raise PlanDiverged(
-            f"bank {staged.bank} acts and does not hold the table that the run wrote",
-            hint="somebody has written it since; restore the former table with `volcal resume --give-up`",
+            f"bank {staged.bank} is active and does not hold the table that the run wrote",
+            hint="it has been written since; restore the former table with `volcal resume --give-up`",
             bank=staged.bank,
         )
     yield StageTable(f"{prefix}/stage", staged.bank, staged.table)

@@ -49,7 +49,7 @@ class AxisMove:
 
 
 @dataclass
-class Trace:
+class StepTrace:
     """Follows a run step by step. `at_mm` None: nobody has asked yet; `came` how the tip came
     there; `pose` the last finished turn of the mount;
     `datum_mm` the last ball centre found in this pose with the table that acts; `contents` bank → CRC-32."""

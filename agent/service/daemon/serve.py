@@ -21,7 +21,7 @@ from agent.service.http.app_state import Site
 from agent.service.http.endpoint import HttpDoor
 from agent.service.owner.health import Health
 from agent.service.owner.owner import Owner
-from agent.service.owner.owner_parts import Household, here_and_now
+from agent.service.owner.owner_parts import OwnerParts, here_and_now
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.archive import Archive
 from agent.service.state.event_log import Bulletin
@@ -48,14 +48,14 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_no
     directory = settings.state_directory
     with heard_signals() as signals, ownership(directory, f"the service (process {os.getpid()})") as owned:
         make_token(settings)
-        household = _household(settings, config, owned, circumstances)
-        owner = Owner(settings, household)
+        parts = _owner_parts(settings, config, owned, circumstances)
+        owner = Owner(settings, parts)
         token = read_token(token_path(settings))
         site = Site(
             owner,
-            household.bulletin,
-            Archive(directory, household.reports.path),
-            household.scenes,
+            parts.bulletin,
+            Archive(directory, parts.reports.path),
+            parts.scenes,
             lambda: owner.settings,
             config,
             token,
@@ -68,18 +68,18 @@ def serve(config: Path, circumstances: Callable[[], Circumstances] = here_and_no
         http = HttpDoor(settings.service, directory, make_app)
         with opened([http, *further_doors(settings)], owner):
             log.info("serving", url=http.url, machine=settings.machine.name, state_directory=str(directory))
-            Life(owner, household.health, Notifier(), signals, config).live()
-            household.bulletin.close()
-        if not household.reports.close(REPORT_WITHIN_S):
+            Life(owner, parts.health, Notifier(), signals, config).live()
+            parts.bulletin.close()
+        if not parts.reports.close(REPORT_WITHIN_S):
             log.warning("a report was left unmade; it is made when somebody asks for it")
 
 
-def _household(
+def _owner_parts(
     settings: Settings, config: Path, owned: Ownership, circumstances: Callable[[], Circumstances]
-) -> Household:
+) -> OwnerParts:
     service, bulletin = settings.service, Bulletin()
     computing_s = S_PER_MIN * service.computation_timeout_minutes
-    return Household(
+    return OwnerParts(
         config=config,
         bulletin=bulletin,
         board=Board(load_machine(settings.machine).name, bulletin),

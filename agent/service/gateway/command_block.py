@@ -1,4 +1,4 @@
-"""What the command registers say, read into a request; values that cannot be are refused before anybody is asked."""
+"""Command registers of a panel, read into a request; values that cannot be are refused before anything is done."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from agent.service.control import KINDS, Source, StartRequest
+from agent.runs.run_request import KINDS, RunRequest, run_request
 from agent.service.gateway.register_codec import plain_text, whole_number
 from agent.service.gateway.registers import COMMAND, IN_COMMAND, Command, Form
+from drivers.errors import InputError
 
 T = TypeVar("T")
 FIRST: Final = COMMAND[0].address
 SIZE: Final = COMMAND[-1].end - FIRST
-# Names of sets, joined by +. A panel names no files: what it writes must not choose what the agent opens.
-_SET_NAMES = re.compile(r"[A-Za-z0-9_.+-]*")
+_SET_NAMES = re.compile(r"[A-Za-z0-9_.+-]*")  # the text of a panel has no blanks
 _COMMANDS = {command.value: command for command in Command}
 _FULL_ALLOWED = {0: None, 1: False, 2: True}
 
 
 class ValueNotAllowed(Exception):
-    """A command register holds what it cannot hold; the message names it."""
+    """A command register holds a value that it may not hold; the message names the register."""
 
 
 @dataclass(frozen=True)
@@ -47,26 +47,27 @@ class Order:
     def command(self) -> Command | None:
         return _COMMANDS.get(self.numbers["command"])
 
-    def start_request(self) -> StartRequest:
-        """Raises ValueNotAllowed."""
-        return StartRequest(
-            kind=_one_of("kind", self.numbers["kind"], dict(enumerate(KINDS, start=1))),
-            source=Source.PANEL,
-            position_set=self._position_set(),
-            stations=_stations(self.numbers["stations"]),
-            slot_minutes=self.numbers["slot"] / 10 if self.numbers["slot"] else None,
-            full_allowed=_one_of("full_allowed", self.numbers["full_allowed"], _FULL_ALLOWED),
-            consent=_one_of("consent", self.numbers["consent"], {0: False, 1: True}),
-        )
+    def run_request(self) -> RunRequest:
+        """Return the request for a run. Raises ValueNotAllowed."""
+        if self.text is None or not _SET_NAMES.fullmatch(self.text):
+            raise ValueNotAllowed("position_set: names of sets joined by +, in ASCII")
+        fields = {
+            "kind": _one_of("kind", self.numbers["kind"], dict(enumerate(KINDS, start=1))),
+            "source": "panel",
+            "position_set": self.text or None,
+            "stations": _stations(self.numbers["stations"]),
+            "slot_minutes": self.numbers["slot"] / 10 if self.numbers["slot"] else None,
+            "full_allowed": _one_of("full_allowed", self.numbers["full_allowed"], _FULL_ALLOWED),
+            "consent": _one_of("consent", self.numbers["consent"], {0: False, 1: True}),
+        }
+        try:
+            return run_request(**fields)
+        except InputError as error:
+            raise ValueNotAllowed(str(error)) from error
 
     def answer(self) -> tuple[int, bool]:
         """Number of the question, and whether it is answered with yes. Raises ValueNotAllowed."""
         return self.numbers["question_number"], _one_of("answer", self.numbers["answer"], {1: True, 2: False})
-
-    def _position_set(self) -> str | None:
-        if self.text is None or not _SET_NAMES.fullmatch(self.text):
-            raise ValueNotAllowed("position_set: names of sets joined by +, in ASCII")
-        return self.text or None
 
 
 def read_order(words: Sequence[int]) -> Order:
@@ -89,5 +90,5 @@ def _one_of(name: str, value: int, known: Mapping[int, T]) -> T:
     return known[value]
 
 
-def _stations(mask: int) -> tuple[int, ...] | None:
-    return tuple(bit + 1 for bit in range(16) if mask >> bit & 1) or None
+def _stations(mask: int) -> list[int] | None:
+    return [bit + 1 for bit in range(16) if mask >> bit & 1] or None

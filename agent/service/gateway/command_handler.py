@@ -7,7 +7,7 @@ import threading
 import structlog
 
 from agent.service.alarms import alarm_code
-from agent.service.control import Control, Source
+from agent.service.control import Control
 from agent.service.gateway.access import AccessCode
 from agent.service.gateway.command_block import Order, ValueNotAllowed
 from agent.service.gateway.frames import ExceptionCode, RegisterError
@@ -98,9 +98,9 @@ class CommandDesk:
     def _give(self, command: Command, order: Order) -> None:
         control = self._control
         if command is Command.START:
-            self._latest_start = control.start(order.start_request())
+            self._latest_start = control.start(order.run_request())
         elif command is Command.RESUME_RUN:
-            self._latest_start = control.resume_run(Source.PANEL)
+            self._latest_start = control.resume_run("panel")
         elif command is Command.ANSWER:
             control.answer(*order.answer())
         elif command is Command.ABORT:

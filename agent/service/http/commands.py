@@ -5,7 +5,6 @@ from __future__ import annotations
 from fastapi import APIRouter, Depends
 
 from agent.files import translated
-from agent.service.control import Source
 from agent.service.http.app_state import SiteHere
 from agent.service.http.guard import require_token
 from agent.service.http.models import (
@@ -35,13 +34,13 @@ def abort(site: SiteHere, body: AbortBody | None = None) -> Done:
 
 @with_token.post("/start", status_code=202)
 def start(site: SiteHere, body: StartBody) -> RunBegun:
-    return RunBegun(run_id=site.control.start(body.request()))
+    return RunBegun(run_id=site.control.start(body))
 
 
 @with_token.post("/resume-run", status_code=202)
 def resume_run(site: SiteHere, body: ResumeRunBody | None = None) -> RunBegun:
     """Go on with the run that broke off."""
-    return RunBegun(run_id=site.control.resume_run(Source((body or ResumeRunBody()).source)))
+    return RunBegun(run_id=site.control.resume_run((body or ResumeRunBody()).source))
 
 
 @with_token.post("/hold")
@@ -73,7 +72,7 @@ def answer(site: SiteHere, body: AnswerBody) -> Done:
 @with_token.post("/tables/restore", status_code=202)
 def restore_table(site: SiteHere, body: RestoreBody) -> RunBegun:
     """Have a kept table act again. Nothing moves."""
-    return RunBegun(run_id=site.control.restore_table(body.run_id, body.role, Source(body.source)))
+    return RunBegun(run_id=site.control.restore_table(body.run_id, body.role, body.source))
 
 
 @with_token.post("/settings/check")

@@ -4,38 +4,22 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from agent.execution.states import RunState
-from agent.service.control import KindName, Source, StartRequest, Status
+from agent.runs.run_request import RunRequest
+from agent.service.control import Status
 
 
 class Body(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class StartBody(Body):
+class StartBody(RunRequest):
     """`consent`: somebody stands at the machine and has confirmed that it may move. Without it the service decides from
     permissions, hours and warm-up whether anything begins. None: as the settings say."""
 
-    kind: KindName
     source: Literal["page", "command line", "timer"] = "page"
-    position_set: str | None = Field(default=None, max_length=100, pattern=r"^[A-Za-z0-9_+][A-Za-z0-9_+. -]*$")
-    stations: list[PositiveInt] | None = Field(default=None, min_length=1, max_length=100)
-    slot_minutes: PositiveFloat | None = Field(default=None, le=1440.0)
-    full_allowed: bool | None = None
-    consent: bool = False
-
-    def request(self) -> StartRequest:
-        return StartRequest(
-            kind=self.kind,
-            source=Source(self.source),
-            position_set=self.position_set,
-            stations=None if self.stations is None else tuple(self.stations),
-            slot_minutes=self.slot_minutes,
-            full_allowed=self.full_allowed,
-            consent=self.consent,
-        )
 
 
 class ResumeRunBody(Body):

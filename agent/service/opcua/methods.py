@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,8 +11,9 @@ from asyncua import ua
 from asyncua.ua.status_codes import StatusCodes
 
 from agent.errors import Busy
+from agent.runs.run_request import run_request
 from agent.service.alarms import alarm_of
-from agent.service.control import KINDS, Alarm, Control, Source, StartRequest
+from agent.service.control import Alarm, Control
 from agent.service.opcua.guard import refused
 from agent.service.opcua.model import METHODS, Argument
 from drivers.errors import InputError, PermissionMissing, UserError, VolcalError
@@ -33,7 +33,7 @@ class Calls:
         self._last_refusal: Alarm | None = None
         self._methods: dict[str, Callable[..., str | None]] = {
             "Start": self._start,
-            "ResumeRun": lambda: control.resume_run(Source.OPC_UA),
+            "ResumeRun": lambda: control.resume_run("opc ua"),
             "Hold": control.hold,
             "Resume": control.resume,
             "Abort": self._abort,
@@ -65,16 +65,12 @@ class Calls:
         return refused(_status_code(error))
 
     def _start(self, kind: str, position_set: str, stations: list[int], slot: float, full: bool, consent: bool) -> str:
-        if kind not in KINDS:
-            raise InputError(f"Kind is {kind!r}", hint="known are " + ", ".join(KINDS))
-        if not 0.0 <= slot < math.inf:
-            raise InputError(f"SlotMinutes is {slot}", hint="minutes, or 0 for as the settings say")
         return self._control.start(
-            StartRequest(
+            run_request(
                 kind=kind,
-                source=Source.OPC_UA,
+                source="opc ua",
                 position_set=position_set or None,
-                stations=tuple(stations) or None,
+                stations=stations or None,
                 slot_minutes=slot or None,
                 full_allowed=full,
                 consent=consent,

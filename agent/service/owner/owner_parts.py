@@ -1,4 +1,4 @@
-"""What the owner of the machine works with; each part can be another one."""
+"""Parts that the owner of the machine works with; each can be replaced."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from datetime import datetime
 from pathlib import Path
 
 from agent.execution.run_lock import Ownership
-from agent.runs.resume.resume import ResumeRequest, resume
-from agent.runs.session import Request, RunResult, carry_out
+from agent.runs.resume.resume import resume
+from agent.runs.session import RunResult, carry_out
 from agent.service.owner.health import Health
-from agent.service.owner.request_translation import Devices
+from agent.service.owner.machine_access import MachineAccess
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.event_log import Bulletin
 from agent.service.state.journal_state import JournalState
@@ -23,13 +23,14 @@ from twin.units import S_PER_MIN
 
 
 def here_and_now() -> Circumstances:
-    """The monotonic clock of Linux begins when the computer is switched on."""
+    """Return the current circumstances. The monotonic clock of Linux starts when the computer is switched on."""
     return Circumstances(datetime.now().astimezone(), RealClock().now() / S_PER_MIN)
 
 
 @dataclass(frozen=True)
-class Household:
-    """What the owner works with. `config`: the settings file, for messages and for relative paths."""
+class OwnerParts:
+    """Parts of the owner. `config`: the settings file, for messages and relative paths; `carry_out`, `resume`: as in
+    `agent.runs.session` and `agent.runs.resume.resume`."""
 
     config: Path
     bulletin: Bulletin
@@ -39,7 +40,7 @@ class Household:
     journal_state: JournalState
     reports: Reports
     scenes: Scenes = field(default_factory=Scenes)
-    devices: Devices = field(default_factory=Devices)
-    carry_out: Callable[[Request], RunResult] = carry_out
-    go_on: Callable[[ResumeRequest], RunResult] = resume
+    machine: MachineAccess = field(default_factory=MachineAccess)
+    carry_out: Callable[..., RunResult] = carry_out
+    resume: Callable[..., RunResult] = resume
     circumstances: Callable[[], Circumstances] = here_and_now

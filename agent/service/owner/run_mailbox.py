@@ -1,4 +1,4 @@
-"""One run of the service, from the moment it is reserved: what others ask of it before and while it goes on."""
+"""Mailbox of one run of the service: requests to it, from the moment it is reserved until it has ended."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Callable
 from agent.execution.supervisor import Supervisor
 
 
-class Running:
-    """The mailbox into a run. What is asked before its supervisor exists is handed over when it does."""
+class RunMailbox:
+    """Requests to one run. Those made before its supervisor exists are handed over when it does."""
 
     def __init__(self, run_id: str, alive: Callable[[], None]) -> None:
         self.run_id = run_id
@@ -19,7 +19,7 @@ class Running:
         self._wanted: Callable[[Supervisor], None] | None = None
 
     def attach(self, supervisor: Supervisor) -> None:
-        """What `agent.runs.session` calls when the run has its supervisor."""
+        """Connect the run's supervisor; the hook `agent.runs.run_context.RunHooks.attach`."""
         with self._lock:
             supervisor.alive = self._alive
             self._supervisor = supervisor
@@ -27,11 +27,11 @@ class Running:
                 self._wanted(supervisor)
 
     def abort(self, reason: str) -> None:
-        """Somebody wants it to end. The first reason stays."""
+        """Abort the run. The first reason stays."""
         self._end(lambda supervisor: supervisor.request_abort(reason))
 
     def interrupt(self, reason: str) -> None:
-        """The service must end; the run can be gone on with. The first reason stays."""
+        """Interrupt the run because the service must end; it can be resumed. The first reason stays."""
         self._end(lambda supervisor: supervisor.request_interruption(reason))
 
     def _end(self, wanted: Callable[[Supervisor], None]) -> None:

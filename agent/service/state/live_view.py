@@ -14,10 +14,10 @@ from typing import Any
 from agent.execution.steps import AskOperator, MoveTo, OrientTo, TouchTowards
 from agent.planning.cycle_time import TimedStep
 from agent.planning.job import Job, prepare_job
+from agent.planning.preflight import PreflightResult
 from agent.planning.preview.blob import document
 from agent.planning.preview.builder import preview_of
 from agent.planning.preview.tip_path import Waypoint
-from agent.runs.kinds.kind import Ready
 from agent.settings.schema import Settings
 from twin.artefact.position_set import Position
 from twin.collision.geometry import point, translate_point
@@ -30,12 +30,12 @@ class Scenes:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._current: tuple[str, Ready] | None = None
+        self._current: tuple[str, Job, PreflightResult] | None = None
         self._kept: tuple[tuple[object, ...], Document] | None = None
 
-    def preflight_passed(self, run_id: str, ready: Ready) -> None:
-        """The preflight of a run has passed."""
-        self._current = (run_id, ready)
+    def preflight_passed(self, run_id: str, job: Job, preflight: PreflightResult) -> None:
+        """Show the run `run_id`, whose preflight has passed."""
+        self._current = (run_id, job, preflight)
 
     def forget(self) -> None:
         """The run is over: what comes next is the plan of the settings again."""
@@ -50,7 +50,7 @@ class Scenes:
             if self._kept is None or self._kept[0] != key:
                 self._kept = (
                     key,
-                    _of_run(current[1]) if current else document(preview_of(prepare_job(settings, base))),
+                    _of_run(*current[1:]) if current else document(preview_of(prepare_job(settings, base))),
                 )
             return {"run_id": run_id, **self._kept[1]}
 
@@ -77,9 +77,9 @@ def machine_facts(job: Job) -> Document:
     }
 
 
-def _of_run(ready: Ready) -> Document:
-    waypoints = tuple(_waypoints(ready.job, ready.preflight.steps, ready.preflight.timeline))
-    return document(preview_of(ready.job, waypoints=waypoints))
+def _of_run(job: Job, preflight: PreflightResult) -> Document:
+    waypoints = tuple(_waypoints(job, preflight.steps, preflight.timeline))
+    return document(preview_of(job, waypoints=waypoints))
 
 
 def _waypoints(job: Job, steps: Sequence[TimedStep], timeline: Mapping[str, float]) -> Iterator[Waypoint]:

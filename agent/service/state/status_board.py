@@ -13,9 +13,10 @@ from agent.execution.states import PACKML, RunState
 from agent.execution.steps import ActivateBank, ReadActiveBank, ReadTemperatures, Record, Step, TouchTowards
 from agent.results.run_outcome import Outcome
 from agent.runs.reconcile_result import Reconciliation
+from agent.runs.run_request import Source
 from agent.service.alarms import alarm_of
 from agent.service.allowed_requests import AT_REST, may
-from agent.service.control import Alarm, Question, Source, Status
+from agent.service.control import Alarm, Question, Status
 from agent.service.state.event_log import Bulletin
 from agent.service.state.status_text import doing
 from drivers.clock import utc_timestamp
@@ -98,7 +99,7 @@ class Board:
             touches=0,
             alarms=(),
         )
-        self.enter(RunState.PREFLIGHT, f"{kind} asked for by {source.value}")
+        self.enter(RunState.PREFLIGHT, f"{kind} asked for by {source}")
 
     def hear(self, announcement: Announcement) -> None:
         """The run's listener."""

@@ -13,17 +13,21 @@ from typing import Any
 from structlog.testing import capture_logs
 
 from agent.errors import Aborted, Interrupted
+from agent.execution.device_assembly import Devices
 from agent.execution.run_lock import ownership
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
+from agent.planning.job import Job
 from agent.results.run_outcome import Outcome
+from agent.runs.planned_run import Kind
 from agent.runs.reconcile_result import CompensationState, ReconcileAction, Reconciliation
-from agent.runs.session import Request, RunResult
+from agent.runs.run_context import RunHooks
+from agent.runs.session import RunResult
 from agent.service.owner.health import Health
+from agent.service.owner.machine_access import MachineAccess
 from agent.service.owner.owner import Owner
-from agent.service.owner.owner_parts import Household
-from agent.service.owner.request_translation import Devices
+from agent.service.owner.owner_parts import OwnerParts
 from agent.service.owner.unattended import Circumstances
 from agent.service.state.event_log import Bulletin
 from agent.service.state.journal_state import JournalState
@@ -55,7 +59,7 @@ def settings_document(state: Path, **sections: Any) -> dict[str, Any]:
 
 
 @dataclasses.dataclass(frozen=True)
-class AbsentDevices(Devices):
+class AbsentMachine(MachineAccess):
     """`status`: what the machine says where it is asked; `away`: what it answers next when asked for its compensation;
     `asked`: whether it was reached."""
 
@@ -73,24 +77,37 @@ class AbsentDevices(Devices):
         return Reconciliation(CompensationState.UNKNOWN, ReconcileAction.NOTHING, 0)
 
 
+@dataclasses.dataclass(frozen=True)
+class Started:
+    """Arguments with which a run was started."""
+
+    job: Job
+    kind: Kind
+    hooks: RunHooks
+    run_id: str
+    asked: dict[str, object]
+
+
 class Puppet:
-    """Plays `carry_out`: does what it is told, one thing at a time, on the run's own thread."""
+    """Plays `carry_out`: follows orders, one at a time, on the run's own thread."""
 
     def __init__(self) -> None:
         self.orders: SimpleQueue[Any] = SimpleQueue()
         self.done: SimpleQueue[Any] = SimpleQueue()
         self.inside = 0
         self.most_inside = 0
-        self.requests: list[Request] = []
+        self.started: list[Started] = []
         self.supervisor: Supervisor | None = None
         self.clock = VirtualClock()
 
-    def __call__(self, request: Request) -> RunResult:
+    def __call__(
+        self, job: Job, kind: Kind, base: Path, hooks: RunHooks, *, run_id: str, asked: dict[str, object]
+    ) -> RunResult:
         self.inside += 1
         self.most_inside = max(self.inside, self.most_inside)
-        self.requests.append(request)
+        self.started.append(Started(job, kind, hooks, run_id, asked))
         self.supervisor = Supervisor(self.clock)
-        request.interrupts(self.supervisor)
+        hooks.attach(self.supervisor)
         self.done.put("begun")
         try:
             while True:
@@ -99,7 +116,7 @@ class Puppet:
                     raise order
                 if isinstance(order, RunResult):
                     return order
-                order(request)
+                order(hooks)
                 self.done.put("done")
         finally:
             self.inside -= 1
@@ -108,11 +125,11 @@ class Puppet:
         assert self.done.get(timeout=PATIENCE_S) == "begun"
 
     def enter(self, state: RunState) -> None:
-        self.orders.put(lambda request: request.listener(Announcement("state", state.value, {"state": state.value})))
+        self.orders.put(lambda hooks: hooks.announce(Announcement("state", state.value, {"state": state.value})))
         assert self.done.get(timeout=PATIENCE_S) == "done"
 
     def end(self, state: RunState, error: VolcalError | None = None) -> None:
-        self.orders.put(RunResult(outcome(self.requests[-1].run_id, state, error), error))
+        self.orders.put(RunResult(outcome(self.started[-1].run_id, state, error), error))
 
     def crash(self, error: BaseException) -> None:
         self.orders.put(error)
@@ -147,12 +164,12 @@ def outcome(run_id: str, state: RunState, error: VolcalError | None) -> Outcome:
 @dataclasses.dataclass
 class House:
     owner: Owner
-    household: Household
+    parts: OwnerParts
     puppet: Puppet
 
     @property
     def bulletin(self) -> Bulletin:
-        return self.household.bulletin
+        return self.parts.bulletin
 
 
 @contextmanager
@@ -166,7 +183,7 @@ def house(
     settings = Settings.model_validate(settings_document(state, **sections))
     with capture_logs(), ownership(state, "the service (process 1)") as owned:
         bulletin, puppet = Bulletin(), Puppet()
-        household = Household(
+        parts = OwnerParts(
             config=state / "volcal.toml",
             bulletin=bulletin,
             board=Board("case-study", bulletin),
@@ -174,15 +191,15 @@ def house(
             ownership=owned,
             journal_state=JournalState(state),
             reports=Reports(state, lambda *_: {}),
-            devices=AbsentDevices(make_clock=lambda _: VirtualClock(), status=status),
+            machine=AbsentMachine(Devices(make_clock=lambda _: VirtualClock()), status=status),
             carry_out=puppet,
             circumstances=lambda: circumstances,
         )
-        built = House(Owner(settings, household), household, puppet)
+        built = House(Owner(settings, parts), parts, puppet)
         try:
             yield built
         finally:
             if built.owner.status().run_id is not None and puppet.inside:
                 puppet.end(RunState.COMPLETE)
             assert built.owner.wait(PATIENCE_S)
-            assert household.reports.close(PATIENCE_S)
+            assert parts.reports.close(PATIENCE_S)

@@ -26,7 +26,7 @@ from agent.execution.steps import (
 )
 from agent.runs.resume.replay_clock import ResumedClock
 from agent.runs.resume.replay_engine import Replay, ReplayingEngine
-from agent.runs.resume.step_trace import Trace
+from agent.runs.resume.step_trace import StepTrace
 from agent.runs.unfinished_run import unfinished_run
 from drivers.clock import VirtualClock
 from drivers.errors import LinkLost, MotionFault
@@ -98,7 +98,7 @@ def replaying(journal: Journal, done: list[str], *, run: int = 1) -> ReplayingEn
         TouchTowards: lambda step: done.append(step.key) or Touch((2.0, 0.0, 0.0)),
         Record: lambda _: None,
     }
-    return ReplayingEngine(actions, run_journal, None, Replay(recorded, clock, Trace()), lambda *_: TABLE)
+    return ReplayingEngine(actions, run_journal, None, Replay(recorded, clock, StepTrace()), lambda *_: TABLE)
 
 
 def plan(second: str = "b"):
@@ -166,7 +166,7 @@ def test_clock_shows_what_was_and_then_goes_on() -> None:
 
 
 def test_trace_knows_how_each_axis_came_and_where_the_touch_was_short_of_the_surface() -> None:
-    trace = Trace()
+    trace = StepTrace()
     trace.see(ReadPosition("here"), (0.0, 0.0, 0.0))
     trace.see(MoveTo("far", (10.0, 0.0, 10.0)), None)
     trace.see(MoveTo("little", (10.3, 0.0, 10.0)), None)

@@ -22,18 +22,17 @@ from agent.errors import Aborted, Busy, GateRefused
 from agent.execution.run_state import Announcement
 from agent.execution.states import RunState
 from agent.execution.supervisor import Supervisor
-from agent.runs.kinds.kind import FullCalibration
+from agent.runs.requested_run import job_of, kind_of
+from agent.runs.run_request import RunRequest
 from agent.service.client import error_of
-from agent.service.control import Source, StartRequest
 from agent.service.daemon.main_loop import Life
 from agent.service.daemon.sd_notify import Notifier
 from agent.service.http.diagnostics_archive import REMOVED, diagnosis, without_secrets
 from agent.service.http.problems import problem_of
 from agent.service.owner.health import Health
 from agent.service.owner.questions import Questions, ServiceOperator
-from agent.service.owner.request_translation import job_of, kind_of
-from agent.service.owner.run_mailbox import Running
-from agent.service.owner.run_requests import Orders
+from agent.service.owner.run_hooks import RunHooksFactory
+from agent.service.owner.run_mailbox import RunMailbox
 from agent.service.owner.unattended import Circumstances, minutes_until_end, require_warm
 from agent.service.state.event_log import Bulletin
 from agent.service.state.status_text import doing
@@ -44,7 +43,7 @@ from drivers.clock import VirtualClock
 from drivers.errors import ConfigurationError, LinkLost, PermissionMissing, UserError, VolcalError
 from drivers.roles import MachineStatus, MotionState, OperatorRequest, OperatorTask, Permission
 
-NIGHTLY = StartRequest("calibrate", Source.TIMER)
+NIGHTLY = RunRequest(kind="calibrate", source="timer")
 
 
 def at(text: str, up_minutes: float = 600.0) -> Circumstances:
@@ -100,15 +99,15 @@ def test_a_timer_is_refused_without_permission_and_the_next_night_is_not_lost(tm
         with pytest.raises(PermissionMissing, match="doors closed"):
             built.owner.start(NIGHTLY)
         assert built.owner.status().state is RunState.IDLE
-        assert built.puppet.requests == []
+        assert built.puppet.started == []
         assert "was not started" in [events.get_nowait() for _ in range(events.qsize())][-1].text
-        built.owner.start(StartRequest("calibrate", Source.PAGE, consent=True))
+        built.owner.start(RunRequest(kind="calibrate", source="page", consent=True))
         built.puppet.begun()
 
 
 def test_the_controller_is_asked_again_after_a_run_that_broke_off(tmp_path: Path) -> None:
     with house(tmp_path) as built:
-        asked = built.household.devices.asked
+        asked = built.parts.machine.asked
         built.owner.start(NIGHTLY)
         built.puppet.begun()
         assert asked == ["reached"]
@@ -126,7 +125,7 @@ def test_the_controller_is_asked_again_after_a_run_that_broke_off(tmp_path: Path
 
 def test_a_machine_that_is_away_at_a_reset_is_asked_before_the_next_run(tmp_path: Path) -> None:
     with house(tmp_path) as built:
-        devices = built.household.devices
+        devices = built.parts.machine
         built.owner.start(NIGHTLY)
         built.puppet.begun()
         built.puppet.end(RunState.FAULTED, LinkLost("gone"))
@@ -141,24 +140,23 @@ def test_a_machine_that_is_away_at_a_reset_is_asked_before_the_next_run(tmp_path
 
 def test_the_station_of_a_night_is_where_the_artefact_stands_and_no_choice_of_what_is_measured(tmp_path: Path) -> None:
     settings = Settings.model_validate(settings_document(tmp_path))
-    config = tmp_path / "volcal.toml"
-    everywhere = job_of(StartRequest("nightly", Source.TIMER), settings, config)
-    at_the_second = StartRequest("nightly", Source.TIMER, stations=(2,))
-    assert job_of(at_the_second, settings, config).stations == everywhere.stations == (1, 2)
-    assert kind_of(at_the_second, settings, None).station == 2
-    calibration = StartRequest("calibrate", Source.PAGE, stations=(2,), consent=True)
-    assert job_of(calibration, settings, config).stations == (2,)
+    everywhere = job_of(RunRequest(kind="nightly", source="timer"), settings, tmp_path)
+    at_the_second = RunRequest(kind="nightly", source="timer", stations=[2])
+    assert job_of(at_the_second, settings, tmp_path).stations == everywhere.stations == (1, 2)
+    assert kind_of(at_the_second).station == 2
+    calibration = RunRequest(kind="calibrate", source="page", stations=[2], consent=True)
+    assert job_of(calibration, settings, tmp_path).stations == (2,)
 
 
 def test_a_run_must_end_within_the_hours(tmp_path: Path) -> None:
     with house(tmp_path, circumstances=at("05:00"), service={"hours": ["22:00-05:30"]}) as built:
-        built.owner.start(StartRequest("nightly", Source.TIMER, slot_minutes=45.0))
+        built.owner.start(RunRequest(kind="nightly", source="timer", slot_minutes=45.0))
         built.puppet.begun()
-        assert built.puppet.requests[0].kind.slot_minutes == 30.0
+        assert built.puppet.started[0].kind.slot_minutes == 30.0
 
 
 def test_an_abort_before_the_run_has_its_mailbox_is_not_lost() -> None:
-    running, supervisor = Running("a", lambda: None), Supervisor(VirtualClock())
+    running, supervisor = RunMailbox("a", lambda: None), Supervisor(VirtualClock())
     running.abort("at once")
     running.abort("later")
     running.attach(supervisor)
@@ -214,17 +212,14 @@ def test_a_hang_is_seconds_where_something_moves_and_minutes_where_it_computes()
 def test_a_run_that_has_ended_is_given_minutes_for_its_report(tmp_path: Path) -> None:
     clock = VirtualClock()
     with house(tmp_path) as built:
-        household = dataclasses.replace(
-            built.household, health=Health(clock.now, hang_timeout_s=30.0, computing_s=900.0)
-        )
-        orders, health = Orders(household, Questions(household.board.ask)), household.health
-        job = job_of(NIGHTLY, built.owner.settings, household.config)
-        ordered = orders.anew(Running("a", health.beat), job, FullCalibration(), {}, attended=True)
+        parts = dataclasses.replace(built.parts, health=Health(clock.now, hang_timeout_s=30.0, computing_s=900.0))
+        factory, health = RunHooksFactory(parts, Questions(parts.board.ask)), parts.health
+        hooks = factory.hooks(RunMailbox("a", health.beat), built.owner.settings.clock, attended=True)
         health.begins()
         for state in (RunState.VERIFYING, RunState.COMPLETE):
             clock.sleep(31.0)
             assert not health.alive(RunState.VERIFYING)
-            ordered.listener(Announcement("state", state.value, {"state": state.value}))
+            hooks.announce(Announcement("state", state.value, {"state": state.value}))
             health.beat()
         clock.sleep(31.0)  # the doors are told VERIFYING until the machine is free again
         assert health.alive(RunState.VERIFYING)

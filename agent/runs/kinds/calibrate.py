@@ -1,0 +1,40 @@
+"""`calibrate`: the whole position set, a new table, and its proof."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from agent.planning.job import Job
+from agent.planning.preflight import run_preflight
+from agent.results.predicted_accuracy import preflight_estimate
+from agent.runs.calibration import CalibrationRun
+from agent.runs.consent import Consent
+from agent.runs.planned_run import PlannedRun, StartConditions
+from agent.runs.reference_state import LastAccepted, accepted_for
+
+
+@dataclass(frozen=True)
+class FullCalibration:
+    """Kind that measures the whole set. `nights` since the last accepted night; None: by the calendar. `consent` to a
+    machine that has changed."""
+
+    nights: float | None = None
+    consent: Consent = Consent.ASK
+    name: str = "calibrate"
+
+    def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
+        preflight = run_preflight(job, start.start_mm, watch=watch)
+        preflight_estimate(job, preflight.measured)
+        last = accepted_for(job, start.run)
+        nights = nights_since(last, self.nights, start.at)
+        return PlannedRun(
+            job, self, start, preflight, lambda context: CalibrationRun(job, context, last, nights, self.consent)
+        )
+
+
+def nights_since(last: LastAccepted | None, stated: float | None, at: str) -> float:
+    """Return the nights since the last accepted one: as `stated`, otherwise by the calendar."""
+    if stated is not None:
+        return stated
+    return 0.0 if last is None else last.nights_until(at)

@@ -1,0 +1,40 @@
+"""Job and kind of a requested run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agent.planning.job import Job, prepare_job
+from agent.runs.consent import Consent
+from agent.runs.kinds.calibrate import FullCalibration
+from agent.runs.kinds.nightly import Night
+from agent.runs.kinds.verify import Verification
+from agent.runs.planned_run import Kind
+from agent.runs.run_request import RunRequest
+from agent.settings.load import with_overrides
+from agent.settings.schema import Settings
+
+
+def job_of(request: RunRequest, settings: Settings, base: Path) -> Job:
+    """Return the job of a request. UserError if the request does not fit the machine.
+
+    `base`: directory at which relative paths start.
+
+    A calibration measures at the stations of the request. The station of a night is where the artefact stands, and the
+    full calibration that the night may become covers all stations.
+    """
+    stations = request.stations if request.kind == "calibrate" else None
+    overridden = with_overrides(settings, position_set=request.position_set, stations=stations)
+    return prepare_job(overridden, base)
+
+
+def kind_of(request: RunRequest, *, slot_minutes: float | None = None, nights: float | None = None) -> Kind:
+    """Return the kind of run. `slot_minutes` of a night, None: as the settings say; `nights` since the last accepted
+    one, None: by the calendar. UserError if a kind that measures at one station is asked for at several."""
+    match request.kind:
+        case "calibrate":
+            return FullCalibration(nights, Consent.ASK if request.consent else Consent.REFUSED)
+        case "verify":
+            return Verification(request.single_station, nights)
+        case "nightly":
+            return Night(slot_minutes, request.full_allowed, request.single_station, nights)

@@ -1,0 +1,67 @@
+"""Context of a run: the open devices and records it works with, and the hooks of whoever started it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from agent.execution.device_assembly import Devices
+from agent.execution.engine import Engine, Observer
+from agent.execution.journal import RunJournal
+from agent.execution.rig import Rig
+from agent.execution.run_lock import run_lock
+from agent.execution.run_state import Announcement, Listener, RunStateTracker
+from agent.execution.steps import Step
+from agent.execution.supervisor import Supervisor
+from agent.planning.job import Job
+from agent.planning.preflight import PreflightResult
+from agent.reports.renderer import Reports, rebuilt_here
+from drivers.clock import Clock
+
+
+def _announced_to_nobody(_: Announcement) -> None: ...
+
+
+def _interrupted_by_nobody(_: Supervisor) -> None: ...
+
+
+def _unobserved(_: Step, __: object) -> None: ...
+
+
+def _permitted(_: Job, __: PreflightResult) -> None: ...
+
+
+@dataclass(frozen=True)
+class RunHooks:
+    """Hooks into a run for whoever starts it; the defaults serve a run that nobody watches.
+
+    `announce` receives states, progress and notes. `attach` receives the supervisor, through which signals and
+    endpoints hold or abort the run. `observe` sees every step and its result. `preflight_passed` receives the job as it
+    will be measured and its preflight, and may still refuse the run by raising. `lock` keeps other processes off the
+    machine. `devices` makes clock and rig. `reports` makes the files of the report. `write_files`: results are written
+    as files too; the journal has them in any case.
+    """
+
+    announce: Listener = _announced_to_nobody
+    attach: Callable[[Supervisor], None] = _interrupted_by_nobody
+    observe: Observer = _unobserved
+    preflight_passed: Callable[[Job, PreflightResult], None] = _permitted
+    lock: Callable[[Path, str], AbstractContextManager[None]] = run_lock
+    devices: Devices = field(default_factory=Devices)
+    reports: Reports = rebuilt_here
+    write_files: bool = True
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """Everything a run works with. `clock` gives machine seconds and is interrupted by the supervisor."""
+
+    rig: Rig
+    engine: Engine
+    journal: RunJournal
+    tracker: RunStateTracker
+    supervisor: Supervisor
+    clock: Clock
+    hooks: RunHooks

@@ -1,0 +1,54 @@
+"""Request for a run: one value, validated once, for the HTTP body, the panel gateway, OPC UA and the command line."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
+
+from agent.files import translated
+from drivers.errors import InputError
+from twin.formats.toml_reading import validate_document
+
+KindName = Literal["calibrate", "verify", "nightly"]
+KINDS: tuple[KindName, ...] = get_args(KindName)
+
+Source = Literal["timer", "page", "panel", "opc ua", "command line"]
+"""Who asked for a run; journaled with the run."""
+SOURCES: tuple[Source, ...] = get_args(Source)
+
+
+class RunRequest(BaseModel):
+    """Run that somebody asks for. None: as the settings say.
+
+    `position_set`: a name, never a path, so that an endpoint cannot choose which file the agent opens. `consent`: a
+    person stands at the machine and has confirmed that it may move; a timer never has consent, and the agent then
+    decides from permissions, hours and warm-up alone. `full_allowed`: a night may become a full calibration.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    kind: KindName
+    source: Source
+    position_set: str | None = Field(default=None, max_length=100, pattern=r"^[A-Za-z0-9_+][A-Za-z0-9_+. -]*$")
+    stations: list[PositiveInt] | None = Field(default=None, min_length=1, max_length=100)
+    slot_minutes: PositiveFloat | None = Field(default=None, le=1440.0)
+    full_allowed: bool | None = None
+    consent: bool = False
+
+    @property
+    def single_station(self) -> int | None:
+        """Station of a run that measures at one station. InputError if several are named."""
+        stations = self.stations or []
+        if len(stations) > 1:
+            raise InputError(
+                f"{self.kind} measures at one station, {len(stations)} were named",
+                hint="name the station at which the artefact stands",
+            )
+        return stations[0] if stations else None
+
+
+def run_request(**fields: object) -> RunRequest:
+    """Return the request with these fields. InputError naming the field that cannot be."""
+    with translated(InputError):
+        return validate_document(fields, "request", RunRequest)

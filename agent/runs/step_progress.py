@@ -1,0 +1,44 @@
+"""Progress of a run, seen from its steps."""
+
+from __future__ import annotations
+
+from agent.execution.engine import Observer
+from agent.execution.run_state import RunStateTracker
+from agent.execution.steps import Record, Step, TouchTowards
+from agent.planning.preflight import PreflightResult
+
+S_PER_MIN = 60.0
+
+
+class StepProgress:
+    """Observer that counts touches and balls and announces progress on the time scale of the preflight."""
+
+    def __init__(self, tracker: RunStateTracker, further: Observer) -> None:
+        """`further`: another observer, called first with every step."""
+        self._tracker = tracker
+        self._further = further
+        self.preflight: PreflightResult | None = None
+        self.touches = 0
+        self.balls = 0
+
+    def observe(self, step: Step, result: object) -> None:
+        self._further(step, result)
+        if isinstance(step, TouchTowards):
+            self.touches += 1
+        elif isinstance(step, Record):
+            self._observe_record(step)
+
+    def _observe_record(self, step: Record) -> None:
+        if "note" in step.payload:
+            self._tracker.announce_note(step.payload["note"])
+        if step.kind == "ball" and self.preflight is not None:
+            self.balls += 1
+            self._announce_progress(step.key, self.preflight)
+
+    def _announce_progress(self, key: str, preflight: PreflightResult) -> None:
+        """Announce the share of machine time spent and the minutes left, both according to the preflight."""
+        done_s = preflight.timeline.get(key)
+        if done_s is not None:
+            left_s = preflight.machine_seconds - done_s
+            fraction = done_s / preflight.machine_seconds
+            self._tracker.progress(key, fraction=fraction, minutes_left=left_s / S_PER_MIN)

@@ -1,0 +1,66 @@
+"""Short accesses to the machine between runs, and the devices of a run whose questions go to the endpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from agent.execution.device_assembly import Devices, closed_after
+from agent.execution.rig import Rig
+from agent.runs.reconcile import reconcile
+from agent.runs.reconcile_result import Reconciliation
+from agent.service.owner.questions import Questions, ServiceOperator
+from agent.settings.schema import ClockSettings, Settings
+from drivers.clock import Clock
+from drivers.roles import MachineStatus
+
+CONSOLE = "console-operator"
+"""Plugin of the console; a service has none, so its questions go to the endpoints."""
+
+
+@dataclass(frozen=True)
+class MachineAccess:
+    """Access to the machine through `devices`."""
+
+    devices: Devices = field(default_factory=Devices)
+
+    def machine_status(self, settings: Settings, base: Path) -> MachineStatus:
+        """Open the machine, read its status, close it again; nothing moves."""
+        with self._opened(settings, base) as rig:
+            return rig.machine.status()
+
+    def reconciled(self, settings: Settings, base: Path) -> Reconciliation:
+        """Compare what the last run has left in the controller with its journal, and take an unproved table back.
+
+        Nothing moves.
+        """
+        with self._opened(settings, base) as rig:
+            return reconcile(rig, settings.state_directory)
+
+    @contextmanager
+    def _opened(self, settings: Settings, base: Path) -> Iterator[Rig]:
+        with closed_after(self.devices.make_clock(settings.clock)) as clock:
+            rig = self.devices.assemble(settings, clock, base)
+            rig.open()
+            try:
+                yield rig
+            finally:
+                rig.close()
+
+    def devices_for_run(self, clock_settings: ClockSettings, questions: Questions, *, attended: bool) -> Devices:
+        """Return the devices of one run: its clock, and the same rig with the endpoints in place of the console.
+
+        The clock is made now. Raises ConfigurationError if it cannot be had.
+        """
+        clock = self.devices.make_clock(clock_settings)
+
+        def assembled(settings: Settings, clock: Clock, base: Path) -> Rig:
+            rig = self.devices.assemble(settings, clock, base)
+            if settings.devices[settings.roles.operator].driver != CONSOLE:
+                return rig
+            within = settings.service.answer_timeout_minutes
+            return replace(rig, operator=ServiceOperator(questions, clock, within, attended))
+
+        return Devices(assembled, lambda _: clock)

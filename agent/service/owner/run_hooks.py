@@ -1,0 +1,78 @@
+"""Hooks of the service into its runs, and the time that a run has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import structlog
+
+from agent.errors import PlanRefused
+from agent.execution.run_state import Announcement
+from agent.execution.states import RunState
+from agent.execution.steps import Step
+from agent.planning.job import Job
+from agent.planning.preflight import PreflightResult
+from agent.runs.run_context import RunHooks
+from agent.runs.run_request import RunRequest
+from agent.service.allowed_requests import AT_REST
+from agent.service.owner.owner_parts import OwnerParts
+from agent.service.owner.questions import Questions
+from agent.service.owner.run_mailbox import RunMailbox
+from agent.service.state.reports import none_yet
+from agent.settings.schema import ClockSettings, NightlySettings
+
+
+@dataclass(frozen=True)
+class RunHooksFactory:
+    """Makes the hooks of a run: the status board hears it, the watchdog sees it, its slot limits it, and its questions
+    go to the endpoints."""
+
+    parts: OwnerParts
+    questions: Questions
+
+    def hooks(
+        self, run: RunMailbox, clock: ClockSettings, *, attended: bool, slot_minutes: float | None = None
+    ) -> RunHooks:
+        """Return the hooks of `run`. `attended`: a person can answer questions; `slot_minutes` of machine time, None:
+        any. Raises ConfigurationError if the clock cannot be had."""
+        parts = self.parts
+
+        def preflight_passed(job: Job, preflight: PreflightResult) -> None:
+            parts.scenes.preflight_passed(run.run_id, job, preflight)
+            require_within(preflight, slot_minutes)
+
+        return RunHooks(
+            announce=self._hear,
+            attach=run.attach,
+            observe=self._observe,
+            preflight_passed=preflight_passed,
+            lock=parts.ownership.for_run,
+            devices=parts.machine.devices_for_run(clock, self.questions, attended=attended),
+            reports=none_yet,
+        )
+
+    def _hear(self, announcement: Announcement) -> None:
+        if announcement.kind == "state" and RunState(announcement.data["state"]) in AT_REST:
+            self.parts.health.concludes()
+        self.parts.board.hear(announcement)
+
+    def _observe(self, step: Step, result: object) -> None:
+        self.parts.health.beat()
+        structlog.contextvars.bind_contextvars(step=step.key)
+        self.parts.board.see(step, result)
+
+
+def require_within(preflight: PreflightResult, slot_minutes: float | None) -> None:
+    """Raise PlanRefused if the run takes longer than the time available; None: any time."""
+    needed = preflight.machine_minutes
+    if slot_minutes is not None and needed > slot_minutes:
+        raise PlanRefused(
+            f"the run takes {needed:.0f} min of machine time, there are {slot_minutes:.0f}",
+            hint="give it a longer slot, fewer stations or a smaller position set",
+        )
+
+
+def night_slot(request: RunRequest, nightly: NightlySettings, available_minutes: float | None) -> float:
+    """Return the minutes of a night: as asked for, otherwise as the settings say, and no more than are available."""
+    slot = nightly.slot_minutes if request.slot_minutes is None else request.slot_minutes
+    return slot if available_minutes is None else min(slot, available_minutes)
