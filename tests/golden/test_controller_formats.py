@@ -1,10 +1,9 @@
-"""Every controller's files against files written by hand.
+"""Files of every controller format compared with files written by hand.
 
-A table of 3 × 3 × 3 nodes 100 mm apart. With x = 0, 1, 2 and z = 0, 1, 2 the number of the node, in µm: dx = x, but
-4 x at z = 2; dy = 4 z; dz = 0. Averaged over the other axes X needs 0, 2, 4 along X and 0, 0, 3 along Z; what is left
-is a product, (-2, 0, 2) along X times (-½, -½, 1) along Z, at the reference point 1 - 1 = 0 with (-1, -1, 2) along Z.
-
-For error motions a machine with EXX = -2, 0, 2 µm along X and a cross-effect EYZ = 6 µm at the far end of Y and Z.
+A table of 3 × 3 × 3 nodes 100 mm apart. With node numbers x = 0, 1, 2 and z = 0, 1, 2, in µm: dx = x, but 4 x at z = 2;
+dy = 4 z; dz = 0. Averaged over the other axes X needs 0, 2, 4 along X and 0, 0, 3 along Z; the remainder is a product,
+(-2, 0, 2) along X times (-½, -½, 1) along Z, at the reference point 1 - 1 = 0 with (-1, -1, 2) along Z. For error
+motions: a machine with EXX = -2, 0, 2 µm along X and a cross-effect EYZ = 6 µm at the far end of Y and Z.
 """
 
 from __future__ import annotations
@@ -68,8 +67,10 @@ def test_the_side_file_of_a_table_for_part_programs() -> None:
 
 
 def test_the_example_of_a_parameter_manual() -> None:
-    """B-63980EN, page 100: reference number 40, interval 50 mm, and the values of numbers 33 to 49. The amounts are
-    added up by hand from the reference point, both ways."""
+    """Check B-63980EN, page 100: reference number 40, interval 50 mm, and the values of numbers 33 to 49.
+
+    The amounts are added up by hand from the reference point in both directions.
+    """
     values = [2, 1, 1, -2, 0, -1, 0, -1, 2, 1, 0, -1, -1, -2, 0, 1, 2]
     amounts = [0, 2, 3, 4, 2, 2, 1, 1, 0, 2, 3, 3, 2, 1, -1, -1, 0, 2]
     x = np.linspace(-400.0, 450.0, 18)

@@ -1,8 +1,8 @@
-"""A machine that the model cannot represent: does what is stated of it hold?
+"""Validity of the stated uncertainties for a machine that the model cannot represent.
 
-The truth has Legendre orders up to 7, a deflection of a form that nobody here knows of, an artefact that is off within
-its certificate, touch noise and two gross errors; the model has the order that the evidence chooses, and the
-certificate. Figures are over all forms of deflection and all seeds.
+The truth has Legendre orders up to 7, a deflection of a form unknown to the model, an artefact with errors within its
+certificate, touch noise and two gross errors. The model has the order chosen by the evidence, and the certificate.
+Figures are over all forms of deflection and all seeds.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ GROSS = {20: np.array([0.02, 0.0, 0.01]), 100: np.array([0.0, -0.05, 0.0])}
 
 
 def leaning_column(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ram sag with a power law, a column that yields more and more with height, a rail that waves in X."""
+    """Return a ram sag with a power law, a column that yields more with height and a rail that waves in X."""
     return 2.0 * np.sin(3.0 * np.pi * z) * y, 3.0 * y**3 * z, -9.0 * y**2 * (0.5 + z) + 1.5 * np.sin(5.0 * np.pi * x)
 
 
 def soft_spot(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A foundation that yields in one place and between screws."""
+    """Return a foundation that yields in one location and between screws."""
     sunk = np.exp(-(((x - 0.4) / 0.15) ** 2))
     return 3.0 * sunk * z, 2.0 * np.cos(5.0 * x) * y * z, -8.0 * y**2.5 + 2.0 * np.sin(4.0 * np.pi * x) ** 2 * y
 
 
 def joined_rails(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rails of two pieces: a kink in X and a step in height where they meet, and a kink half-way up."""
+    """Return rails of two pieces: a kink in X and a step in height at the joint, and a kink halfway up."""
     step = np.tanh((x - 0.55) / 0.04)
     return 2.0 * np.abs(z - 0.5) * y, 3.0 * np.abs(x - 0.55) * (0.5 + z), 1.2 * step - 6.0 * y**1.5
 
 
 def pendulum(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A cross-beam that swings with the place of its saddle: nothing is a product of one axis with a lever."""
+    """Return a cross-beam that swings with the position of its saddle; no term is a product of one axis and a lever."""
     swing = np.sin(np.pi * (x + 0.7 * y + 0.4 * z))
     return (
         2.0 * swing * z,
@@ -148,7 +148,7 @@ def night(form: str, seed: int) -> Night:
 
 
 def left_um(one: Night, estimate: Estimate) -> float:
-    """True aligned VCE."""
+    """Return the true aligned VCE."""
     left = one.truth - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
     return volumetric_error(GRID + TOOL, left).aligned_um
 
@@ -171,7 +171,9 @@ def test_the_aligned_volumetric_error_falls_to_about_a_third() -> None:
 
 
 def test_the_order_that_the_evidence_chooses_leaves_no_more_than_order_five_by_fiat() -> None:
-    """Nor does the modelled misfit: without it and at order 5 as ever, the most is left."""
+    """Compare with a fixed order 5. The modelled misfit also helps: without it and at order 5 the residual is
+    largest.
+    """
     five = family_of_order(5)
 
     def by_fiat(one: Night, options: Options) -> float:
@@ -195,7 +197,7 @@ def test_the_predicted_error_is_near_the_true_one() -> None:
 
 
 def test_the_field_lies_inside_its_stated_uncertainty() -> None:
-    """At random points, after the one rigid motion that no artefact sees: squares near 1, few beyond two sigma."""
+    """Check random points after the rigid motion that no artefact observes: squares near 1, few beyond two sigma."""
     points = np.random.default_rng(77).uniform(LOW, HIGH, (1500, 3))
     squares, beyond = [], []
     for one in nights():
@@ -210,7 +212,7 @@ def test_the_field_lies_inside_its_stated_uncertainty() -> None:
 
 
 def aligned(points: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """What is left after the best small rigid motion, by plain least squares."""
+    """Return the residual after the best small rigid motion, by plain least squares."""
     arms = (points - points.mean(axis=0)) / 1000.0
     motions = np.zeros((len(points), 3, 6))
     motions[:, :, :3] = np.eye(3)
@@ -226,7 +228,7 @@ def test_residuals_agree_with_the_stated_noise() -> None:
 
 
 def test_the_table_does_to_the_machine_what_was_predicted() -> None:
-    """Added to the commanded position, with trilinear reading, on the machine as it really is."""
+    """Add the table, read trilinearly, to the commanded position of the true machine."""
     one = night("joined_rails", SEEDS[0])
     model = one.estimate.model
     nodes = regular_nodes(RANGES, (100.0, 100.0, 100.0))

@@ -1,7 +1,7 @@
-"""An interpreter of G-code of its own, written from RS-274/NGC (NISTIR 6556) and the manuals of LinuxCNC and Grbl.
+"""Independent G-code interpreter, written from RS-274/NGC (NISTIR 6556) and the manuals of LinuxCNC and Grbl.
 
-It shares nothing with `twin.compensation.gcode`: words are read character by character, arcs are complex numbers turned
-about their centre, and what comes out is where the controller sends the axes, densely.
+It shares nothing with `twin.compensation.gcode`: words are read character by character, arcs are complex numbers
+rotated about their centre, and the result is the dense path of commanded axis positions.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 
 @dataclass
 class Stroke:
-    """`points` (n, 3): axis positions on the way, both ends included. `minutes`: of a block with G93."""
+    """Path of one block. `points` (n, 3): axis positions, both ends included. `minutes`: duration of a block
+    with G93.
+    """
 
     number: int | None
     feed: bool
@@ -31,7 +33,7 @@ class Stroke:
 
 @dataclass
 class PlainController:
-    """Axis positions in mm."""
+    """Controller state. Axis positions in mm."""
 
     position: np.ndarray
     work: dict[str, tuple] = field(default_factory=lambda: {"G54": (0.0, 0.0, 0.0)})
@@ -171,7 +173,7 @@ class PlainController:
         return points
 
     def middle_by_radius(self, first: complex, last: complex, radius: float) -> complex:
-        """Of the two centres the one from which the arc in the direction asked for is the smaller (R > 0) one."""
+        """Return the one of the two centres for which the arc in the requested direction is the smaller one (R > 0)."""
         half = abs(last - first) / 2.0
         up = 1j * (last - first) / abs(last - first) * math.sqrt(max(radius**2 - half**2, 0.0))
         for middle in ((first + last) / 2.0 + up, (first + last) / 2.0 - up):
@@ -202,7 +204,9 @@ def letters_and_numbers(line: str) -> list[tuple[str, float]]:
 
 
 def ends(strokes: list[Stroke]) -> dict[int, np.ndarray]:
-    """Where the axes stand after the block of each N number; blocks without one continue the block before."""
+    """Return the axis positions after the block of each N number; blocks without a number belong to the
+    previous one.
+    """
     found, number = {}, None
     for stroke in strokes:
         number = stroke.number if stroke.number is not None else number
@@ -211,18 +215,20 @@ def ends(strokes: list[Stroke]) -> dict[int, np.ndarray]:
 
 
 def path(strokes: list[Stroke], feed_only: bool = False) -> np.ndarray:
-    """All points (n, 3) in their order."""
+    """Return all points (n, 3) in their order."""
     return np.concatenate([stroke.points for stroke in strokes if stroke.feed or not feed_only])
 
 
 def far(points: np.ndarray, polyline: np.ndarray) -> float:
-    """The largest distance of `points` (n, 3) from a polyline (m, 3).
+    """Return the largest distance of `points` (n, 3) from a polyline (m, 3).
 
-    Of the polyline, cut into pieces of a millimetre at most, the pieces with the nearest middles are tried: another one
-    could only be nearer.
+    The polyline is cut into pieces of at most a millimetre, and only the pieces with the nearest midpoints are tried;
+    another piece could only be closer.
     """
     fine = dense(polyline, 1.0)
-    fine = fine[np.append(True, np.any(np.diff(fine, axis=0), axis=1))]  # who stands still would crowd the others out
+    fine = fine[
+        np.append(True, np.any(np.diff(fine, axis=0), axis=1))
+    ]  # a stationary position would displace all other samples
     start, way = fine[:-1], np.diff(fine, axis=0)
     _, near = cKDTree(start + 0.5 * way).query(points, k=min(6, len(start)))
     near = near.reshape(len(points), -1)
@@ -234,7 +240,7 @@ def far(points: np.ndarray, polyline: np.ndarray) -> float:
 
 
 def dense(points: np.ndarray, step: float) -> np.ndarray:
-    """Points on a polyline (n, 3), at most `step` apart."""
+    """Return points (n, 3) on a polyline, at most `step` apart."""
     pieces = [points[:1]]
     for first, last in itertools.pairwise(points):
         count = max(1, math.ceil(float(np.linalg.norm(last - first)) / step))

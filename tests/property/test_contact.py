@@ -1,4 +1,4 @@
-"""Contacts in a deviated field against plain bisection of the distance between tip and ball."""
+"""Contacts in a deviated field compared with plain bisection of the distance between tip and ball."""
 
 import math
 from types import SimpleNamespace
@@ -17,7 +17,7 @@ TOOL = (0.0, 250.0, 0.0)
 
 
 def field(positions: np.ndarray) -> np.ndarray:
-    """Worse than a machine: 0.05 mm, changing by up to 0.1 µm per mm."""
+    """Return a field worse than a machine's: 0.05 mm, changing by up to 0.1 µm per mm."""
     return 0.05 * np.sin(positions[:, [1, 2, 0]] / 500.0 + [0.3, 1.0, 2.0])
 
 

@@ -1,4 +1,4 @@
-"""What holds for every chain, range, tool and machine of the family."""
+"""Properties of the field for every chain, range, tool and machine of the family."""
 
 import itertools
 
@@ -39,8 +39,11 @@ def test_a_chain_survives_its_text(chain):
 @settings(max_examples=100, deadline=None)
 @given(chains, tools, st.integers(1, 6), seeds)
 def test_exact_and_linear_agree_within_five_nanometres_for_the_family(chain, tool, order, seed):
-    """Every coefficient at the border of the family, signs at random: the largest machines there are. The axes are on
-    either side of the bed, in any order; the difference is largest where levers and travels are, at the corners."""
+    """Set every coefficient to the border of the family with random signs, the largest machines possible.
+
+    The axes are on either side of the bed, in any order. The difference is largest at the corners, with the longest
+    levers and travels.
+    """
     rng = np.random.default_rng(seed)
     model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, order, CROSS_TERMS)
     largest = family_from_amplitudes(model, CASE_STUDY_AMPLITUDES).half_widths * rng.choice([-1.0, 1.0], model.size)
@@ -71,7 +74,7 @@ def test_the_quadratic_form_is_the_grid(chain, tool, seed):
     rng = np.random.default_rng(seed)
     model = ErrorModel.uniform(chain, CASE_STUDY_RANGES, 3, CROSS_TERMS)
     errors = rng.uniform(-1.0, 1.0, model.size) * [1e-2 if p.unit == "mm" else 1e-5 for p in model.parameters]
-    grid = evaluation_grid(CASE_STUDY_RANGES, (9, 7, 8))  # more points than the form keeps of it
+    grid = evaluation_grid(CASE_STUDY_RANGES, (9, 7, 8))  # more points than the quadrature of the form uses
     field = rng.normal(0.0, 3e-3, grid.shape)
     form = QuadraticForm.build(model, grid, tool)
     for value, fixed in ((form.value(errors), 0.0), (form.value(errors, field), field)):

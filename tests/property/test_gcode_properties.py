@@ -1,4 +1,4 @@
-"""Corrected part programs, run by an interpreter of its own: what holds for every program and every table."""
+"""Corrected part programs run by an independent interpreter: properties of every program and every table."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ REFERENCES = {"G28": (20.0, 10.0, 200.0), "G30": (30.0, 20.0, 180.0)}
 START = (100.0, 100.0, 100.0)
 STEP = 1e-4
 STEP_INCH = 1e-5 * 25.4
-TO_START = "G21 G90 G0 X40 Y50 Z60\n"  # START, as G54 says it: the axes then stand at the corrected place
+TO_START = "G21 G90 G0 X40 Y50 Z60\n"  # START in the coordinates of G54: the axes are then at the corrected position
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 def table_of(seed: int | None, size_mm: float = 0.03) -> CompensationTable:
-    """A rough table: neighbouring nodes know nothing of each other. None: all zero."""
+    """Return a rough table with independent node values; None: all zero."""
     shape = tuple(len(nodes) for nodes in NODES)
     values = np.zeros((*shape, 3))
     if seed is not None:
@@ -37,7 +37,7 @@ def table_of(seed: int | None, size_mm: float = 0.03) -> CompensationTable:
 
 
 def added(table: CompensationTable, points: np.ndarray) -> np.ndarray:
-    """Points with the correction added, by scipy's trilinear interpolation."""
+    """Return the points with the correction added, by scipy's trilinear interpolation."""
     return points + RegularGridInterpolator(table.nodes, table.corrections)(points)
 
 
@@ -60,7 +60,7 @@ REACH = np.array([495.0, 295.0, 245.0])
 
 
 class Author:
-    """Writes blocks towards axis positions that are drawn; the words that say so are worked out here."""
+    """Author of random programs: writes blocks towards drawn axis positions and computes the words for them."""
 
     def __init__(self, draw: st.DrawFn) -> None:
         self.draw = draw
@@ -72,7 +72,9 @@ class Author:
         return self.work + self.tool + self.g92
 
     def word(self, axis: int, value: float, base: float, decimals: int = 3) -> str:
-        """The word that sends an axis to `value`, counted from `base`; it then stands where the word says."""
+        """Return the word that moves an axis to `value`, relative to `base`, and record the position given by
+        the word.
+        """
         text = f"{(value - base) / self.unit:.{decimals}f}"
         self.here[axis] = base + float(text) * self.unit
         return "XYZ"[axis] + text
@@ -120,7 +122,7 @@ class Author:
         return "G53 G0 " + " ".join(self.word(axis, goal[axis], 0.0) for axis in axes)
 
     def arc(self, axes: list[int], goal: tuple) -> str:
-        """A circle or a part of one that stays in the table, and perhaps rises; a line where there is no room."""
+        """Write a circle or part of one inside the table, possibly a helix; a line if there is not enough room."""
         a, b, c = PLANE_AXES[self.plane]
         size = float(np.minimum(self.here - 5.0, REACH - self.here)[[a, b]].min()) / 2.5
         if size < 1.0:
@@ -139,7 +141,7 @@ class Author:
 
 @st.composite
 def programs(draw: st.DrawFn) -> str:
-    """Blocks of every kind in any order; every block has its number; positions stay within the table."""
+    """Generate numbered blocks of every kind in any order; positions stay within the table."""
     author, lines = Author(draw), []
     kinds = {
         **{kind: getattr(author, kind) for kind in ("line", "arc", "mode", "system", "datum", "machine", "reference")},
@@ -155,7 +157,10 @@ def programs(draw: st.DrawFn) -> str:
 @settings(max_examples=60, deadline=None)
 @given(programs(), seeds)
 def test_after_every_block_the_axes_stand_where_the_table_says(text, seed):
-    """At the corrected position, to half a step of the words, but at a reference point: nothing accumulates."""
+    """Check that errors do not accumulate: every corrected position is exact to half a step of the words.
+
+    Reference points are excepted.
+    """
     table = table_of(seed)
     meant, reached = controller(), controller()
     meant.run(text)
@@ -191,7 +196,7 @@ def test_a_table_of_zeros_changes_no_path(text):
 @settings(max_examples=40, deadline=None)
 @given(programs(), seeds)
 def test_the_short_way_for_plain_lines_writes_what_the_long_one_does(text, seed):
-    """Small letters go the long way."""
+    """Compare with lower-case letters, which take the slow path."""
     table = table_of(seed)
     assert corrected(text.lower(), table).upper() == corrected(text, table)
 
@@ -219,12 +224,12 @@ def test_incremental_words_say_what_absolute_ones_say(points, seed):
 
 
 def cut(text: str) -> np.ndarray:
-    """Where the axes are sent after the first move, which goes to the corrected start."""
+    """Return the commanded positions after the first move, which goes to the corrected start."""
     return path(controller().run(text)[1:])
 
 
 def corrected_curve(text: str, table: CompensationTable) -> np.ndarray:
-    """The corrected path after the first move, every 0.2 mm or so."""
+    """Return the corrected path after the first move, every 0.2 mm or so."""
     plain = controller()
     plain.arc_step = 0.002
     strokes = plain.run(text)[1:]
@@ -235,7 +240,7 @@ def corrected_curve(text: str, table: CompensationTable) -> np.ndarray:
 @given(lines, seeds, st.sampled_from([0.0005, 0.002, 0.01]))
 @example([(0.0, 0.0, 0.0)] * 4, 0, 0.002)
 def test_straight_pieces_stay_within_the_chord_error(points, seed, chord):
-    """Against the corrected curve sampled densely, both ways; nodes of the table differ by up to 60 µm."""
+    """Compare with the densely sampled corrected curve in both directions; nodes of the table differ by up to 60 µm."""
     table = table_of(seed)
     text = straight(points, incremental=False)
     written = cut(corrected(text, table, chord))
@@ -246,7 +251,7 @@ def test_straight_pieces_stay_within_the_chord_error(points, seed, chord):
 
 @st.composite
 def arcs(draw: st.DrawFn) -> tuple[str, str]:
-    """The same arc or helix by its centre and by its radius."""
+    """Return the same arc or helix given by its centre and by its radius."""
     plane, code = draw(st.sampled_from([17, 18, 19])), draw(st.sampled_from([2, 3]))
     a, b, c = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}[plane]
     radius, angle = draw(st.floats(2.0, 35.0)), draw(st.floats(-math.pi, math.pi))

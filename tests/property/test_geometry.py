@@ -1,4 +1,4 @@
-"""Distances and sweeps against brute-force sampling, which knows nothing of closest points."""
+"""Distances and sweeps compared with brute-force sampling, which does not use closest points."""
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def test_distance_of_capsule_and_box(capsule: Capsule, box: Box) -> None:
 @settings(max_examples=80, deadline=None)
 def test_a_sweep_meets_what_small_steps_meet(moving: Capsule, obstacle, displacement) -> None:
     if separation(moving, obstacle)[0] <= 1e-3:
-        return  # in contact from the start: only the direction counts, tested apart
+        return  # in contact from the start: only the direction counts, tested separately
     fractions = np.linspace(0.0, 1.0, 500)
     way = np.array(displacement)
     gaps = np.array([separation(moving.moved(tuple(f * way)), obstacle)[0] for f in fractions])

@@ -1,4 +1,4 @@
-"""What must hold of any sphere, any table anchor and any placement of the artefact."""
+"""Properties of any sphere, any table anchor and any placement of the artefact."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ AT_NODES = np.stack(np.meshgrid(*NODES, indexing="ij"), axis=-1).reshape(-1, 3)
 def test_another_anchor_is_another_rigid_motion_of_the_compensated_machine(
     seed: int, first: Anchor, second: Anchor
 ) -> None:
-    """For the largest machines of the family, with both tables acting: 1e-9 mm beside a rigid motion."""
+    """Compare the largest machines of the family with both tables active: 1e-9 mm apart from a rigid motion."""
     errors = FAMILY.half_widths * np.random.default_rng(seed).choice([-1.0, 1.0], MODEL.size)
     corrections = [
         build_table(MODEL, errors, NODES, TOOL, anchor, AT_NODES).corrections.reshape(-1, 3)
@@ -133,14 +133,14 @@ def test_another_anchor_is_another_rigid_motion_of_the_compensated_machine(
     one, other = (c + exact_deviation(MODEL, AT_NODES + c, TOOL, errors) for c in corrections)
     assert np.abs(align_rigidly(AT_NODES + TOOL, one - other)).max() < 1e-9
     assert np.abs(align_rigidly(AT_NODES + TOOL, one)).max() < 1e-9
-    # the tables alone: what the field changes on the way between the corrected points (twice: room for the alignment)
+    # the tables alone: change of the field between the corrected points (twice, to allow for the alignment)
     moved = np.linalg.norm(corrections[0] - corrections[1], axis=1).max()
     left = np.linalg.norm(align_rigidly(AT_NODES + TOOL, corrections[0] - corrections[1]), axis=1).max()
     assert left <= 2.0 * steepest(errors) * moved + 1e-9
 
 
 def steepest(errors: np.ndarray) -> float:
-    """Largest slope of the deviation field, by differences over 1 mm on a fine grid."""
+    """Return the largest slope of the deviation field, by differences over 1 mm on a fine grid."""
     fine = evaluation_grid(RANGES, (41, 19, 21))
     here = exact_deviation(MODEL, fine, TOOL, errors)
     slopes = [exact_deviation(MODEL, fine + step, TOOL, errors) - here for step in np.eye(3)]

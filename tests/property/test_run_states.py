@@ -1,4 +1,4 @@
-"""The run's states under any order of requests: what is entered, journaled and announced never differ."""
+"""Run states under any order of requests: the state entered, journaled and announced is always the same."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from agent.execution.run_state import Announcement, RunStateTracker
 from agent.execution.states import FINAL, RunState
 from drivers.clock import VirtualClock
 
-# Written by hand from the design's line of states, not from the table under test.
+# Written by hand from the designed sequence of states, not from the table under test.
 CHAIN = [
     RunState.IDLE,
     RunState.PREFLIGHT,
@@ -30,7 +30,7 @@ CHAIN = [
 
 
 class RunStates(RuleBasedStateMachine):
-    """Any state is asked for at any time; the journal is read by a connection of its own."""
+    """State machine test: any state is requested at any time; the journal is read through its own connection."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,7 +54,7 @@ class RunStates(RuleBasedStateMachine):
     @precondition(lambda self: self.tracker.state in CHAIN[:-1])
     @rule()
     def go_on(self) -> None:
-        """The way forward is open from every state of the line."""
+        """Check that the next state is allowed from every state of the sequence."""
         following = CHAIN[CHAIN.index(self.tracker.state) + 1]
         self.tracker.enter(following)
         self.entered.append(following)
@@ -62,7 +62,7 @@ class RunStates(RuleBasedStateMachine):
     @precondition(lambda self: self.tracker.state not in FINAL)
     @rule()
     def break_off(self) -> None:
-        """From anywhere it can be aborted and comes to an end."""
+        """Check that a run can be aborted from any state and then ends."""
         if self.tracker.state is not RunState.ABORTING:
             self.tracker.enter(RunState.ABORTING, "button")
             self.entered.append(RunState.ABORTING)

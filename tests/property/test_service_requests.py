@@ -1,4 +1,4 @@
-"""Random requests from several doors: one run at a time, faults that stay, aborts that are always taken."""
+"""Random requests from several endpoints: one run at a time, faults persist, aborts are always accepted."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ERRORS = {
 
 
 class Requests(RuleBasedStateMachine):
-    """The model: a state, whether a run is under way, and the first cause of what is sticky."""
+    """Model of the service: a state, whether a run is active, and the first cause of a persistent fault."""
 
     @initialize()
     def build(self) -> None:
@@ -168,7 +168,7 @@ def test_every_state_has_its_requests_and_its_name() -> None:
 
 
 def test_what_can_be_held_has_a_way_to_held() -> None:
-    """A hold is offered just where the states of a run know it."""
+    """Check that a hold is offered exactly in the states from which a run can be held."""
     assert {state for state in RunState if "hold" in MAY[state]} == {
         state for state in RunState if state not in FINAL and may_follow(state, S.HELD)
     }

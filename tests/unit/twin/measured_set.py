@@ -1,4 +1,4 @@
-"""Ball centres of a made-up machine, for the tests of what is identified from them."""
+"""Ball centres of an invented machine, for tests of identification."""
 
 from __future__ import annotations
 
@@ -55,7 +55,9 @@ def measured(
     tools: tuple[np.ndarray, ...] = (TOOL,),
     temperature_c: float = 20.0,
 ) -> Observations:
-    """Every reachable ball of the set, once with every tool; `deviation(axis positions, tool)` is the truth in mm."""
+    """Return every reachable ball of the set, once with every tool; `deviation(axis positions, tool)` is the truth in
+    mm.
+    """
     places = station_locations(stations, RANGES[0], 560.0, 900.0, 750.0)
     lower, upper = np.array(RANGES).T
     rows, found = [], []

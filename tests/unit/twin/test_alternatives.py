@@ -1,4 +1,4 @@
-"""How well scales are known: the Fisher information from dense matrices, and points that carry it."""
+"""Uncertainty of the scales: the Fisher information compared with dense matrices, and points that represent it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def set_up(seed: int) -> tuple[np.ndarray, np.ndarray, tuple[Alternative, ...]]:
 
 
 def dense_log_covariance(design: np.ndarray) -> np.ndarray:
-    """From the covariance of the measurements and its derivatives by the log scales, one by one."""
+    """Return it from the covariance of the measurements and its derivatives by the log scales, one by one."""
     parts = [SCALES.noise**2 * np.eye(ROWS)]
     for block, scale in zip((BLOCKS.parameters, *BLOCKS.kinds), SCALES.values[1:], strict=True):
         parts.append(scale**2 * design[:, block] @ design[:, block].T)

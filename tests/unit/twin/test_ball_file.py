@@ -1,4 +1,4 @@
-"""Ball centre files: what they mean, and where a mistake is said to be."""
+"""Ball centre files: their meaning, and the location named for a mistake."""
 
 from __future__ import annotations
 

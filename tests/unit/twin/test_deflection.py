@@ -8,7 +8,7 @@ from twin.machine.deflection import CASE_STUDY_NODES, CantileverStructure, Defle
 
 
 def trilinear_grid():
-    """Values of a field that trilinear interpolation must give exactly."""
+    """Return values of a field that trilinear interpolation must reproduce exactly."""
     nodes = np.array([0.0, 3.0, 4.0]), np.array([-1.0, 1.0]), np.array([10.0, 20.0, 50.0, 60.0])
     return DeflectionGrid(*nodes, field(*np.meshgrid(*nodes, indexing="ij")))
 
@@ -77,7 +77,7 @@ def test_a_ram_alone_sags_like_the_beam_of_the_textbook():
 
 
 def test_the_column_bends_as_the_cross_effect_says():
-    """With a soft column only, uy must be moment times height squared over 2EI."""
+    """Check that with only a compliant column uy is moment times height squared over 2EI."""
     column = CantileverStructure(
         ram_load_n_per_mm=0.0,
         head_weight_n=1000.0,

@@ -1,4 +1,4 @@
-"""Deflections of other makes: their size, and that no kind of misfit holds them entirely."""
+"""Random deflection fields: their size, and that no misfit mode represents them entirely."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search against exhaustive choice and against plain evaluation, on made-up candidates."""
+"""The search compared with exhaustive choice and with plain evaluation, on invented candidates."""
 
 from itertools import combinations
 
@@ -30,7 +30,7 @@ def made_up(seed: int, count: int = 9, rank: int = 2, size: int = 6) -> Candidat
 
 
 def plain_value(candidates: CandidatePositions, chosen) -> float:
-    """trace(Q C), C by inverting the sum of what every position tells."""
+    """Return trace(Q C), with C from inverting the sum of the information of every position."""
     precision = candidates.precision.copy()
     for index in chosen:
         precision += candidates.factors[index].T @ candidates.factors[index]
@@ -72,7 +72,9 @@ def test_the_search_comes_near_the_best_of_all_subsets(seed: int):
     candidates = made_up(seed)
     best = min(plain_value(candidates, chosen) for chosen in combinations(range(candidates.count), 3))
     found = plain_value(candidates, PositionCountGoal(3).select(searching(candidates)))
-    assert best * (1.0 - 1e-12) <= found <= 1.06 * best  # one exchange at a time ends where no single one helps
+    assert (
+        best * (1.0 - 1e-12) <= found <= 1.06 * best
+    )  # exchanges one at a time end when no single exchange improves the result
 
 
 def test_the_search_mostly_finds_the_very_best():

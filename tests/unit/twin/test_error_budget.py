@@ -1,4 +1,6 @@
-"""The closed form against whole simulated procedures: its own plain numpy simulation, truth richer than the model."""
+"""The closed-form budget compared with whole simulated procedures in plain numpy, with a truth richer than the
+model.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ EVERYTHING = TruthAssumptions(
     TRUE_FAMILY, DEFLECTION, artefact_temperature_c=26.0, thermometer_uncertainty_k=0.3, drift_mm=1.5e-3
 )
 MILD = replace(EVERYTHING, artefact_temperature_c=22.0, thermometer_uncertainty_k=0.1)
-"""Without single influences that rule a mean of few squares."""
+"""Truth assumptions in which no single influence dominates a mean of few squares."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def without_errors(at: np.ndarray, _: np.ndarray) -> np.ndarray:
 
 
 def planned(case: Case) -> Observations:
-    """On a machine without errors, at the reference temperature."""
+    """Return the plan on a machine without errors, at the reference temperature."""
     seen = measured(case.expression, 3, certified(), without_errors, np.random.default_rng(0), sigma_mm=0.0)
     return replace(seen, covariance=np.tile(COVARIANCE, (seen.size, 1, 1)))
 
@@ -73,7 +75,7 @@ def closed(case: Case, assumptions: TruthAssumptions) -> ErrorBudget:
 
 
 def night(case: Case, assumptions: TruthAssumptions, rng: np.random.Generator) -> tuple[float, float]:
-    """Mean square VCE, raw and aligned, of one machine after one simulated procedure."""
+    """Return the mean square VCE, raw and aligned, of one machine after one simulated procedure."""
     parameters = assumptions.family.draw(rng, 1)[0]
 
     def truth(at: np.ndarray, tool: np.ndarray) -> np.ndarray:
@@ -122,7 +124,7 @@ def without_rigid_motion(field: np.ndarray) -> np.ndarray:
 
 
 def agree(case: Case, assumptions: TruthAssumptions, nights: int, seed: int = 1) -> np.ndarray:
-    """Within three standard deviations of the mean of the simulated squares."""
+    """Check agreement within three standard deviations of the mean of the simulated squares."""
     children = np.random.SeedSequence(seed).spawn(nights)
     squares = np.array([night(case, assumptions, np.random.default_rng(child)) for child in children])
     expected = closed(case, assumptions).expected
@@ -135,7 +137,7 @@ def agree(case: Case, assumptions: TruthAssumptions, nights: int, seed: int = 1)
 
 @pytest.mark.parametrize("case", [CENTRES, DISTANCES], ids=["centres", "distances, unit weights, no prior"])
 def test_the_closed_form_agrees_with_whole_procedures(case: Case) -> None:
-    """The mean square, and half of the machines lie above the median, one in twenty outside of the 95 % limits."""
+    """Compare the mean square; half of the machines are above the median, one in twenty outside the 95 % limits."""
     raw, aligned = np.sqrt(agree(case, EVERYTHING, 150)).T
     distribution = closed(case, EVERYTHING).distribution
     low, high = distribution.limits(0.95)
@@ -159,7 +161,7 @@ def test_it_holds_for_every_way_of_identifying(case: Case) -> None:
 
 
 def only_within(model_names: tuple[str, ...], inside: bool) -> Family:
-    """The true family with only those parameters that the model has, or only the others."""
+    """Return the true family restricted to the parameters of the model, or to the others."""
     chosen = np.array([(name in model_names) == inside for name in TRUE_FAMILY.model.names])
     return Family(TRUE_FAMILY.model, TRUE_FAMILY.half_widths * chosen)
 
@@ -203,7 +205,7 @@ def test_squares_add_up() -> None:
 
 
 def test_a_fixed_deflection_is_a_bias_and_not_a_spread() -> None:
-    """One noiseless identification says it all, and to nanometres."""
+    """Check with one noiseless identification, to nanometres."""
     assumptions = replace(NOTHING, deflection=DEFLECTION)
     raw, aligned = night(CENTRES, assumptions, np.random.default_rng(0))
     expected = closed(CENTRES, assumptions).expected
@@ -254,7 +256,7 @@ def test_parameters_are_as_uncertain_as_simulated() -> None:
 
 
 def test_error_motions_are_as_uncertain_as_their_curves() -> None:
-    """The curve of each error motion over its axis, from drawn coefficients."""
+    """Compare with the curve of each error motion over its axis, from drawn coefficients."""
     model, family = FAMILIES[4].model, FAMILIES[4]
     factor = family.prior_standard_deviation[:, None] * np.random.default_rng(6).normal(size=(model.size, model.size))
     found = motion_uncertainty(model, factor @ factor.T)
@@ -271,7 +273,7 @@ def test_error_motions_are_as_uncertain_as_their_curves() -> None:
 
 
 def test_the_model_may_hold_more_than_the_machines_do() -> None:
-    """Truth of order 3, model of order 5: nothing is beyond the model."""
+    """Use a truth of order 3 and a model of order 5: no error is beyond the model."""
     simple = FAMILIES[3]
     budget = closed(CENTRES, replace(NOTHING, family=simple))
     assert budget.contributions["misfit"].raw_mm == 0.0
@@ -298,7 +300,7 @@ def test_with_two_tools_each_parameter_is_left_as_one_identification_leaves_it(n
 
 
 def test_the_day_makes_the_artefact_as_warm_as_reality_says() -> None:
-    """Temperatures of the planned rows are those of the plan, not of the day."""
+    """Check that temperatures of the planned rows are those of the plan, not of the day."""
     assumptions = replace(NOTHING, cte=True, artefact_temperature_c=26.0)
     seen = planned(CENTRES)
     family = CENTRES.family

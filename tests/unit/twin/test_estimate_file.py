@@ -1,4 +1,4 @@
-"""Estimate files: nothing is lost on the way, and what does not fit is named."""
+"""Estimate files: no information is lost, and mismatches are named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Correcting part programs: what is written word for word, what is kept, what is refused and why."""
+"""Correction of part programs: the exact text written, the lines left unchanged, and the refusals with their
+reasons.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,10 @@ START = "G0 X0 Y0 Z0\n"
 
 
 def table(**more: object) -> CompensationTable:
-    """Adds 10 µm to X, -20 µm to Y, and to Z 100 µm a metre of X: linear, so that no line need be divided."""
+    """Return a table that adds 10 µm to X, -20 µm to Y, and to Z 100 µm per metre of X.
+
+    It is linear, so that no line need be divided.
+    """
     x, y, z = np.linspace(0.0, 1000.0, 11), np.linspace(0.0, 500.0, 6), np.linspace(0.0, 400.0, 5)
     corrections = np.zeros((11, 6, 5, 3))
     corrections[..., 0], corrections[..., 1] = 0.010, -0.020
@@ -40,7 +45,7 @@ def run(text: str, setup: PartSetup = SETUP, **options: object) -> tuple[list[st
 
 
 def written(text: str, setup: PartSetup = SETUP, **options: object) -> list[str]:
-    """The lines after the rapid move to the start, which is put before `text`."""
+    """Return the lines after the rapid move to the start, which is put before `text`."""
     return run(START + text, setup, **options)[0][1:]
 
 
@@ -269,7 +274,7 @@ def test_a_chord_error_that_asks_for_too_many_pieces_is_refused() -> None:
 
 
 def test_memory_does_not_grow_with_the_program() -> None:
-    """Peak of what Python holds, for some ten stretches against some fifty."""
+    """Compare Python's peak memory for some ten batches with that for some fifty."""
 
     def peak(lines: int) -> int:
         tracemalloc.start()

@@ -1,4 +1,4 @@
-"""Identification against scipy on the same residuals, and what it says of sets that are not enough."""
+"""Identification compared with scipy on the same residuals, and its messages for insufficient sets."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ def machine(order: int, seed: int):
 
 
 def by_scipy(model, family, artefact, seen: Observations, certificate_mm: float) -> np.ndarray:
-    """Maximum a posteriori by trf with its own finite differences: parameters, poses and certificate errors."""
+    """Return the maximum a posteriori by trf with its own finite differences: parameters, poses and
+    certificate errors.
+    """
     p, places = model.size, len(np.unique(seen.position))
     scale = family.prior_standard_deviation
     points = seen.axis_positions + seen.tool_offsets[seen.tool]
@@ -95,7 +97,7 @@ def test_without_noise_the_field_comes_back() -> None:
 
 
 def test_covariance_is_the_inverse_of_the_full_normal_matrix() -> None:
-    """Plain dense algebra: all poses in one big matrix, its inverse, the corner of the parameters."""
+    """Compare with plain dense algebra: all poses in one matrix, its inverse, the block of the parameters."""
     model, family, _, truth = machine(2, 6)
     artefact = bar(5)
     seen = measured("S3", 1, artefact, truth, np.random.default_rng(7))
@@ -138,7 +140,7 @@ def test_a_covariance_taken_as_prior_equals_measuring_both_at_once() -> None:
 
 class TestUncertainty:
     def test_a_drawn_machine_lies_where_the_covariance_says(self) -> None:
-        """Truth from the prior itself: normalised squares are 1, 95 % of the parameters inside 1.96 sigma."""
+        """Draw the truth from the prior: normalised squares are 1, and 95 % of the parameters are within 1.96 sigma."""
         model, family = case_study(4)
         squares, inside = [], []
         for seed in range(12):
@@ -182,7 +184,7 @@ class TestUncertainty:
 @pytest.mark.parametrize("weights", ["full", "unit"])
 @pytest.mark.parametrize("formulation", ["centres", "distances"])
 def test_normalised_chi2_is_one_where_all_is_as_stated(formulation: str, weights: str, prior: bool) -> None:
-    """Truth, certificate and noise drawn as the priors say; noise that differs from ball to ball."""
+    """Draw truth, certificate and noise from the priors, with noise that differs from ball to ball."""
     model, family = case_study(3)
     options = dataclasses.replace(PLAIN, formulation=formulation, weights=weights, use_prior=prior)
     found = []
@@ -285,7 +287,7 @@ class TestTooLittle:
 
 class TestDistances:
     def test_with_full_weights_a_bar_with_offset_balls_tells_the_same_as_centres(self) -> None:
-        """All distances of a rigid set fix its shape, so to first order nothing is lost."""
+        """Check that all distances of a rigid set determine its shape, so that to first order nothing is lost."""
         model, family, _, truth = machine(3, 23)
         artefact = bar(7, sigma_mm=0.8e-3)
         seen = measured("S3", 3, artefact, truth, np.random.default_rng(24))
@@ -331,7 +333,7 @@ class TestDistances:
 
 
 def test_strategies_stand_in_the_published_order() -> None:
-    """Predicted VCE of a straight bar of 7 balls, 3 stations, order 4, 1 µm per coordinate."""
+    """Compare the predicted VCE of a straight bar of 7 balls, 3 stations, order 4, 1 µm per coordinate."""
     model, family = case_study(4, ("b0", "b1", "b2", "c0", "c1"))
     artefact = bar(7, 0.0)
 

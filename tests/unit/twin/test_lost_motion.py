@@ -1,4 +1,4 @@
-"""Lost motion from oblique touches: geometry by hand, the fit against plain differences, what it must refuse."""
+"""Lost motion from oblique touches: geometry by hand, the fit compared with plain differences, and refusals."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_places_are_oblique_before_the_ball_and_touched_by_another_axis_alone(ax
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_the_sign_is_that_of_a_slide_that_lags(axis: int) -> None:
-    """A sphere of 15 mm met by a tip whose pre-loaded axis lags by ±4 µm: the reading by Pythagoras."""
+    """Touch a sphere of 15 mm with a tip whose preloaded axis lags by ±4 µm; the reading follows from Pythagoras."""
     latched, upwards, ratios, places = [], [], [], []
     for place, touch in enumerate(plan_oblique_touches(axis, ALONG_Y)):
         for up in (True, False):
@@ -43,7 +43,7 @@ def test_the_sign_is_that_of_a_slide_that_lags(axis: int) -> None:
 
 
 def test_fit_is_the_difference_of_the_means_and_its_uncertainty_that_of_hand_arithmetic() -> None:
-    """One place, ratio 1: levels 1 ± b/2 with residuals ±d: b = difference of the means, σ = s·√(2/2)."""
+    """Use one point, ratio 1, levels 1 ± b/2 with residuals ±d: b = difference of the means, σ = s·√(2/2)."""
     latched = [1.000 + 0.003 + 0.001, 1.0 - 0.003 - 0.001, 1.0 - 0.003 + 0.001, 1.0 + 0.003 - 0.001]
     found = fit_lost_motion([1.0] * 4, [True, False, False, True], [0] * 4, latched, 0.0)
     assert found.value_mm == pytest.approx(0.006)

@@ -140,7 +140,7 @@ def test_no_errors_no_deviation():
 
 
 def seen(model, *tools):
-    """Rank of the field over all tools, what is a rigid motion of the workspace taken out."""
+    """Return the rank of the field over all tools without rigid motions of the workspace."""
     rng = np.random.default_rng(9)
     points = rng.uniform(0.0, [4000.0, 1300.0, 1500.0], (200, 3))
     basis = np.vstack([deviation_basis(model, points, tool).reshape(-1, model.size) for tool in tools])

@@ -1,4 +1,4 @@
-"""What a set of observations refuses, and which row it names."""
+"""Refusals of observations and the row they name."""
 
 from __future__ import annotations
 

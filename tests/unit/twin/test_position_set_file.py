@@ -1,4 +1,4 @@
-"""Position sets from TOML; what CSV allows is tested with the artefact's file."""
+"""Position sets from TOML; the rules of CSV are tested with the artefact's file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pretravel maps against probes that are richer than the harmonics: lobes that grow with the sine, a shifted centre."""
+"""Pretravel maps compared with probes richer than the harmonics: lobes that grow with the sine, a shifted centre."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ RADIUS = 15.5
 
 
 def lobed(direction: np.ndarray, amplitude: float = 3e-3) -> float:
-    """Three seats: pretravel grows with the bending of the stylus, sine of the angle to its axis. No polynomial."""
+    """Return the pretravel of a probe on three seats: it grows with the bending of the stylus, not as a polynomial.
+
+    Bending is the sine of the angle to the stylus axis.
+    """
     x, _, z = direction
     return 8e-3 + amplitude * math.hypot(x, z) * math.cos(3.0 * math.atan2(z, x) + 0.4)
 
 
 def latched(directions: np.ndarray, centre: np.ndarray, pretravel=lobed) -> np.ndarray:
-    """Where a touch along each direction latches: pretravel beyond contact."""
+    """Return the latched point of a touch along each direction: pretravel beyond contact."""
     return np.array([centre - d * (RADIUS - pretravel(d)) for d in directions])
 
 
@@ -53,7 +56,7 @@ def test_the_map_leaves_centre_and_radius_of_the_qualification_as_they_are() -> 
 
 
 def test_a_smooth_probe_has_no_map() -> None:
-    """All directions alike, and the stylus off centre: nothing that harmonics beyond the first could hold."""
+    """Use equal pretravel in all directions and a stylus off centre: nothing for harmonics beyond the first."""
     points = latched(DENSE, np.array([0.01, 0.02, -0.03]), lambda _: 9e-3)
     found = fit_pretravel(DENSE, fit_sphere(points, 1e-3).residuals, AXIS)
     assert found.largest_mm < 1e-9

@@ -1,4 +1,4 @@
-"""What a set would measure, before anything moves."""
+"""Measurements planned for a set before anything moves."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PROCEDURE = Procedure({"probe": LAYOUT, "longer": LONGER}, np.eye(3) * 1e-6)
 def test_balls_of_a_level_bar_stand_where_a_ruler_puts_them() -> None:
     planned = PROCEDURE.plan([Position(1, 0.0, 0.0)])
     x = [500.0, 750.0, 1000.0, 1250.0, 1500.0]
-    # from the foot 120 mm of shaft and 60 mm of holder towards the ram, less the tool
+    # 120 mm of shaft and 60 mm of holder from the mount towards the ram, minus the tool offset
     expected = [(at, 1000.0 - 120.0 - 60.0 - 250.0, 750.0) for at in x]
     np.testing.assert_allclose(planned.observations.axis_positions, expected, atol=1e-9)
 

@@ -1,4 +1,4 @@
-"""Against scipy's distributions, against sampling and against the whole estimate by brute force."""
+"""Quadratic forms compared with scipy's distributions, with sampling and with the whole estimate by brute force."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_the_far_tail_is_no_rounding() -> None:
 
 
 def imhof(weights: np.ndarray, shifts: np.ndarray, value: float) -> float:
-    """P(Q > value) by Imhof's integral over real frequencies, summed step by step."""
+    """Return P(Q > value) by Imhof's integral over real frequencies, summed step by step."""
     step = 0.1 / np.sqrt(2.0 * np.sum(weights**2 * (1.0 + 2.0 * shifts**2)))
     u = step * (np.arange(12_000) + 0.5)
     phase, size = -0.5 * value * u, np.zeros_like(u)
@@ -59,7 +59,7 @@ def imhof(weights: np.ndarray, shifts: np.ndarray, value: float) -> float:
 @pytest.mark.parametrize("shift", [0.0, 0.7, 3.0, 20.0])
 @pytest.mark.parametrize("spread", [0.1, 1.0])
 def test_against_the_integral_over_real_frequencies(shift: float, spread: float) -> None:
-    """From nearly Gaussian to far from it, on both sides of the mean and at it."""
+    """Use forms from nearly Gaussian to far from it, on both sides of the mean and at the mean."""
     rng = np.random.default_rng(3)
     weights, shifts = np.exp(spread * rng.normal(size=12)), shift * rng.normal(size=12)
     one = QuadraticDistribution(weights, shifts, 0.0)
@@ -69,7 +69,7 @@ def test_against_the_integral_over_real_frequencies(shift: float, spread: float)
 
 
 def test_two_different_weights_against_the_convolution() -> None:
-    """P(a x² + b y² ≤ q) as a plain integral over x."""
+    """Compare P(a x² + b y² ≤ q) with a plain integral over x."""
     a, b, q = 2.0, 0.3, 1.7
     x = np.linspace(0.0, np.sqrt(q / a), 200_001)
     inner = stats.norm.pdf(x) * (2.0 * stats.norm.cdf(np.sqrt(np.maximum(q - a * x**2, 0.0) / b)) - 1.0)
@@ -88,7 +88,7 @@ def test_many_weights_against_sampling(spread: float) -> None:
 
 
 def test_a_form_of_correlated_variables_against_sampling() -> None:
-    """Fixed field, mean, correlation, and a direction in which nothing is uncertain."""
+    """Use a fixed field, a mean, correlation, and a direction without uncertainty."""
     rng = np.random.default_rng(9)
     columns, fixed = rng.normal(size=(30, 6)), rng.normal(size=30)
     factor = rng.normal(size=(6, 6))
@@ -148,7 +148,7 @@ def test_an_impossible_covariance_is_refused(covariance: np.ndarray, message: st
 
 
 def test_a_singular_covariance_is_one_all_the_same() -> None:
-    """mm beside rad: a direction without uncertainty, and variances 10¹² apart."""
+    """Use mm and rad: a direction without uncertainty, and variances 10¹² apart."""
     covariance = np.diag([1.0, 0.0, 1e-12])
     covariance[0, 2] = covariance[2, 0] = 1e-6
     factor = covariance_factor(covariance)
@@ -176,7 +176,7 @@ def estimated(misfit_mm: float) -> Estimate:
 
 
 def drawn_fields(estimate: Estimate, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Fields (count, 3n) of possible machines, and of the same less the compensation model, point by point."""
+    """Return fields (count, 3n) of possible machines, and of the same minus the compensation model, point by point."""
     beside = 0.0 if estimate.misfit is None else np.sqrt(estimate.misfit.unresolved_mm2)
     basis = deviation_basis(estimate.model, GRID, TOOL).reshape(3 * len(GRID), -1)
     mean, covariance, columns = estimate.parameters, estimate.covariance, basis
@@ -204,7 +204,7 @@ def aligned(fields: np.ndarray) -> np.ndarray:
 
 
 def with_one_scale(estimate: Estimate) -> Estimate:
-    """Without what other scales would lead to, nor what is too short in space for the modes."""
+    """Return the form without alternative scales and without misfit too short in wavelength for the modes."""
     misfit = estimate.misfit and replace(estimate.misfit, unresolved_mm2=0.0)
     return replace(estimate, alternatives=(), misfit=misfit)
 

@@ -1,4 +1,4 @@
-"""A mixture of quadratic forms against what is drawn from it."""
+"""A mixture of quadratic forms compared with samples drawn from it."""
 
 from __future__ import annotations
 

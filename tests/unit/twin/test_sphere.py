@@ -1,4 +1,4 @@
-"""Sphere fits against points made on spheres, against scipy, and the points that fix none."""
+"""Sphere fits compared with constructed spheres and with scipy, and points that determine no sphere."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def test_points_without_error_give_the_sphere_back() -> None:
 
 
 def test_known_radius_covariance_is_that_of_hand_arithmetic() -> None:
-    """Touches along +Z, ±X, ±Y: the normal matrix is diag(2, 2, 1)/σ²."""
+    """Use touches along +Z, ±X, ±Y: the normal matrix is diag(2, 2, 1)/σ²."""
     fit = fit_sphere(around(POLE_AND_RING), 2e-3, 14.0)
     assert fit.covariance == pytest.approx(np.diag([0.5, 0.5, 1.0]) * 4e-6, abs=1e-14)
 
 
 def test_free_radius_covariance_is_that_of_hand_arithmetic() -> None:
-    """With J = [u, 1]: z and r share [[1, 1], [1, 5]], whose inverse is [[5, -1], [-1, 1]]/4."""
+    """Use J = [u, 1]: z and r share [[1, 1], [1, 5]], whose inverse is [[5, -1], [-1, 1]]/4."""
     fit = fit_sphere(around(POLE_AND_RING), 1e-3)
     expected = np.array([[0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.25, -0.25], [0, 0, -0.25, 0.25]])
     assert fit.covariance == pytest.approx(expected * 1e-6, abs=1e-14)

@@ -1,4 +1,4 @@
-"""A jump found by the score test, against plain dense matrices; and which positions tell jumps apart."""
+"""Jumps found by the score test, compared with plain dense matrices, and positions that discriminate between jumps."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def first() -> Estimate:
 
 
 def test_it_is_the_dense_normal_distribution_of_what_is_measured(first: Estimate) -> None:
-    """Everything written out: mm, no whitening, the poses taken out by a null space of their own."""
+    """Write everything out: mm, no whitening, the poses removed by their null space."""
     known = first.carried_over(0.1 * SIGMA, 2.0)
     later = seen("S3", 2)
     found = innovation(FAMILY, later, BAR, known)
@@ -72,7 +72,7 @@ def test_it_is_the_dense_normal_distribution_of_what_is_measured(first: Estimate
 
 
 def placed(local: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Artefact points in their best place (Kabsch)."""
+    """Return artefact points in their best placement (Kabsch)."""
     u, _, vt = np.linalg.svd((points - points.mean(axis=0)).T @ (local - local.mean(axis=0)))
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     return (local - local.mean(axis=0)) @ rotation.T + points.mean(axis=0)
@@ -121,7 +121,7 @@ def test_chi2_of_a_machine_that_has_not_changed_is_one(first: Estimate) -> None:
 
 
 def test_expected_error_with_a_table_is_the_mean_over_drawn_machines(first: Estimate) -> None:
-    """A table written for another machine, by plain evaluation of many machines on the grid."""
+    """Use a table written for another machine, with plain evaluation of many machines on the grid."""
     grid = evaluation_grid(MODEL.ranges_mm, (8, 6, 5))
     unknowns, known = first.unknowns, first.carried_over()
     acting = ResidualWithTable.build(unknowns, known.scales, grid, TOOL)
@@ -147,7 +147,7 @@ def test_expected_error_with_a_table_is_the_mean_over_drawn_machines(first: Esti
 
 
 def test_a_position_that_sees_a_jump_answers_whether_it_was() -> None:
-    """Two unknowns, one position that sees the sum and one that sees the second only, by hand."""
+    """Use two unknowns, one position that observes their sum and one that observes only the second, by hand."""
     questions = JumpQuestions(np.eye(2), np.eye(2))
     factors = np.array([[[3.0, 3.0]], [[0.0, 2.0]]])
     covariance = np.diag([0.5, 0.0])

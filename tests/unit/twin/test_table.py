@@ -24,7 +24,7 @@ def table(anchor: Anchor | None = None, parameters: np.ndarray = E) -> Compensat
 
 
 def reached(one: CompensationTable, points: np.ndarray) -> np.ndarray:
-    """Deviation (n, 3) from the nominal point when the controller adds the table to the command."""
+    """Return the deviation (n, 3) from the nominal point when the controller adds the table to the command."""
     command = points + one.at(points)
     return command - points + exact_deviation(MODEL, command, TOOL, E)
 
@@ -41,7 +41,7 @@ def test_at_the_nodes_only_a_rigid_motion_is_left() -> None:
 
 
 def test_a_long_x_scale_is_corrected_with_the_opposite_sign() -> None:
-    """The machine goes 8 µm too far at the end of X: 8 µm less must be commanded."""
+    """Check a machine that goes 8 µm too far at the end of X: 8 µm less must be commanded."""
     parameters = np.zeros(MODEL.size)
     parameters[MODEL.index("EXX[1]")] = 4e-3  # P1 runs from -1 to 1: -4 µm at the start, +4 µm at the end
     found = table(parameters=parameters)

@@ -1,4 +1,4 @@
-"""Table files: bytes written by hand, the way back, and what is refused."""
+"""Table files: bytes written by hand, round trips, and refusals."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_the_side_file_says_what_the_table_is_for() -> None:
 
 
 def test_checksum_is_the_common_crc_32() -> None:
-    """Check value of CRC-32/ISO-HDLC: the nine digits give cbf43926."""
+    """Check the check value of CRC-32/ISO-HDLC: the nine digits give cbf43926."""
     assert checksum("123456789") == "cbf43926"
 
 
@@ -71,7 +71,7 @@ def test_a_changed_table_is_refused_by_its_checksum() -> None:
 
 
 def resealed(old: str, new: str) -> tuple[str, str]:
-    """A table text that was changed together with its checksum."""
+    """Return a table text changed together with its checksum."""
     assert old in BY_HAND
     text = BY_HAND.replace(old, new, 1)
     side = json.loads(format_side_file(small()))

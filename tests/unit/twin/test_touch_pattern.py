@@ -1,4 +1,4 @@
-"""Patterns of touches: what their residuals show, and what a radius that is known too large does to the centre."""
+"""Touch patterns: the information in their residuals, and the effect of a radius error on the centre."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_another_pattern_is_refused() -> None:
 
 @pytest.mark.parametrize("directions", PATTERNS, ids=names)
 def test_redundancy_is_what_one_wrong_touch_leaves_of_itself_in_its_residual(directions: np.ndarray) -> None:
-    """Brute force: push each touch by 1 µm alone and fit."""
+    """Push each touch by 1 µm alone and fit (brute force)."""
     shown = []
     for index in range(len(directions)):
         points = -15.5 * directions
@@ -62,7 +62,9 @@ def test_a_radius_known_too_large_moves_the_centre_as_stated(directions: np.ndar
 
 
 def test_known_radius_covariance_of_five_touches_is_that_of_hand_arithmetic() -> None:
-    """Along the stylus the pole alone: σ² + u², against 1.25 σ² with a free radius. Across it ½ σ² either way."""
+    """Compare along the stylus (only the pole): σ² + u², against 1.25 σ² with a free radius. Across it ½ σ² in both
+    cases.
+    """
     sigma, radius_sigma = 2.0, 0.7
     fixed = known_radius_covariance(approach_directions(5, AXIS), sigma, radius_sigma)
     assert fixed == pytest.approx(np.diag([2.0, 4.0 + 0.49, 2.0]), abs=1e-9)

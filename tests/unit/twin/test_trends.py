@@ -1,4 +1,4 @@
-"""Trends by independent arithmetic: closed forms by hand, brute force, and long runs of random numbers."""
+"""Trends compared with independent arithmetic: closed forms by hand, brute force, and long runs of random numbers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.monitoring.control_chart import EWMA_LIMIT_WIDTH, EWMA_WEIGHT
 
 class TestControlCharts:
     def test_limits_by_hand(self) -> None:
-        """Moving ranges 2, 1, 3, mean 2; sigma 2 / 1.128; centre 11.5 (Montgomery's constant d2)."""
+        """Use moving ranges 2, 1, 3, mean 2; sigma 2 / 1.128; centre 11.5 (Montgomery's constant d2)."""
         chart = individuals_chart([10.0, 12.0, 11.0, 14.0])
         assert chart.centre == pytest.approx(11.75)
         assert chart.sigma == pytest.approx(2.0 / 1.128, rel=1e-3)
@@ -27,14 +27,17 @@ class TestControlCharts:
         assert individuals_chart(values).outside == (20,)
 
     def test_ewma_by_hand(self) -> None:
-        """z1 = 0.2·2, z2 = 0.2·(-1) + 0.8·0.4; var z1 = w²σ², var z2 = w²(1 + (1 - w)²)σ²."""
+        """Check z1 = 0.2·2, z2 = 0.2·(-1) + 0.8·0.4; var z1 = w²σ², var z2 = w²(1 + (1 - w)²)σ²."""
         found = ewma_chart([2.0, -1.0, 0.0], 0.0, 1.0)
         assert found.values == pytest.approx([0.4, 0.12, 0.096])
         assert found.upper[0] == pytest.approx(EWMA_LIMIT_WIDTH * EWMA_WEIGHT)
         assert found.upper[1] == pytest.approx(EWMA_LIMIT_WIDTH * EWMA_WEIGHT * math.sqrt(1.0 + 0.8**2))
 
     def test_one_false_alarm_in_five_hundred(self) -> None:
-        """Average run length without a shift as a Markov chain (Brook & Evans, Biometrika 59, 1972), steady limits."""
+        """Compute the average run length without a shift as a Markov chain with steady limits.
+
+        Brook & Evans, Biometrika 59, 1972.
+        """
         cells, half = 401, EWMA_LIMIT_WIDTH * math.sqrt(EWMA_WEIGHT / (2.0 - EWMA_WEIGHT))
         edges = np.linspace(-half, half, cells + 1)
         middle = 0.5 * (edges[1:] + edges[:-1])
@@ -52,7 +55,7 @@ class TestControlCharts:
 
 class TestDrift:
     def test_a_line_through_three_points_by_hand(self) -> None:
-        """Equal weights u = 1: slope variance 1 / Σ(t - t̄)² = 1/2; level at the end: mean + slope, 1/3 + 1/2."""
+        """Use equal weights u = 1: slope variance 1 / Σ(t - t̄)² = 1/2; level at the end: mean + slope, 1/3 + 1/2."""
         drift = fit_drift([0.0, 1.0, 2.0], [1.0, 3.0, 5.0], [1.0, 1.0, 1.0])
         assert (drift.level, drift.slope) == pytest.approx((5.0, 2.0))
         assert drift.slope_sigma == pytest.approx(math.sqrt(0.5))
@@ -60,12 +63,15 @@ class TestDrift:
         assert drift.factor == pytest.approx(1.96, abs=1e-3)
 
     def test_weights_by_hand(self) -> None:
-        """Two exact points decide where the third is a hundred times less sure."""
+        """Use two exact points, which decide because the third is a hundred times less certain."""
         drift = fit_drift([0.0, 1.0, 2.0], [0.0, 1.0, 12.0], [0.01, 0.01, 1.0])
         assert drift.slope == pytest.approx(1.0, abs=4e-3)
 
     def test_scatter_decides_where_stated_uncertainty_is_common_to_all(self) -> None:
-        """What all nights have in common scatters no trend: sigmas of 5 µm, scatter of 0.1 µm, slope known to 0.01."""
+        """Check that contributions common to all nights do not scatter a trend.
+
+        Sigmas of 5 µm, scatter of 0.1 µm, slope known to 0.01.
+        """
         rng = np.random.default_rng(1)
         nights = np.arange(20.0)
         drift = fit_drift(nights, 3.0 + 0.4 * nights + rng.normal(0.0, 0.1, 20), np.full(20, 5.0))
@@ -127,7 +133,7 @@ class TestSteps:
 
 class TestCrossing:
     def test_nine_nights_by_hand(self) -> None:
-        """8.4 µm now, 0.4 a night, tolerance 12: nine nights; a line without scatter has no band."""
+        """Use 8.4 µm now, 0.4 per night, tolerance 12: nine nights; a line without scatter has no band."""
         nights = np.arange(10.0)
         drift = fit_drift(nights, 4.8 + 0.4 * nights, np.full(10, 1e-9))
         found = limit_crossing(drift, 12.0, 1000.0, two_sided=False)

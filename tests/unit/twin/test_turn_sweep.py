@@ -1,4 +1,4 @@
-"""The swept set of a turning artefact against the bodies themselves, at random angles on the way."""
+"""Swept set of a rotating artefact compared with the bodies themselves at random intermediate angles."""
 
 import math
 
@@ -57,7 +57,7 @@ def test_the_probe_keeps_its_clearance_whatever_angles_the_mount_goes_through(tu
 
 @pytest.mark.parametrize("turn", TURNS[:2])
 def test_it_is_not_much_larger_than_what_is_swept(turn) -> None:
-    """Straight before the middle of the bar, where the sweep is broad: within 270 mm of what really comes by."""
+    """Check in front of the middle of the bar, where the sweep is broad: within 270 mm of the bodies that pass."""
     sweep = sweep_of(turn)
     low, high = np.sort(np.array(turn), axis=0)
     angles = [(a, e) for a in np.linspace(low[0], high[0], 19) for e in np.linspace(low[1], high[1], 19)]

@@ -1,4 +1,4 @@
-"""What a set-up will see, against machines that are really identified and a Jacobian of plain 4x4 matrices."""
+"""Observability of a set-up, compared with machines actually identified and a Jacobian of plain 4x4 matrices."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ def seen_by(one: SetUp, tools: tuple[np.ndarray, ...] = (TOOL, LONGER, LATERAL))
 class TestRank:
     @staticmethod
     def plain_rank(model: ErrorModel, scale: np.ndarray, tools: list[np.ndarray]) -> int:
-        """Of the field at scattered points less rigid motions, by differences of the plain loop."""
+        """Return the rank of the field at scattered points without rigid motions, by finite differences of the plain
+        loop.
+        """
         points = np.random.default_rng(3).uniform(*np.array(RANGES).T, (28, 3))
         reached = np.concatenate([points + tool for tool in tools])
         columns = []
@@ -73,7 +75,7 @@ class TestRank:
 
     @pytest.mark.parametrize(
         ("tools", "rank"),
-        # the last one that stays: b0 is a scale error of Y, whatever the tool
+        # the last remaining one: b0 is a scale error of Y with any tool
         [([TOOL], 56), ([TOOL, LONGER], 65), ([TOOL, LONGER, LATERAL], 73)],
         ids=["straight", "and longer", "and lateral"],
     )
@@ -88,8 +90,11 @@ class TestRank:
 class TestUnseenField:
     @pytest.mark.parametrize("formulation", ["centres", "distances"])
     def test_is_what_an_identified_machine_keeps(self, formulation: str) -> None:
-        """Every parameter once off by its prior standard deviation, measured without noise and really identified. What
-        the estimate does not follow adds up in squares, since the parameters of a drawn machine are independent."""
+        """Offset every parameter once by its prior standard deviation, measure without noise and identify.
+
+        The parts that the estimate does not follow add in squares, since the parameters of a drawn machine are
+        independent.
+        """
         one = set_up("S1+S3", order=2, formulation=formulation)
         total = np.zeros(3)
         for name, size in zip(one.model.names, one.family.prior_standard_deviation, strict=True):
@@ -117,8 +122,11 @@ class TestUnseenField:
         np.testing.assert_allclose(unseen[-1], blind, rtol=1e-2)
 
     def test_blind_at_another_tool_is_what_turns_about_the_tool_do_there(self) -> None:
-        """The family's rms of what one straight probe leaves open, by drawing it: at a lateral stylus EBY and EBZ, and
-        with either tool the errors that the straight one cannot tell apart."""
+        """Draw the family's rms of the errors that one straight probe does not determine.
+
+        At a lateral stylus these are EBY and EBZ, and with either tool the errors that the straight one cannot
+        separate.
+        """
         one = set_up("S3")
         at_own, at_longer, at_lateral = seen_by(one).fields
         assert at_own.blind_mm < 1e-7
@@ -171,7 +179,7 @@ class TestAdvice:
     def test_tries_everything_that_can_be(self) -> None:
         one, _, found = advice()
         names = {gain.trial.tool.name for gain in found if gain.trial.tool}
-        # 200 mm shorter leaves 50 mm, less than stem and body of the probe
+        # 200 mm shorter leaves 50 mm, less than stem and body of the probe need
         assert names == {"200 mm longer", "100 mm longer", "100 mm shorter", *lateral_names()}
         assert {gain.trial.added for gain in found if not gain.trial.tool} == {"S1", "S2", ""}
         assert not {tool.name for tool in other_tools(one)} - names
@@ -234,7 +242,9 @@ def lateral_names() -> set[str]:
 
 
 def identified(one: SetUp, truth: np.ndarray) -> Estimate:
-    """From the places where the machine with the errors `truth` (p,) would find the balls of the plan."""
+    """Identify from the axis positions at which the machine with errors `truth` (p,) would find the balls of
+    the plan.
+    """
     planned = one.plan().observations
     at = planned.axis_positions.copy()
     for _ in range(3):

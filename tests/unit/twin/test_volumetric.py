@@ -102,7 +102,9 @@ def test_the_form_with_a_fixed_field():
 
 
 def test_ve_and_vce_of_the_family_are_those_of_the_whole_grid():
-    """60×20×20 points one by one, with the deflection that no model holds; VCE is the form of truth less model."""
+    """Sum 60×20×20 points one by one, with the deflection that no model represents; VCE is the form of truth minus
+    model.
+    """
     family = family_from_amplitudes(MODEL, {"positioning_um": 8.0, "straightness_um": 5.0, "rotation_urad": 4.6})
     rng = np.random.default_rng(8)
     truth, model = family.draw(rng, 3), family.draw(rng, 3)

@@ -1,7 +1,7 @@
-"""How each controller reads its files, written from its documents in plain loops; nothing of the writers is used.
+"""Controllers' reading rules for their files, written from their documents in plain loops, independent of the writers.
 
-Every reader takes the files by name and gives a function from axis positions (n, 3) to what the controller adds to
-them (n, 3), in mm. The documents are named in docs/reference/formats.
+Every reader takes the files by name and returns a function from axis positions (n, 3) to the correction that the
+controller adds to them (n, 3), in mm. The documents are named in docs/reference/formats.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Place = tuple[float, float, float]
 
 
 def straight_line(position: float, nodes: list[float], values: list[float]) -> float:
-    """Linear between neighbours, the end value beyond an end."""
+    """Interpolate linearly between neighbours; the end value beyond an end."""
     if position <= nodes[0]:
         return values[0]
     for left in range(len(nodes) - 1):
@@ -30,7 +30,7 @@ def straight_line(position: float, nodes: list[float], values: list[float]) -> f
 
 
 def linuxcnc(files: Files) -> Rule:
-    """usrmotLoadComp: rows of three numbers until one is not; trim = nominal - forward; motor = joint + trim."""
+    """Apply usrmotLoadComp: rows of three numbers until one is not; trim = nominal - forward; motor = joint + trim."""
     joints = []
     for section in re.findall(r"\[JOINT_\d\]\n(.*)\n(.*)\n", files["ini-lines.txt"]):
         settings = dict(line.split(" = ") for line in section)
@@ -53,7 +53,7 @@ def linuxcnc(files: Files) -> Rule:
 
 
 def siemens_lec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) -> Rule:
-    """K3 4.4.2: a positive value makes the machine axis move in the negative direction."""
+    """Apply K3 4.4.2: a positive value makes the machine axis move in the negative direction."""
     axes = []
     for name in names:
         lines = [line for line in files[f"{name}_EEC.INI"].splitlines() if not line.startswith(";")]
@@ -74,8 +74,11 @@ def siemens_lec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) 
 
 
 def siemens_cec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) -> Rule:
-    """K3 4.4.3: values of all tables of an output axis are summed; a table with MULT_BY_TABLE gives the product with
-    the table of that number (index + 1); SD41300 says which are evaluated; the axis moves against the value."""
+    """Apply K3 4.4.3: the values of all tables of an output axis are added.
+
+    A table with MULT_BY_TABLE gives the product with the table of that number (index + 1); SD41300 selects the tables
+    that are evaluated; the axis moves against the value.
+    """
     lines = [line.split(" ;")[0] for line in files["NC_CEC.INI"].splitlines() if not line.startswith(";")]
     assert lines[:2] == ["%_N_NC_CEC_INI", "CHANDATA(1)"]
     assert lines[-1] == "M17"
@@ -111,8 +114,10 @@ def siemens_cec(files: Files, names: tuple[str, str, str] = ("X1", "Y1", "Z1")) 
 
 
 def heidenhain(files: Files, names: str = "XYZ") -> Rule:
-    """[axis in the column of *.COM] = F(axis in whose column of *.CMA the file stands); the active line counts, and the
-    control moves against the error that is entered."""
+    """Apply [axis in the column of *.COM] = F(axis in whose column of *.CMA the file is listed).
+
+    The active line counts, and the control moves against the entered error.
+    """
     header, *rows = table_rows(files["CONFIG.CMA"])
     active = [row for row in rows if row["ACTIVE"] == "*"]
     assert len(active) == 1
@@ -137,7 +142,7 @@ def heidenhain(files: Files, names: str = "XYZ") -> Rule:
 
 
 def table_rows(text: str) -> list:
-    """Header, then rows by column name; columns begin where their names begin."""
+    """Return the header, then rows by column name; columns begin where their names begin."""
     lines = text.splitlines()
     assert lines[0].startswith("BEGIN ")
     assert lines[0].endswith(" MM")
@@ -150,9 +155,12 @@ def table_rows(text: str) -> list:
 
 
 def fanuc_pitch(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
-    """B-63980EN 3620 ... 3624: number n belongs to the interval that ends at (n - reference) intervals from the
-    reference point, from which positions count. Going up its value is added, going down taken away; it is put out in
-    the middle of the interval."""
+    """Apply B-63980EN 3620 ... 3624: number n belongs to the interval that ends (n - reference) intervals from the
+    reference.
+
+    Positions are counted from the reference point. In the positive direction the value of the interval is added, in the
+    negative direction subtracted; it is output in the middle of the interval.
+    """
     told = {}
     for line in files["parameters.txt"].split("\n")[1:-2]:
         number, rest = re.fullmatch(r"N(\d+)(A.*)", line).groups()
@@ -178,7 +186,7 @@ def fanuc_pitch(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
 
 
 def fanuc_3d(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
-    """A-79351E: the eight corners of the cell, weighed by the shares of the way through it; numbered X first."""
+    """Apply A-79351E: the eight corners of the cell, weighted by the position within it; numbered X first."""
     told = {int(n): int(v) for n, v in re.findall(r"N(\d+)P(-?\d+)", files["parameters.txt"])}
     counts = [told[10803 + axis] for axis in range(3)]
     references = [told[10806 + axis] for axis in range(3)]
@@ -202,7 +210,7 @@ def fanuc_3d(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
 
 
 def eight_corners(cells: np.ndarray, counts: list[int], at: Callable[[int, int, int], np.ndarray]) -> np.ndarray:
-    """`cells`: position in steps from the first point."""
+    """Interpolate from the eight corners; `cells`: position in steps from the first point."""
     inside = [min(max(value, 0.0), count - 1.0) for value, count in zip(cells, counts, strict=True)]
     low = [min(int(value), count - 2) for value, count in zip(inside, counts, strict=True)]
     x, y, z = (value - start for value, start in zip(inside, low, strict=True))
@@ -220,7 +228,7 @@ def eight_corners(cells: np.ndarray, counts: list[int], at: Callable[[int, int, 
 
 
 def neutral(files: Files) -> Rule:
-    """What stands at a node is added to the command there; the eight corners of the cell in between."""
+    """Add the node values to the command there, and interpolate from the eight corners of the cell in between."""
     name = "table.csv" if "table.csv" in files else "compensation.csv"
     lines = [line.split(",") for line in files[name].splitlines()]
     assert lines[0][:6] == ["x_mm", "y_mm", "z_mm", "dx_um", "dy_um", "dz_um"]
@@ -242,8 +250,10 @@ def neutral(files: Files) -> Rule:
 
 
 def isg(files: Files) -> Rule:
-    """TF5280: blocks between `#`, header with arguments and parameters, linear on the grid; the tool point of the chain
-    with errors less that without, and against it."""
+    """Apply TF5280: blocks between `#`, header with arguments and parameters, linear on the grid.
+
+    The correction is against the tool point of the chain with errors minus that without.
+    """
     listed = dict(line.split() for line in files["volcomp.lis"].splitlines() if not line.startswith("#"))
     blocks = [read_block(block) for block in files["volcomp.csv"].split("\n#\n")]
     constants = dict(zip(blocks[0][0], blocks[0][1][0], strict=True))
@@ -265,7 +275,7 @@ def isg(files: Files) -> Rule:
         return value([row["XYZ".index(letter)] for letter in arguments])
 
     def tool_point(row: np.ndarray, with_errors: bool) -> np.ndarray:
-        """From the workpiece to the tool: the chain, its first axes carrying the workpiece."""
+        """Return the tool point, from the workpiece to the tool; the first axes of the chain carry the workpiece."""
         matrix = np.eye(4)
         for place, axis in enumerate(listed["chain"]):
             six = [error(f"E{letter}{axis}", row) if with_errors else 0.0 for letter in "XYZABC"]
@@ -286,7 +296,7 @@ def read_block(text: str) -> tuple[list[str], list[list[float]]]:
 
 
 def lookup(arguments: list[list[float]], values: list[float]) -> Callable[[list[float]], float]:
-    """Linear in one argument, or bilinear in two."""
+    """Interpolate linearly in one argument, or bilinearly in two."""
     if len(arguments[0]) == 1:
         nodes = [row[0] for row in arguments]
         return lambda asked: straight_line(asked[0], nodes, values)
@@ -302,7 +312,7 @@ def lookup(arguments: list[list[float]], values: list[float]) -> Callable[[list[
 
 
 def small_turn(a: float, b: float, c: float) -> np.ndarray:
-    """About X, Y, Z, right-handed, first order."""
+    """Rotate about X, Y, Z, right-handed, to first order."""
     return np.array([[1.0, -c, b], [c, 1.0, -a], [-b, a, 1.0]])
 
 

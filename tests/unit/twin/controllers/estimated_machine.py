@@ -1,4 +1,4 @@
-"""A machine as it really is, and the poorer one that is known of it with its table."""
+"""A true machine, and the simpler estimate of it with its table."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ GRID = evaluation_grid(RANGES, (9, 6, 6))
 
 @cache
 def truth(seed: int) -> TrueMachine:
-    """Legendre order 7 and a deflection that no series follows."""
+    """Return the true machine: Legendre order 7 and a deflection that no series represents."""
     rng = np.random.default_rng(seed)
     return draw_machine(CASE_STUDY, "probe", order=7, scale=1.0, with_deflection=True, rng=rng)
 
 
 @cache
 def known(seed: int) -> ExportSource:
-    """The best fit of order 5, off by a little noise, and the table of it."""
+    """Return the best fit of order 5, perturbed by a little noise, and its table."""
     points = evaluation_grid(RANGES, (9, 7, 7))
     model = CASE_STUDY.model
     scale = CASE_STUDY.family.prior_standard_deviation
@@ -58,7 +58,7 @@ def source_of(
 
 
 def machine_with(**parameters: float) -> ExportSource:
-    """Case study with these parameters alone, such as EXX_1=4e-3 for EXX[1] or CROSS_b1."""
+    """Return the case study with only these parameters, such as EXX_1=4e-3 for EXX[1] or CROSS_b1."""
     values = np.zeros(CASE_STUDY.model.size)
     for name, value in parameters.items():
         head, _, tail = name.partition("_")
@@ -67,7 +67,7 @@ def machine_with(**parameters: float) -> ExportSource:
 
 
 def moving_table(seed: int) -> ExportSource:
-    """A machine whose table carries the workpiece in X and Y."""
+    """Return a machine whose table carries the workpiece in X and Y."""
     model = ErrorModel.uniform(parse_chain("tool-Z-bed-Y-X-workpiece"), RANGES, 4)
     return source_of(
         model, family_from_amplitudes(model, CASE_STUDY.amplitudes).draw(np.random.default_rng(seed), 1)[0]
@@ -75,7 +75,7 @@ def moving_table(seed: int) -> ExportSource:
 
 
 def left_um(machine: TrueMachine, added: np.ndarray) -> float:
-    """True aligned VE when `added` (n, 3) is added to the commands GRID."""
+    """Return the true aligned VE with `added` (n, 3) added to the commands GRID."""
     return volumetric_error(GRID + TOOL, added + machine.deviation(GRID + added)).aligned_um
 
 

@@ -1,4 +1,4 @@
-"""What a format cannot take is refused with the reason, the place and what to do."""
+"""Tables that a format cannot represent are refused with the reason, the location and a hint."""
 
 from __future__ import annotations
 

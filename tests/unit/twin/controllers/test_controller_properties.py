@@ -1,4 +1,6 @@
-"""Whatever the table, its grid and its reference point: a controller adds what the export says, and no more is lost."""
+"""For every table, grid and reference point the controller adds the exported correction, and no more is lost than
+stated.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ CHAINS = (
 
 @st.composite
 def tables(draw: st.DrawFn) -> tuple[CompensationTable, tuple[float, float, float]]:
-    """A smooth enough table of a few nodes anywhere, and one of its nodes as reference point."""
+    """Draw a smooth table of a few nodes anywhere, and one of its nodes as reference point."""
     shape = tuple(draw(st.integers(2, 6)) for _ in range(3))
     step = draw(st.sampled_from([12.5, 50.0, 100.0]))
     first = [step * draw(st.integers(-20, 20)) for _ in range(3)]
@@ -61,7 +63,7 @@ def test_a_controller_adds_what_is_said(name: str, drawn: tuple) -> None:
 @settings(max_examples=12, deadline=None)
 @given(st.sampled_from(CHAINS), st.integers(0, 10**6), st.integers(0, 7))
 def test_error_motions_are_read_back_for_every_chain(chain: str, seed: int, corner: int) -> None:
-    """The kernel's product of transforms against the table: some nanometres apart at the nodes."""
+    """Compare the kernel's product of transforms with the table: some nanometres apart at the nodes."""
     rng = np.random.default_rng(seed)
     ranges = ((-300.0, 500.0), (0.0, 400.0), (-600.0, -200.0))
     model = ErrorModel.uniform(parse_chain(chain), ranges, 3, ("b0", "b1", "b2", "c0", "c1"))

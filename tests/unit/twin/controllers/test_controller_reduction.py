@@ -1,4 +1,4 @@
-"""What is kept of a table is the best that the form allows, and what is lost is what is said to be lost."""
+"""The retained part of a table is the best that the format allows, and the lost part is the stated one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def kept(name: str, source: ExportSource, **choices: object) -> float:
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_functions_of_one_axis_are_the_least_squares_fit(seed: int) -> None:
-    """Against a plain fit with one unknown for each node of each axis."""
+    """Compare with a plain fit with one unknown for each node of each axis."""
     table = random_table(seed)
     points = points_of(table)
     columns = np.concatenate([points[:, [axis]] == table.nodes[axis] for axis in range(3)], axis=1).astype(float)
@@ -93,7 +93,7 @@ def test_a_product_is_at_most_its_first_factor() -> None:
 
 
 def test_no_other_functions_of_one_axis_leave_less_after_a_rigid_alignment() -> None:
-    """Changed by little anywhere, the rest only grows: on the nodes themselves, as the fit weighs them."""
+    """Check that small changes anywhere only increase the residual, on the nodes themselves as weighted by the fit."""
     table = known(1).table
     points, wanted = points_of(table), table.corrections.reshape(-1, 3)
     profiles = own_axis_profiles(table, ORIGIN)
@@ -126,7 +126,7 @@ def test_straightness_and_squareness_are_kept_by_cross_tables_and_rotation_is_no
 
 
 def test_the_cross_effect_is_carried_by_multiplied_tables_and_by_a_second_argument() -> None:
-    """y z² of column and ram: one product is enough; without products most of it is lost."""
+    """Check y z² of column and ram: one product is enough; without products most of it is lost."""
     source = machine_with(CROSS_b1=-12e-3, CROSS_b2=12e-3)
     assert kept("siemens-cec", source, tables=4) > 0.97
     assert kept("heidenhain-com", source) < 0.8
@@ -171,7 +171,7 @@ def test_fewer_tables_keep_less() -> None:
 
 
 def test_without_products_cross_tables_are_what_a_heidenhain_control_has() -> None:
-    """But for its steps of 0.1 µm, and what is worth less than a table."""
+    """Compare up to its steps of 0.1 µm and terms not worth a table."""
     source = known(1)
     one = FORMATS["siemens-cec"].export(source, ExportOptions({"no_products": True}))
     assert "MULT_BY_TABLE[0]=0" in one.files["NC_CEC.INI"]

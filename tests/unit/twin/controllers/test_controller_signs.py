@@ -1,6 +1,6 @@
-"""What a controller does with its files makes the machine better; with the sign turned round it makes it worse.
+"""The exported files improve the machine; with the opposite sign they make it worse.
 
-The machine is richer than what is known of it, and the controllers' rules are read from their documents
+The true machine is richer than its estimate, and the controllers' rules come from their documents
 (controller_rules.py), not from the writers.
 """
 
@@ -21,7 +21,7 @@ SEEDS = (1, 2, 3)
 THINNED = {"fanuc-3d": (21, 14, 16)}
 OWN_AXIS_ONLY = ("linuxcnc-comp", "siemens-lec", "fanuc-pitch")
 REMOVED = {**dict.fromkeys(OWN_AXIS_ONLY, 0.0), "heidenhain-com": 0.3}
-"""Least share of the true VE that must go; of the others at least half."""
+"""Least share of the true VE that must be removed; at least half for the other formats."""
 
 
 def exported(name: str, source: ExportSource, *, opposite_sign: bool = False, **choices: object) -> ControllerExport:

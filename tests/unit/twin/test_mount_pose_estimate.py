@@ -1,4 +1,4 @@
-"""Learning how a mount stands, against motions made by hand."""
+"""Estimate of a mount's pose, compared with motions constructed by hand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TILT = 5e-4
 
 
 def turned_about_y(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """By plain trigonometry: a rotation by TILT about Y, then SHIFT."""
+    """Return points rotated by TILT about Y, then shifted by SHIFT, by plain trigonometry."""
     out = points.copy()
     x, z = points[:, 0] - middle[0], points[:, 2] - middle[2]
     out[:, 0] = middle[0] + math.cos(TILT) * x + math.sin(TILT) * z

@@ -1,4 +1,4 @@
-"""What is said of spheres is what the exact search says of all bodies."""
+"""The sphere prefilter agrees with the exact search."""
 
 import numpy as np
 from hypothesis import example, given, settings

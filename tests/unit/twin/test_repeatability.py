@@ -1,4 +1,4 @@
-"""Scatter of a few readings against scipy.stats and against many trials."""
+"""Repeatability of a few readings compared with scipy.stats and with many trials."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sums over a grid from few nodes, against plain sums over all points."""
+"""Sums over a grid from few nodes, compared with plain sums over all points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def monomial(points: np.ndarray, powers: tuple[int, ...]) -> np.ndarray:
 @pytest.mark.parametrize("powers", [(0, 0, 0), (12, 8, 10), (13, 9, 11), (5, 3, 2), (1, 0, 7)])
 def test_products_of_two_columns_are_summed_exactly(powers: tuple[int, ...]) -> None:
     sums = GridQuadrature.for_points(POINTS, DEGREES)
-    assert len(sums.nodes) == 7 * 5 * 4  # on the last axis there are fewer points than nodes
+    assert len(sums.nodes) == 7 * 5 * 4  # the last axis has fewer points than nodes
     assert sums.count == len(POINTS)
     plain = monomial(POINTS, powers)
     assert sums.weights @ monomial(sums.nodes, powers) == pytest.approx(plain.sum(), abs=1e-11 * np.abs(plain).sum())

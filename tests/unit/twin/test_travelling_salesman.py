@@ -1,4 +1,4 @@
-"""Orders against every permutation, and what larger ones must not leave undone."""
+"""Orders compared with every permutation, and improvements that larger orders must not miss."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,12 +13,12 @@ from twin.collision.travelling_salesman import MAX_EXACT_NODES, shortest_tour
 
 
 def costs(count: int, seed: int) -> np.ndarray:
-    """Not the same both ways."""
+    """Return random costs that differ between the two directions."""
     return np.random.default_rng(seed).uniform(1.0, 10.0, (count + 2, count + 2))
 
 
 def tour_cost(order: Sequence[int], start: int, end: int | None, cost: Callable[[int, int], float]) -> float:
-    """Sum over all legs from `start` over `order` to `end`."""
+    """Return the sum over all legs from `start` over `order` to `end`."""
     return sum(cost(a, b) for a, b in pairwise([start, *order, *([] if end is None else [end])]))
 
 

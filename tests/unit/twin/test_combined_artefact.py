@@ -1,4 +1,4 @@
-"""Several artefacts in one estimate: what is joined, what is refused, and that each keeps its own certificate."""
+"""Several artefacts in one estimate: combination, refusals, and separate certificates."""
 
 from __future__ import annotations
 
@@ -102,7 +102,9 @@ def test_every_station_sees_the_other_mount_parked_with_what_it_carries() -> Non
 
 
 def test_a_ball_behind_a_neighbour_is_not_offered() -> None:
-    """At 500 mm the bar of station 1 at azimuth 0 ends where the parked one of station 2 stands in the ram's way."""
+    """Place the stations 500 mm apart: the bar of station 1 at azimuth 0 ends where the bar parked at station 2 blocks
+    the ram.
+    """
     near = layout({1: BAR, 2: other()})
     places = {1: np.array([900.0, 1000.0, 750.0]), 2: np.array([1200.0, 850.0, 750.0])}
     around = neighbour_bodies(near.mount, places, near.own_artefacts, (0.0, 90.0))

@@ -1,4 +1,6 @@
-"""Which balls a pattern can touch: against a brute walk of the tip, and for the patterns on the named sets."""
+"""Balls that a pattern can touch: compared with a brute-force walk of the tip, and for the patterns on the
+named sets.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,7 @@ def test_rings_of_eight_on_the_equator_run_into_holders_that_lean_with_the_stylu
     ("azimuth", "elevation", "count"), [(120, 60, 5), (-150, 60, 5), (135, -45, 9), (90, -45, 13), (60, 30, 25)]
 )
 def test_access_is_what_a_walk_in_small_steps_finds(azimuth: float, elevation: float, count: int) -> None:
-    """The tip is put down every half millimetre of the way of every touch; nothing may come near."""
+    """Place the tip at every half millimetre of the path of every touch and check that nothing comes near."""
     directions = approach_directions(count, STYLUS_AXIS)
     centres, scene = scene_at(azimuth, elevation)
     mask = touched(azimuth, elevation, directions)
@@ -61,7 +63,9 @@ def test_access_is_what_a_walk_in_small_steps_finds(azimuth: float, elevation: f
 
 
 def walked_room_mm(scene: Scene, centre: np.ndarray, index: int, directions: np.ndarray) -> float:
-    """Least distance of anything but tip and stem from the ball meant, and of these from everything else."""
+    """Return the smallest distance of any body but tip and stem from the target ball, and of those two from
+    all others.
+    """
     meant = {(TIP, ball_name(index)), ("stem", ball_name(index))}
     out, least = CONTACT_MM + APPROACH_MM, 5.0
     before = None
@@ -80,8 +84,10 @@ def walked_room_mm(scene: Scene, centre: np.ndarray, index: int, directions: np.
 @pytest.mark.parametrize("lean_deg", [30.0, 36.0, 39.7, 45.0, 60.0])
 @pytest.mark.parametrize("overtravel_mm", [0.0, 0.4, 0.97])
 def test_the_tip_keeps_off_the_holder_until_it_rests(lean_deg: float, overtravel_mm: float) -> None:
-    """A tip of 3.5 mm comes to a ball of 5.5 mm from +X; the holder of 1.6 mm leans by that angle from +X. Where it
-    rests, the distance of its centre from the holder's axis is that from the ball's centre times the sine."""
+    """Move a tip of 3.5 mm to a ball of 5.5 mm from +X; the holder of 1.6 mm leans by the given angle from +X.
+
+    At rest the distance of the tip centre from the holder axis is that from the ball centre times the sine.
+    """
     lean = math.radians(lean_deg)
     ball, holder = (
         sphere((0.0, 0.0, 0.0), 5.5),

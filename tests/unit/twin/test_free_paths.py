@@ -1,4 +1,4 @@
-"""Ways: their seconds by the scalar law, and what is proved to be free against dense sampling of all bodies."""
+"""Paths: their duration by the scalar law, and proved clearance compared with dense sampling of all bodies."""
 
 import math
 from itertools import pairwise
@@ -52,7 +52,7 @@ def test_seconds_of_a_way_are_those_of_its_moves() -> None:
 
 
 def best(scene: Scene, start: Point, end: Point, corners: list[np.ndarray], apart: Clearances) -> FreePath | None:
-    """The straight way or one through `corners`."""
+    """Return the straight path or one through `corners`."""
     candidates = PathCandidates.of(corners)
     return direct_path(scene, DYNAMICS, start, end, apart) or fastest_path(
         PrefilteredScene.of(scene), DYNAMICS, start, end, candidates, apart
@@ -60,7 +60,7 @@ def best(scene: Scene, start: Point, end: Point, corners: list[np.ndarray], apar
 
 
 def sampled_gap(scene: Scene, stops: list[Point]) -> float:
-    """Smallest gap of any two bodies on the way, every 0.5 mm."""
+    """Return the smallest gap of any two bodies on the path, every 0.5 mm."""
     smallest = math.inf
     for a, b in pairwise(stops):
         count = max(2, math.ceil(math.dist(a, b) / 0.5))
