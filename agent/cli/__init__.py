@@ -1,1 +1,1 @@
-"""The command line: one module a command, errors printed in one place."""
+"""Command line: one module per command, errors printed in one place."""

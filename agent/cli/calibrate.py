@@ -1,4 +1,4 @@
-"""`volcal calibrate`: a full calibration of the machine that the settings describe."""
+"""`volcal calibrate`: full calibration of the machine in the settings."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from types import FrameType
 
 import click
 from rich.console import Console
-from rich.table import Table
 
 from agent.cli.errors import fail, reported
 from agent.cli.options import procedure_options
+from agent.cli.printing import facts_table, results_console
 from agent.cli.progress import watching
 from agent.errors import GateRefused
 from agent.execution.states import RunState
@@ -30,7 +30,7 @@ from agent.settings.schema import Settings
 
 @click.command("calibrate")
 @procedure_options
-@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def calibrate_command(
     config: Path,
@@ -39,7 +39,7 @@ def calibrate_command(
     formulation: str | None,
     as_json: bool,
 ) -> None:
-    """Measure, identify, write the table, prove it, or restore what was there."""
+    """Measure, identify, write the table and verify it; restore the previous table if the check fails."""
     settings = with_overrides(
         load_settings(config), position_set=position_set, stations=stations, formulation=formulation
     )
@@ -48,12 +48,12 @@ def calibrate_command(
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
     else:
-        Console().print(summary_table(ended.outcome))
+        show_summary(ended.outcome)
     conclude(ended)
 
 
 def calibration_here() -> RunRequest:
-    """Return the request for a calibration from the command line: whoever types it stands by."""
+    """Return the request for a calibration from the command line; the person who types it attends the machine."""
     return RunRequest(kind="calibrate", source="command line", consent=True)
 
 
@@ -70,7 +70,7 @@ def run_here(request: RunRequest, settings: Settings, base: Path, *, nights: flo
 
 @contextmanager
 def interruptible() -> Iterator[list[Supervisor]]:
-    """While the block runs, Ctrl-C and SIGTERM ask the supervisors in the list to abort."""
+    """Forward Ctrl-C and SIGTERM as abort requests to the supervisors in the list while the block runs."""
     supervisors: list[Supervisor] = []
 
     def ask(number: int, _: FrameType | None) -> None:
@@ -86,21 +86,20 @@ def interruptible() -> Iterator[list[Supervisor]]:
 
 
 def conclude(ended: RunResult) -> None:
-    """Exit as the run ended: 0 only where the new table acts and was proved."""
+    """Exit with the code of the outcome: 0 only if the new table is active and was verified."""
     if ended.error is not None:
         raise fail(ended.error)
     proof = ended.outcome.proof
     if proof is None or not proof.accepted:
-        reason = "the new table did not prove better; the former one acts again"
+        reason = "the new table was not better on the held-out positions; the previous table is active again"
         raise fail(GateRefused(reason if proof is None else f"{reason}: {proof.reason}"))
 
 
-def summary_table(outcome: Outcome) -> Table:
-    """The result as people read it."""
-    table = Table(title=f"{outcome.run_id}: {outcome.state.value}", show_header=False)
-    for name, value in _rows(outcome):
-        table.add_row(name, value)
-    return table
+def show_summary(outcome: Outcome) -> None:
+    """Print the result of a run for people; the path of the report is a line of its own, so that it is never cut."""
+    console = results_console()
+    console.print(facts_table(_rows(outcome), title=f"{outcome.run_id}: {outcome.state.value}"))
+    console.print(f"report: {outcome.report or 'none'}", markup=False)
 
 
 def _rows(outcome: Outcome) -> list[tuple[str, str]]:
@@ -120,7 +119,6 @@ def _rows(outcome: Outcome) -> list[tuple[str, str]]:
         rows.append(("verdict", "accepted" if proof.accepted else f"restored: {proof.reason}"))
     if outcome.state in (RunState.COMPLETE, RunState.REFUSED):
         rows.append(("active bank", str(outcome.table_bank)))
-    rows.append(("report", str(outcome.report) if outcome.report else "none"))
     return rows
 
 

@@ -1,4 +1,4 @@
-"""`volcal config check|schema`: is a settings file right, and what may stand in it."""
+"""`volcal config check|schema`: check of a settings file, and its JSON schema."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from pathlib import Path
 
 import click
 
-from agent.cli.errors import reported
+from agent.cli.errors import VolcalGroup, reported
 from agent.planning.job import prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings
 
 
-@click.group("config")
+@click.group("config", cls=VolcalGroup)
 def config_group() -> None:
-    """Settings files."""
+    """Check settings files and print their schema."""
 
 
 @config_group.command("check")
 @click.argument("file", type=click.Path(path_type=Path))
 @reported
 def check(file: Path) -> None:
-    """Read the settings and every file they name; no device is touched."""
+    """Read the settings and every file they name; no device is contacted."""
     settings = load_settings(file)
     with naming(file):
         job = prepare_job(settings, file.resolve().parent)
@@ -39,4 +39,5 @@ def schema() -> None:
 
 
 def schema_text() -> str:
+    """Return the JSON schema of the settings as text."""
     return json.dumps(Settings.model_json_schema(), indent=2, ensure_ascii=False) + "\n"

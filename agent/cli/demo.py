@@ -1,4 +1,4 @@
-"""`volcal demo`: a whole simulated night over real links, and what only the simulator knows about it."""
+"""`volcal demo`: one simulated night over real links, and the truth that only the simulator knows."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
-from rich.table import Table
 
-from agent.cli.calibrate import calibration_here, conclude, run_here, summary_table
+from agent.cli.calibrate import calibration_here, conclude, run_here, show_summary
 from agent.cli.errors import reported
+from agent.cli.printing import columns_table, results_console
 from agent.cli.simulator_process import SimulatorProcess
 from agent.files import translated
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
@@ -25,7 +24,7 @@ from twin.formats.toml_reading import validate_document
 
 @dataclass(frozen=True)
 class Truth:
-    """What the simulator says of itself. µm, rigidly aligned; None where it could not be asked any more."""
+    """Truth reported by the simulator, in µm, rigidly aligned; None if the simulator could no longer be reached."""
 
     before_um: float
     after_um: float | None
@@ -38,7 +37,7 @@ class Truth:
     "--scenario",
     type=click.Path(path_type=Path),
     default=SHIPPED_CONFIGURATION / "simulators" / "case-study.toml",
-    help="What is simulated.",
+    help="Scenario to simulate.",
 )
 @click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
 @click.option("--formulation", type=click.Choice(["centres", "distances"]))
@@ -46,15 +45,15 @@ class Truth:
     "--can",
     default="socketcand:127.0.0.1:0",
     show_default=True,
-    help="CAN between the processes, as `volcal simulate --can` takes it.",
+    help="CAN between the processes, in the form of `volcal simulate --can`.",
 )
 @click.option(
     "--modbus-rtu",
     metavar="PATH|any[@BAUD,8P1]",
-    help="The controller on a serial line instead of TCP, as `volcal simulate --modbus-rtu` takes it.",
+    help="Controller on a serial line instead of TCP, in the form of `volcal simulate --modbus-rtu`.",
 )
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def demo_command(
     config: Path,
@@ -66,7 +65,7 @@ def demo_command(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Start the simulated machine as a process, calibrate it over TCP and CAN, compare with the truth."""
+    """Start the simulated machine as a process, calibrate it over TCP and CAN, and compare with the truth."""
     settings = with_overrides(load_settings(config), position_set=position_set, formulation=formulation)
     with SimulatorProcess(scenario, can=can, log=out / "simulator.log", modbus_rtu=modbus_rtu) as simulator:
         before = _aligned_um(simulator.ask("truth"), "active")
@@ -83,7 +82,7 @@ def demo_command(
 
 
 def connect(settings: Settings, ready: dict[str, Any], out: Path) -> Settings:
-    """The settings with the addresses that the simulator got."""
+    """Return the settings with the addresses on which the simulator listens."""
     document = settings.model_dump(mode="json")
     devices = document["devices"]
     roles = document["roles"]
@@ -132,13 +131,9 @@ def _document(ended: RunResult, truth: Truth) -> dict[str, object]:
 
 
 def _show(ended: RunResult, truth: Truth) -> None:
-    console = Console()
-    console.print(summary_table(ended.outcome))
-    table = Table(
-        "", "before", "after", title="true volumetric error (rigidly aligned), as only the simulator knows it"
-    )
+    table = columns_table(("", "before", "after"), title="true volumetric error (rigidly aligned), from the simulator")
     after = "?" if truth.after_um is None else f"{truth.after_um:.2f} µm"
     table.add_row("VE", f"{truth.before_um:.2f} µm", after)
     table.add_row("collisions", "", "?" if truth.collisions is None else str(truth.collisions))
-    console.print(table)
-    console.print(f"report: {ended.outcome.report}", soft_wrap=True)
+    results_console().print(table)
+    show_summary(ended.outcome)

@@ -1,4 +1,4 @@
-"""`volcal design`: choose the positions before anything moves; no device is touched."""
+"""`volcal design`: choice of positions before anything moves; no device is contacted."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import PATH
+from agent.cli.printing import columns_table, facts_table, results_console
 from agent.files import translated
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.planning.cycle_time import machine_minutes
@@ -56,23 +57,23 @@ def _minutes(_: click.Context, __: click.Parameter, text: str | None) -> float |
 
 
 @click.command("design")
-@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings [default: the shipped case study].")
-@click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of that of the settings.")
-@click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of that of the settings.")
-@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations evenly along X.")
-@click.option("--slot", callback=_minutes, metavar="20min", help="As good as it can be in so much machine time.")
-@click.option("--positions", type=int, metavar="N", help="As good as it can be with N positions.")
-@click.option("--target-vce", type=float, metavar="µm", help="As short as it can be with this expected VCE (aligned).")
+@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings file [default: the shipped case study].")
+@click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
+@click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
+@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along X.")
+@click.option("--slot", callback=_minutes, metavar="20min", help="Smallest VCE within this machine time.")
+@click.option("--positions", type=int, metavar="N", help="Smallest VCE with N positions.")
+@click.option("--target-vce", type=float, metavar="µm", help="Shortest machine time with this expected VCE (aligned).")
 @click.option("--grid-deg", type=float, default=15.0, show_default=True, help="Step of azimuth and elevation.")
 @click.option(
     "--tool", "tools", multiple=True, metavar="NAME", help="Tools to choose from; the table is made for the first."
 )
-@click.option("--touches", callback=_listed(int), metavar="5,9", help="Touches a ball to choose from.")
+@click.option("--touches", callback=_listed(int), metavar="5,9", help="Numbers of touches per ball to choose from.")
 @click.option("--balls", callback=_listed(int), metavar="5,7,11", help="Numbers of balls to choose from.")
 @click.option("--theta-deg", callback=_listed(float), metavar="0,15,30", help="Tilts of the holders to choose from.")
-@click.option("--verify-set", is_flag=True, help="Also choose the positions held out for the proof.")
+@click.option("--verify-set", is_flag=True, help="Also choose held-out positions for the verification.")
 @click.option("--out", type=PATH, default=Path("design.csv"), show_default=True, metavar="FILE.csv")
-@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def design_command(
     *,
@@ -92,7 +93,7 @@ def design_command(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Choose the positions that leave the smallest volumetric compensated error, and write them as a position set."""
+    """Choose the positions that leave the smallest volumetric compensated error and write them as a position set."""
     started = wall_seconds()
     goal = _goal(slot, positions, target_vce)
     check_target(out)
@@ -128,7 +129,7 @@ def _goal(slot: float | None, positions: int | None, target_vce: float | None) -
 
 
 def _rivals(job: Job) -> list[Rival]:
-    """The set of the settings, where it can be measured at all."""
+    """Return the position set of the settings for comparison, if it can be measured at all."""
     name = job.settings.procedure.position_set
     try:
         vce_um = valuation_of(job, job.positions).after.aligned_um
@@ -189,15 +190,14 @@ def _variant(choice: Choice) -> dict[str, object]:
 
 
 def _show(choices: list[Choice], best: Choice, rivals: list[Rival], files: list[Path], seconds: float) -> None:
-    found, console = best.found, Console(highlight=False, soft_wrap=True)
+    found, console = best.found, results_console()
     if len(choices) > 1:
         console.print(_comparison(choices))
-    table = Table(title="position set by design", show_header=False, title_justify="left")
     volumetric = found.valuation
     rows = [
         (
             "positions",
-            f"{len(found.positions)} of {found.setting.candidates.count} that are within reach, {found.balls} balls",
+            f"{len(found.positions)} of {found.setting.candidates.count} within reach, {found.balls} balls",
         ),
         ("machine time", f"{found.minutes:.1f} min"),
         ("VE expected", f"{volumetric.before.aligned_um:.2f} µm aligned"),
@@ -207,19 +207,19 @@ def _show(choices: list[Choice], best: Choice, rivals: list[Rival], files: list[
         *((rival.name, f"{rival.vce_um:.2f} µm in {rival.minutes:.1f} min") for rival in rivals),
         ("took", f"{seconds:.1f} s"),
     ]
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
+    console.print(facts_table(rows, title="position set by design"))
     if found.held_out:
         console.print(_verification(found), markup=False)
     if best.variant.made_up:
-        console.print("note: this artefact is none of the settings'; have it made and calibrated first", style="yellow")
+        console.print(
+            "note: this artefact is not the one in the settings; have it made and calibrated first", style="yellow"
+        )
     for path in files:
         console.print(str(path), markup=False)
 
 
 def _verification(found: Designed) -> str:
-    """The lines for the settings."""
+    """Return the lines for the settings file."""
     orientations = list(dict.fromkeys((p.azimuth_deg, p.elevation_deg) for p in found.held_out))
     stations = sorted({p.station for p in found.held_out})
     listed = ", ".join(f"[{azimuth:g}, {elevation:g}]" for azimuth, elevation in orientations)
@@ -227,7 +227,7 @@ def _verification(found: Designed) -> str:
 
 
 def _comparison(choices: list[Choice]) -> Table:
-    table = Table("touches", "balls", "θ / °", "positions", "min", "VCE / µm", "valuation / %", "")
+    table = columns_table(("touches", "balls", "θ / °", "positions", "min", "VCE / µm", "valuation / %", ""))
     for choice in choices:
         variant, found = choice.variant, choice.design
         theta = "as it is" if variant.theta_deg is None else f"{variant.theta_deg:g}"

@@ -1,4 +1,4 @@
-"""`volcal doctor`: reach every device, read, measure latency; nothing moves and nothing is written."""
+"""`volcal doctor`: connect to every device, read from it and measure its latency; nothing moves or is written."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import config_option
+from agent.cli.printing import columns_table, results_console
 from agent.execution.device_assembly import assemble, closed_after, make_clock
 from agent.planning.job import prepare_job
 from agent.settings.load import load_settings, naming
@@ -21,7 +21,7 @@ from drivers.roles import Device, DiagnosticFinding
 
 @click.command("doctor")
 @config_option
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def doctor_command(config: Path, as_json: bool) -> None:
     """Check settings, links and devices without moving anything."""
@@ -34,13 +34,14 @@ def doctor_command(config: Path, as_json: bool) -> None:
         document = {name: [vars(f) for f in lines] for name, lines in findings.items()}
         click.echo(json.dumps(document))
     else:
-        Console().print(_table(findings))
+        results_console().print(_table(findings))
     if any(not finding.ok for lines in findings.values() for finding in lines):
         raise SystemExit(DeviceError.exit_code)
 
 
 def examine(settings: Settings, base: Path) -> dict[str, list[DiagnosticFinding]]:
-    """Findings of every device; one that cannot be opened is a finding too, and the others still follow."""
+    """Return the findings of every device; a device that cannot be opened gives a finding, and the others are still
+    examined."""
     with closed_after(make_clock(settings.clock)) as clock:
         rig = assemble(settings, clock, base)
         return {name: _examined(device) for name, device in rig.devices.items()}
@@ -60,7 +61,7 @@ def _examined(device: Device) -> list[DiagnosticFinding]:
 
 
 def _without_opening(device: Device) -> list[DiagnosticFinding]:
-    """What a device that refused to open can still tell; some can be looked at without."""
+    """Return the findings of a device that could not be opened; some devices can be diagnosed nevertheless."""
     try:
         return device.diagnose()
     except VolcalError:
@@ -68,7 +69,7 @@ def _without_opening(device: Device) -> list[DiagnosticFinding]:
 
 
 def _table(findings: dict[str, list[DiagnosticFinding]]) -> Table:
-    table = Table("device", "subject", "", "finding")
+    table = columns_table(("device", "subject", "", "finding"), whole=("device",))
     for name, lines in findings.items():
         for finding in lines:
             mark = "[green]ok[/green]" if finding.ok else "[red]no[/red]"

@@ -1,14 +1,14 @@
-"""How a command ends badly: one line on stderr, the exit code of the error tree, never a traceback.
+"""Errors of a command: one line on stderr, the exit code of the error tree, never a traceback.
 
-`volcal` ends with 0 when all went well, 2 for wrong input (click's own usage errors included), 3 for a
-device, 4 when the run itself decided, 5 when somebody aborted it, 6 when the service
-let no run begin at this time, 1 for what should not have happened.
+Exit codes of `volcal`: 0 success; 2 wrong input (usage errors of click included); 3 a device failed; 4 the run itself
+decided; 5 a person aborted it; 6 the service did not start a run at this time; 1 an unexpected error.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from difflib import get_close_matches
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -22,13 +22,13 @@ R = TypeVar("R")
 
 
 def fail(error: VolcalError) -> SystemExit:
-    """Print the error as people should see it and return the exit to raise."""
+    """Print the error for people and return the exit to raise."""
     click.echo(f"error: {error}", err=True)
     return SystemExit(error.exit_code)
 
 
 def reported(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a command's body so that an error of the tree becomes a message and an exit code."""
+    """Decorate the body of a command so that an error of the tree becomes a message and an exit code."""
 
     @wraps(function)
     def command(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -41,7 +41,18 @@ def reported(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class VolcalGroup(click.Group):
-    """A group of commands that all end as this module says."""
+    """Group of commands that turn errors into messages and exit codes, and suggest the nearest command for a typo."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        known = self.list_commands(ctx)
+        if not ctx.resilient_parsing and name not in known and not name.startswith("-"):
+            near = get_close_matches(name, known, n=1, cutoff=0.5)
+            suggestion = f" Did you mean {near[0]!r}?" if near else ""
+            ctx.fail(f"No such command {name!r}.{suggestion}")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -51,5 +62,5 @@ class VolcalGroup(click.Group):
         except KeyboardInterrupt:
             raise fail(Aborted("interrupted from the keyboard")) from None
         except BrokenPipeError:
-            sys.stderr.close()  # nobody reads on: silence the interpreter's own complaint too
+            sys.stderr.close()  # the reader is gone: silence the message of the interpreter too
             raise SystemExit(1) from None

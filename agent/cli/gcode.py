@@ -1,4 +1,4 @@
-"""`volcal gcode correct`: the corrections of a table written into a part program."""
+"""`volcal gcode correct`: corrections of a table written into a part program."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import click
 
-from agent.cli.errors import reported
+from agent.cli.errors import VolcalGroup, reported
 from agent.cli.options import PATH
 from agent.results.part_programs import correct_file, correct_to, load_part_setup, load_table
 from drivers.clock import wall_seconds
@@ -28,7 +28,7 @@ def _length_mm(_: click.Context, __: click.Parameter, text: str) -> float:
     found = _LENGTH.match(text.strip())
     value = float(found[1]) * (1.0 if found[2] == "mm" else 1e-3) if found else 0.0
     if not value > 0.0:
-        raise click.BadParameter(f"'{text}' is no length above 0: write 2um or 0.002mm")
+        raise click.BadParameter(f"'{text}' is not a length above 0: write 2um or 0.002mm")
     return value
 
 
@@ -45,7 +45,7 @@ def _start(_: click.Context, __: click.Parameter, text: str | None) -> Triple | 
 
 
 def _named(_: click.Context, parameter: click.Parameter, texts: Sequence[str]) -> dict[str, Triple]:
-    """NAME=X,Y,Z, several times."""
+    """Parse NAME=X,Y,Z, given several times."""
     known = {"work_offset": SYSTEMS, "reference": ("G28", "G30")}.get(parameter.name or "", ())
     found = {}
     for text in texts:
@@ -62,31 +62,43 @@ def _g_codes(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> fro
     for text in texts:
         found = _G_CODE.match(text.strip())
         if found is None:
-            raise click.BadParameter(f"'{text}' is no G code, such as G5.1")
+            raise click.BadParameter(f"'{text}' is not a G code such as G5.1")
         codes.add(10 * int(found[1]) + int(found[2] or 0))
     return frozenset(codes)
 
 
-@click.group("gcode")
+@click.group("gcode", cls=VolcalGroup)
 def gcode_group() -> None:
-    """Part programs for controllers that have no compensation table."""
+    """Correct part programs for controllers that have no compensation table."""
 
 
 @gcode_group.command("correct")
 @click.argument("part", type=PATH, metavar="PART.nc")
-@click.option("--table", "table_file", type=PATH, required=True, help="table.csv, its JSON side file beside it.")
+@click.option(
+    "--table", "table_file", type=PATH, required=True, help="table.csv, with its JSON side file in the same folder."
+)
 @click.option(
     "--max-chord-error",
     callback=_length_mm,
     required=True,
     metavar="LENGTH",
-    help="How far straight pieces may be from the corrected curve: 2um, 0.002mm.",
+    help="Largest distance of the straight segments from the corrected curve: 2um, 0.002mm.",
 )
-@click.option("-o", "--out", type=PATH, metavar="OUT.nc", help="The corrected program [default: standard output].")
-@click.option("--setup", "setup_file", type=PATH, help="Work offsets, tools and start of the controller (TOML).")
-@click.option("--work-offset", multiple=True, callback=_named, metavar="G54=X,Y,Z", help="Axis position of its zero.")
-@click.option("--tool", multiple=True, callback=_named, metavar="H=X,Y,Z", help="What G43 H adds, mm.")
-@click.option("--reference", multiple=True, callback=_named, metavar="G28=X,Y,Z", help="Axis position where G28 ends.")
+@click.option("-o", "--out", type=PATH, metavar="OUT.nc", help="Corrected program [default: standard output].")
+@click.option(
+    "--setup", "setup_file", type=PATH, help="Work offsets, tools and start position of the controller (TOML)."
+)
+@click.option(
+    "--work-offset",
+    multiple=True,
+    callback=_named,
+    metavar="G54=X,Y,Z",
+    help="Axis position of the zero of a work offset.",
+)
+@click.option("--tool", multiple=True, callback=_named, metavar="H=X,Y,Z", help="Offset that G43 H adds, in mm.")
+@click.option(
+    "--reference", multiple=True, callback=_named, metavar="G28=X,Y,Z", help="Axis position at the end of G28."
+)
 @click.option("--start", callback=_start, metavar="X,Y,Z", help="Axis position before the first block.")
 @click.option("--tool-change", type=click.Choice(["moves", "stays"]), help="Whether M6 may move axes [default: moves].")
 @click.option(
@@ -94,12 +106,18 @@ def gcode_group() -> None:
     type=click.Choice(["refuse", "clamp"]),
     default="refuse",
     show_default=True,
-    help="Beyond the table's volume: refuse, or correct as at its border.",
+    help="Points outside the table: refuse, or correct as at its border.",
 )
-@click.option("--decimals", type=click.IntRange(2, 8), default=4, show_default=True, help="Of mm; of inches one more.")
+@click.option(
+    "--decimals",
+    type=click.IntRange(2, 8),
+    default=4,
+    show_default=True,
+    help="Decimals of values in mm; values in inches get one more.",
+)
 @click.option("--divide-rapids", is_flag=True, help="Divide G0 moves too, not only G1 to G3.")
-@click.option("--keep", multiple=True, callback=_g_codes, metavar="G", help="Pass this unknown G code on.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; the program then needs --out.")
+@click.option("--keep", multiple=True, callback=_g_codes, metavar="G", help="Pass this unknown G code through.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout; the program then needs --out.")
 @reported
 def correct(
     *,
@@ -119,10 +137,10 @@ def correct(
     keep: frozenset[int],
     as_json: bool,
 ) -> None:
-    """Add a table's corrections to the positions of a part program (G-code).
+    """Add the corrections of a table to the positions of a part program (G-code).
 
-    Lines and arcs become straight pieces as short as the chord error asks for. What cannot be corrected is refused
-    with its line (exit code 2), and nothing is written.
+    Lines and arcs are divided into straight segments within the chord error. A block that cannot be corrected is
+    refused with its line number (exit code 2), and nothing is written.
     """
     started = wall_seconds()
     if as_json and out is None:

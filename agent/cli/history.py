@@ -1,4 +1,4 @@
-"""`volcal history`: every run of this machine and its trends."""
+"""`volcal history`: runs of this machine and their trends."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.table import Table
 
-from agent.cli.errors import fail, reported
+from agent.cli.errors import VolcalGroup, fail, reported
 from agent.cli.options import PATH, config_option
+from agent.cli.printing import columns_table, results_console
 from agent.errors import MeasurementFault
 from agent.files import write_all_atomically, write_atomically
 from agent.history.database_url import place_of
@@ -26,51 +26,53 @@ from agent.settings.load import naming, read_settings
 from agent.settings.schema import Settings
 from drivers.errors import InputError
 
-_machine = click.option("--machine", metavar="NAME", help="Another machine of the same database.")
-_json = click.option("--json", "as_json_object", is_flag=True, help="One JSON object on stdout.")
+RUN_COLUMNS = ("run", "kind", "state", "min", "VE bare", "VE active", "held out", "night")
+_machine = click.option("--machine", metavar="NAME", help="Another machine in the same database.")
+_json = click.option("--json", "as_json_object", is_flag=True, help="Print one JSON object on stdout.")
 
 
-@click.group("history")
+@click.group("history", cls=VolcalGroup)
 def history_group() -> None:
-    """Every run of this machine, and its trends."""
+    """List every run of this machine and its trends."""
 
 
 @history_group.command("list")
 @config_option
 @_machine
-@click.option("--last", type=click.IntRange(min=1), default=20, show_default=True, help="So many runs.")
+@click.option("--last", type=click.IntRange(min=1), default=20, show_default=True, help="Number of runs.")
 @_json
 @reported
 def list_command(config: Path, machine: str | None, last: int, as_json_object: bool) -> None:
-    """Runs, the newest last."""
+    """List the runs, the newest last."""
     with _opened(config) as (_, store):
         runs = store.runs(machine or store.place.machine, last)
     if as_json_object:
         click.echo(json.dumps({"runs": [run_document(run, whole=False) for run in runs]}, allow_nan=False))
         return
-    table = Table("run", "kind", "state", "min", "VE bare", "VE acting", "held out", "night", title_justify="left")
+    table = columns_table(RUN_COLUMNS, whole=("run",))
     for run in runs:
         table.add_row(*_cells(run))
-    Console().print(table)
+    results_console().print(table)
 
 
 @history_group.command("trend")
 @config_option
 @_machine
-@click.option(
-    "--of", "names", multiple=True, metavar="NAME", help="A series, an error or a parameter; may be repeated."
-)
-@click.option("--figure", type=PATH, metavar="FILE.png", help="Draw the trends shown.")
+@click.option("--of", "names", multiple=True, metavar="NAME", help="Series, error or parameter; may be repeated.")
+@click.option("--figure", type=PATH, metavar="FILE.png", help="Draw the trends into this file.")
 @_json
 @reported
 def trend_command(
     config: Path, machine: str | None, names: tuple[str, ...], figure: Path | None, as_json_object: bool
 ) -> None:
-    """Drift a night, control limits, nights left. Exit code 4 where a tolerance is reached or will be soon."""
+    """Show drift per night, control limits and nights left.
+
+    The exit code is 4 if a tolerance has been reached or will be soon.
+    """
     with _opened(config) as (settings, store):
         trends = trends_of(store.runs(machine or store.place.machine), settings.history)
     if not trends:
-        raise InputError("no run has come to a value yet", hint="`volcal history list` shows the runs there are")
+        raise InputError("no run has produced a value yet", hint="`volcal history list` shows all runs")
     shown = chosen(trends, names) if names else foremost(trends, 12)
     if figure is not None:
         from agent.history.figure import trends_png  # noqa: PLC0415  drawing libraries are slow to import
@@ -84,7 +86,7 @@ def trend_command(
         }
         click.echo(json.dumps(document, allow_nan=False))
     else:
-        Console().print(_trend_table(shown))
+        results_console().print(_trend_table(shown))
     grave = [alarm.text for alarm in alarms if alarm.kind is not AlarmKind.CONTROL]
     for alarm in alarms:
         click.echo(f"{alarm.kind.value}: {alarm.text}", err=True)
@@ -96,10 +98,10 @@ def trend_command(
 @config_option
 @_machine
 @click.option("--format", "form", type=click.Choice(["csv", "json"]), default="csv", show_default=True)
-@click.option("--out", type=PATH, required=True, metavar="FILE", help="The file to write.")
+@click.option("--out", type=PATH, required=True, metavar="FILE", help="File to write.")
 @reported
 def export_command(config: Path, machine: str | None, form: str, out: Path) -> None:
-    """All runs in one file: CSV with a line a run, or JSON with all that history keeps."""
+    """Export all runs into one file: CSV with one line per run, or JSON with everything that is stored."""
     with _opened(config) as (_, store):
         runs = store.runs(machine or store.place.machine)
     write_atomically(out, as_csv(runs) if form == "csv" else as_json(runs))
@@ -111,7 +113,7 @@ def export_command(config: Path, machine: str | None, form: str, out: Path) -> N
 @_json
 @reported
 def sync_command(config: Path, as_json_object: bool) -> None:
-    """Feed history from the journal: what is missing or has changed since."""
+    """Copy runs that are missing or have changed from the journal into the history."""
     with naming(config):
         settings = read_settings(config)
         place = place_of(settings)
@@ -125,7 +127,7 @@ def sync_command(config: Path, as_json_object: bool) -> None:
 
 @contextmanager
 def _opened(config: Path) -> Iterator[tuple[Settings, HistoryStore]]:
-    """The store, fed first with what this machine's journal knows; a journal that is not there is no obstacle."""
+    """Yield the store, first updated from the journal of this machine; a missing journal is not an error."""
     with naming(config):
         settings = read_settings(config)
         with closing(HistoryStore(place_of(settings))) as store:
@@ -150,7 +152,7 @@ def _cells(run: StoredRun) -> list[str]:
 
 
 def _trend_table(trends: tuple[Trend, ...]) -> Table:
-    table = Table("series", "now", "a night (95 %)", "steps", "tolerance", "nights left", title_justify="left")
+    table = columns_table(("series", "now", "a night (95 %)", "steps", "tolerance", "nights left"))
     for trend in trends:
         series, drift, reach = trend.series, trend.drift, trend.crossing
         table.add_row(

@@ -1,4 +1,4 @@
-"""`volcal identify`: from ball centres in a file to estimate, table and report, with no device."""
+"""`volcal identify`: estimate, table and report from ball centres in a file, without any device."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Literal
 
 import click
 from pydantic import ValidationError
-from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import PATH
+from agent.cli.printing import results_console
 from agent.results.estimation import order_text
 from agent.runs.offline_identification import Request, Result, identify_files
 from agent.settings.load import read_settings
@@ -22,7 +22,7 @@ from twin.identification import Options
 
 
 def _order(_context: click.Context, _option: click.Parameter, text: str) -> Order:
-    """`evidence`, `file`, or a number, as in the settings."""
+    """Parse `evidence`, `file` or a number, as in the settings."""
     try:
         return IdentificationSettings.model_validate({"order": int(text) if text.isdecimal() else text}).order
     except ValidationError:
@@ -33,7 +33,7 @@ def _order(_context: click.Context, _option: click.Parameter, text: str) -> Orde
 @click.argument("balls", type=PATH, metavar="BALLS.csv")
 @click.option("--machine", type=PATH, required=True, help="Machine file (TOML).")
 @click.option("--artefact", type=PATH, required=True, help="Artefact file (TOML).")
-@click.option("--out", type=PATH, required=True, metavar="DIR", help="Where the results go; made if missing.")
+@click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of the results; created if missing.")
 @click.option(
     "--formulation",
     type=click.Choice(["centres", "distances"]),
@@ -46,14 +46,14 @@ def _order(_context: click.Context, _option: click.Parameter, text: str) -> Orde
     type=click.Choice(["on", "off"]),
     default="on",
     show_default=True,
-    help="Whether the family of the machine speaks for what was not seen.",
+    help="Whether the prior population of the machine determines what was not measured.",
 )
 @click.option(
     "--weights",
     type=click.Choice(["full", "unit"]),
     default="full",
     show_default=True,
-    help="Covariances of the balls and the certificate, or all alike.",
+    help="Covariances of the balls and the certificate, or equal weights.",
 )
 @click.option(
     "--order",
@@ -61,20 +61,20 @@ def _order(_context: click.Context, _option: click.Parameter, text: str) -> Orde
     callback=_order,
     default="evidence",
     show_default=True,
-    help="Legendre order: for which the measurements speak, that of the machine file, or a number.",
+    help="Legendre order: the one supported by the measurements, the one in the machine file, or a number.",
 )
 @click.option(
     "--carried-over",
     type=PATH,
     metavar="ESTIMATE.json",
-    help="An earlier estimate as prior instead of the family; its order is kept.",
+    help="Earlier estimate as prior instead of the prior population; its order is retained.",
 )
 @click.option(
     "--process-noise-um",
     type=click.FloatRange(min=0.0),
     help="With --carried-over: rms over the workspace by which the machine may have changed since [default: 0].",
 )
-@click.option("--tool", metavar="NAME", help="Tool that the table is made for [default: the one used most].")
+@click.option("--tool", metavar="NAME", help="Tool for which the table is made [default: the one used most].")
 @click.option("--config", type=PATH, help="Settings file whose [gates] are the limits [default: their defaults].")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
 @reported
@@ -122,7 +122,7 @@ def _show(result: Result, seconds: float) -> None:
     rows = (("volumetric error, estimated", before), ("predicted after compensation", after))
     for name, value in rows:
         table.add_row(name, f"{value.aligned_um:.2f} µm", f"{value.raw_um:.2f} µm")
-    console = Console(highlight=False, soft_wrap=True)
+    console = results_console()
     console.print(table)
     balls = result.material.balls.observations.size
     console.print(

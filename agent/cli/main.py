@@ -1,7 +1,7 @@
 """The command `volcal`: its own commands, and those that other packages declare as entry points.
 
-A command's module is imported only when that command is asked for: `volcal --help` and a shell's completion
-should not wait for plotting and protocol libraries.
+A command's module is imported only if that command is called: `volcal --help` and the completion of a shell do not wait
+for plotting and protocol libraries.
 """
 
 from __future__ import annotations
@@ -10,65 +10,69 @@ import logging
 import os
 import sys
 from importlib import import_module
-from importlib.metadata import entry_points
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
-import structlog
 
 from agent.cli.errors import VolcalGroup
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
+
 # Matrices here have a hundred rows: more BLAS threads only wait for each other (measured: identification 30 ms with
-# one, 59 ms with two). It must be said before numpy is first imported, which the commands below do.
+# one, 59 ms with two). It must be set before numpy is first imported, which the commands below do.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMAND_GROUP = "volcal.commands"
+HELP_GROUP = "volcal.command_help"
+"""Entry points with the names of commands; each is the help line of its command, in a module that imports fast."""
 LONGEST_HELP = 200
 
 
 class OwnCommand(NamedTuple):
-    """Where a command is, and the first sentence of its help: said here again, so that the list of all commands
+    """Import path of a command, and the first sentence of its help: repeated here so that the list of all commands
     imports none of them."""
 
-    place: str
-    says: str
+    import_path: str
+    help: str
 
 
 OWN_COMMANDS = {
     "abort": OwnCommand(
-        "agent.cli.service_commands.requests:abort_command", "Stop, withdraw, restore the former table."
+        "agent.cli.service_commands.requests:abort_command",
+        "Stop the run, withdraw the probe and restore the previous table.",
     ),
     "answer": OwnCommand(
         "agent.cli.service_commands.requests:answer_command",
-        "Answer the question that the run has asked; `volcal status` shows it with its number.",
+        "Answer the open question of the run; `volcal status` shows it with its number.",
     ),
     "calibrate": OwnCommand(
         "agent.cli.calibrate:calibrate_command",
-        "Measure, identify, write the table, prove it, or restore what was there.",
+        "Measure, identify, write the table and verify it; restore the previous table if the check fails.",
     ),
-    "config": OwnCommand("agent.cli.config:config_group", "Settings files."),
+    "config": OwnCommand("agent.cli.config:config_group", "Check settings files and print their schema."),
     "demo": OwnCommand(
         "agent.cli.demo:demo_command",
-        "Start the simulated machine as a process, calibrate it over TCP and CAN, compare with the truth.",
+        "Start the simulated machine as a process, calibrate it over TCP and CAN, and compare with the truth.",
     ),
     "design": OwnCommand(
         "agent.cli.design:design_command",
-        "Choose the positions that leave the smallest volumetric compensated error, and write them as a position set.",
+        "Choose the positions that leave the smallest volumetric compensated error and write them as a position set.",
     ),
     "doctor": OwnCommand(
         "agent.cli.doctor:doctor_command", "Check settings, links and devices without moving anything."
     ),
     "gcode": OwnCommand(
-        "agent.cli.gcode:gcode_group", "Part programs for controllers that have no compensation table."
+        "agent.cli.gcode:gcode_group", "Correct part programs for controllers that have no compensation table."
     ),
     "hold": OwnCommand(
-        "agent.cli.service_commands.requests:hold_command", "Have the axes stop where they are until `volcal resume`."
+        "agent.cli.service_commands.requests:hold_command", "Stop the axes where they are until `volcal resume`."
     ),
-    "history": OwnCommand("agent.cli.history:history_group", "Every run of this machine, and its trends."),
+    "history": OwnCommand("agent.cli.history:history_group", "List every run of this machine and its trends."),
     "identify": OwnCommand("agent.cli.identify:identify", "Identify a machine from measured ball centres."),
     "nightly": OwnCommand(
         "agent.cli.nightly:nightly_command",
-        "Verify; within limits fuse what the slot allows with the nights before, and write a table that is worth it.",
+        "Verify the machine and, within limits, fuse the measurements of the slot with earlier nights.",
     ),
     "plan": OwnCommand(
         "agent.cli.plan:plan_command",
@@ -76,41 +80,42 @@ OWN_COMMANDS = {
     ),
     "report": OwnCommand(
         "agent.cli.report:report_command",
-        "Write the report of RUN (its identity, or `last`), whatever it came to, from the journal alone.",
+        "Write the report of RUN (its identity, or `last`) from the journal alone, whatever the outcome of the run.",
     ),
     "study": OwnCommand(
         "agent.cli.study:study_command",
-        "Study the procedure without a machine; writes NAME.png, NAME.svg, NAME.csv and NAME.json into DIR.",
+        "Study the procedure without a machine and write NAME.png, NAME.svg, NAME.csv and NAME.json into DIR.",
     ),
     "rank": OwnCommand(
         "agent.cli.rank:rank_command",
-        "What a set-up will see of a machine, and what would show more; nothing is measured, no device is touched.",
+        "Show which errors a set-up can determine and which changes would determine more, without any device.",
     ),
     "reset": OwnCommand(
         "agent.cli.service_commands.requests:reset_command",
-        "Acknowledge a fault or an abort, so that the next run may start.",
+        "Acknowledge a fault or an abort, so that the next run can start.",
     ),
     "resume": OwnCommand(
         "agent.cli.resume:resume_command",
-        "Go on with the run that broke off, where it broke off: nothing that is measured is measured again.",
+        "Resume the interrupted run; completed measurements are not repeated.",
     ),
     "serve": OwnCommand(
         "agent.cli.service_commands.serve:serve_command",
-        "Own the machine, and let timer, page, panel and command line ask for runs.",
+        "Run the service that owns the machine and accepts requests from timer, page, panel and command line.",
     ),
-    "start": OwnCommand("agent.cli.service_commands.start:start_command", "Ask the service for a run."),
+    "start": OwnCommand("agent.cli.service_commands.start:start_command", "Request a run from the service."),
     "status": OwnCommand(
-        "agent.cli.service_commands.status:status_command", "What the service does now, and what it may be asked for."
+        "agent.cli.service_commands.status:status_command",
+        "Show what the service is doing and which requests it accepts.",
     ),
     "timing": OwnCommand(
         "agent.cli.timing:timing_command",
-        "Compare a run's step times with the prediction, and suggest latencies for the settings.",
+        "Compare a run's step times with the prediction and suggest latencies for the settings.",
     ),
     "verify": OwnCommand(
         "agent.cli.verify:verify_command",
-        "Measure a few positions with the compensation active and compare with the last accepted night.",
+        "Measure a few positions with the active table and compare with the last accepted night.",
     ),
-    "table": OwnCommand("agent.cli.table:table_group", "Compensation tables in the controller."),
+    "table": OwnCommand("agent.cli.table:table_group", "Show, export and restore compensation tables."),
 }
 
 
@@ -118,37 +123,33 @@ class LazyGroup(VolcalGroup):
     """Commands by name, imported on demand."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted({*OWN_COMMANDS, *(entry.name for entry in entry_points(group=COMMAND_GROUP))})
+        return sorted({*OWN_COMMANDS, *_declared(COMMAND_GROUP).names})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name in OWN_COMMANDS:
-            module, _, attribute = OWN_COMMANDS[cmd_name].place.partition(":")
+            module, _, attribute = OWN_COMMANDS[cmd_name].import_path.partition(":")
             return _as_command(getattr(import_module(module), attribute))
-        for entry in entry_points(group=COMMAND_GROUP, name=cmd_name):
+        for entry in _declared(COMMAND_GROUP).select(name=cmd_name):
             return _as_command(entry.load())
         return None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, self._says(ctx, name)) for name in self.list_commands(ctx)])
-
-    def _says(self, ctx: click.Context, name: str) -> str:
-        if name in OWN_COMMANDS:
-            return OWN_COMMANDS[name].says
-        command = self.get_command(ctx, name)
-        return command.get_short_help_str(LONGEST_HELP) if command else ""
+            formatter.write_dl([(name, _help_line(name)) for name in self.list_commands(ctx)])
 
 
 @click.group(cls=LazyGroup)
 @click.version_option(package_name="volcal")
-@click.option("--verbose", "-v", is_flag=True, help="Log what the links do.")
+@click.option("--verbose", "-v", is_flag=True, help="Log the traffic of the links.")
 def main(verbose: bool) -> None:
     """On-machine volumetric calibration of machine tools with a ball artefact."""
     configure_logging(logging.DEBUG if verbose else logging.WARNING)
 
 
 def configure_logging(level: int) -> None:
-    """Structured logs on stderr; stdout is for results."""
+    """Write structured logs to stderr; stdout is for results."""
+    import structlog  # noqa: PLC0415  slow to import, and the list of commands does not log
+
     structlog.configure(
         processors=[
             structlog.contextvars.merge_contextvars,
@@ -161,9 +162,27 @@ def configure_logging(level: int) -> None:
     )
 
 
+def _declared(group: str) -> EntryPoints:
+    """Return the entry points of a group, from the metadata of all installed packages; none of them is imported."""
+    from importlib.metadata import entry_points  # noqa: PLC0415  slow to import, and own commands do not need it
+
+    return entry_points(group=group)
+
+
+def _help_line(name: str) -> str:
+    """Return the help line of a command without importing the command."""
+    if name in OWN_COMMANDS:
+        return OWN_COMMANDS[name].help
+    for entry in _declared(HELP_GROUP).select(name=name):
+        return str(entry.load())
+    for entry in _declared(COMMAND_GROUP).select(name=name):
+        return "" if entry.dist is None else f"(from the package {entry.dist.name})"
+    return ""
+
+
 def _as_command(loaded: object) -> click.Command:
     if not isinstance(loaded, click.Command):
-        raise TypeError(f"{loaded!r} is no click command")
+        raise TypeError(f"{loaded!r} is not a click command")
     return loaded
 
 

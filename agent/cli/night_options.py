@@ -1,4 +1,4 @@
-"""What `volcal verify` and `volcal nightly` share: their options, and how they tell what they found."""
+"""Options and output that `volcal verify` and `volcal nightly` share."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.table import Table
 
-from agent.cli.calibrate import run_here, summary_table
+from agent.cli.calibrate import run_here, show_summary
 from agent.cli.options import config_option
+from agent.cli.printing import facts_table, results_console
 from agent.results.run_outcome import NightReport, Outcome
 from agent.runs.run_request import RunRequest
 from agent.runs.session import RunResult
@@ -18,19 +18,19 @@ from agent.settings.load import load_settings, naming
 
 
 def night_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Options that both commands take."""
+    """Add the options that both commands take."""
     for option in (
-        click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout."),
+        click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end."),
         click.option(
             "--nights",
             type=click.FloatRange(min=0.0),
-            help="Nights since the last accepted one [default: by the calendar].",
+            help="Nights since the last accepted night [default: by the calendar].",
         ),
         click.option(
             "--standing-at",
             type=click.IntRange(min=1),
             metavar="STATION",
-            help="Where the artefact stands [default: stations.standing_at].",
+            help="Station of the artefact [default: stations.standing_at].",
         ),
         config_option,
     ):
@@ -39,24 +39,22 @@ def night_options(command: click.decorators.FC) -> click.decorators.FC:
 
 
 def run_night(config: Path, request: RunRequest, nights: float | None, *, as_json: bool) -> RunResult:
-    """Carry it out and print what it found."""
+    """Carry out the night and print its outcome."""
     settings = load_settings(config)
     with naming(config):
         ended = run_here(request, settings, config.resolve().parent, nights=nights)
     if as_json:
         click.echo(json.dumps(ended.outcome.as_json(), allow_nan=False))
     else:
-        console = Console()
         if ended.outcome.night is not None:
-            console.print(night_table(ended.outcome, ended.outcome.night))
+            results_console().print(night_table(ended.outcome, ended.outcome.night))
         if ended.outcome.predicted_vce_um is not None:
-            console.print(summary_table(ended.outcome))
+            show_summary(ended.outcome)
     return ended
 
 
 def night_table(outcome: Outcome, night: NightReport) -> Table:
-    """The night as people read it."""
-    table = Table(title=f"{outcome.run_id}: {night.decision.value}", show_header=False)
+    """Return the outcome of the night as a table."""
     errors = (night.ve_before_um, night.ve_now_um, night.ve_after_um)
     rows = [
         ("last accepted night", f"{night.since}, {night.nights:.1f} nights ago"),
@@ -67,9 +65,7 @@ def night_table(outcome: Outcome, night: NightReport) -> Table:
         ("changed at once", "; ".join(one.text for one in night.jumped) or "nothing"),
         ("reason", night.reason or "none"),
     ]
-    for row in rows:
-        table.add_row(*row)
-    return table
+    return facts_table(rows, title=f"{outcome.run_id}: {night.decision.value}")
 
 
 def _um(value: float | None) -> str:

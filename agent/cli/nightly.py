@@ -1,4 +1,4 @@
-"""`volcal nightly`: verify in a slot of the night, and use the rest of it to keep the compensation good."""
+"""`volcal nightly`: verification in a slot of the night; the rest of the slot maintains the compensation."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from agent.runs.run_request import run_request
 
 
 @click.command("nightly")
-@click.option("--slot", type=Duration(), metavar="15min", help="Machine time there is [default: nightly.slot_minutes].")
+@click.option(
+    "--slot", type=Duration(), metavar="15min", help="Available machine time [default: nightly.slot_minutes]."
+)
 @click.option(
     "--full-allowed/--no-full",
     default=None,
-    help="Whether a full calibration may fill the slot where one is needed [default: nightly.full_allowed].",
+    help="Whether a full calibration may fill the slot if one is needed [default: nightly.full_allowed].",
 )
 @night_options
 @reported
@@ -31,9 +33,10 @@ def nightly_command(
     nights: float | None,
     as_json: bool,
 ) -> None:
-    """Verify; within limits fuse what the slot allows with the nights before, and write a table that is worth it.
+    """Verify the machine and, within limits, fuse the measurements of the slot with earlier nights.
 
-    Out of limits: calibrate in full where that is permitted and fits, else keep that it is needed and end with 4.
+    The table is written if the improvement is worth it. Out of limits, a full calibration follows if it is permitted
+    and fits into the slot; otherwise the need for one is recorded and the exit code is 4.
     """
     request = run_request(
         kind="nightly",

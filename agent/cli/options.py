@@ -1,4 +1,4 @@
-"""Options that several commands take."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(min|h|)")
 
 
 class Duration(click.ParamType[float]):
-    """`15min`, `1.5h`, or minutes as a bare number."""
+    """Duration such as `15min` or `1.5h`; a bare number is in minutes."""
 
     name = "duration"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
         found = _DURATION.fullmatch(str(value).strip())
         if found is None or float(found[1]) <= 0.0:
-            self.fail(f"{value!r} is no time; write it as 15min or 1.5h", param, ctx)
+            self.fail(f"{value!r} is not a duration; write it as 15min or 1.5h", param, ctx)
         return float(found[1]) * (60.0 if found[2] == "h" else 1.0)
 
 
 def config_option(command: click.decorators.FC) -> click.decorators.FC:
-    """The settings of the agent."""
+    """Add the option for the settings file of the agent."""
     option = click.option(
         "--config",
         "config",
         type=PATH,
         default=Path("volcal.toml"),
         show_default=True,
-        help="Settings of the agent.",
+        help="Settings file of the agent.",
     )
     return option(command)
 
 
 def procedure_options(command: click.decorators.FC) -> click.decorators.FC:
-    """Options that every command with a procedure takes."""
+    """Add the options of every command with a procedure."""
     return measured_options(click.option("--formulation", type=click.Choice(["centres", "distances"]))(command))
 
 
 def measured_options(command: click.decorators.FC) -> click.decorators.FC:
-    """What is measured, and on which machine."""
+    """Add the options for the machine and for what is measured."""
     for option in (
-        click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations to measure at."),
+        click.option("--stations", metavar="1,2,…", callback=_station_list, help="Stations at which to measure."),
         click.option("--position-set", metavar="SET", help="S1, S2, S3, joined by +, or a position file."),
         config_option,
     ):
@@ -62,5 +62,5 @@ def _station_list(_: click.Context, __: click.Parameter, text: str | None) -> li
     except ValueError:
         raise click.BadParameter("write station numbers separated by commas, such as 1,2") from None
     if min(stations) < 1 or len(set(stations)) < len(stations):
-        raise click.BadParameter("stations count from 1 and are named once each")
+        raise click.BadParameter("stations count from 1 and are listed once each")
     return stations

@@ -1,4 +1,4 @@
-"""`volcal plan`: preflight of a whole run on the simulated machine; no device is touched."""
+"""`volcal plan`: preflight of a whole run on the simulated machine; no device is contacted."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from functools import partial
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import procedure_options
+from agent.cli.printing import columns_table, facts_table, results_console
 from agent.errors import PlanRefused
 from agent.files import check_folder
 from agent.planning.cycle_time import PARTS, as_listed, minutes_by_part, walked
@@ -35,9 +35,9 @@ from twin.units import S_PER_MIN
     is_flag=False,
     flag_value=Path("preview"),
     metavar="[DIR]",
-    help="Draw the plan into DIR [preview]: plan.png, and plan.html that turns; also one that is refused.",
+    help="Draw the plan into DIR [preview]: plan.png and the interactive plan.html; also for a refused plan.",
 )
-@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def plan_command(
     config: Path,
@@ -71,7 +71,7 @@ def plan_command(
             json.dumps(_document(job, preflight, before_minutes, expectation, valuation, files), allow_nan=False)
         )
         return
-    console = Console()
+    console = results_console()
     if steps:
         for key, seconds in preflight.timeline.items():
             click.echo(f"{seconds:10.2f} s  {key}")
@@ -82,7 +82,10 @@ def plan_command(
 
 
 def _drawing(job: Job, folder: Path) -> Callable[[PlanRefused | None], list[Path]]:
-    """Draws the plan, refused or not, and says which files it wrote. Raises InputError where it never could."""
+    """Return a function that draws the plan, refused or not, and returns the paths of its files.
+
+    Raises InputError if `folder` cannot be written.
+    """
     from agent.planning.preview.preview_files import write_preview  # noqa: PLC0415  plotting is slow to import
 
     check_folder(folder)
@@ -128,32 +131,28 @@ def _document(
 def _table(
     job: Job, preflight: PreflightResult, before_minutes: float, expectation: Expectation, valuation: Valuation
 ) -> Table:
-    table = Table(title="preflight passed: no collision, no limit", show_header=False)
     measured = preflight.measured
     rows = [
         ("machine", job.machine.name),
         ("artefact", job.artefact.name),
         ("position set", f"{job.settings.procedure.position_set} at stations {_listed(job.stations)}"),
-        ("positions", f"{len(job.positions)}, and {len(job.held_out)} held out for the proof"),
+        ("positions", f"{len(job.positions)}, and {len(job.held_out)} held out for verification"),
         ("left out", ", ".join(measured.left_out) or "none"),
         ("balls out of reach", str(measured.unreachable_balls)),
         ("touches", str(measured.touches + preflight.verified.touches)),
-        ("machine time", f"{preflight.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain ways)"),
+        ("machine time", f"{preflight.machine_minutes:.1f} min ({before_minutes:.1f} as listed, by plain paths)"),
         ("rank", f"{expectation.rank} of {expectation.parameters} parameters"),
-        ("VCE to expect", f"{expectation.vce.aligned_um:.2f} µm aligned ({expectation.vce.raw_um:.2f} as defined)"),
-        ("valuation", f"{valuation.percent:.1f} % of the family's error is expected to go"),
+        ("expected VCE", f"{expectation.vce.aligned_um:.2f} µm aligned ({expectation.vce.raw_um:.2f} as defined)"),
+        ("valuation", f"{valuation.percent:.1f} % of the volumetric error is expected to be removed"),
         ("preflight took", f"{preflight.wall_seconds:.2f} s for {preflight.commands} steps"),
     ]
-    for row in rows:
-        table.add_row(*row)
-    return table
+    return facts_table(rows, title="preflight passed: no collision, no limit")
 
 
 def _minutes_table(minutes: Mapping[int, Mapping[str, float]]) -> Table:
-    """A row for each station, and one for all of them."""
-    table = Table("station", title="machine minutes")
-    for part in (*PARTS, "all"):
-        table.add_column(part, justify="right")
+    """Return a table with one row per station and one for all stations."""
+    parts_and_all = (*PARTS, "all")
+    table = columns_table(("station", *parts_and_all), title="machine minutes", numbers=parts_and_all)
     everywhere = {part: sum(parts[part] for parts in minutes.values()) for part in PARTS}
     for name, parts in [*((str(station), parts) for station, parts in minutes.items()), ("all", everywhere)]:
         table.add_row(name, *(f"{parts[part]:.2f}" for part in PARTS), f"{sum(parts.values()):.2f}")

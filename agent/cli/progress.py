@@ -1,4 +1,4 @@
-"""What people see while a run goes on: one line a state, a bar with the minutes left. All of it on stderr."""
+"""Progress of a run on stderr: one line per state, and a bar with the minutes left."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class _Watcher:
 
 @contextmanager
 def watching(console: Console) -> Iterator[Listener]:
-    """A listener that draws on `console` until the block ends."""
+    """Yield a listener that draws on `console` until the block ends."""
     columns = (
         BarColumn(bar_width=20),
         TextColumn("{task.percentage:>3.0f} %"),

@@ -1,4 +1,4 @@
-"""`volcal rank`: what a set-up will see of a machine, what stays hidden, and what would show more."""
+"""`volcal rank`: errors that a set-up can determine, errors that stay hidden, and changes that would show more."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import PATH
+from agent.cli.printing import results_console
 from agent.planning.case_file import CASE_STUDY
 from agent.planning.identifiability import Question, Ranking, rank
 from agent.reports.page.number_format import number, plural, point
@@ -36,17 +37,31 @@ def _shape(_: click.Context, __: click.Parameter, text: str) -> tuple[int, int, 
 
 
 @click.command("rank")
-@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings: mount, stations, probe. [default: case study]")
-@click.option("--machine", type=PATH, help="Machine file (TOML) instead of that of the settings.")
-@click.option("--artefact", type=PATH, help="Artefact file (TOML) instead of that of the settings.")
+@click.option(
+    "--config",
+    type=PATH,
+    default=CASE_STUDY,
+    help="Settings file with mount, stations and probe [default: the shipped case study].",
+)
+@click.option("--machine", type=PATH, help="Machine file (TOML) instead of the one in the settings.")
+@click.option("--artefact", type=PATH, help="Artefact file (TOML) instead of the one in the settings.")
 @click.option("--set", "position_set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
-@click.option("--stations", type=click.IntRange(min=1), help="So many, evenly along X, instead of the settings'.")
-@click.option("--tool", "tools", multiple=True, metavar="NAME", help="Tool to measure with; once for each of several.")
+@click.option(
+    "--stations",
+    type=click.IntRange(min=1),
+    help="Number of stations, evenly spaced along X, instead of those in the settings.",
+)
+@click.option("--tool", "tools", multiple=True, metavar="NAME", help="Measuring tool; repeat the option for several.")
 @click.option("--formulation", type=click.Choice(["centres", "distances"]))
 @click.option(
-    "--grid", "grid_shape", default="60x20x20", show_default=True, callback=_shape, help="Points over the workspace."
+    "--grid",
+    "grid_shape",
+    default="60x20x20",
+    show_default=True,
+    callback=_shape,
+    help="Grid points over the workspace.",
 )
-@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def rank_command(
     *,
@@ -60,12 +75,12 @@ def rank_command(
     grid_shape: tuple[int, int, int],
     as_json: bool,
 ) -> None:
-    """What a set-up will see of a machine, and what would show more; nothing is measured, no device is touched."""
+    """Show which errors a set-up can determine and which changes would determine more, without any device."""
     found = rank(Question(config, machine, artefact, position_set, stations, tools, formulation, grid_shape))
     if as_json:
         click.echo(json.dumps(found.as_json(), allow_nan=False))
         return
-    _show(found, Console(highlight=False, soft_wrap=True))
+    _show(found, results_console())
 
 
 def _show(found: Ranking, console: Console) -> None:
@@ -86,7 +101,7 @@ def _show(found: Ranking, console: Console) -> None:
 
 
 def _first_of_each_kind(advice: Sequence[TrialGain]) -> list[TrialGain]:
-    """Of lengths, and of styli along one axis, only the best."""
+    """Return only the best of each kind of trial, such as a length or a stylus along one axis."""
     best: dict[str, TrialGain] = {}
     for gain in advice:
         best.setdefault(gain.trial.kind, gain)
@@ -117,7 +132,7 @@ def _fields_table(found: Ranking) -> Table:
 
 
 def _sigma_table(seen: Identifiability) -> Table:
-    """Standard deviations by error and order, before and after."""
+    """Return the table of standard deviations by error and order, before and after."""
     rows = [(error, list(cells)) for error, cells in _sigma_rows(seen)]
     table = Table(title="standard deviation, before → after, in µm and µrad", title_justify="left")
     table.add_column("error")
@@ -130,7 +145,7 @@ def _sigma_table(seen: Identifiability) -> Table:
 
 
 def _sigma_rows(seen: Identifiability) -> Iterator[tuple[str, Iterator[tuple[int, str]]]]:
-    """Error name, or that of a single term, with (order, text); a term without order stands in the first column."""
+    """Yield the name of an error or single term with its (order, text) cells; a term without order goes to order 1."""
     parts = zip(seen.model.parameters, seen.prior_sigma.tolist(), seen.posterior_sigma.tolist(), strict=True)
     named = ((p.error if p.order else p.name, max(p.order, 1), _change(p.unit, a, b)) for p, a, b in parts)
     for error, cells in groupby(named, key=lambda cell: cell[0]):

@@ -1,4 +1,4 @@
-"""`volcal report`: the report of a run from the journal, again or for the first time."""
+"""`volcal report`: report of a run from the journal, again or for the first time."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ LAST = "last"
 @click.argument("run", metavar="RUN")
 @config_option
 @click.option("--pdf", is_flag=True, help="Write report.pdf beside report.html.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Where to [default: the run's folder].")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to [default: the folder of the run]."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def report_command(run: str, config: Path, pdf: bool, out: Path | None, as_json: bool) -> None:
-    """Write the report of RUN (its identity, or `last`), whatever it came to, from the journal alone."""
+    """Write the report of RUN (its identity, or `last`) from the journal alone, whatever the outcome of the run."""
     with naming(config):
         directory = read_settings(config).state_directory
     run_id = _identity(run, directory)
@@ -42,5 +44,5 @@ def _identity(run: str, directory: Path) -> str:
         return run
     known = run_ids(directory)
     if not known:
-        raise InputError("the journal has no run yet", directory=str(directory))
+        raise InputError("the journal contains no run yet", directory=str(directory))
     return known[-1]

@@ -1,4 +1,4 @@
-"""`volcal resume`: go on with the run that broke off, or give it up."""
+"""`volcal resume`: resume the interrupted run, or give it up."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from agent.cli.calibrate import conclude, interruptible, summary_table
+from agent.cli.calibrate import conclude, interruptible, show_summary
 from agent.cli.errors import fail, reported
 from agent.cli.night_options import night_table
 from agent.cli.options import config_option
+from agent.cli.printing import results_console
 from agent.cli.progress import watching
 from agent.cli.service_commands.requests import resumed_by_service
 from agent.errors import MeasurementFault
@@ -19,7 +20,7 @@ from agent.execution.device_assembly import assemble, closed_after, make_clock
 from agent.execution.run_lock import run_lock
 from agent.results.run_outcome import Decision
 from agent.runs.reconcile_result import ReconcileAction
-from agent.runs.resume.abandon import give_up as end_without_going_on
+from agent.runs.resume.abandon import give_up as abandon_run
 from agent.runs.resume.resume import resume
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult
@@ -30,15 +31,15 @@ from drivers.errors import StoreError
 
 @click.command("resume")
 @config_option
-@click.option("--give-up", is_flag=True, help="Do not go on: make the former table act again, and end the run.")
-@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@click.option("--give-up", is_flag=True, help="Do not resume: reactivate the previous table and end the run.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def resume_command(config: Path, give_up: bool, as_json: bool) -> None:
-    """Go on with the run that broke off, where it broke off: nothing that is measured is measured again.
+    """Resume the interrupted run; completed measurements are not repeated.
 
-    Where the service runs it is asked to go on, after a hold as well; else the run goes on here. The run keeps the
-    settings and files that it began with; a file that has changed since is refused. The settings named here only say in
-    which state directory the journal is.
+    If the service is running, it resumes the run, also after a hold; otherwise the run resumes in this process. The run
+    uses the settings and files with which it started; a file that has changed since is refused. The settings given here
+    only name the state directory with the journal.
     """
     settings = load_settings(config)
     if give_up:
@@ -48,20 +49,19 @@ def resume_command(config: Path, give_up: bool, as_json: bool) -> None:
         return
     with watching(Console(stderr=True)) as listener, interruptible() as interrupts:
         ended = resume(settings.state_directory, RunHooks(announce=listener, attach=interrupts.append))
-    _tell(ended, as_json=as_json)
+    _show_and_exit(ended, as_json=as_json)
 
 
-def _tell(ended: RunResult, *, as_json: bool) -> None:
-    """As the command would have ended that began the run."""
+def _show_and_exit(ended: RunResult, *, as_json: bool) -> None:
+    """Print the outcome and exit as the command that started the run would have done."""
     outcome = ended.outcome
     if as_json:
         click.echo(json.dumps(outcome.as_json(), allow_nan=False))
     else:
-        console = Console()
         if outcome.night is not None:
-            console.print(night_table(outcome, outcome.night))
+            results_console().print(night_table(outcome, outcome.night))
         if outcome.kind == "calibrate" or outcome.predicted_vce_um is not None:
-            console.print(summary_table(outcome))
+            show_summary(outcome)
     if ended.error is not None:
         raise fail(ended.error)
     decision = None if outcome.night is None else outcome.night.decision
@@ -80,7 +80,7 @@ def _give_up(settings: Settings, base: Path, *, as_json: bool) -> None:
         rig = assemble(settings, clock, base)
         rig.open()
         try:
-            result = end_without_going_on(rig, settings.state_directory, "volcal resume --give-up")
+            result = abandon_run(rig, settings.state_directory, "volcal resume --give-up")
         finally:
             rig.close()
     run = None if result.unfinished is None else result.unfinished.run_id
@@ -90,4 +90,4 @@ def _give_up(settings: Settings, base: Path, *, as_json: bool) -> None:
     else:
         click.echo(f"run {run or 'none unfinished'}: {result.text}")
     if result.action is ReconcileAction.LEFT:
-        raise fail(StoreError("the former table could not be reactivated", hint=result.instruction))
+        raise fail(StoreError("the previous table could not be reactivated", hint=result.instruction))

@@ -1,7 +1,7 @@
-"""Starts `volcal simulate` as a process of its own and asks it what only it knows.
+"""`volcal simulate` as a separate process, and requests to its control channel.
 
-The demonstration's other half: nothing of the simulator is imported here; what is shared are a command line, one
-ready line, and the JSON lines of the control channel.
+Nothing of the simulator is imported here; the interface is a command line, one ready line and the JSON lines of the
+control channel.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ END_WITHIN_S = 5.0
 
 
 class SimulatorProcess:
-    """A context: the process runs inside, and never outlives it (it ends when its standard input closes)."""
+    """Context manager of the process, which never outlives it: the process ends when its standard input closes."""
 
     def __init__(self, scenario: Path, *, can: str, log: Path, modbus_rtu: str | None = None) -> None:
         self._command = [
@@ -55,7 +55,7 @@ class SimulatorProcess:
             self._process.wait(END_WITHIN_S)
             said = self._log.read_text(encoding="utf-8").strip().splitlines()
             raise LinkLost(
-                f"the simulator did not start: {said[-1] if said else 'it said nothing'}", file=str(self._log)
+                f"the simulator did not start: {said[-1] if said else 'it printed nothing'}", file=str(self._log)
             )
         self.ready = json.loads(line)
         return self
@@ -67,7 +67,7 @@ class SimulatorProcess:
         except OSError as error:
             raise ConfigurationError(
                 f"the simulator's log cannot be written: {error.strerror or error}",
-                hint="name another directory for the results",
+                hint="choose another directory for the results",
                 file=str(self._log),
             ) from error
 
@@ -87,7 +87,10 @@ class SimulatorProcess:
             process.wait()
 
     def ask(self, request: str) -> dict[str, Any]:
-        """One request of the control channel: ``truth``, ``collisions``, ``status``."""
+        """Send one request to the control channel (``truth``, ``collisions`` or ``status``) and return the answer.
+
+        Raises LinkLost if the channel is gone, ProtocolError if the simulator refuses.
+        """
         place = self.ready["control"]
         try:
             with socket.create_connection((place["host"], place["port"]), timeout=READY_WITHIN_S) as link:

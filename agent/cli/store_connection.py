@@ -1,4 +1,4 @@
-"""The devices of the settings, opened for one command and closed after it."""
+"""Devices of the settings, open for the duration of one command."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from agent.settings.load import load_settings, naming
 
 @contextmanager
 def connected(config: Path) -> Iterator[tuple[Job, Rig]]:
-    """The job of the settings and its open devices."""
+    """Yield the job of the settings and its open devices."""
     settings = load_settings(config)
     base = config.resolve().parent
     with naming(config):

@@ -1,4 +1,4 @@
-"""`volcal study`: a study of the procedure by name, with its figure and its numbers."""
+"""`volcal study`: one study of the procedure, with its figure and its numbers."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Literal
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import PATH
+from agent.cli.printing import facts_table, results_console
 from agent.files import check_folder, translated
 from agent.planning.case_file import CASE_STUDY, load_case
 from agent.settings.load import naming
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Chosen:
-    """What the command line says of the identification; None: as the settings say."""
+    """Identification options of the command line; None: as in the settings."""
 
     formulation: Literal["centres", "distances"] | None
     prior: Literal["on", "off"] | None
@@ -52,20 +52,24 @@ class Chosen:
 
 @click.command("study")
 @click.argument("name", type=click.Choice(sorted(STUDIES)), metavar="NAME")
-@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings [default: the shipped case study].")
-@click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of that of the settings.")
-@click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of that of the settings.")
-@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations evenly along X.")
+@click.option("--config", type=PATH, default=CASE_STUDY, help="Settings file [default: the shipped case study].")
+@click.option("--machine", type=PATH, metavar="FILE", help="Machine file instead of the one in the settings.")
+@click.option("--artefact", type=PATH, metavar="FILE", help="Artefact file instead of the one in the settings.")
+@click.option("--stations", type=click.IntRange(min=1), metavar="N", help="N stations, evenly spaced along X.")
 @click.option("--set", "position_set", metavar="SET", help="S1, S2, S3, joined by +, or a position file.")
 @click.option("--formulation", type=click.Choice(["centres", "distances"]))
 @click.option("--prior", type=click.Choice(["on", "off"]))
 @click.option("--weights", type=click.Choice(["full", "unit"]))
-@click.option("--machines", type=click.IntRange(min=1), default=500, show_default=True, help="How many to draw.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Same seed, same numbers.")
-@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Processes [default: one for each core].")
-@click.option("--cluster", metavar="ADDRESS", help="Dask scheduler (tcp://HOST:PORT) whose workers do the work.")
+@click.option(
+    "--machines", type=click.IntRange(min=1), default=500, show_default=True, help="Number of machines to draw."
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="The same seed gives the same numbers."
+)
+@click.option("--workers", type=click.IntRange(min=1), metavar="N", help="Number of processes [default: one per core].")
+@click.option("--cluster", metavar="ADDRESS", help="Address (tcp://HOST:PORT) of a Dask scheduler with workers.")
 @click.option("--out", type=PATH, default=Path("studies"), show_default=True, metavar="DIR")
-@click.option("--json", "as_json", is_flag=True, help="End with one JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout at the end.")
 @reported
 def study_command(
     *,
@@ -85,7 +89,7 @@ def study_command(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Study the procedure without a machine; writes NAME.png, NAME.svg, NAME.csv and NAME.json into DIR."""
+    """Study the procedure without a machine and write NAME.png, NAME.svg, NAME.csv and NAME.json into DIR."""
     started = wall_seconds()
     check_folder(out)
     job = load_case(config, machine=machine, artefact=artefact, stations=stations)
@@ -113,9 +117,12 @@ def study_command(
 
 @contextmanager
 def hired(workers: int | None, cluster: str | None) -> Iterator[Workers]:
-    """Workers on this computer or on a cluster, sent home after the block."""
+    """Yield workers on this computer or on a cluster; they end with the block."""
     if cluster is not None and workers is not None:
-        raise ConfigurationError("--workers are those of this computer, --cluster has its own", hint="give one of them")
+        raise ConfigurationError(
+            "--workers counts processes on this computer, and --cluster has workers of its own",
+            hint="give one of the two",
+        )
     with LocalWorkers(workers) if cluster is None else _cluster(cluster) as team:
         yield team
 
@@ -132,7 +139,7 @@ def _cluster(address: str) -> DaskWorkers:
 
 @contextmanager
 def progress_bars() -> Iterator[StudyProgress]:
-    """One bar for each thing that is done, on stderr."""
+    """Yield a progress function that draws one bar per task on stderr."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=20),
@@ -151,17 +158,14 @@ def progress_bars() -> Iterator[StudyProgress]:
 
 
 def _show(result: StudyResult, files: dict[str, Path]) -> None:
-    table = Table(title=result.title, title_justify="left", show_header=False)
-    for key, text in _lines(result.summary):
-        table.add_row(key, text)
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(table)
+    console = results_console()
+    console.print(facts_table(_lines(result.summary), title=result.title))
     for path in files.values():
         console.print(str(path), markup=False)
 
 
 def _lines(summary: Mapping[str, object], under: str = "") -> Iterator[tuple[str, str]]:
-    """Name and value of whatever is a single value, that of inner mappings too; lists are left to the files."""
+    """Yield name and text of every single value, those of inner mappings included; lists are only in the files."""
     for key, value in summary.items():
         name = f"{under}{key}".replace("_", " ")
         plain = as_plain(value)

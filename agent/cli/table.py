@@ -1,4 +1,4 @@
-"""`volcal table show|export|restore`: the compensation tables that the controller holds, and those that were kept."""
+"""`volcal table show|export|restore`: compensation tables in the controller, and those stored by runs."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from pathlib import Path
 
 import click
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from agent.cli.errors import reported
+from agent.cli.errors import VolcalGroup, reported
 from agent.cli.options import config_option
+from agent.cli.printing import columns_table, results_console
 from agent.cli.service_commands.start import conclude, waited_for
 from agent.cli.store_connection import connected
 from agent.cli.table_export import export
@@ -23,17 +22,17 @@ from drivers.clock import RealClock
 from drivers.roles import TableImage
 
 
-@click.group("table")
+@click.group("table", cls=VolcalGroup)
 def table_group() -> None:
-    """Compensation tables in the controller."""
+    """Show, export and restore compensation tables."""
 
 
 @table_group.command("show")
 @config_option
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def show(config: Path, as_json: bool) -> None:
-    """Every bank: which one acts, its grid, checksum and largest correction."""
+    """Show every bank: whether it is active, its grid, checksum and largest correction."""
     with connected(config) as (_, rig):
         active = rig.store.active_bank()
         banks = {bank: rig.store.read_table(bank) for bank in rig.store.store_limits().banks if bank}
@@ -41,15 +40,15 @@ def show(config: Path, as_json: bool) -> None:
         document = {"active_bank": active, "banks": {str(n): _facts(t) for n, t in banks.items()}}
         click.echo(json.dumps(document))
         return
-    table = Table("bank", "state", "grid", "CRC-32", "largest correction")
+    table = columns_table(("bank", "state", "grid", "CRC-32", "largest correction"), whole=("CRC-32",))
     table.add_row("0", "[bold]active[/bold]" if active == 0 else "", "no compensation", "", "")
     for bank, image in banks.items():
         facts = _facts(image)
-        state = "[bold]active[/bold]" if bank == active else "staged or former" if image else "empty"
+        state = "[bold]active[/bold]" if bank == active else "staged or previous" if image else "empty"
         grid = " × ".join(str(n) for n in image.shape) if image else ""
         crc, largest = (facts["crc32"], f"{facts['largest_um']} µm") if facts else ("", "")
         table.add_row(str(bank), state, grid, str(crc), largest)
-    Console().print(table)
+    results_console().print(table)
 
 
 table_group.add_command(export)
@@ -57,14 +56,20 @@ table_group.add_command(export)
 
 @table_group.command("restore")
 @click.argument("run", metavar="RUN")
-@click.option("--role", type=click.Choice(ROLES), default="backup", show_default=True, help="As what the run kept it.")
+@click.option(
+    "--role",
+    type=click.Choice(ROLES),
+    default="backup",
+    show_default=True,
+    help="Role under which the run stored the table.",
+)
 @config_option
-@click.confirmation_option(prompt="Have this table act again? The next part is made with it")
+@click.confirmation_option(prompt="Activate this table again? The next part is made with it")
 @reported
 def restore(run: str, role: str, config: Path) -> None:
-    """Have the table act again that RUN has kept: staged, read back, activated, read back. Nothing moves.
+    """Activate again a table that RUN stored: stage, read back, activate, read back. Nothing moves.
 
-    The service does it, as a run of its own; the exit code is that run's.
+    The service does it as a separate run; the exit code is that of this run.
     """
     with Client(load_settings(config)) as client:
         asked = {"run_id": run, "role": role, "source": "command line"}

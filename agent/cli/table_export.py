@@ -1,4 +1,4 @@
-"""`volcal table export`: a table as neutral files, or in the words of a controller with what is lost."""
+"""`volcal table export`: a table as neutral files, or in the format of a controller with the losses stated."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 from click.decorators import FC
-from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import PATH, config_option
+from agent.cli.printing import results_console
 from agent.cli.store_connection import connected
 from agent.files import write_all_atomically
 from agent.results.controller_export import Material, Request, Result, export_table, table_in_files
@@ -72,7 +72,7 @@ def _parsed(parse: Callable[[str], Any]) -> Callable[[click.Context, click.Param
 
 
 def options_of_formats(command: FC) -> FC:
-    """Every option that a format declares, in the order of the formats."""
+    """Add every option that a format declares, in the order of the formats."""
     for option in reversed(all_options()):
         command = _click_option(option)(command)
     return command
@@ -80,16 +80,18 @@ def options_of_formats(command: FC) -> FC:
 
 @click.command("export")
 @config_option
-@click.option("--bank", type=int, help="Bank of the controller; the active one when not said.")
-@click.option("--table", "table_path", type=PATH, help="Instead of a bank: folder of a run, or a table's CSV file.")
+@click.option("--bank", type=int, help="Bank of the controller [default: the active one].")
+@click.option("--table", "table_path", type=PATH, help="Instead of a bank: folder of a run, or CSV file of a table.")
 @click.option("--estimate", type=PATH, help="Estimate of the table [default: estimate.json beside it].")
-@click.option("--format", "format_name", type=click.Choice(list(FORMATS)), help="In the words of this controller.")
+@click.option("--format", "format_name", type=click.Choice(list(FORMATS)), help="Format of the controller.")
 @click.option("--out", type=PATH, required=True, help="Folder to write; without --format the CSV file to write.")
-@click.option("--points", metavar="NXxNYxNZ", callback=_points, help="Evenly spaced points instead of the table's.")
+@click.option(
+    "--points", metavar="NXxNYxNZ", callback=_points, help="Evenly spaced points instead of those of the table."
+)
 @click.option("--largest-um", type=click.FloatRange(min=0.0, min_open=True), default=1000.0, show_default=True)
-@click.option("--opposite-sign", is_flag=True, help="Every value with the other sign than documented.")
+@click.option("--opposite-sign", is_flag=True, help="Write every value with the opposite of the documented sign.")
 @options_of_formats
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 @reported
 def export(
     *,
@@ -105,13 +107,13 @@ def export(
     as_json: bool,
     **format_options: Any,
 ) -> None:
-    """A table of a bank or of a run: as neutral CSV with its side file, or with --format for a controller.
+    """Export a table of a bank or of a run: as neutral CSV with its side file, or with --format for a controller.
 
-    With --format, VE before, with the whole table and with what the format can say of it is computed over the
-    workspace and shown. Nothing is written where something is wrong.
+    With --format, the VE over the workspace is shown without the table, with the whole table, and with the part that
+    the format can represent. Nothing is written if there is an error.
     """
     if table_path is not None and bank is not None:
-        raise click.UsageError("--table and --bank name two tables: give one of them")
+        raise click.UsageError("--table and --bank name two tables: give one of the two")
     chosen = _chosen(format_name, format_options)
     material = _from_bank(config, bank, estimate) if table_path is None else table_in_files(table_path, estimate)
     if format_name is None:
@@ -154,7 +156,7 @@ def _write_neutral(table: CompensationTable, out: Path) -> None:
 
 
 def _show(result: Result) -> None:
-    found, said, console = result.loss, result.as_json(), Console(highlight=False, soft_wrap=True)
+    found, said, console = result.loss, result.as_json(), results_console()
     table = Table(title=f"{result.material.origin} for {result.request.format}", title_justify="left")
     table.add_column("volumetric error")
     table.add_column("aligned", justify="right")
@@ -163,11 +165,12 @@ def _show(result: Result) -> None:
         table.add_row(name, f"{value.aligned_um:.2f} µm", f"{value.raw_um:.2f} µm")
     console.print(table)
     machine = "as estimated" if found.estimated else "as the table describes it (no estimate)"
-    console.print(
-        f"The machine is taken {machine}; {100.0 * found.retained_share:.0f} % of what the table removes is kept."
-    )
+    retained = f"{100.0 * found.retained_share:.0f} % of the improvement is retained"
+    console.print(f"The machine is assumed {machine}; {retained}.")
     if found.unknown_mm is not None:
-        console.print(f"What the estimate does not know adds {1e3 * found.unknown_mm:.2f} µm to each (as squares).")
+        console.print(
+            f"The uncertainty of the estimate adds {1e3 * found.unknown_mm:.2f} µm to each (root sum of squares)."
+        )
     at, moves = (", ".join(f"{value:g}" for value in said[key]) for key in ("check_at_mm", "check_moves_um"))
     console.print(f"To check the sign: at {at} mm, switching it on must move X, Y, Z by {moves} µm.")
     tool = ", ".join(f"{value:g}" for value in said["tool_offset_mm"])

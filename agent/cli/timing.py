@@ -1,4 +1,4 @@
-"""`volcal timing`: what a finished run took against what was predicted, and the settings that fit it."""
+"""`volcal timing`: step times of a finished run against the prediction, and the settings that fit them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.table import Table
 
 from agent.cli.errors import reported
+from agent.cli.printing import results_console
 from agent.execution.run_record import RunSteps, read_steps
 from agent.files import load_machine, translated
 from agent.planning.latency_fit import (
@@ -31,29 +31,33 @@ from twin.units import S_PER_MIN
 
 @click.command("timing")
 @click.argument("run", type=click.Path(path_type=Path), metavar="RUN_DIR")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout instead of a table.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout instead of a table.")
 @reported
 def timing_command(run: Path, as_json: bool) -> None:
-    """Compare a run's step times with the prediction, and suggest latencies for the settings.
+    """Compare a run's step times with the prediction and suggest latencies for the settings.
 
-    RUN_DIR is the folder of a run below its state directory; the journal stands beside it.
+    RUN_DIR is the folder of a run below its state directory, which also contains the journal.
     """
     run = run.resolve()
     model, observed = _observed(read_steps(run.parent, run.name))
     if not observed:
-        raise InputError("the run has no step to learn from", run=run.name, hint="choose one that measured something")
+        raise InputError(
+            "the run has no step from which latencies can be derived",
+            run=run.name,
+            hint="choose a run that measured something",
+        )
     kinds, suggested = kinds_of_steps(model, observed), suggested_settings(refit(model, observed))
     if as_json:
         click.echo(json.dumps({"steps": [asdict(kind) for kind in kinds], "timing": suggested}, allow_nan=False))
         return
-    Console().print(_table(kinds))
+    results_console().print(_table(kinds))
     click.echo("[timing]")
     for name, value in suggested.items():
         click.echo(f"{name} = {value}")
 
 
 def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
-    """The model that the run was predicted with, and its steps."""
+    """Return the time model with which the run was predicted, and its steps."""
     with translated(InputError):
         settings = validate_document(with_current_keys(recorded.settings, Settings), "settings of the run", Settings)
     model = time_model(load_machine(settings.machine), settings.timing)
@@ -61,7 +65,7 @@ def _observed(recorded: RunSteps) -> tuple[TimeModel, list[ObservedStep]]:
 
 
 def _table(kinds: Sequence[KindOfStep]) -> Table:
-    """Minutes of all steps of a kind, milliseconds of one."""
+    """Return the table: minutes of all steps of a kind, milliseconds per step."""
     table = Table(title="machine time of the run")
     table.add_column("step", no_wrap=True)
     for heading in ("count", "predicted\nmin", "observed\nmin", "set\nms", "suggested\nms", "rest (rms)\nms"):

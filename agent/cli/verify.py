@@ -1,4 +1,4 @@
-"""`volcal verify`: whether the machine is still what the last accepted night has left; nothing is written."""
+"""`volcal verify`: check of the machine against the last accepted night; nothing is written."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from agent.runs.run_request import run_request
 @night_options
 @reported
 def verify_command(config: Path, standing_at: int | None, nights: float | None, as_json: bool) -> None:
-    """Measure a few positions with the compensation active and compare with the last accepted night.
+    """Measure a few positions with the active table and compare with the last accepted night.
 
-    Exit code 0 within limits, 4 out of them.
+    The exit code is 0 within limits and 4 out of limits.
     """
     stations = None if standing_at is None else [standing_at]
     request = run_request(kind="verify", source="command line", stations=stations, consent=True)

@@ -160,7 +160,7 @@ class TestWrongInput:
             (["--axes", "X,X,Z"], "three different names"),
             (["--points", "41"], "points along X, Y and Z"),
             (["--reference-mm", "0,0"], "three positions"),
-            (["--bank", "1"], "give one of them"),
+            (["--bank", "1"], "give one of the two"),
             (["--magnification", "101"], "101 is not in the range"),
         ],
     )

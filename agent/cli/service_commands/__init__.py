@@ -1,1 +1,1 @@
-"""Commands that send a request to the running service; none of them loads mathematics or drivers."""
+"""Commands that send requests to the running service; they load neither mathematics nor drivers."""

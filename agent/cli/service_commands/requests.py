@@ -1,4 +1,4 @@
-"""`volcal hold`, `abort`, `reset`, `answer`: one request each to the service."""
+"""`volcal hold`, `abort`, `reset`, `answer`: one request to the service each."""
 
 from __future__ import annotations
 
@@ -17,28 +17,31 @@ from agent.settings.schema import Settings
 @config_option
 @reported
 def hold_command(config: Path) -> None:
-    """Have the axes stop where they are until `volcal resume`."""
+    """Stop the axes where they are until `volcal resume`."""
     with Client(read_settings(config)) as client:
         client.post("/api/hold")
-    click.echo("hold asked for")
+    click.echo("hold requested")
 
 
 @click.command("abort")
 @config_option
-@click.option("--reason", default="volcal abort", show_default=True, help="What the journal keeps.")
+@click.option("--reason", default="volcal abort", show_default=True, help="Reason to record in the journal.")
 @reported
 def abort_command(config: Path, reason: str) -> None:
-    """Stop, withdraw, restore the former table. Needs no token; between runs nothing happens."""
+    """Stop the run, withdraw the probe and restore the previous table.
+
+    Needs no token. Has no effect between runs.
+    """
     with Client(read_settings(config)) as client:
         client.post("/api/abort", {"reason": reason}, token=False)
-    click.echo("abort asked for")
+    click.echo("abort requested")
 
 
 @click.command("reset")
 @config_option
 @reported
 def reset_command(config: Path) -> None:
-    """Acknowledge a fault or an abort, so that the next run may start. Moves nothing."""
+    """Acknowledge a fault or an abort, so that the next run can start. Nothing moves."""
     with Client(read_settings(config)) as client:
         client.post("/api/reset")
     click.echo("reset")
@@ -50,14 +53,14 @@ def reset_command(config: Path) -> None:
 @config_option
 @reported
 def answer_command(number: int, said: str, config: Path) -> None:
-    """Answer the question that the run has asked; `volcal status` shows it with its number."""
+    """Answer the open question of the run; `volcal status` shows it with its number."""
     with Client(read_settings(config)) as client:
         client.post("/api/answer", {"number": number, "yes": said == "yes"})
     click.echo(f"question {number}: {said}")
 
 
 def resumed_by_service(settings: Settings) -> bool:
-    """Whether a service has been asked to go on, with what is held or with the run that broke off."""
+    """Request the service to resume a held or interrupted run; return False if no service is running."""
     try:
         client = Client(settings)
     except NoService:
@@ -65,7 +68,7 @@ def resumed_by_service(settings: Settings) -> bool:
     with client:
         if "resume" in client.get("/api/status")["may"]:
             client.post("/api/resume")
-            click.echo("resume asked for")
+            click.echo("resume requested")
         else:
             click.echo(client.post("/api/resume-run", {"source": "command line"})["run_id"])
     return True

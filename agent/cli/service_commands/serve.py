@@ -1,4 +1,4 @@
-"""`volcal serve`: the night service, under systemd or in a terminal."""
+"""`volcal serve`: the service, under systemd or in a terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from agent.service.daemon.serve import serve
 @click.pass_context
 @reported
 def serve_command(ctx: click.Context, config: Path) -> None:
-    """Own the machine, and let timer, page, panel and command line ask for runs. Logs go to stdout as JSON lines."""
+    """Run the service that owns the machine and accepts requests from timer, page, panel and command line.
+
+    Logs go to stdout as JSON lines.
+    """
     verbose = bool(ctx.parent is not None and ctx.parent.params.get("verbose"))
     log_as_json(logging.DEBUG if verbose else logging.INFO)
     serve(config)

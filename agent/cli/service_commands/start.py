@@ -1,4 +1,4 @@
-"""`volcal start`: ask the service for a run; what a timer calls."""
+"""`volcal start`: request of a run from the service; the command of the timer."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from drivers.clock import Clock, Deadline, RealClock
 from drivers.errors import LinkError, PermissionMissing, VolcalError
 
 DECLINED = 6
-"""Exit code: the service looked, and it is not the time. No run exists, nothing has moved; a timer asks again."""
+"""Exit code if the service declines at this time. No run exists and nothing has moved; a timer asks again."""
 STARTED_BY_SYSTEMD = "INVOCATION_ID"
 LOOK_EVERY_S = 1.0
 GONE_FOR_S = 90.0
-"""A service that was restarted by its watchdog is back within this time, and says how the run ended."""
+"""A service restarted by its watchdog is available again within this time and reports how the run ended."""
 
 
 @click.command("start")
-@click.option("--kind", type=click.Choice(KINDS), required=True, help="What is wanted.")
-@click.option("--slot", type=Duration(), metavar="15min", help="Machine time there is.")
+@click.option("--kind", type=click.Choice(KINDS), required=True, help="Kind of the run.")
+@click.option("--slot", type=Duration(), metavar="15min", help="Available machine time.")
 @click.option("--full-allowed/--no-full", default=None, help="Whether a night may become a full calibration.")
-@click.option("--consent", is_flag=True, help="You stand at the machine, and it may move.")
-@click.option("--wait", is_flag=True, help="Wait for its end; the exit code is the run's.")
+@click.option("--consent", is_flag=True, help="You are at the machine, and it may move.")
+@click.option("--wait", is_flag=True, help="Wait for the end of the run; the exit code is that of the run.")
 @measured_options
 @reported
 def start_command(
@@ -48,7 +48,10 @@ def start_command(
     position_set: str | None,
     stations: list[int] | None,
 ) -> None:
-    """Ask the service for a run. Without --consent it decides by hours, warm-up and permissions, as for a timer."""
+    """Request a run from the service.
+
+    Without --consent the service decides by hours, warm-up and permissions, as for a timer.
+    """
     body = {
         "kind": kind,
         "source": "timer" if STARTED_BY_SYSTEMD in os.environ else "command line",
@@ -66,8 +69,10 @@ def start_command(
 
 
 def begun(client: Client, body: Mapping[str, object]) -> str:
-    """The identity of the run that now exists. Exit with DECLINED where hour, warm-up, a permission or another run is
-    against it."""
+    """Return the identity of the run that now exists.
+
+    Exits with DECLINED if the hour, the warm-up, a missing permission or another run prevents it.
+    """
     try:
         return str(client.post("/api/start", body)["run_id"])
     except (Busy, GateRefused, PermissionMissing) as error:
@@ -76,7 +81,7 @@ def begun(client: Client, body: Mapping[str, object]) -> str:
 
 
 def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
-    """The status in which the run has ended. A service that is away for a while is waited for."""
+    """Return the status in which the run has ended. A service that is unavailable for a while is waited for."""
     console = Console(stderr=True)
     said = ""
     while True:
@@ -90,7 +95,7 @@ def waited_for(client: Client, run_id: str, clock: Clock) -> Mapping[str, Any]:
 
 
 def conclude(client: Client, status: Mapping[str, Any]) -> None:
-    """Exit as the run ended: 0 only where it is complete, and a table that it wrote was proved."""
+    """Exit with the code of the outcome: 0 only if the run is complete and a table that it wrote was verified."""
     state = RunState(status["state"])
     if status["alarms"]:
         raise fail(_error_of(status["alarms"][0]))
@@ -99,7 +104,8 @@ def conclude(client: Client, status: Mapping[str, Any]) -> None:
     decisions = client.get(f"/api/runs/{status['run_id']}")["decisions"]
     proofs = [one["record"] for one in decisions if one["kind"] == "proof"]
     if proofs and not proofs[-1]["accepted"]:
-        raise fail(GateRefused(f"the new table did not prove better; the former one acts: {proofs[-1]['reason']}"))
+        reason = "the new table was not better on the held-out positions; the previous table is active"
+        raise fail(GateRefused(f"{reason}: {proofs[-1]['reason']}"))
     click.echo("complete", err=True)
 
 
@@ -115,6 +121,6 @@ def _status(client: Client, clock: Clock) -> Mapping[str, Any]:
 
 
 def _error_of(alarm: Mapping[str, Any]) -> VolcalError:
-    """The error of the tree that the alarm's number stands for, with its exit code."""
+    """Return the error that the alarm's number stands for, with its exit code."""
     kind = next((kind for kind, code in CODES.items() if code.code == alarm["code"]), VolcalError)
     return kind(alarm["text"], hint=alarm["hint"], **alarm["where"])

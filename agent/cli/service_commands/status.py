@@ -1,4 +1,4 @@
-"""`volcal status`: what the machine is doing."""
+"""`volcal status`: state of the machine."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from agent.cli.errors import reported
 from agent.cli.options import config_option
+from agent.cli.printing import facts_table, results_console
 from agent.service.client import Client
 from agent.settings.load import read_settings
 
 
 @click.command("status")
 @config_option
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; with --watch one a line.")
-@click.option("--watch", is_flag=True, help="Go on telling what happens.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout; with --watch one per line.")
+@click.option("--watch", is_flag=True, help="Continue to print events.")
 @reported
 def status_command(config: Path, as_json: bool, watch: bool) -> None:
-    """What the service does now, and what it may be asked for."""
+    """Show what the service is doing and which requests it accepts."""
     with Client(read_settings(config)) as client:
         if not watch:
             show(client.get("/api/status"), as_json=as_json)
@@ -41,10 +40,8 @@ def show(status: Mapping[str, Any], *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(status))
         return
-    table = Table(title=f"{status['machine']}: {status['state']} ({status['packml']})", show_header=False)
-    for name, value in _rows(status):
-        table.add_row(name, value)
-    Console().print(table)
+    title = f"{status['machine']}: {status['state']} ({status['packml']})"
+    results_console().print(facts_table(_rows(status), title=title))
 
 
 def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -61,9 +58,9 @@ def _rows(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     if status["written_not_active"] is not None:
         rows.append(("written, not active", f"bank {status['written_not_active']}"))
     if status["unfinished"]:
-        rows.append(("broken off", f"{status['unfinished']}; `volcal resume` goes on with it"))
+        rows.append(("interrupted run", f"{status['unfinished']}; `volcal resume` resumes it"))
     if status["question"]:
         question = status["question"]
         rows.append((f"question {question['number']}", question["text"]))
     rows += [(f"alarm {a['code']}", f"{a['text']}. {a['hint']}") for a in status["alarms"]]
-    return [*rows, ("may be asked for", ", ".join(status["may"]) or "nothing")]
+    return [*rows, ("accepted requests", ", ".join(status["may"]) or "none")]

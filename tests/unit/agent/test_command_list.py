@@ -1,24 +1,35 @@
-"""The list of commands imports none of them, and what speaks to the service loads neither mathematics nor drivers."""
+"""The list of commands imports no command, and commands to the service load neither mathematics nor drivers."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.metadata import EntryPoint, EntryPoints
 
 import click
 import pytest
+from click.testing import CliRunner
 
+from agent.cli import main as program
 from agent.cli.main import LONGEST_HELP, OWN_COMMANDS, main
 
 SLOW = ("scipy", "matplotlib", "sqlalchemy", "fastapi", "pymodbus", "canopen")
+NOT_FOR_A_LIST = (*SLOW, "numpy", "pydantic", "structlog", "asyncio", "rich", "simulators.cli")
+
+
+def loaded_by(statement: str) -> list[str]:
+    """Return the names of the modules that a fresh interpreter has loaded after `statement`."""
+    text = f"{statement}\nimport sys; print(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    return done.stderr.split()
 
 
 @pytest.mark.parametrize("name", OWN_COMMANDS)
-def test_the_list_says_of_a_command_what_its_own_help_says(name: str) -> None:
+def test_the_list_repeats_the_first_sentence_of_a_command_s_help(name: str) -> None:
     command = main.get_command(click.Context(main), name)
     assert command is not None
     assert command.name == name
-    assert OWN_COMMANDS[name].says == command.get_short_help_str(LONGEST_HELP)
+    assert OWN_COMMANDS[name].help == command.get_short_help_str(LONGEST_HELP)
 
 
 def test_the_help_lists_own_commands_and_those_of_other_packages() -> None:
@@ -28,13 +39,62 @@ def test_the_help_lists_own_commands_and_those_of_other_packages() -> None:
     assert "..." not in said.partition("Commands:")[2]
 
 
+def test_the_list_of_commands_imports_none_of_them() -> None:
+    loaded = loaded_by("from agent.cli.main import main\nmain(['--help'], standalone_mode=False)")
+    assert "agent.cli.main" in loaded
+    assert [name for name in NOT_FOR_A_LIST if name in loaded] == []
+    assert [name for name in loaded if name.startswith("agent.cli.")] == ["agent.cli.errors", "agent.cli.main"]
+
+
+def test_help_of_another_package_s_command_is_declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The declared line is shown; a command without one is still listed, and neither is imported."""
+    declared = {
+        program.COMMAND_GROUP: EntryPoints(
+            [
+                EntryPoint("simulate", "nowhere.at_all:command", program.COMMAND_GROUP),
+                EntryPoint("silent", "nowhere.at_all:command", program.COMMAND_GROUP),
+            ]
+        ),
+        program.HELP_GROUP: EntryPoints([EntryPoint("simulate", "simulators:SIMULATE_HELP", program.HELP_GROUP)]),
+    }
+    monkeypatch.setattr(program, "_declared", declared.__getitem__)
+    lines = main.get_help(click.Context(main)).splitlines()
+    assert any(line.split() == ["silent"] for line in lines)
+    (shown,) = (line for line in lines if line.startswith("  simulate "))
+    assert shown.split(maxsplit=1)[1] == "Run the simulated machine on real links until it is stopped."
+
+
+def test_the_declared_help_of_the_simulator_is_that_of_its_command() -> None:
+    from simulators import SIMULATE_HELP
+    from simulators.cli import simulate
+
+    assert simulate.get_short_help_str(LONGEST_HELP) == SIMULATE_HELP
+
+
+@pytest.mark.parametrize(
+    ("words", "suggestion"),
+    [
+        (["claibrate"], "No such command 'claibrate'. Did you mean 'calibrate'?"),
+        (["simulat"], "No such command 'simulat'. Did you mean 'simulate'?"),
+        (["history", "lst"], "No such command 'lst'. Did you mean 'list'?"),
+        (["table", "shwo"], "No such command 'shwo'. Did you mean 'show'?"),
+        (["xyzzy"], "No such command 'xyzzy'.\n"),
+        (["status", "--wach"], "'--watch'"),
+        (["--verbos", "status"], "'--verbose'"),
+    ],
+    ids=" ".join,
+)
+def test_a_mistyped_command_or_option_is_answered_with_the_nearest(words: list[str], suggestion: str) -> None:
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2
+    assert suggestion in done.output
+
+
 @pytest.mark.parametrize(
     "module",
     ["agent.cli.service_commands.requests", "agent.cli.service_commands.start", "agent.cli.service_commands.status"],
 )
-def test_who_wants_to_stop_a_machine_waits_for_no_import(module: str) -> None:
-    loaded = subprocess.run(
-        [sys.executable, "-c", f"import {module}, sys; print(*sys.modules)"], capture_output=True, text=True, check=True
-    ).stdout.split()
+def test_commands_that_stop_a_machine_wait_for_no_import(module: str) -> None:
+    loaded = loaded_by(f"import {module}")
     assert module in loaded
     assert [name for name in SLOW if name in loaded] == []

@@ -177,4 +177,4 @@ def test_a_run_without_steps_teaches_nothing(tmp_path: Path) -> None:
     journal.close()
     done = CliRunner().invoke(main, ["timing", str(tmp_path / "idle")])
     assert done.exit_code == 2
-    assert "no step to learn from" in done.output
+    assert "no step from which latencies can be derived" in done.output

@@ -1,0 +1,94 @@
+"""Output of commands: an identity and a path are never cut, in a terminal of 80 columns, and in a pipe."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import re
+import subprocess
+import sys
+import termios
+import tty
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from agent.cli import calibrate
+from agent.cli.printing import columns_table, facts_table, results_console
+
+PATH = "/var/lib/volcal/a-machine-with-a-long-name/20261122T124825Z-fe2a/another-long-folder-of-the-plant/report.html"
+RUN = "20261122T124825Z-fe2a"
+ANSI = re.compile(r"\x1b\[[0-9;]*m")
+PROGRAM = f"""
+from agent.cli.printing import columns_table, facts_table, results_console
+table = columns_table(("run", "kind", "a long heading", "another long heading", "a third long heading"), whole=("run",))
+table.add_row("{RUN}", "calibrate", "many words to fold here", "many words to fold here", "averyveryverylongword")
+console = results_console()
+console.print(table)
+console.print("report: {PATH}", markup=False)
+"""
+
+
+def in_terminal(columns: int) -> str:
+    """Return the output of PROGRAM in a terminal with this many columns."""
+    leader, follower = pty.openpty()
+    tty.setraw(follower)
+    termios.tcsetwinsize(follower, (24, columns))
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"} | {"TERM": "xterm"}
+    command = [sys.executable, "-c", PROGRAM]
+    subprocess.run(command, stdin=follower, stdout=follower, stderr=subprocess.PIPE, env=environment, check=True)
+    os.close(follower)
+    shown = b""
+    try:
+        while chunk := os.read(leader, 4096):
+            shown += chunk
+    except OSError:
+        pass  # the end of a terminal whose other side is closed
+    finally:
+        os.close(leader)
+    return ANSI.sub("", shown.decode())
+
+
+def test_a_terminal_of_80_columns_cuts_neither_identity_nor_path() -> None:
+    shown = in_terminal(80)
+    assert RUN in shown
+    assert f"report: {PATH}\n" in shown
+    assert "…" not in shown
+    tables = [line for line in shown.splitlines() if line.startswith(("│", "┃"))]
+    assert tables
+    assert max(len(line) for line in tables) <= 80
+
+
+def test_a_pipe_gets_whole_lines() -> None:
+    shown = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True).stdout
+    (row,) = (line for line in shown.splitlines() if line.startswith(f"│ {RUN}"))
+    assert [cell.strip() for cell in row.strip("│").split("│")] == [
+        RUN, "calibrate", "many words to fold here", "many words to fold here", "averyveryverylongword"
+    ]  # fmt: skip
+    assert f"report: {PATH}\n" in shown
+
+
+def test_facts_are_folded_not_cut() -> None:
+    text = io.StringIO()
+    Console(file=text, width=40).print(facts_table([("report", PATH)], title=f"{RUN}: complete"))
+    cells = [line.split("│")[2].strip() for line in text.getvalue().splitlines() if line.startswith("│")]
+    assert "".join(cells) == PATH
+    assert RUN in text.getvalue()
+
+
+def test_numbers_are_aligned_to_the_right() -> None:
+    table = columns_table(("name", "µm"), numbers=("µm",))
+    assert [column.justify for column in table.columns] == ["left", "right"]
+
+
+def test_every_command_prints_its_tables_through_this_module() -> None:
+    folder = Path(calibrate.__file__).parent
+    writers = [path for path in folder.rglob("*.py") if path.name != "printing.py"]
+    assert [path.name for path in writers if "Console()" in path.read_text(encoding="utf-8")] == []
+
+
+def test_output_that_is_no_terminal_has_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    assert results_console().width > 10_000
