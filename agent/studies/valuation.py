@@ -27,7 +27,8 @@ RANDOM_SETS = 60
 SMALLEST, LARGEST = 2, 24
 NAMED = ("S1", "S2", "S3", "S1+S3", "S1+S2+S3")
 MACHINES_SHARE, FEWEST_MACHINES = 20, 4
-"""Each set meets the machines of the case divided by this, the same ones each."""
+"""Divisor of the case's number of machines, and minimum: every set is simulated on the same reduced number of
+machines."""
 COLUMNS = (
     "set",
     "positions",

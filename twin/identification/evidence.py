@@ -57,7 +57,7 @@ MISFIT = ScalePrior(3.0, 0.1, 10.0)
 SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS))
 """Priors in the order of `Scales.values`."""
 _NAMES = ("touch noise", "family prior", *MISFIT_KINDS)
-_AT_BOUND = 1e-3  # of a log scale
+_AT_BOUND = 1e-3  # distance of a log scale from its bound below which it counts as reached
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 
 _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01, far below their uncertainty

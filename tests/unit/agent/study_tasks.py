@@ -48,7 +48,7 @@ def deadly(number: int) -> int:
 
 @dataclass(frozen=True)
 class SlowAgain:
-    """Says in the file `first` whose process worked; a second time, with the file `again`, it takes a while."""
+    """Write the process id to the file `first`; on a repetition, create the file `again` and wait a second before."""
 
     directory: str
 

@@ -32,7 +32,7 @@ def ignore(_: int) -> None:
 
 
 def started(workers: int) -> LocalCluster:
-    """Its worker processes find the tasks of these tests."""
+    """Start a cluster whose worker processes can import the tasks of these tests."""
     assert HERE in sys.path
     with dask.config.set({"distributed.scheduler.allowed-failures": 1}):
         return LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0")
@@ -51,7 +51,7 @@ def dask_process(*arguments: str) -> subprocess.Popen[str]:
 
 
 def address_of(scheduler: subprocess.Popen[str]) -> str:
-    """As it says when it is ready."""
+    """Return the address that the scheduler reports when it is ready."""
     assert scheduler.stderr is not None
     said = next(line for line in scheduler.stderr if "Scheduler at:" in line)
     return said.split()[-1]

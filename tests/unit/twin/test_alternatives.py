@@ -1,4 +1,4 @@
-"""Uncertainty of the scales: the Fisher information compared with dense matrices, and points that represent it."""
+"""Uncertainty of the scales: the Fisher information against dense matrices, and the points that represent it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def set_up(seed: int) -> tuple[np.ndarray, np.ndarray, tuple[Alternative, ...]]:
 
 
 def dense_log_covariance(design: np.ndarray) -> np.ndarray:
-    """Return it from the covariance of the measurements and its derivatives by the log scales, one by one."""
+    """Return the covariance of the log scales from dense measurement covariances and their derivatives."""
     parts = [SCALES.noise**2 * np.eye(ROWS)]
     for block, scale in zip((BLOCKS.parameters, *BLOCKS.kinds), SCALES.values[1:], strict=True):
         parts.append(scale**2 * design[:, block] @ design[:, block].T)
@@ -69,7 +69,7 @@ def test_together_they_are_wider_than_their_mean_by_how_they_differ() -> None:
 
 
 def test_scales_stay_within_their_bounds() -> None:
-    design = np.random.default_rng(5).normal(size=(ROWS, BLOCKS.size)) * 1e-4  # says nothing
+    design = np.random.default_rng(5).normal(size=(ROWS, BLOCKS.size)) * 1e-4  # weak: almost no information
     matrix, precision = design.T @ design, PriorPrecision(BLOCKS)
     scales = Scales(1.0, 2.9, 9.5, 0.11, 1.0, 1.0)
     posterior = Posterior.of(matrix, precision, scales)

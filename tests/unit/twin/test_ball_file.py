@@ -1,4 +1,4 @@
-"""Ball centre files: their meaning, and the location named for a mistake."""
+"""Ball files: their meaning, and the reported location of mistakes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coverage regions and their counting, on errors with a known distribution."""
+"""Regions and observed coverage, on errors of known distribution."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_standard_error_of_single_comparisons_is_binomial() -> None:
 
 
 def test_comparisons_of_one_machine_count_as_going_together() -> None:
-    """Check that a hundred fully correlated comparisons count as one."""
+    """A hundred identical comparisons count as one."""
     alike = [np.full(100, 0.5)] * 90 + [np.full(100, 0.99)] * 10
     share = observed_coverage(alike, 0.95, np.random.default_rng(3))
     assert share.observed == 0.9

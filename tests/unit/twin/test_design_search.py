@@ -1,4 +1,4 @@
-"""The search compared with exhaustive choice and with plain evaluation, on invented candidates."""
+"""Search against exhaustive choice and plain evaluation, on artificial candidates."""
 
 from itertools import combinations
 
@@ -30,7 +30,7 @@ def made_up(seed: int, count: int = 9, rank: int = 2, size: int = 6) -> Candidat
 
 
 def plain_value(candidates: CandidatePositions, chosen) -> float:
-    """Return trace(Q C), with C from inverting the sum of the information of every position."""
+    """Return trace(Q C), with C from inverting the sum of all information."""
     precision = candidates.precision.copy()
     for index in chosen:
         precision += candidates.factors[index].T @ candidates.factors[index]

@@ -1,4 +1,4 @@
-"""A machine that drifts during the measurement: the estimated drift and the validity of its stated uncertainty."""
+"""Machine that drifts during the measurement: the estimated drift, and the validity of its stated uncertainty."""
 
 from __future__ import annotations
 
@@ -24,9 +24,7 @@ PLAIN = Options(misfit_mm=0.0, estimate_scales=False, outliers="none")
 
 
 def warmed(parameters: np.ndarray, rng: np.random.Generator, kelvin: float = 3.0) -> Observations:
-    """Return the whole set in its order and a few positions again at the end, with the machine `kelvin` warmer
-    by then.
-    """
+    """Measure the whole set and some positions again at the end, by then on a machine `kelvin` warmer."""
     still = measured("S3", 3, BAR, lambda at, tool: exact_deviation(MODEL, at, tool, parameters), rng)
     again = still.where(still.position < 3)
     count = int(still.position.max()) + 1
@@ -45,7 +43,7 @@ ROWS = ("position", "ball", "tool", "axis_positions", "covariance", "temperature
 
 
 def left_um(parameters: np.ndarray, truth: np.ndarray, kelvin: float) -> float:
-    """Return the rms of the scale errors remaining on the grid, X, Y, Z together, without rigid motions."""
+    """Return the rms of the remaining scale errors of X, Y, Z together on the grid, without rigid motions."""
     basis = deviation_basis(MODEL, GRID, TOOL)
     field = basis @ (truth - parameters) + kelvin * (GRID * SCALES_PER_K)
     along = field - field.mean(axis=0)
@@ -100,7 +98,7 @@ def test_without_a_course_nothing_changes() -> None:
 
 
 def test_stated_uncertainty_of_the_drifted_parameters_holds() -> None:
-    """Check over machines and drifts drawn from their priors that errors are as large as stated."""
+    """For machines and drifts drawn from their priors, errors are as large as stated."""
     prior, squares = DriftPrior(), []
     for seed in range(60):
         rng = np.random.default_rng([7, seed])
@@ -126,7 +124,7 @@ def test_stated_uncertainty_of_the_drifted_parameters_holds() -> None:
 
 
 def test_the_expansion_of_the_bar_is_as_uncertain_as_its_coefficient() -> None:
-    """Check that ±1e-6/K at 5 K from 20 °C gives ±5 µm/m on every scale; no set of positions reduces it."""
+    """±1e-6/K at 5 K from 20 °C is ±5 µm/m on every scale, and no set of positions can reduce it."""
     doubtful = bar(cte_standard_uncertainty_per_k=1e-6)
     sigma = {}
     for temperature_c in (20.0, 25.0):

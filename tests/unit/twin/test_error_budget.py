@@ -1,6 +1,4 @@
-"""The closed-form budget compared with whole simulated procedures in plain numpy, with a truth richer than the
-model.
-"""
+"""Closed form against simulations of whole procedures in plain numpy, with a truth richer than the model."""
 
 from __future__ import annotations
 
@@ -37,7 +35,7 @@ EVERYTHING = TruthAssumptions(
     TRUE_FAMILY, DEFLECTION, artefact_temperature_c=26.0, thermometer_uncertainty_k=0.3, drift_mm=1.5e-3
 )
 MILD = replace(EVERYTHING, artefact_temperature_c=22.0, thermometer_uncertainty_k=0.1)
-"""Truth assumptions in which no single influence dominates a mean of few squares."""
+"""All influences except single ones that would dominate the mean of a few squares."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ def without_errors(at: np.ndarray, _: np.ndarray) -> np.ndarray:
 
 
 def planned(case: Case) -> Observations:
-    """Return the plan on a machine without errors, at the reference temperature."""
+    """Return the observations of an error-free machine at the reference temperature."""
     seen = measured(case.expression, 3, certified(), without_errors, np.random.default_rng(0), sigma_mm=0.0)
     return replace(seen, covariance=np.tile(COVARIANCE, (seen.size, 1, 1)))
 
@@ -124,7 +122,7 @@ def without_rigid_motion(field: np.ndarray) -> np.ndarray:
 
 
 def agree(case: Case, assumptions: TruthAssumptions, nights: int, seed: int = 1) -> np.ndarray:
-    """Check agreement within three standard deviations of the mean of the simulated squares."""
+    """Check the mean of the simulated squares within three of its standard deviations."""
     children = np.random.SeedSequence(seed).spawn(nights)
     squares = np.array([night(case, assumptions, np.random.default_rng(child)) for child in children])
     expected = closed(case, assumptions).expected
@@ -137,7 +135,7 @@ def agree(case: Case, assumptions: TruthAssumptions, nights: int, seed: int = 1)
 
 @pytest.mark.parametrize("case", [CENTRES, DISTANCES], ids=["centres", "distances, unit weights, no prior"])
 def test_the_closed_form_agrees_with_whole_procedures(case: Case) -> None:
-    """Compare the mean square; half of the machines are above the median, one in twenty outside the 95 % limits."""
+    """The mean square agrees, half of the machines lie above the median, and one in twenty outside the 95 % limits."""
     raw, aligned = np.sqrt(agree(case, EVERYTHING, 150)).T
     distribution = closed(case, EVERYTHING).distribution
     low, high = distribution.limits(0.95)
@@ -161,7 +159,7 @@ def test_it_holds_for_every_way_of_identifying(case: Case) -> None:
 
 
 def only_within(model_names: tuple[str, ...], inside: bool) -> Family:
-    """Return the true family restricted to the parameters of the model, or to the others."""
+    """Return the true family restricted to the model's parameters, or to all others."""
     chosen = np.array([(name in model_names) == inside for name in TRUE_FAMILY.model.names])
     return Family(TRUE_FAMILY.model, TRUE_FAMILY.half_widths * chosen)
 
@@ -205,7 +203,7 @@ def test_squares_add_up() -> None:
 
 
 def test_a_fixed_deflection_is_a_bias_and_not_a_spread() -> None:
-    """Check with one noiseless identification, to nanometres."""
+    """One noiseless identification determines it to nanometres."""
     assumptions = replace(NOTHING, deflection=DEFLECTION)
     raw, aligned = night(CENTRES, assumptions, np.random.default_rng(0))
     expected = closed(CENTRES, assumptions).expected
@@ -256,7 +254,7 @@ def test_parameters_are_as_uncertain_as_simulated() -> None:
 
 
 def test_error_motions_are_as_uncertain_as_their_curves() -> None:
-    """Compare with the curve of each error motion over its axis, from drawn coefficients."""
+    """Compare with the curve of each error motion over its axis, from random coefficients."""
     model, family = FAMILIES[4].model, FAMILIES[4]
     factor = family.prior_standard_deviation[:, None] * np.random.default_rng(6).normal(size=(model.size, model.size))
     found = motion_uncertainty(model, factor @ factor.T)
@@ -273,7 +271,7 @@ def test_error_motions_are_as_uncertain_as_their_curves() -> None:
 
 
 def test_the_model_may_hold_more_than_the_machines_do() -> None:
-    """Use a truth of order 3 and a model of order 5: no error is beyond the model."""
+    """Truth of order 3, model of order 5: the model represents every machine."""
     simple = FAMILIES[3]
     budget = closed(CENTRES, replace(NOTHING, family=simple))
     assert budget.contributions["misfit"].raw_mm == 0.0
@@ -300,7 +298,7 @@ def test_with_two_tools_each_parameter_is_left_as_one_identification_leaves_it(n
 
 
 def test_the_day_makes_the_artefact_as_warm_as_reality_says() -> None:
-    """Check that temperatures of the planned rows are those of the plan, not of the day."""
+    """The truth assumptions set the temperature, not the planned rows."""
     assumptions = replace(NOTHING, cte=True, artefact_temperature_c=26.0)
     seen = planned(CENTRES)
     family = CENTRES.family

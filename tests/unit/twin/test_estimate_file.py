@@ -1,4 +1,4 @@
-"""Estimate files: no information is lost, and mismatches are named."""
+"""Estimate files: round trip without loss, and errors that name the invalid key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The marginal likelihood compared with a dense normal density, and its gradient with finite differences."""
+"""Marginal likelihood against a dense normal density, and its gradient against finite differences."""
 
 from __future__ import annotations
 
@@ -36,9 +36,7 @@ def test_differences_of_the_likelihood_are_those_of_the_dense_density() -> None:
 
 
 def test_with_a_known_mean_and_covariance_too() -> None:
-    """Use joint prior knowledge of parameters and misfit, as carried from one estimate to the next; the noise
-    is free.
-    """
+    """Joint prior of parameters and misfit, as carried over from an earlier estimate; the noise scale is free."""
     design, y, normal = equations(5)
     mixing = np.random.default_rng(6).normal(size=(7, 7))
     mean, covariance = np.linspace(-1.0, 1.0, 7), mixing @ mixing.T + np.eye(7)

@@ -1,4 +1,4 @@
-"""Identification compared with scipy on the same residuals, and its messages for insufficient sets."""
+"""Identification against scipy on the same residuals, and errors for insufficient sets."""
 
 from __future__ import annotations
 
@@ -27,9 +27,8 @@ def machine(order: int, seed: int):
 
 
 def by_scipy(model, family, artefact, seen: Observations, certificate_mm: float) -> np.ndarray:
-    """Return the maximum a posteriori by trf with its own finite differences: parameters, poses and
-    certificate errors.
-    """
+    """Return the maximum a posteriori solution by `trf` with finite differences: parameters, poses and certificate
+    errors."""
     p, places = model.size, len(np.unique(seen.position))
     scale = family.prior_standard_deviation
     points = seen.axis_positions + seen.tool_offsets[seen.tool]
@@ -97,7 +96,7 @@ def test_without_noise_the_field_comes_back() -> None:
 
 
 def test_covariance_is_the_inverse_of_the_full_normal_matrix() -> None:
-    """Compare with plain dense algebra: all poses in one matrix, its inverse, the block of the parameters."""
+    """Dense reference: invert one matrix with all poses and take the parameter block."""
     model, family, _, truth = machine(2, 6)
     artefact = bar(5)
     seen = measured("S3", 1, artefact, truth, np.random.default_rng(7))
@@ -140,7 +139,8 @@ def test_a_covariance_taken_as_prior_equals_measuring_both_at_once() -> None:
 
 class TestUncertainty:
     def test_a_drawn_machine_lies_where_the_covariance_says(self) -> None:
-        """Draw the truth from the prior: normalised squares are 1, and 95 % of the parameters are within 1.96 sigma."""
+        """With truths drawn from the prior, normalised squares average 1 and 95 % of the parameters lie within 1.96
+        sigma."""
         model, family = case_study(4)
         squares, inside = [], []
         for seed in range(12):
@@ -184,7 +184,7 @@ class TestUncertainty:
 @pytest.mark.parametrize("weights", ["full", "unit"])
 @pytest.mark.parametrize("formulation", ["centres", "distances"])
 def test_normalised_chi2_is_one_where_all_is_as_stated(formulation: str, weights: str, prior: bool) -> None:
-    """Draw truth, certificate and noise from the priors, with noise that differs from ball to ball."""
+    """Truth, certificate and noise are drawn from their priors, with noise that differs between balls."""
     model, family = case_study(3)
     options = dataclasses.replace(PLAIN, formulation=formulation, weights=weights, use_prior=prior)
     found = []
@@ -287,7 +287,7 @@ class TestTooLittle:
 
 class TestDistances:
     def test_with_full_weights_a_bar_with_offset_balls_tells_the_same_as_centres(self) -> None:
-        """Check that all distances of a rigid set determine its shape, so that to first order nothing is lost."""
+        """All distances of a rigid set determine its shape, so to first order no information is lost."""
         model, family, _, truth = machine(3, 23)
         artefact = bar(7, sigma_mm=0.8e-3)
         seen = measured("S3", 3, artefact, truth, np.random.default_rng(24))
@@ -333,7 +333,7 @@ class TestDistances:
 
 
 def test_strategies_stand_in_the_published_order() -> None:
-    """Compare the predicted VCE of a straight bar of 7 balls, 3 stations, order 4, 1 µm per coordinate."""
+    """Predicted VCE of a straight bar of 7 balls, 3 stations, order 4, 1 µm per coordinate."""
     model, family = case_study(4, ("b0", "b1", "b2", "c0", "c1"))
     artefact = bar(7, 0.0)
 

@@ -1,7 +1,7 @@
-"""Fusion of nights: a carried-over estimate compared with one fit of all nights and with a dense random-walk model.
+"""Fusion of nights: a carried-over estimate against one fit of all nights, and against a random walk in dense algebra.
 
-Truth and noise are a thousandth of the stated ones, so second-order terms vanish and two ways of computing the same
-numbers differ only by rounding. Realistic sizes are compared in addition.
+Truth and noise are a thousandth of their stated size, so second-order effects vanish and both methods differ only by
+rounding. Errors of realistic size are compared as well.
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ BOTH_TOOLS = (TOOL, np.array([60.0, 330.0, -40.0]))
 
 
 def a_night(expression: str, artefact: Artefact, seed: int, size: float, **more: object) -> Observations:
-    """Return a night of one machine: a family member and a wave that no order represents, `size` times the
-    stated size.
-    """
+    """Return one night of one machine: a family member plus a wave that no order represents, scaled by `size`."""
     truth = size * FAMILY.draw(np.random.default_rng(5), 1)[0]
 
     def deviation(at: np.ndarray, tool: np.ndarray) -> np.ndarray:
@@ -64,7 +62,7 @@ def assert_same(one: Estimate, other: Estimate, accuracy: float) -> None:
 
 @pytest.mark.parametrize(("size", "accuracy"), [(1e-3, 1e-9), (1.0, 1e-5)])
 def test_two_nights_in_turn_are_one_fit_of_both(size: float, accuracy: float) -> None:
-    """Use the same certificate, CTE, thermometer and misfit in both; 26 °C in the second makes the CTE matter."""
+    """Certificate, CTE, thermometer and misfit are common to both nights; 26 °C in the second makes the CTE matter."""
     first = a_night("S1", STEEL, 1, size)
     second = a_night("S3", STEEL, 2, size, temperature_c=26.0)
     at_once = identify(MODEL, together(first, second), STEEL, FAMILY, FIXED)
@@ -74,7 +72,8 @@ def test_two_nights_in_turn_are_one_fit_of_both(size: float, accuracy: float) ->
 
 
 def test_three_nights_with_two_tools_are_one_fit_of_all() -> None:
-    """Use the first tool for most balls of the first night and of all; the misfit is defined for it."""
+    """The first tool measures most balls in the first night and overall, because the misfit is defined for that
+    tool."""
     nights = [a_night(name, STEEL, seed, 1e-3, tools=BOTH_TOOLS) for seed, name in enumerate(("S3", "S2", "S1"))]
     at_once = identify(MODEL, together(together(nights[0], nights[1]), _later(nights[2])), STEEL, FAMILY, FIXED)
     assert_same(in_turn(nights, STEEL), at_once, 1e-9)
@@ -85,7 +84,7 @@ def _later(seen: Observations) -> Observations:
 
 
 def test_another_artefact_brings_errors_of_its_own() -> None:
-    """Compare with one artefact containing the balls of both, of which the second night measures the second half."""
+    """Equivalent to one artefact with the balls of both, of which the second night measures the second half."""
     one, other = bar(7, sigma_mm=0.8e-3), bar(5, 20.0, sigma_mm=0.5e-3)
     first, second = a_night("S1", one, 3, 1e-3), a_night("S3", other, 4, 1e-3)
     moved = other.balls + np.array([0.0, 4000.0, 0.0])
@@ -103,9 +102,8 @@ def test_another_artefact_brings_errors_of_its_own() -> None:
 
 
 def test_with_process_noise_it_is_the_fit_of_a_random_walk() -> None:
-    """Compare with dense algebra: both nights' parameters, certificate and all poses in one matrix with a difference
-    prior.
-    """
+    """Dense reference: parameters of both nights, certificate and all poses in one matrix, coupled by a difference
+    prior."""
     artefact = bar(7, sigma_mm=0.8e-3)
     options = dataclasses.replace(FIXED, misfit_mm=0.0, temperature_standard_uncertainty_k=0.0)
     nights = [a_night("S1", artefact, 6, 1e-3), a_night("S3", artefact, 7, 1e-3)]
@@ -121,7 +119,7 @@ def test_with_process_noise_it_is_the_fit_of_a_random_walk() -> None:
 
 
 def random_walk(nights: list[Observations], artefact: Artefact, walk: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return parameters (p,) of the second night and their covariance (p, p), by one dense least-squares fit."""
+    """Return the parameters (p,) of the second night and their covariance (p, p) from one dense least-squares fit."""
     p, balls = MODEL.size, artefact.count
     places = [len(np.unique(seen.position)) for seen in nights]
     width = 2 * p + 3 * balls + 6 * sum(places)
@@ -155,7 +153,7 @@ def random_walk(nights: list[Observations], artefact: Artefact, walk: np.ndarray
 
 
 def kabsch(nominal: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotation (3, 3) of nominal points (n, 3) onto found ones, and the rotated points (n, 3)."""
+    """Return the rotation (3, 3) of nominal points (n, 3) onto measured ones, and the fitted points (n, 3)."""
     here, there = nominal - nominal.mean(axis=0), found - found.mean(axis=0)
     left, _, right = np.linalg.svd(here.T @ there)
     turn = right.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ left.T
@@ -214,7 +212,7 @@ class TestWhatCannotBeCarried:
         assert caught.value.where["unknown"] == unknown
 
     def test_a_singular_covariance_names_where_it_becomes_so(self) -> None:
-        """Use two identical unknowns: the later one adds nothing."""
+        """Two identical unknowns: the second one makes the covariance singular."""
         covariance = self.known.covariance.copy()
         covariance[MODEL.size + 4], covariance[:, MODEL.size + 4] = covariance[1], covariance[:, 1]
         covariance[MODEL.size + 4, MODEL.size + 4] = covariance[1, 1] * (1.0 - 1e-12)

@@ -1,4 +1,4 @@
-"""Order by evidence: differences of the evidence equal those of the dense normal densities of the same equations."""
+"""Order by evidence: evidence differences equal those of dense normal densities of the same equations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def seen_of(order: int, seed: int, expression: str = "S3", stations: int = 2) ->
 
 
 def dense_log_evidence(order: int, seen: Observations, scales: tuple[float, ...]) -> float:
-    """Return the normal density of the residuals without poses: found minus placed, in one matrix over all balls."""
+    """Return the log normal density of the residuals with the poses projected out, in one matrix over all balls."""
     family = family_of(order)
     points = seen.axis_positions + TOOL
     columns = [deviation_basis(family.model, seen.axis_positions, TOOL) * family.prior_standard_deviation * scales[1]]
@@ -88,7 +88,7 @@ def test_the_chosen_order_is_the_highest_without_very_strong_evidence_against_it
 
 
 def test_a_family_that_does_not_fall_off_gets_no_higher_order_than_the_machine_has() -> None:
-    """Check that without a decaying prior, where a higher order would follow noise, the evidence rejects it."""
+    """Without the falling prior a higher order would follow noise, and the evidence then speaks against it."""
     flat = {**AMPLITUDES, "decay": 1.0, "positioning_um": [8.0, 5.0, 3.0], "rotation_urad": [4.6, 2.8, 2.0]}
     flat["straightness_um"] = [5.5, 3.3]
     estimate = identify_by_evidence(

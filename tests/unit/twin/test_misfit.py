@@ -1,4 +1,4 @@
-"""Misfit modes: unit size, and independent of the model."""
+"""Misfit modes: unit size, and independence from the model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_prior_rms_over_the_workspace_is_one() -> None:
 
 
 def test_the_model_cannot_imitate_a_mode() -> None:
-    """Fit the model and a rigid motion to a mode at the middles of many cells; the mode keeps its size."""
+    """After fitting model and rigid motion over the centres of many cells, a mode keeps its size."""
     half = [0.5 * (high - low) / count for (low, high), count in zip(RANGES, CELLS, strict=True)]
     middles = tuple((low + h, high - h) for (low, high), h in zip(RANGES, half, strict=True))
     grid = evaluation_grid(middles, CELLS)

@@ -1,4 +1,4 @@
-"""Rank of the field and the names of unobservable errors, compared with known facts of the case study."""
+"""Rank of the field and names of null directions, against known facts of the case study."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_parameter_that_the_family_excludes_is_named_as_such() -> None:
 
 
 def test_a_tool_that_was_not_used_says_nothing_of_what_is_seen() -> None:
-    """Use a machine file with more tools than the night used."""
+    """A machine file may list more tools than a run uses."""
     seen = measured("S3", 4, bar(), lambda X, t: np.zeros_like(X), np.random.default_rng(0))
     listed = dataclasses.replace(seen, tool_offsets=np.array([TOOL, 1.8 * TOOL]))
     plain = Options(outliers="none", estimate_scales=False, use_prior=False)

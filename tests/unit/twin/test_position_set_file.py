@@ -1,4 +1,4 @@
-"""Position sets from TOML; the rules of CSV are tested with the artefact's file."""
+"""Position sets from TOML; CSV is tested together with the artefact file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurements planned for a set before anything moves."""
+"""Planned measurement of a position set, before anything moves."""
 
 from __future__ import annotations
 

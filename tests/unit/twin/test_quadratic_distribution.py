@@ -1,4 +1,4 @@
-"""Quadratic forms compared with scipy's distributions, with sampling and with the whole estimate by brute force."""
+"""Distribution of quadratic forms against scipy, sampling and brute-force evaluation of an estimate."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def imhof(weights: np.ndarray, shifts: np.ndarray, value: float) -> float:
 @pytest.mark.parametrize("shift", [0.0, 0.7, 3.0, 20.0])
 @pytest.mark.parametrize("spread", [0.1, 1.0])
 def test_against_the_integral_over_real_frequencies(shift: float, spread: float) -> None:
-    """Use forms from nearly Gaussian to far from it, on both sides of the mean and at the mean."""
+    """From nearly Gaussian to strongly skewed, on both sides of the mean and at it."""
     rng = np.random.default_rng(3)
     weights, shifts = np.exp(spread * rng.normal(size=12)), shift * rng.normal(size=12)
     one = QuadraticDistribution(weights, shifts, 0.0)
@@ -69,7 +69,7 @@ def test_against_the_integral_over_real_frequencies(shift: float, spread: float)
 
 
 def test_two_different_weights_against_the_convolution() -> None:
-    """Compare P(a x² + b y² ≤ q) with a plain integral over x."""
+    """Compare with P(a x² + b y² ≤ q) as an integral over x."""
     a, b, q = 2.0, 0.3, 1.7
     x = np.linspace(0.0, np.sqrt(q / a), 200_001)
     inner = stats.norm.pdf(x) * (2.0 * stats.norm.cdf(np.sqrt(np.maximum(q - a * x**2, 0.0) / b)) - 1.0)
@@ -88,7 +88,7 @@ def test_many_weights_against_sampling(spread: float) -> None:
 
 
 def test_a_form_of_correlated_variables_against_sampling() -> None:
-    """Use a fixed field, a mean, correlation, and a direction without uncertainty."""
+    """With a fixed field, a mean, correlation, and one direction without uncertainty."""
     rng = np.random.default_rng(9)
     columns, fixed = rng.normal(size=(30, 6)), rng.normal(size=30)
     factor = rng.normal(size=(6, 6))
@@ -148,7 +148,7 @@ def test_an_impossible_covariance_is_refused(covariance: np.ndarray, message: st
 
 
 def test_a_singular_covariance_is_one_all_the_same() -> None:
-    """Use mm and rad: a direction without uncertainty, and variances 10¹² apart."""
+    """Mixed mm and rad: one direction has no uncertainty, and variances differ by 10¹²."""
     covariance = np.diag([1.0, 0.0, 1e-12])
     covariance[0, 2] = covariance[2, 0] = 1e-6
     factor = covariance_factor(covariance)
@@ -176,7 +176,7 @@ def estimated(misfit_mm: float) -> Estimate:
 
 
 def drawn_fields(estimate: Estimate, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return fields (count, 3n) of possible machines, and of the same minus the compensation model, point by point."""
+    """Return random fields (count, 3n) of possible machines, and the same less the compensation model."""
     beside = 0.0 if estimate.misfit is None else np.sqrt(estimate.misfit.unresolved_mm2)
     basis = deviation_basis(estimate.model, GRID, TOOL).reshape(3 * len(GRID), -1)
     mean, covariance, columns = estimate.parameters, estimate.covariance, basis
@@ -204,7 +204,7 @@ def aligned(fields: np.ndarray) -> np.ndarray:
 
 
 def with_one_scale(estimate: Estimate) -> Estimate:
-    """Return the form without alternative scales and without misfit too short in wavelength for the modes."""
+    """Return the estimate without alternative scales and without unresolved misfit."""
     misfit = estimate.misfit and replace(estimate.misfit, unresolved_mm2=0.0)
     return replace(estimate, alternatives=(), misfit=misfit)
 

@@ -1,4 +1,4 @@
-"""A mixture of quadratic forms compared with samples drawn from it."""
+"""Mixture of quadratic forms against sampling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One estimate from several tool offsets: the information gained, and the value of the table of each tool."""
+"""One estimate from several tool offsets: its rank, and the benefit of the table of each tool."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def truth(seed: int) -> np.ndarray:
 
 @cache
 def estimate(seed: int, *names: str) -> Estimate:
-    """Return the estimate with every position placed anew for every tool, as manual tool changes require."""
+    """Identify with every position replanned for every tool, as for a manual tool change."""
     tools = tuple(TOOLS[name] for name in names)
     errors = truth(seed)
     seen = measured(
@@ -47,7 +47,7 @@ def estimate(seed: int, *names: str) -> Estimate:
 
 
 def true_errors(seed: int, one: Estimate, tool: np.ndarray) -> tuple[float, float]:
-    """Return the aligned VE in µm of the true machine with a tool, without and with the active table for that tool."""
+    """Return the aligned VE in µm of the true machine with a tool, without and with the table for that tool."""
     table = build_table(MODEL, one.parameters, NODES, tool, Anchor(np.zeros(3)), GRID)
     assert table.tool_offset.tolist() == tool.tolist()
     command = GRID + table.at(GRID)
@@ -62,7 +62,8 @@ def sigma_share(one: Estimate, error: str) -> np.ndarray:
 
 
 def test_rank_rises_with_each_tool_to_all_that_the_field_shows() -> None:
-    """Check 72 parameters: b0 and c0, which would make 74, are off; two tool lengths would make c0 observable."""
+    """The model has 72 parameters: b0 and c0, which would make it 74, are off; of these, two lengths would reveal only
+    c0."""
     for names, rank in ((("straight",), 56), (("straight", "longer"), 64), (tuple(TOOLS), 72)):
         one = estimate(0, *names)
         offsets = np.array([TOOLS[name] for name in names])

@@ -1,4 +1,4 @@
-"""Simulated procedures compared with plain loops over the documented machine, the pose of the mount, and a grid."""
+"""Simulated procedures against plain loops over the documented machine, the mount's pose, and a grid."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def deflection() -> DeflectionGrid:
 
 
 def quiet(order: int = 5, chain: str = CHAINS[0], **changes: object) -> TruthAssumptions:
-    """Return machines with no other error sources."""
+    """Return machines without any other influence."""
     family = family_from_amplitudes(model(order, chain), AMPLITUDES)
     silent = {"touch_noise": False, "certificate": False, "cte": False}
     return TruthAssumptions(family, **{**silent, **changes})  # type: ignore[arg-type]
@@ -126,7 +126,7 @@ class TestTruth:
 class TestWhereBallsAreFound:
     @pytest.mark.parametrize("chain", CHAINS)
     def test_the_tool_point_is_at_the_ball_by_plain_matrices(self, chain: str) -> None:
-        """Check X + t + d(X) = ball, with d by a loop over 4x4 matrices written from the documentation."""
+        """Check X + t + d(X) = ball, with d from a loop over 4x4 matrices written from the documentation."""
         artefact = bar()
         plan = planned_for(artefact).observations
         assumptions = quiet(7, chain)
@@ -155,7 +155,7 @@ class TestWhereBallsAreFound:
     def test_warmth_and_gravity_move_balls_as_in_the_pose_of_the_mount(
         self, tilt_deg: float, elevation_deg: float
     ) -> None:
-        """Include a straight bar, whose roll no fit of its balls determines."""
+        """Includes a straight bar, whose roll no fit of its balls can determine."""
         artefact = bar(tilt_deg, sag_mm=0.05)
         plan = planned_for(artefact, ((20.0, elevation_deg), (110.0, elevation_deg)))
         warm = perfect(artefact_temperature_c=26.0)
@@ -182,12 +182,12 @@ class TestWhereBallsAreFound:
 
 
 class TestChance:
-    """Random contributions have the stated standard deviations over many draws; perfect machines leave nothing else."""
+    """Over many draws every influence has its stated standard deviation; perfect machines show no other error."""
 
     RUNS = 700
 
     def found(self, assumptions: TruthAssumptions, artefact: Artefact | None = None) -> np.ndarray:
-        """Return found minus planned, (runs, n, 3)."""
+        """Return measured less planned positions (runs, n, 3)."""
         artefact = artefact or bar()
         plan = planned_for(artefact, ((0.0, 0.0), (45.0, 0.0))).observations
         truth, source = TrueMachine(None, np.zeros(0), TOOL, None), rng(3)
@@ -269,7 +269,7 @@ class TestChance:
 
 
 class TestWhatIsLeft:
-    """Quadratic forms compared with the exact machine of order 7 with deflection, point by point on a grid."""
+    """Quadratic forms against the exact machine of order 7 with deflection, point by point on a grid."""
 
     @pytest.mark.parametrize("chain", CHAINS)
     def test_it_is_the_exact_field_less_the_compensation_to_nanometres(self, chain: str) -> None:

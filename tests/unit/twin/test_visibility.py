@@ -1,4 +1,4 @@
-"""Observability of a set-up, compared with machines actually identified and a Jacobian of plain 4x4 matrices."""
+"""Identifiability of a set-up, against machines that are really identified and a Jacobian of plain 4x4 matrices."""
 
 from __future__ import annotations
 
@@ -62,9 +62,7 @@ def seen_by(one: SetUp, tools: tuple[np.ndarray, ...] = (TOOL, LONGER, LATERAL))
 class TestRank:
     @staticmethod
     def plain_rank(model: ErrorModel, scale: np.ndarray, tools: list[np.ndarray]) -> int:
-        """Return the rank of the field at scattered points without rigid motions, by finite differences of the plain
-        loop.
-        """
+        """Return the rank of the field at scattered points without rigid motions, by differences of the plain loop."""
         points = np.random.default_rng(3).uniform(*np.array(RANGES).T, (28, 3))
         reached = np.concatenate([points + tool for tool in tools])
         columns = []
@@ -90,9 +88,9 @@ class TestRank:
 class TestUnseenField:
     @pytest.mark.parametrize("formulation", ["centres", "distances"])
     def test_is_what_an_identified_machine_keeps(self, formulation: str) -> None:
-        """Offset every parameter once by its prior standard deviation, measure without noise and identify.
+        """Each parameter in turn is off by its prior standard deviation, measured without noise and identified.
 
-        The parts that the estimate does not follow add in squares, since the parameters of a drawn machine are
+        The parts that the estimate does not follow add up in squares, since the parameters of a random machine are
         independent.
         """
         one = set_up("S1+S3", order=2, formulation=formulation)
@@ -122,9 +120,9 @@ class TestUnseenField:
         np.testing.assert_allclose(unseen[-1], blind, rtol=1e-2)
 
     def test_blind_at_another_tool_is_what_turns_about_the_tool_do_there(self) -> None:
-        """Draw the family's rms of the errors that one straight probe does not determine.
+        """Compare with the rms, over random machines, of the errors that one straight probe cannot determine.
 
-        At a lateral stylus these are EBY and EBZ, and with either tool the errors that the straight one cannot
+        At a lateral stylus these are EBY and EBZ; with either tool, also the errors that the straight one cannot
         separate.
         """
         one = set_up("S3")
@@ -242,9 +240,7 @@ def lateral_names() -> set[str]:
 
 
 def identified(one: SetUp, truth: np.ndarray) -> Estimate:
-    """Identify from the axis positions at which the machine with errors `truth` (p,) would find the balls of
-    the plan.
-    """
+    """Identify from the points at which the machine with errors `truth` (p,) would find the planned balls."""
     planned = one.plan().observations
     at = planned.axis_positions.copy()
     for _ in range(3):
