@@ -21,7 +21,7 @@ INTERRUPT_SLICE_S = 0.05
 
 
 class Clock(Protocol):
-    """Machine time in seconds since an arbitrary start; it never goes back."""
+    """Clock of machine time, in seconds since an arbitrary start; the time never decreases."""
 
     def now(self) -> float: ...
 

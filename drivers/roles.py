@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
-"""Shape (3,), mm: X, Y, Z."""
+"""Axis positions X, Y, Z, shape (3,), mm."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class StoreLimits:
 
 @runtime_checkable
 class Machine(Protocol):
-    """Three linear axes under a controller."""
+    """Machine with three linear axes under a controller."""
 
     def limits(self) -> AxisLimits: ...
 
@@ -178,7 +178,7 @@ class StepTracing(Protocol):
 
 @runtime_checkable
 class Probe(Protocol):
-    """A touch-trigger probe in the spindle."""
+    """Touch-trigger probe in the spindle."""
 
     def probe_status(self) -> ProbeStatus: ...
 

@@ -117,8 +117,8 @@ def _monitoring(drive: Drive) -> Iterator[Line]:
     yield True, f"heartbeat every {period_ms} ms" if period_ms else "heartbeat off (it is set when the mount opens)"
     watched = drive.node.read_optional(objects.WATCHED_HEARTBEAT) or 0
     if watched & 0xFFFF:
-        whose = f"of node {watched >> 16 & 0x7F} every {watched & 0xFFFF} ms (0x1016:01)"
-        yield False, f"the drive expects a heartbeat {whose}, which volcal does not send: it would fault"
+        source = f"of node {watched >> 16 & 0x7F} every {watched & 0xFFFF} ms (0x1016:01)"
+        yield False, f"the drive expects a heartbeat {source}, which volcal does not send: it would fault"
 
 
 def _hexadecimal(name: str, value: int | None) -> str:

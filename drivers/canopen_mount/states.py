@@ -37,9 +37,9 @@ WARNING = 1 << 7
 TARGET_REACHED = 1 << 10
 INTERNAL_LIMIT = 1 << 11
 SET_POINT_ACKNOWLEDGE = 1 << 12
-"""In homing mode: homing attained."""
+"""Set-point acknowledge in profile position mode; homing attained in homing mode."""
 FOLLOWING_ERROR = 1 << 13
-"""In homing mode: homing error."""
+"""Following error in profile position mode; homing error in homing mode."""
 
 DISABLE_VOLTAGE = 0x0000
 QUICK_STOP = 0x0002
@@ -49,7 +49,7 @@ ENABLE_OPERATION = 0x000F
 FAULT_RESET = 0x0080
 """Fault reset on the rising edge of bit 7; a controlword with bit 7 clear is written before it."""
 NEW_SET_POINT = ENABLE_OPERATION | 0x0030
-"""Bit 4 new set-point, bit 5 change set immediately, bit 6 clear: absolute."""
+"""Controlword of a new set-point: bit 4 new set-point, bit 5 change set immediately, bit 6 clear for absolute."""
 START_HOMING = ENABLE_OPERATION | 0x0010
 
 
@@ -71,7 +71,7 @@ ENABLE_TRANSITIONS: dict[DriveState, StateTransition] = {
     DriveState.READY: StateTransition((SWITCH_ON,), DriveState.SWITCHED_ON, 3.0),
     DriveState.SWITCHED_ON: StateTransition((ENABLE_OPERATION,), DriveState.OPERATION_ENABLED, 3.0),
 }
-"""CiA 402 transitions 1, 14, 15, 12, 2, 3, 4. Time-outs: power stages and brakes take the seconds."""
+"""CiA 402 transitions 1, 14, 15, 12, 2, 3, 4. The time limits of seconds allow for power stages and brakes."""
 
 
 def drive_state(statusword: int) -> DriveState | None:

@@ -16,7 +16,7 @@ SLOW_MM_PER_S = 50.0
 
 
 class MachineContract:
-    def test_plays_the_role(self, rig: ContractRig) -> None:
+    def test_implements_the_role(self, rig: ContractRig) -> None:
         assert isinstance(rig.machine, Machine)
 
     def test_move_reaches_its_target(self, rig: ContractRig) -> None:
@@ -67,7 +67,7 @@ class MachineContract:
 
 
 class ProbeContract:
-    def test_plays_the_role(self, rig: ContractRig) -> None:
+    def test_implements_the_role(self, rig: ContractRig) -> None:
         assert isinstance(rig.probe, Probe)
 
     def test_touch_is_the_trip_position_not_the_stop_position(self, rig: ContractRig) -> None:
@@ -107,7 +107,7 @@ class ProbeContract:
 
 
 class RotaryMountContract:
-    def test_plays_the_role(self, rig: ContractRig) -> None:
+    def test_implements_the_role(self, rig: ContractRig) -> None:
         assert isinstance(rig.mount, RotaryMount)
 
     def test_turn_reaches_its_target(self, rig: ContractRig) -> None:

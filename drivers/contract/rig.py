@@ -69,7 +69,7 @@ class ContractRig(ABC):
     def approach(self) -> Vector:
         """Move the tip in front of the obstacle and return a target inside it, straight ahead along +Y.
 
-        The path along +Y up to the obstacle is free for about 25 mm, at least 5 mm.
+        The path along +Y to the obstacle must be free over at least 5 mm; 25 mm is usual.
         """
 
     @abstractmethod

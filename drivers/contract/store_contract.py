@@ -14,7 +14,7 @@ from drivers.roles import CompensationStore, TableImage, Thermometer
 class CompensationStoreContract:
     """Contract of a store with empty banks and immediate activation."""
 
-    def test_plays_the_role(self, rig: ContractRig) -> None:
+    def test_implements_the_role(self, rig: ContractRig) -> None:
         assert isinstance(rig.store, CompensationStore)
         assert set(rig.store.store_limits().banks) >= {1, 2}
 

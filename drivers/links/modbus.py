@@ -18,10 +18,10 @@ _EXCEPTIONS = {
     1: ("illegal function", "the controller does not support this function; see section 1 of the register map"),
     2: ("illegal register address", "compare the register addresses in the configuration with the controller's"),
     3: ("illegal value or count", "the controller accepts only shorter requests than the register map requires"),
-    4: ("device failure", "see the controller"),
-    5: ("acknowledge, long operation", "the register map has no long operations; see the controller"),
-    7: ("negative acknowledge", "see the controller"),
-    8: ("memory parity error", "see the controller"),
+    4: ("device failure", "check the controller"),
+    5: ("acknowledge, long operation", "the register map has no long operations; check the controller"),
+    7: ("negative acknowledge", "check the controller"),
+    8: ("memory parity error", "check the controller"),
     10: ("gateway path unavailable", "check the gateway between here and the controller"),
     11: ("gateway target does not answer", "check the unit id, and the line behind the gateway"),
 }
@@ -191,5 +191,5 @@ class ModbusLink:
         return answer[1:]
 
     def _exception_error(self, code: int, register: int) -> ProtocolError:
-        name, hint = _EXCEPTIONS.get(code, ("unknown", "see the controller"))
+        name, hint = _EXCEPTIONS.get(code, ("unknown", "check the controller"))
         return ProtocolError(f"Modbus exception {code}, {name}", hint=hint, register=register, **self.where)

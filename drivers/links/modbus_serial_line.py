@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 FAST_BAUD = 19200
 FAST_GAP_S = 0.00175
-"""Above 19200 baud the standard recommends fixed times: 1.75 ms between frames."""
+"""Gap between frames above 19200 baud, where the standard recommends a fixed time of 1.75 ms."""
 
 ADDRESS_AND_CRC = 3
 SHORTEST_FRAME = 4

@@ -29,7 +29,7 @@ class Transport(Protocol):
     def ask(self, request: bytes) -> bytes:
         """Send `request` and return its answer, both from the function code on.
 
-        An exception response is an answer. Raises `LinkLost`, `LinkTimeout`, `DamagedFrame`, `ProtocolError`.
+        An exception response counts as an answer. Raises `LinkLost`, `LinkTimeout`, `DamagedFrame`, `ProtocolError`.
         """
         ...
 

@@ -178,7 +178,7 @@ class BridgeLink:
                 left_s = ends_s - wall_seconds()
                 if left_s <= 0.0 or not readable.select(left_s):
                     self._unresponsive = True
-                    raise LinkTimeout(f"no answer within {self._within_s:g} s", hint="see LinuxCNC", **self.where)
+                    raise LinkTimeout(f"no answer within {self._within_s:g} s", hint="check LinuxCNC", **self.where)
                 chunk = os.read(bridge.process.stdout.fileno(), 65536)
                 if not chunk:
                     raise self._ended()

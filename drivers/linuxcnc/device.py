@@ -104,7 +104,7 @@ class LinuxCnc:
         self._session.link.ask("resume")
 
     def reset(self) -> None:
-        """Switch the machine on again after a fault. CommandRejected in an emergency stop."""
+        """Switch the machine on again after a fault. Raises CommandRejected in an emergency stop."""
         self._open.motion.reset()
 
     def stop(self) -> None:

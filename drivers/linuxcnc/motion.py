@@ -129,7 +129,7 @@ class LinuxCncMotion:
         session = self._session
         deadline = Deadline.after(session.clock, session.settings.motion_margin_s)
         while session.read_snapshot().state is MotionState.MOVING:
-            deadline.raise_if_expired("the axes to come to rest", hint="see LinuxCNC", **session.where)
+            deadline.raise_if_expired("the axes to come to rest", hint="check LinuxCNC", **session.where)
             session.clock.sleep(REST_POLL_S)
         self._braking = False
 
@@ -229,9 +229,10 @@ class LinuxCncMotion:
     def _wait(
         self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
     ) -> tuple[Snapshot, tuple[str, ...]]:
-        """Return the snapshot with the axes at rest, with the outcome of the motion, and LinuxCNC's messages.
+        """Wait for the end of a motion; return the snapshot with the axes at rest, and LinuxCNC's messages.
 
-        The outcome is that at the end of the motion: after a trip LinuxCNC ends the move while the axes still brake.
+        The outcome in the snapshot is the one at the end of the motion, since after a trip LinuxCNC ends the move while
+        the axes are still braking.
         """
         session, clock, settings = self._session, self._session.clock, self._session.settings
         allowed_s = self._allowed_s(before, target, feed_mm_per_s)
@@ -253,7 +254,7 @@ class LinuxCncMotion:
                 deadline = Deadline.after(clock, allowed_s)
             else:
                 held = None
-                deadline.raise_if_expired(f"the end of a {kind.value}", hint="see LinuxCNC", **session.where)
+                deadline.raise_if_expired(f"the end of a {kind.value}", hint="check LinuxCNC", **session.where)
             clock.sleep(settings.poll_interval_s)
 
     def _late_messages(self, ended: Snapshot, messages: tuple[str, ...]) -> tuple[str, ...]:

@@ -94,8 +94,8 @@ class LinuxCncSession:
                 if snapshot.homed and not snapshot.homing:
                     return
                 if messages and not snapshot.homing:
-                    raise CommandRejected(f"homing failed: {'; '.join(messages)}", hint="see LinuxCNC", **self.where)
-                deadline.raise_if_expired("the joints to be homed", hint="see LinuxCNC", **self.where)
+                    raise CommandRejected(f"homing failed: {'; '.join(messages)}", hint="check LinuxCNC", **self.where)
+                deadline.raise_if_expired("the joints to be homed", hint="check LinuxCNC", **self.where)
                 self.clock.sleep(self.settings.poll_interval_s)
         except BaseException:
             if self.link.connected:
@@ -137,5 +137,5 @@ class LinuxCncSession:
         except ValueError:
             value = math.nan
         if not 0.0 < value < math.inf:
-            raise ProtocolError(f"LinuxCNC states {place} as {reported!r}", hint="see its INI file", **self.where)
+            raise ProtocolError(f"LinuxCNC states {place} as {reported!r}", hint="check its INI file", **self.where)
         return value

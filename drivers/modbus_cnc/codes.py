@@ -11,7 +11,7 @@ MAJOR_VERSION = 1
 
 
 class CommandCode(IntEnum):
-    """Command codes."""
+    """Codes of the commands in the command block."""
 
     MOVE_RAPID = 11
     MOVE_FEED = 12
@@ -80,7 +80,7 @@ FAULTS = {
     8: "a permission was lost while moving",
     9: "probe lost while moving",
     10: "collision or overload detected",
-    99: "fault; see the controller's own alarm",
+    99: "fault; check the controller's own alarm",
 }
 PERMISSION_FAULTS = (7, 8)
 

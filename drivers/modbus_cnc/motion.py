@@ -85,7 +85,9 @@ class ModbusMotion:
         session = self._session
         deadline = Deadline.after(session.clock, session.settings.motion_margin_s)
         while _is_under_way(session.poll()):
-            deadline.raise_if_expired("the axes to come to rest after STOP", hint="see the controller", **session.where)
+            deadline.raise_if_expired(
+                "the axes to come to rest after STOP", hint="check the controller", **session.where
+            )
             session.clock.sleep(session.settings.fine_poll_interval_s)
         self._braking = False
 
@@ -118,7 +120,7 @@ class ModbusMotion:
                 pause_s = slice_s
             else:
                 held_deadline = None
-                deadline.raise_if_expired(f"the end of {code.label}", hint="see the controller", **session.where)
+                deadline.raise_if_expired(f"the end of {code.label}", hint="check the controller", **session.where)
                 pause_s = _equal_slice_s(end_s - clock.now(), slice_s)
                 if pause_s < fine_s:
                     pause_s, fine_s = fine_s, min(1.5 * fine_s, COARSEST_FINE_POLL_S, slice_s)

@@ -68,7 +68,7 @@ class MotionControl:
         status = self.read_status()
         while self._stopping:
             deadline.raise_if_expired(
-                "the axes to rest after a stop", hint="see the controller", **self._conversation.where
+                "the axes to rest after a stop", hint="check the controller", **self._conversation.where
             )
             self._clock.sleep(CLOSE_POLL_S)
             status = self.read_status()

@@ -19,7 +19,7 @@ STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
 NEEDED = (REPORT_MASK, REPORT_INCHES, SOFT_LIMITS, HOMING, *(b + a for b in (100, 110, 120, 130) for a in range(3)))
 
 ALWAYS_ON_MS = 255
-FINEST_STEP_MM = 0.0011
+COARSEST_STEP_MM = 0.0011
 """Coarsest acceptable step in mm: a latched position is a whole number of steps, reported with three decimals."""
 HAL_FIELDS = {1: "machine position", 16: "input pins", 32: "work offset", 128: "probe result"}
 HAL_ORIGIN_AT_HOME = 8
@@ -141,7 +141,7 @@ class ControllerSettings:
     def _steps(self) -> DiagnosticFinding:
         sizes = [self.step_mm(axis) if self.values[STEPS + axis] > 0.0 else math.inf for axis in range(3)]
         text = ", ".join(f"{axis} {1e3 * size:.3g} µm" for axis, size in zip(AXES, sizes, strict=True))
-        fine = max(sizes) <= FINEST_STEP_MM
+        fine = max(sizes) <= COARSEST_STEP_MM
         return DiagnosticFinding(
             "steps", ok=fine, text=text if fine else f"{text}: limits the resolution of a touch ($100 to $102)"
         )

@@ -275,9 +275,9 @@ class Conversation:
         if not self._pending:
             if not self._synchronised:
                 return  # answer to a line of a previous user
-            said = "ok" if answer.error is None else f"error:{answer.error}"
+            text = "ok" if answer.error is None else f"error:{answer.error}"
             raise ProtocolError(
-                f"{said!r} from the controller, but no line waits for an answer",
+                f"{text!r} from the controller, but no line waits for an answer",
                 hint="an answer came twice, or another program uses this line",
                 **self.where,
             )

@@ -20,7 +20,7 @@ class GarbledLineError(ValueError):
 
 @dataclass(frozen=True)
 class AnswerLine:
-    """`ok`, or `error:n`: exactly one answer for each line sent."""
+    """Answer `ok` or `error:n`; there is exactly one for each line sent."""
 
     error: int | None
 
@@ -54,7 +54,7 @@ class AlarmLine:
 
 @dataclass(frozen=True)
 class ProbeResult:
-    """`[PRB:x,y,z:1]`, machine coordinates."""
+    """Probe result `[PRB:x,y,z:1]`, in machine coordinates."""
 
     position: Triple
     tripped: bool
@@ -76,7 +76,7 @@ class MessageLine:
 
 @dataclass(frozen=True)
 class SettingLine:
-    """`$number=text`."""
+    """Setting in the form `$number=text`."""
 
     number: int
     text: str

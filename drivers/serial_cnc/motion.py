@@ -146,7 +146,7 @@ class SerialMotion:
             else:
                 held = None
                 schedule.deadline.raise_if_expired(
-                    f"the end of a {order.what}", hint="see the controller", **self.where
+                    f"the end of a {order.what}", hint="check the controller", **self.where
                 )
                 idle = idle + 1 if status.state is MotionState.IDLE and schedule.past_predicted_end else 0
                 self._require_answer(idle, ticket)
@@ -173,7 +173,7 @@ class SerialMotion:
         if status.alarm == PROBE_PROTECTED_ALARM:
             self._control.unlock()
             raise GuardTripped(f"the probe tripped in a {what}", hint="check what the probe touched", **self.where)
-        raise MotionFault(f"{what} ended in an alarm: {status.fault}", hint="see the controller", **self.where)
+        raise MotionFault(f"{what} ended in an alarm: {status.fault}", hint="check the controller", **self.where)
 
     def _require_resumed(self, held: Deadline, status: TrackedStatus) -> None:
         if not status.permissions[Permission.DOORS_CLOSED]:

@@ -1,4 +1,4 @@
-"""The same ideal machine played in this process, and behind Modbus TCP, CANopen and the control channel."""
+"""Rigs with the same ideal machine: in this process, and behind Modbus TCP, CANopen and the control channel."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from simulators.world.world import World
 SCENARIO = Path(__file__).resolve().parents[2] / "config" / "simulators" / "case-study.toml"
 TOOL = np.array([0.0, 250.0, 0.0])
 REACH = 15.5
-"""Radius of the ball and of the tip together."""
+"""Sum of the radii of the ball and the tip."""
 ANY = ("127.0.0.1", 0)
 MORE_OPTIONS: dict[str, dict[str, Any]] = {"serial": {"stated_temperatures_c": {"artefact": 20.0}}}
 channels = itertools.count()
 
 
 @dataclass
-class Played(ContractRig):
-    """Every role of one machine. `world` is only looked at."""
+class SimulatedRig(ContractRig):
+    """Rig with every role of one machine. The tests only read `world`."""
 
     outside_mm = ((4000.1, 0.0, 0.0), (0.0, -0.1, 0.0), (0.0, 0.0, 1e9))
     clear_of_mount_mm = (2900.0, 0.0, 750.0)
@@ -48,14 +48,14 @@ class Played(ContractRig):
     interrupt: Interrupt
     world: World
     resolution_mm: float = 1e-5
-    """To which positions travel on the link."""
+    """Resolution of positions on the link, mm."""
 
     def ball(self, number: int) -> np.ndarray:
-        """(3,): axis positions at which the tip of this perfect machine would be in the middle of the ball."""
+        """Return the axis positions, shape (3,), that would put the tip of this ideal machine at the ball's centre."""
         return np.array(self.world.workpiece.snapshot(self.world.now).balls[number]) - TOOL
 
     def before(self, number: int, distance_mm: float = 25.0) -> np.ndarray:
-        """Bring the tip in front of the ball, coming along +Y; returns the ball's axis position."""
+        """Move the tip in front of the ball, on its -Y side, and return the ball's axis position."""
         centre = self.ball(number)
         self.machine.move_to(np.array([centre[0], 0.0, centre[2]]), feed_mm_per_s=None, guarded=True)
         self.machine.move_to(centre - [0.0, distance_mm, 0.0], feed_mm_per_s=None, guarded=True)
@@ -69,29 +69,29 @@ class Played(ContractRig):
 
 
 @contextmanager
-def in_process() -> Iterator[Played]:
+def in_process() -> Iterator[SimulatedRig]:
     clock = VirtualClock()
     interrupt = Interrupt(clock)
     watched = InterruptibleClock(clock, interrupt.check)
     world = World(read_scenario(SCENARIO).without_errors())
     device = SimulatedMachineDevice(world, watched)
     device.open()
-    yield Played(*[device] * 6, watched, interrupt, world)  # type: ignore[arg-type]
+    yield SimulatedRig(*[device] * 6, watched, interrupt, world)  # type: ignore[arg-type]
     device.close()
 
 
-def over_rtu() -> AbstractContextManager[Played]:
-    """The controller on a pseudo-terminal, at the standard's 19200 baud, 8E1."""
+def over_rtu() -> AbstractContextManager[SimulatedRig]:
+    """Return a rig with Modbus RTU on a pseudo-terminal, at the standard's 19200 baud, 8E1."""
     return on_wires(modbus_rtu=LineSettings())
 
 
-def over_serial() -> AbstractContextManager[Played]:
-    """GRBL on a pseudo-terminal: whole steps of a micrometre, tables in files, a stated temperature."""
+def over_serial() -> AbstractContextManager[SimulatedRig]:
+    """Return a rig with GRBL on a pseudo-terminal: steps of one micrometre, tables in files, a stated temperature."""
     return on_wires("serial", 1.1e-3, serial="any")
 
 
 @contextmanager
-def on_wires(cnc_link: str = "modbus", resolution_mm: float = 1e-5, **links: Any) -> Iterator[Played]:
+def on_wires(cnc_link: str = "modbus", resolution_mm: float = 1e-5, **links: Any) -> Iterator[SimulatedRig]:
     links = {"can": f"virtual:contract-{next(channels)}", **links}
     machine = WiredMachine(read_scenario(SCENARIO).without_errors(), Links(ANY, ANY, **links))
     machine.start()
@@ -113,7 +113,7 @@ def on_wires(cnc_link: str = "modbus", resolution_mm: float = 1e-5, **links: Any
             opened[name].open()
         cnc = opened["cnc"]
         roles = (cnc, cnc, opened["mount"], cnc, cnc, opened["operator"])
-        yield Played(*roles, watched, interrupt, machine.world, resolution_mm)
+        yield SimulatedRig(*roles, watched, interrupt, machine.world, resolution_mm)
     finally:
         for device in reversed(opened.values()):
             device.close()

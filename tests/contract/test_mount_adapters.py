@@ -1,4 +1,4 @@
-"""The mount's part of the contract, over each kind of CAN adapter: the bus is another, the mount must not be."""
+"""Contract tests of the mount over each kind of CAN adapter: its behaviour must not depend on the adapter."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from aloud import NOT_HERE
-from rigs import Played, on_wires
+from rigs import SimulatedRig, on_wires
 from test_roles import TestRotaryMount
 
 from simulators.wire.can.channel import multicast_works
@@ -36,7 +36,7 @@ def _no_interface() -> str:
 
 
 @pytest.fixture(params=[*NEEDS_NOTHING, MULTICAST, KERNEL], ids=lambda channel: channel.partition(":")[0])
-def rig(request: pytest.FixtureRequest) -> Iterator[Played]:
+def rig(request: pytest.FixtureRequest) -> Iterator[SimulatedRig]:
     require(request.param)
     with on_wires(can=request.param) as machine:
         yield machine

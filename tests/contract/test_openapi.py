@@ -1,4 +1,4 @@
-"""The committed description of the HTTP interface is that of the code."""
+"""Tests that the committed description of the HTTP interface matches the code."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from agent.service.http.description import openapi_document
 COMMITTED = Path(__file__).resolve().parents[2] / "docs" / "reference" / "openapi.json"
 
 
-def test_the_committed_document_is_the_applications() -> None:
-    """Written by `python -m agent.service.http.description > docs/reference/openapi.json`."""
+def test_the_committed_document_matches_the_application() -> None:
+    """Regenerate it with `python -m agent.service.http.description > docs/reference/openapi.json`."""
     assert json.loads(COMMITTED.read_text(encoding="utf-8")) == openapi_document()
 
 
-def test_what_moves_or_writes_needs_the_token_and_abort_does_not() -> None:
+def test_commands_need_the_token_except_abort() -> None:
     paths = openapi_document()["paths"]
     posts = {path: entry["post"] for path, entry in paths.items() if "post" in entry}
     guarded = {path for path, entry in posts.items() if entry.get("security")}

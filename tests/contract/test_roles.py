@@ -1,7 +1,7 @@
-"""What every player of a role must do, whoever it is: the plugin in this process, and the drivers on their links.
+"""Contract tests of every role, with the simulator in this process and with the drivers on their links.
 
-The contract itself is `drivers.contract`; here it is run on everything that this house has, with what is known of this
-machine besides.
+The contract itself is in `drivers.contract`; here it runs on all devices of this project, with additional tests for
+this machine.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from rigs import Played, in_process, on_wires, over_rtu, over_serial
+from rigs import SimulatedRig, in_process, on_wires, over_rtu, over_serial
 
 from drivers.contract.motion_contract import MachineContract, ProbeContract, RotaryMountContract
 from drivers.contract.rig import StoppedError
@@ -20,27 +20,27 @@ from drivers.roles import Operator, OperatorRequest, OperatorTask
 @pytest.fixture(
     params=[in_process, on_wires, over_rtu, over_serial], ids=["in-process", "on-wires", "over-rtu", "over-serial"]
 )
-def rig(request: pytest.FixtureRequest) -> Iterator[Played]:
+def rig(request: pytest.FixtureRequest) -> Iterator[SimulatedRig]:
     with request.param() as machine:
         yield machine
 
 
 class TestMachine(MachineContract):
-    def test_limits_are_those_of_the_machine(self, rig: Played) -> None:
+    def test_limits_are_those_of_the_machine(self, rig: SimulatedRig) -> None:
         limits = rig.machine.limits()
         assert (limits.lower_mm, limits.upper_mm) == ((0.0, 0.0, 0.0), (4000.0, 1300.0, 1500.0))
         assert limits.rapid_mm_per_s == pytest.approx((20000.0 / 60.0,) * 3)
 
 
 class TestProbe(ProbeContract):
-    def test_the_axes_go_on_after_the_trip(self, rig: Played) -> None:
+    def test_the_axes_go_on_after_the_trip(self, rig: SimulatedRig) -> None:
         target = rig.approach()
         rig.probe.touch_towards(target, feed_mm_per_s=5.0)
         assert rig.machine.position()[1] > rig.trip_mm(target)[1] + 1e-3
 
 
 class TestRotaryMount(RotaryMountContract):
-    def test_it_stands_where_it_was_stopped(self, rig: Played) -> None:
+    def test_it_stays_where_it_was_stopped(self, rig: SimulatedRig) -> None:
         rig.go(rig.clear_of_mount_mm)
         rig.interrupt.after(1.5)
         with pytest.raises(StoppedError):
@@ -50,16 +50,16 @@ class TestRotaryMount(RotaryMountContract):
 
 
 class TestCompensationStore(CompensationStoreContract):
-    def test_a_count_is_a_tenth_of_a_micrometre(self, rig: Played) -> None:
+    def test_a_count_is_a_tenth_of_a_micrometre(self, rig: SimulatedRig) -> None:
         assert rig.store.store_limits().resolution_mm == pytest.approx(1e-4)
 
 
 class TestThermometer(ThermometerContract):
-    def test_the_artefact_is_at_20_degrees(self, rig: Played) -> None:
+    def test_the_artefact_is_at_20_degrees(self, rig: SimulatedRig) -> None:
         assert rig.thermometer.temperatures_c()["artefact"] == pytest.approx(20.0, abs=0.01)
 
 
-def test_operator_carries_the_artefact(rig: Played) -> None:
+def test_operator_carries_the_artefact(rig: SimulatedRig) -> None:
     assert isinstance(rig.operator, Operator)
     assert rig.operator.ask(OperatorRequest(OperatorTask.MOVE_ARTEFACT, "to 3", 3))
     assert rig.world.workpiece.station == 3

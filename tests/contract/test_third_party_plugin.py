@@ -1,5 +1,5 @@
-"""A driver of a third party: a package of its own, installed where nothing of it was, found, configured, examined and
-put through the contract. Nothing in this repository knows its name but the example itself."""
+"""Tests of a third-party driver in a package of its own: it is installed, found, configured, diagnosed and contract-
+tested. Apart from the example itself, nothing in this repository knows its name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.timeout(100)
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory that the example was installed into; no index is asked, nothing is downloaded."""
+    """Directory into which the example is installed, without a package index or a download."""
     if int(version("setuptools").split(".")[0]) < 77:
         pytest.skip(f"{NOT_HERE}: the example plugin, built and installed: setuptools 77 or later is missing")
     place = tmp_path_factory.mktemp("third-party")
@@ -50,7 +50,7 @@ def run(installed: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[
 
 @pytest.fixture
 def controller(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """The pretended controller of the example's own tests."""
+    """Simulated controller from the example's own tests."""
     monkeypatch.syspath_prepend(str(EXAMPLE / "tests"))
     with closing(importlib.import_module("acme_controller").AcmeController()) as made:
         yield made
@@ -58,7 +58,7 @@ def controller(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 @pytest.fixture
 def settings(tmp_path: Path, controller: Any) -> Path:
-    """The shipped settings with the machine and the probe given to the plugin; tables stay where they were."""
+    """Shipped settings with the roles machine and probe assigned to the plugin; the tables are unchanged."""
     text = (ROOT / "config" / "case-study.toml").read_text(encoding="utf-8")
     plugin = (
         f'[devices.acme]\ndriver = "acme-cnc"\n[devices.acme.options]\nhost = "127.0.0.1"\nport = {controller.port}\n'
@@ -76,7 +76,7 @@ def settings(tmp_path: Path, controller: Any) -> Path:
     return path
 
 
-def test_it_is_found_configured_and_examined(installed: Path, settings: Path, tmp_path: Path) -> None:
+def test_it_is_found_configured_and_diagnosed(installed: Path, settings: Path, tmp_path: Path) -> None:
     ended = run(installed, "agent.cli.main", "doctor", "--config", str(settings), "--json", cwd=tmp_path)
     assert "Traceback" not in ended.stderr
     lines = {line["subject"]: line for line in json.loads(ended.stdout)["acme"]}
@@ -85,7 +85,7 @@ def test_it_is_found_configured_and_examined(installed: Path, settings: Path, tm
     assert lines["permissions"]["text"] == "0 missing"
 
 
-def test_a_wrong_option_of_it_is_told_with_its_key(installed: Path, settings: Path, tmp_path: Path) -> None:
+def test_a_wrong_option_is_reported_with_its_key(installed: Path, settings: Path, tmp_path: Path) -> None:
     settings.write_text(
         settings.read_text(encoding="utf-8").replace("[devices.acme.options]\n", "[devices.acme.options]\nprot = 1\n"),
         encoding="utf-8",
@@ -103,7 +103,7 @@ def test_without_the_package_the_driver_is_unknown(settings: Path, tmp_path: Pat
     assert "unknown driver 'acme-cnc'" in " ".join((ended.stdout + ended.stderr).split())
 
 
-def test_it_keeps_the_contract(installed: Path, tmp_path: Path) -> None:
+def test_it_fulfils_the_contract(installed: Path, tmp_path: Path) -> None:
     tests = shutil.copytree(EXAMPLE / "tests", tmp_path / "tests")
     ended = run(installed, "pytest", "-q", "-p", "no:cacheprovider", str(tests), cwd=tmp_path)
     assert ended.returncode == 0, ended.stdout[-3000:]

@@ -1,4 +1,4 @@
-"""Two mounts on one CAN bus: one link, two pairs of drives, each device answers for its own alone."""
+"""Tests of two mounts on one CAN bus: one link, two pairs of drives, independent devices."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ def mount(ready: dict[str, Any], number: str, clock: Clock) -> CanopenMount:
     return made
 
 
-def test_the_ready_line_says_which_nodes_each_mount_has(both: Both) -> None:
+def test_the_ready_line_lists_the_nodes_of_each_mount(both: Both) -> None:
     assert both.ready["can_nodes"] == {"azimuth": 1, "elevation": 2}
     assert both.ready["can_mounts"] == {"1": {"azimuth": 1, "elevation": 2}, "2": {"azimuth": 3, "elevation": 4}}
 
 
-def test_they_share_one_network_until_the_last_one_closes(both: Both) -> None:
+def test_mounts_share_one_network_until_the_last_one_closes(both: Both) -> None:
     opened = PROCESS_NETWORKS._open
     assert len([address for address in opened if address.channel == both.ready["can"]["channel"]]) == 1
     first, second = both.mounts
@@ -74,7 +74,7 @@ def test_they_share_one_network_until_the_last_one_closes(both: Both) -> None:
     assert not [address for address in opened if address.channel == both.ready["can"]["channel"]]
 
 
-def test_each_turns_its_own_and_leaves_the_other_alone(both: Both) -> None:
+def test_each_mount_turns_independently(both: Both) -> None:
     first, second = both.mounts
     turned = second.orient_to(-30.0, 20.0)
     assert (turned.azimuth_deg, turned.elevation_deg) == pytest.approx((-30.0, 20.0), abs=0.01)
@@ -84,14 +84,14 @@ def test_each_turns_its_own_and_leaves_the_other_alone(both: Both) -> None:
     assert (still.azimuth_deg, still.elevation_deg) == pytest.approx((0.0, 90.0), abs=0.01)
 
 
-def test_stopping_one_does_not_hinder_the_other(both: Both) -> None:
+def test_stopping_one_does_not_affect_the_other(both: Both) -> None:
     first, second = both.mounts
     first.stop()
     assert second.orient_to(5.0, 85.0).elevation_deg == pytest.approx(85.0, abs=0.01)
     assert first.orient_to(5.0, 85.0).elevation_deg == pytest.approx(85.0, abs=0.01)
 
 
-def test_diagnosis_tells_both_drives_of_each(both: Both) -> None:
+def test_diagnosis_covers_both_drives_of_each_mount(both: Both) -> None:
     for one, nodes in zip(both.mounts, ((1, 2), (3, 4)), strict=True):
         findings = one.diagnose()
         assert all(finding.ok for finding in findings)
@@ -108,7 +108,7 @@ def test_a_node_that_another_mount_has_is_refused_when_it_opens(both: Both) -> N
     assert both.mounts[1].orientation().elevation_deg == pytest.approx(90.0, abs=0.01)
 
 
-def test_a_mount_whose_drives_are_dead_does_not_take_the_other_with_it(both: Both) -> None:
+def test_a_mount_with_dead_drives_does_not_affect_the_other(both: Both) -> None:
     silent = create_device(
         "canopen-mount",
         {**both.ready["can"], **drives({"azimuth": 21, "elevation": 22}), "sdo_timeout_s": 0.05},

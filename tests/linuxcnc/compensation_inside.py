@@ -1,6 +1,7 @@
-"""Runs under the system's Python beside a LinuxCNC of its own: line JSON [operation, arguments ...] on stdin/stdout.
+"""Test helper under the system's Python, beside its own LinuxCNC: JSON lines [operation, arguments ...] on stdin.
 
-A helper of the tests with nothing of the driver in it, so that a store is not judged by the driver's own bridge.
+Answers are JSON lines on stdout. It uses no code of the driver, so that a store is tested independently of the
+driver's bridge.
 """
 
 import ctypes
@@ -19,7 +20,7 @@ COUNTS_AT = 24 + 3 * 4 + 3 * 4 + 8 * 8
 
 
 def connected():
-    """Once task answers."""
+    """Connect to LinuxCNC once its task answers."""
     for _ in range(400):
         try:
             status = linuxcnc.stat()
@@ -43,7 +44,7 @@ class Inside:
         hal.set_p(name, str(int(value)) if isinstance(value, bool) else repr(value))
 
     def wait(self, *names_and_values):
-        """Until every pin has its value; whether it came within 5 s."""
+        """Wait up to 5 s until every pin has its value; return True if all have."""
         pairs = list(zip(names_and_values[::2], names_and_values[1::2], strict=True))
         for _ in range(2500):
             if all(hal.get_value(name) == value for name, value in pairs):
@@ -122,7 +123,7 @@ class Inside:
         return [done.returncode, done.stdout + done.stderr]
 
     def start_sampling(self, count, path):
-        """`count` servo periods from now into `path`; one row a period."""
+        """Sample `count` servo periods from now into `path`, one row per period."""
         hal.set_p("sampler.0.enable", "0")
         stale = hal.get_value("sampler.0.curr-depth")
         if stale:
@@ -137,7 +138,7 @@ class Inside:
         return code
 
     def damage_table(self, bank, node):
-        """A stray write into the shared memory, as a broken driver of another device would do."""
+        """Write a wrong value to the shared memory, as a faulty driver of another device could."""
         libc = ctypes.CDLL(None)
         libc.shmat.restype = ctypes.c_void_p
         libc.shmat.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_int]

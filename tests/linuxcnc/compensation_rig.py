@@ -1,4 +1,4 @@
-"""A stock LinuxCNC in namespaces of its own, with one of the three ways to compensate."""
+"""A stock LinuxCNC in its own namespaces, with one of the three compensation methods."""
 
 from __future__ import annotations
 
@@ -120,13 +120,13 @@ UPPER_MM = (800.0, 400.0, 320.0)
 
 
 def built(folder: Path) -> Path:
-    """Modules and the loader, compiled from the sources as a user would."""
+    """Compile the modules and the loader from source, as a user would, and return `folder`."""
     subprocess.run(["make", "-s", "-C", str(COMPONENTS), f"OUT={folder}"], check=True, capture_output=True, timeout=60)
     return folder
 
 
 def why_not() -> str:
-    """Why no LinuxCNC can be run here; empty where one can."""
+    """Return why LinuxCNC cannot run here; an empty string if it can."""
     for program in ("linuxcnc", "halcompile"):
         if shutil.which(program) is None:
             return f"{program} IS NOT INSTALLED: apt-get install linuxcnc-uspace linuxcnc-uspace-dev"
@@ -135,7 +135,7 @@ def why_not() -> str:
 
 
 def machine(work: Path, build: Path, way: str) -> Path:
-    """A directory with INI, HAL and programs for `way`: external-offsets, kinematics or comp-files."""
+    """Create a directory with INI, HAL and programs for `way`: external-offsets, kinematics or comp-files."""
     work.mkdir(mode=0o755)
     shutil.copytree(build, work / "build")
     (work / "tables").mkdir()
@@ -165,11 +165,11 @@ def machine(work: Path, build: Path, way: str) -> Path:
 
 
 class Controller:
-    """A running LinuxCNC. `pins` in the sense of `drivers.linuxcnc.pins` is this object itself."""
+    """Running LinuxCNC; implements `drivers.linuxcnc.pins.Pins`."""
 
     def __init__(self, work: Path) -> None:
         self.work = work
-        # this checkout may lie where the namespace has a /tmp of its own
+        # the checkout may be below /tmp, which is a different directory inside the namespace
         shutil.copy(HERE / "compensation_inside.py", work / "inside.py")
         with (work / "inside.log").open("w") as said:
             self._process = self._started(START.format(work=work), said)
@@ -207,17 +207,17 @@ class Controller:
         return np.array([self.get(f"joint.{n}.motor-pos-cmd") for n in range(3)])
 
     def displayed(self) -> NDArray[np.float64]:
-        """Where the axes are for whoever programs them; LinuxCNC shows it without the external offset."""
+        """Return the programmed axis positions, which LinuxCNC shows without the external offset."""
         return np.array([self.get(f"axis.{a}.pos-cmd") for a in AXES])
 
     def ready(self) -> None:
-        """On and homed."""
+        """Switch the machine on and home it, unless that is done already."""
         if self.get("motion.motion-enabled") and self.get("motion.is-all-homed"):
             return
         assert self("on") and self("home"), self.log()
 
     def at(self, *position_mm: float) -> None:
-        """At rest there; trims and offsets follow with speeds of their own and come a moment later."""
+        """Move to the position and wait for rest; trims and offsets follow at their own speed a moment later."""
         x, y, z = position_mm
         assert self("mdi", f"G53 G0 X{x} Y{y} Z{z}"), self.log()
         assert self("mdi", "G4 P0.05"), self.log()
@@ -226,7 +226,7 @@ class Controller:
         self("start_sampling", count, "/mnt/samples.txt")
 
     def samples(self) -> NDArray[np.float64]:
-        """(count, 9): motor, axis command, external offset; one row a servo period."""
+        """Return the samples, shape (count, 9): motor, axis command, external offset; one row per servo period."""
         assert self("finish_sampling") == 0
         rows = [line.split() for line in (self.work / "samples.txt").read_text().splitlines()]
         return np.array([row for row in rows if len(row) == 9], dtype=float)
@@ -235,7 +235,7 @@ class Controller:
         return (self.work / "linuxcnc.log").read_text()[-3000:]
 
     def kill(self) -> None:
-        """The power goes: every process of the namespace ends at once."""
+        """Kill every process of the namespace at once, as a power cut does."""
         if self._process.poll() is None:
             os.kill(self._process.pid, signal.SIGKILL)
         self._process.wait(10.0)
@@ -254,7 +254,7 @@ class Controller:
 
 
 def trilinear(table: TableImage, position_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The corrections at (n, 3) positions, by hat functions over all nodes: no cells, no corners."""
+    """Return the corrections at positions of shape (n, 3), by hat functions over all nodes instead of cells."""
     hats = []
     for axis in range(3):
         nodes = table.origin_mm[axis] + table.step_mm[axis] * np.arange(table.shape[axis])
@@ -264,7 +264,7 @@ def trilinear(table: TableImage, position_mm: NDArray[np.float64]) -> NDArray[np
 
 
 def smooth_table(seed: int, largest_mm: float = 0.024) -> TableImage:
-    """Waves across the working space, all three axes in all three corrections; not symmetric in anything."""
+    """Return a table of waves across the workspace in which every correction depends on all axes, without symmetry."""
     random = np.random.default_rng(seed)
     shape = (11, 6, 5)
     grid = np.meshgrid(*[np.linspace(0.0, 1.0, count) for count in shape], indexing="ij")

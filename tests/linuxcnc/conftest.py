@@ -1,4 +1,4 @@
-"""What the tests of the driver share: one LinuxCNC for each file of tests."""
+"""Fixtures of the driver tests: one LinuxCNC for each test file."""
 
 from __future__ import annotations
 

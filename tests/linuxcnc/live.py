@@ -1,4 +1,4 @@
-"""A stock LinuxCNC with a plant without errors around it, and the driver that reaches into its namespaces."""
+"""A stock LinuxCNC with an error-free simulated machine around it, and a driver that reaches into its namespaces."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ CONFIG = ROOT / "config"
 SPEED = 5.0
 TOOL = np.array([0.0, 250.0, 0.0])
 PATIENCE = {"answer_within_s": ANSWER_WITHIN_S, "motion_margin_s": 60.0}
-"""The computer may be busy with other tests."""
+"""Generous time limits, since the computer may be busy with other tests."""
 REACH_MM = 15.5
-"""Radius of the ball and of the tip together."""
+"""Sum of the radii of the ball and the tip."""
 
 
 @dataclass
 class Live:
-    """`balls`: axis positions at which the tip of this perfect machine would be in the middle of each ball."""
+    """Running LinuxCNC. `balls` are the axis positions that would put the tip at the centre of each ball."""
 
     process: LinuxCncProcess
     balls: np.ndarray
 
     def device(self, *, interrupt: Any = lambda: None, **options: Any) -> LinuxCnc:
-        """A driver that is not open yet."""
+        """Return a driver that is not yet open."""
         clock = InterruptibleClock(ScaledClock(SPEED), interrupt)
         given = {"bridge_command": self.process.bridge_command, "watch_s": 0.0, **PATIENCE, **options}
         device = create_device("linuxcnc", given, DeviceContext("cnc", clock, self.process.work))
@@ -56,7 +56,7 @@ class Live:
 
     @contextmanager
     def bystander(self, watch_s: float = 0.0) -> Iterator[BridgeLink]:
-        """Somebody else at the same LinuxCNC."""
+        """Open the link of another user to the same LinuxCNC."""
         link = BridgeLink(
             self.process.bridge_command, answer_within_s=ANSWER_WITHIN_S, watch_s=watch_s, device="bystander"
         )
@@ -67,7 +67,7 @@ class Live:
             link.close()
 
     def by_hand(self, *commands: str) -> None:
-        """Commands of the module linuxcnc, as an operator's panel would send them; each has been taken on return."""
+        """Send commands of the module linuxcnc as an operator's panel would, waiting until each has been accepted."""
         lines = [f"c.{command}; c.wait_complete(5)" for command in commands]
         script = "\n".join(("import linuxcnc", "c = linuxcnc.command()", *lines))
         subprocess.run([*self.process.bridge_command, "-c", script], check=True, capture_output=True, timeout=30)

@@ -1,4 +1,4 @@
-"""What tests of this folder need of the computer; where it is missing they are skipped aloud and counted."""
+"""Skip marks for tests that need LinuxCNC; skipped tests are reported and counted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from simulators.linuxcnc.namespaces import unavailable_reason
 
 
 def needing(missing: str) -> pytest.MarkDecorator:
-    """Skipped where something is `missing`; empty: nothing is."""
+    """Return a mark that skips the test, with `missing` as reason, unless `missing` is empty."""
     return pytest.mark.skipif(missing != "", reason=f"{NOT_HERE}: LinuxCNC cannot run: {missing}")
 
 

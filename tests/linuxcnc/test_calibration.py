@@ -1,4 +1,4 @@
-"""The short form of `make linuxcnc`: a stock LinuxCNC calibrated by the real command, one station, few positions."""
+"""Short form of `make linuxcnc`: calibration of a stock LinuxCNC by the real command, one station, few positions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_stock_linuxcnc_is_calibrated_end_to_end(tmp_path: Path) -> None:
     assert result["true_ve_after_um"] < 0.8 * result["true_ve_before_um"], result
 
 
-def test_where_linuxcnc_cannot_run_the_benchmark_says_so(tmp_path: Path) -> None:
+def test_benchmark_reports_that_linuxcnc_cannot_run(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "campaigns.linuxcnc"],
         env={"PATH": str(tmp_path)},

@@ -1,4 +1,4 @@
-"""Banks of screw-compensation files in a stock LinuxCNC that really runs: each joint alone, from start to start."""
+"""Tests of screw-compensation files in a running stock LinuxCNC, which is restarted to activate a bank."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ACCEPTED_UM = 100.0
 
 
 def own_axis_table() -> TableImage:
-    """Corrections of each axis that follow from its own position alone, no two alike."""
+    """Return a table in which the correction of each axis depends only on its own position."""
     counts = np.zeros((9, 6, 5, 3), dtype=np.int32)
     for axis, along in enumerate(([40, -10, 25, 60, 0, -33, 12, 90, 7], [5, 80, -60, 11, 0, 43], [9, 3, -70, 44, 1])):
         shape = [1, 1, 1]
@@ -35,7 +35,7 @@ OWN = own_axis_table()
 
 
 class Rig:
-    """A LinuxCNC that can be started again and again."""
+    """LinuxCNC that can be restarted."""
 
     def __init__(self, work: Path) -> None:
         self.work = work
@@ -55,7 +55,7 @@ class Rig:
         return create_store(settings, self.controller, RealClock(), base_path=self.work, device="linuxcnc")
 
     def shift_at(self, *place_mm: float) -> np.ndarray:
-        """What the motors add once they have come to rest there."""
+        """Move there, and return the correction added to the motors at rest."""
         self.controller.at(*place_mm)
         return self.controller.motor() - np.array([self.controller.get(f"joint.{n}.pos-cmd") for n in range(3)])
 
@@ -70,8 +70,8 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     made.controller.kill()
 
 
-def test_table_acts_from_the_next_start_with_its_sign(rig: Rig) -> None:
-    """Nodes, between nodes, and beyond the ends, where the last value holds."""
+def test_table_is_active_from_the_next_start_with_its_sign(rig: Rig) -> None:
+    """Checked on nodes, between nodes, and beyond the ends, where the last value holds."""
     assert isinstance(rig.store, CompensationStore)
     assert rig.store.store_limits().activation is Activation.POWER_CYCLE
     assert (rig.store.active_bank(), rig.store.pending_bank()) == (0, None)
@@ -89,7 +89,7 @@ def test_table_acts_from_the_next_start_with_its_sign(rig: Rig) -> None:
     assert all(finding.ok for finding in rig.store.diagnose())
 
 
-def test_what_would_be_lost_is_refused_and_said(rig: Rig) -> None:
+def test_table_with_too_large_a_loss_is_refused(rig: Rig) -> None:
     with pytest.raises(StoreError, match=r"\d\d\.\d µm of this table would be lost"):
         rig.store.stage(2, WHOLE)
     assert rig.store.read_table(2) is None
@@ -110,8 +110,8 @@ def test_accepted_loss_leaves_the_mean_along_each_axis(rig: Rig) -> None:
     assert any("have no effect" in finding.text for finding in rig.store.diagnose())
 
 
-def test_acting_and_waiting_banks_are_not_written(rig: Rig) -> None:
-    """After the test before: bank 2 acts; now bank 1 waits."""
+def test_active_and_pending_banks_are_not_written(rig: Rig) -> None:
+    """After the previous test bank 2 is active; here bank 1 becomes pending."""
     rig.store.activate(1)
     for bank in (1, 2):
         with pytest.raises(StoreError, match="active"):
@@ -130,7 +130,7 @@ def test_bank_with_a_half_written_file_is_not_activated(rig: Rig, name: str) -> 
     assert (rig.store.active_bank(), rig.store.pending_bank()) == (2, None)
 
 
-def test_acting_table_that_was_exchanged_is_noticed(rig: Rig) -> None:
+def test_exchanged_active_table_is_detected(rig: Rig) -> None:
     tables = rig.work / "tables"
     rig.store.stage(1, OWN)
     whole = (tables / "bank2.table").read_text()
@@ -142,7 +142,7 @@ def test_acting_table_that_was_exchanged_is_noticed(rig: Rig) -> None:
 
 
 def test_power_cut_between_the_files_leaves_the_former_bank(rig: Rig) -> None:
-    """The link is the only thing that decides; one that was laid beside and not put in place does nothing."""
+    """Only the link `acting` selects the bank; a new link not yet renamed to that name has no effect."""
     tables = rig.work / "tables"
     (tables / "bank1" / "x.comp").write_text("0 0")
     (tables / "acting.part").unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""External offsets and kinematics of ours in a stock LinuxCNC that really runs: what the motors do, and when."""
+"""Tests of external offsets and of our kinematics in a running stock LinuxCNC, by the commands to the motors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from drivers.roles import Activation, CompensationStore, TableImage
 ONE, TWO = smooth_table(1), smooth_table(2)
 REST_MM = {"external-offsets": 1e-6, "kinematics": 1e-9}
 MOTION_MM = {"external-offsets": 8e-5, "kinematics": 4e-6}
-"""Distance of the path from the programmed line once the table is taken out, at 30 m/min."""
+"""Largest distance in mm of the path from the programmed line after removing the correction, at 30 m/min."""
 JUMP_MM_PER_S = 0.5
 PLACE = (93.0, 64.0, 53.0)
 
@@ -36,7 +36,7 @@ def store_in(work: Path, controller: Controller, way: str) -> LinuxCncStore:
 
 
 class Rig:
-    """One LinuxCNC of its way, and what it is started from."""
+    """LinuxCNC with one compensation method, which can be stopped and started again."""
 
     def __init__(self, work: Path, way: str) -> None:
         self.way = way
@@ -52,11 +52,11 @@ class Rig:
         self.controller.kill()
 
     def shift(self) -> np.ndarray:
-        """What is added to the commanded position now."""
+        """Return the correction presently added to the commanded position."""
         return self.controller.motor() - self.controller.displayed()
 
     def settle(self) -> None:
-        """Until it acts, and LinuxCNC's own planner of the offset has come to its end as well."""
+        """Wait until the bank is active and settled, and LinuxCNC's planner of the offset has finished too."""
         assert self.controller("wait", "volcal-tables.settled", True)
         assert self.controller("mdi", "G4 P0.03")
 
@@ -70,7 +70,7 @@ def rig(request: pytest.FixtureRequest, build: Path, tmp_path_factory: pytest.Te
 
 @pytest.fixture
 def fresh(rig: Rig) -> Rig:
-    """Machine on and homed; bank 1 holds ONE, bank 2 TWO, none acts."""
+    """Rig with the machine on and homed, ONE in bank 1, TWO in bank 2, and no active bank."""
     rig.controller.ready()
     rig.store.activate(0)
     rig.store.stage(1, ONE)
@@ -93,8 +93,8 @@ def test_it_is_a_store_with_two_banks(fresh: Rig) -> None:
     assert all(finding.ok for finding in fresh.store.diagnose())
 
 
-def test_motors_stand_where_commanded_plus_table(fresh: Rig) -> None:
-    """The sign: corrections are added. Inside cells, on nodes, at the border and beyond it."""
+def test_motors_are_at_the_commanded_position_plus_table(fresh: Rig) -> None:
+    """Corrections are added, with the right sign: inside cells, on nodes, at the border and beyond it."""
     places = [PLACE, (160.0, 80.0, 80.0), (131.0, 0.5, 119.0), (-20.0, 99.0, -20.0)]
     fresh.store.activate(1)
     for place in places:
@@ -106,7 +106,7 @@ def test_motors_stand_where_commanded_plus_table(fresh: Rig) -> None:
     assert fresh.shift() == pytest.approx(np.zeros(3), abs=REST_MM[fresh.way])
 
 
-def test_path_is_the_line_once_the_table_is_taken_out(fresh: Rig) -> None:
+def test_path_is_a_line_after_removing_the_table(fresh: Rig) -> None:
     start, end = np.array([0.5, 199.0, 5.0]), np.array([360.0, 20.0, 140.0])
     fresh.store.activate(1)
     fresh.controller.at(*start)
@@ -137,7 +137,7 @@ def test_banks_are_switched_live_and_no_faster_than_the_jump_rate(fresh: Rig) ->
     assert 0.01 < speed < JUMP_MM_PER_S * 1.05
 
 
-def test_bank_switched_in_motion_disturbs_nothing(fresh: Rig) -> None:
+def test_bank_switched_in_motion_does_not_disturb_it(fresh: Rig) -> None:
     fresh.controller.at(10.0, 10.0, 10.0)
     fresh.controller("start", "G53 G1 F15000 X260 Y160 Z130")
     fresh.store.activate(1)
@@ -165,8 +165,8 @@ def test_machine_off_and_on_never_jumps_and_corrects_again(fresh: Rig, how: str)
     assert fresh.shift() == pytest.approx(trilinear(ONE, fresh.controller.displayed()[None])[0], abs=REST_MM[fresh.way])
 
 
-def test_offset_cut_off_at_the_end_of_an_axis_is_said_and_comes_back(fresh: Rig) -> None:
-    """LinuxCNC lets no external offset lead beyond a soft limit; kinematics of ours are not asked."""
+def test_offset_cut_off_at_an_axis_limit_is_reported_and_restored(fresh: Rig) -> None:
+    """LinuxCNC cuts off external offsets at a soft limit; it does not check our kinematics."""
     outward = TableImage((0.0, 0.0, 0.0), (1000.0,) * 3, 1e-4, np.full((2, 2, 2, 3), -150, dtype=np.int32))
     fresh.store.stage(2, outward)
     fresh.controller.at(-100.0, 10.0, 10.0)
@@ -180,7 +180,7 @@ def test_offset_cut_off_at_the_end_of_an_axis_is_said_and_comes_back(fresh: Rig)
     assert all(finding.ok for finding in fresh.store.diagnose())
 
 
-def test_acting_bank_is_written_by_nobody(fresh: Rig) -> None:
+def test_active_bank_is_not_written(fresh: Rig) -> None:
     fresh.store.activate(1)
     with pytest.raises(StoreError, match="active"):
         fresh.store.stage(1, TWO)
@@ -203,7 +203,7 @@ def test_confirmation_without_the_nonce_changes_nothing(fresh: Rig) -> None:
 
 
 def test_arming_with_another_crc_is_refused(fresh: Rig) -> None:
-    """The table on the disk changed after it was loaded: neither the file nor the memory acts."""
+    """The file changed after it was loaded: neither the file nor the table in memory becomes active."""
     other = (fresh.work / "tables" / "bank1.table").read_text()
     (fresh.work / "tables" / "bank2.table").write_text(other)
     with pytest.raises(ChecksumMismatch):
@@ -220,7 +220,7 @@ def flipped(text: str) -> str:
     return text[:at] + str((int(text[at]) + 1) % 10) + text[at + 1 :]
 
 
-def test_wrong_file_empties_its_bank_and_leaves_what_acts(fresh: Rig) -> None:
+def test_wrong_file_empties_its_bank_and_keeps_the_active_one(fresh: Rig) -> None:
     fresh.store.activate(1)
     file = fresh.work / "tables" / "bank2.table"
     good = file.read_text()
@@ -239,7 +239,7 @@ def test_wrong_file_empties_its_bank_and_leaves_what_acts(fresh: Rig) -> None:
 
 
 def load(rig: Rig, bank: int) -> None:
-    """Asks the loader itself, without the store."""
+    """Request a load directly from the loader, without the store."""
     rig.controller.set("volcal-tables.load-bank", bank)
     rig.controller.set("volcal-tables.load-sequence", rig.controller.get("volcal-tables.load-done") + 1)
 
@@ -261,8 +261,8 @@ def test_table_damaged_in_memory_holds_its_last_correction_and_stops_the_feed(fr
     assert fresh.shift() == pytest.approx(np.zeros(3), abs=REST_MM[fresh.way])
 
 
-def test_what_acted_acts_again_after_the_power_was_cut(fresh: Rig) -> None:
-    """While the other bank's file was half written, at its own name and beside it."""
+def test_active_bank_is_restored_after_a_power_cut(fresh: Rig) -> None:
+    """Meanwhile the other bank's file is half-written, both under its own name and under its temporary name."""
     fresh.store.activate(1)
     assert fresh.controller("wait", "volcal-tables.settled", True)
     tables = fresh.work / "tables"
@@ -281,7 +281,7 @@ def test_what_acted_acts_again_after_the_power_was_cut(fresh: Rig) -> None:
 
 
 def without_loader(rig: Rig) -> None:
-    """What acts goes on and cannot be changed, and that is said."""
+    """Kill the loader: the active table stays active and cannot be changed, and the store reports that."""
     rig.controller("run", "pkill", "-KILL", "-x", "volcal_tables")
     rig.controller.at(*PLACE)
     assert rig.shift() == pytest.approx(expected(ONE, PLACE)[0], abs=REST_MM[rig.way])
@@ -292,7 +292,7 @@ def without_loader(rig: Rig) -> None:
         store.activate(0)
 
 
-def test_table_that_acted_and_is_gone_is_said(fresh: Rig) -> None:
+def test_lost_active_table_is_reported(fresh: Rig) -> None:
     fresh.store.activate(2)
     tables = fresh.work / "tables"
     await_text(fresh, tables / "active-bank", "bank 2\n")
@@ -306,7 +306,7 @@ def test_table_that_acted_and_is_gone_is_said(fresh: Rig) -> None:
 
 
 def await_text(rig: Rig, file: Path, text: str) -> None:
-    """The loader writes what acts within a few of its polls."""
+    """Wait for the text in a file; the loader writes the active bank within a few of its polls."""
     for _ in range(200):
         if file.is_file() and text in file.read_text():
             return

@@ -1,4 +1,4 @@
-"""The components' own C, compiled as it is: reading a file and looking a table up."""
+"""Tests of the components' C code, compiled unchanged: parsing a file and looking up a table."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def looked_up(library: ctypes.CDLL, position: np.ndarray) -> list[float]:
 
 @st.composite
 def tables(draw: st.DrawFn) -> TableImage:
-    """Any grid of up to 4 nodes an axis; corrections up to 1 mm, no steeper than is taken."""
+    """Draw a grid of up to 4 nodes per axis, with corrections up to 1 mm within the slope limit."""
     shape = draw(st.tuples(st.integers(1, 4), st.integers(1, 4), st.integers(1, 4)))
     counts = draw(arrays(np.int32, (*shape, 3), elements=st.integers(-10000, 10000)))
     origin = draw(st.tuples(*[st.floats(-1000.0, 1000.0)] * 3))
@@ -111,7 +111,7 @@ BODY = format_table(SMALL).partition("file_crc32")[0]
         ("0 0 0\n", "0 0 0\n\n"),
     ],
 )
-def test_files_that_make_no_sense_are_refused(library: ctypes.CDLL, old: str, new: str) -> None:
+def test_inconsistent_files_are_refused(library: ctypes.CDLL, old: str, new: str) -> None:
     assert old in BODY
     body = BODY.replace(old, new, 1)
     assert read(library, f"{body}file_crc32 {zlib.crc32(body.encode()):08X}\n") == MALFORMED

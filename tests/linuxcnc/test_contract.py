@@ -1,4 +1,4 @@
-"""The contract of every role, on a stock LinuxCNC that really runs."""
+"""Contract tests of every role with a running stock LinuxCNC."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ pytestmark = [
 
 
 class LinuxCncRig(ContractRig):
-    """Latches are as fine as a servo cycle: ±2.5 µm at the 5 mm/s of the contract, and what the table's steps add."""
+    """Rig with LinuxCNC. A latch is as fine as a servo cycle, ±2.5 µm at 5 mm/s, plus the resolution of the table."""
 
     start_mm = (1600.0, 0.0, 0.0)
     free_mm = (1723.456, 0.0, 78.9)
@@ -54,7 +54,7 @@ class LinuxCncRig(ContractRig):
         return target_mm - [0.0, REACH_MM, 0.0]
 
     def leave(self) -> None:
-        """Out of the artefact, and every bank empty."""
+        """Withdraw the tip from the artefact and empty every bank."""
         here = self.machine.position()
         self.go((here[0], 0.0, here[2]))
         self.store.activate(0)

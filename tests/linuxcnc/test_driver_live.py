@@ -1,4 +1,4 @@
-"""The driver against a stock LinuxCNC that really runs, on a machine without errors whose balls are known."""
+"""Tests of the driver with a running stock LinuxCNC, on an error-free machine with known ball positions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from simulators.linuxcnc.namespaces import first_child
 
 FEED = 5.0
 CYCLE_MM = FEED * 1e-3
-"""Of the servo, at that feed."""
+"""Travel in one servo cycle at that feed."""
 AWAY = np.array([3000.0, 100.0, 200.0])
 
 pytestmark = [
@@ -54,7 +54,7 @@ def device(live: Live) -> Iterator[LinuxCnc]:
 
 
 def before(live: Live, device: LinuxCnc, distance_mm: float = 20.0) -> np.ndarray:
-    """Bring the tip in front of ball 5, coming along +Y; returns the ball's axis position."""
+    """Move the tip in front of ball 5, on its -Y side, and return the ball's axis position."""
     ball = live.balls[5]
     here = device.position()
     device.move_to(np.array([here[0], 0.0, here[2]]), feed_mm_per_s=None, guarded=True)
@@ -89,9 +89,7 @@ def test_another_machine_is_refused(live: Live) -> None:
 
 
 class TestMotion:
-    def test_moves_reach_their_target_in_machine_positions_whatever_offsets_act(
-        self, live: Live, device: LinuxCnc
-    ) -> None:
+    def test_moves_reach_their_machine_position_with_any_active_offsets(self, live: Live, device: LinuxCnc) -> None:
         target = np.array([2900.123456, 10.5, 220.25])
         with live.bystander() as other:
             mdi(other, "G10 L2 P1 X5 Y-6 Z7", "G92 X1", "G43.1 Z3", "G20", "G91")
@@ -115,13 +113,13 @@ class TestMotion:
             mdi(other, "G10 L2 P1 R0")
 
     @pytest.mark.parametrize("target", [(4001.1, 0.0, 0.0), (0.0, -1.1, 0.0), (np.nan, 0.0, 0.0)])
-    def test_target_that_cannot_be_is_rejected_and_nothing_moves(self, device: LinuxCnc, target) -> None:
+    def test_impossible_target_is_rejected_and_nothing_moves(self, device: LinuxCnc, target) -> None:
         here = device.position()
         with pytest.raises(CommandRejected):
             device.move_to(np.array(target), feed_mm_per_s=None, guarded=False)
         assert np.array_equal(device.position(), here)
 
-    def test_hold_stands_and_resume_arrives(self, live: Live, device: LinuxCnc) -> None:
+    def test_hold_stops_the_motion_and_resume_completes_it(self, live: Live, device: LinuxCnc) -> None:
         device.move_to(AWAY, feed_mm_per_s=None, guarded=True)
         target = AWAY + np.array([300.0, 0.0, 0.0])
         moving = threading.Thread(
@@ -141,19 +139,19 @@ class TestMotion:
         assert not moving.is_alive()
         assert device.position() == pytest.approx(target, abs=1e-6)
 
-    def test_wait_that_is_broken_off_stops_the_motion(self, live: Live) -> None:
-        class BrokenOffError(Exception):
+    def test_interrupted_wait_stops_the_motion(self, live: Live) -> None:
+        class InterruptedWaitError(Exception):
             pass
 
         looks = iter(range(10**9))
 
         def check() -> None:
             if next(looks) > 30:
-                raise BrokenOffError
+                raise InterruptedWaitError
 
         with live.opened(interrupt=check) as device:
             here = device.position()
-            with pytest.raises(BrokenOffError):
+            with pytest.raises(InterruptedWaitError):
                 device.move_to(np.array([100.0, here[1], here[2]]), feed_mm_per_s=50.0, guarded=False)
             until(lambda: device.status().state is MotionState.IDLE)
             stopped = device.position()
@@ -164,7 +162,7 @@ class TestMotion:
 
 class TestProbe:
     def test_the_latch_is_corrected_for_the_cycle_in_which_it_is_made(self, live: Live, device: LinuxCnc) -> None:
-        """Uncorrected each would be 0 to 5 µm beyond the ball; the phase is another one for each start."""
+        """Without the correction, each latch would be 0 to 5 µm too far; the phase differs for each start."""
         ball = before(live, device)
         errors = []
         for number in range(10):
@@ -176,8 +174,8 @@ class TestProbe:
         assert abs(np.mean(errors)) < 0.3 * CYCLE_MM
         assert np.ptp(errors) > 0.3 * CYCLE_MM
 
-    def test_touch_is_displayed_where_the_table_takes_it_from(self, live: Live) -> None:
-        """The table adds 0.2 mm in Y, so the display shows 0.2 mm less when the tip touches the ball."""
+    def test_touch_is_displayed_without_the_correction(self, live: Live) -> None:
+        """The table adds 0.2 mm in Y, so the displayed Y is 0.2 mm smaller when the tip touches the ball."""
         options = {"compensation": {"way": "external-offsets", "directory": "tables"}}
         with live.opened(**options) as device:
             ball = before(live, device)
@@ -194,9 +192,7 @@ class TestProbe:
             finally:
                 device.activate(0)
 
-    def test_deflected_probe_neither_touches_nor_guards_until_it_is_led_back(
-        self, live: Live, device: LinuxCnc
-    ) -> None:
+    def test_deflected_probe_neither_touches_nor_guards_until_withdrawn(self, live: Live, device: LinuxCnc) -> None:
         ball = before(live, device)
         touch(device, ball)
         assert device.probe_status().deflected
@@ -207,7 +203,7 @@ class TestProbe:
         device.move_to(ball - [0.0, 20.0, 0.0], feed_mm_per_s=None, guarded=True)
         assert not device.probe_status().deflected
 
-    def test_guarded_move_into_a_ball_stops_and_the_way_back_is_open(self, live: Live, device: LinuxCnc) -> None:
+    def test_guarded_move_into_a_ball_stops_and_can_be_withdrawn(self, live: Live, device: LinuxCnc) -> None:
         ball = before(live, device)
         with pytest.raises(GuardTripped):
             device.move_to(ball, feed_mm_per_s=10.0, guarded=True)
@@ -221,10 +217,10 @@ class TestProbe:
                 device.touch_towards(AWAY, feed_mm_per_s=FEED)
 
 
-class TestWhatGoesWrong:
-    def test_bridge_that_dies_is_a_lost_link_and_the_machine_stops(self, live: Live, device: LinuxCnc) -> None:
+class TestFaults:
+    def test_dead_bridge_is_a_lost_link_and_the_machine_stops(self, live: Live, device: LinuxCnc) -> None:
         start_away(device)
-        bridge = first_child(device.bridge_pid or 0) or 0  # nsenter stands before it
+        bridge = first_child(device.bridge_pid or 0) or 0  # the bridge is a child of nsenter
         killer = threading.Timer(0.4, os.kill, (bridge, signal.SIGKILL))
         killer.start()
         with pytest.raises(LinkLost, match="bridge"):
@@ -235,7 +231,7 @@ class TestWhatGoesWrong:
         pause()
         assert np.array_equal(device.position(), stopped)
 
-    def test_motion_that_nobody_asks_after_is_stopped_by_the_bridge(self, live: Live, device: LinuxCnc) -> None:
+    def test_motion_without_status_queries_is_stopped_by_the_bridge(self, live: Live, device: LinuxCnc) -> None:
         start_away(device)
         with live.bystander(watch_s=0.3) as other:
             other.ask("mdi", line="G21 G90 G53 G1 X100 F6000")
@@ -243,7 +239,7 @@ class TestWhatGoesWrong:
             assert device.position()[0] > 200.0
             assert other.ask("status")["abandoned"]
 
-    def test_motion_ends_with_the_other_side(self, live: Live, device: LinuxCnc) -> None:
+    def test_motion_stops_when_the_driver_ends(self, live: Live, device: LinuxCnc) -> None:
         start_away(device)
         with live.bystander() as other:
             other.ask("mdi", line="G21 G90 G53 G1 X100 F6000")
@@ -271,7 +267,7 @@ class TestWhatGoesWrong:
         assert device.status().state is MotionState.IDLE
         device.reset()
 
-    def test_joints_that_are_not_homed_do_not_move_unless_they_may_be_homed(self, live: Live) -> None:
+    def test_unhomed_joints_do_not_move_unless_homing_is_allowed(self, live: Live) -> None:
         with live.opened() as device:
             here = device.position()
             live.by_hand("mode(linuxcnc.MODE_MANUAL)", "teleop_enable(0)", "unhome(-1)")
@@ -286,13 +282,13 @@ class TestWhatGoesWrong:
             device.home()
             assert not device.status().missing
 
-    def test_pin_that_says_no_takes_the_permission(self, live: Live) -> None:
+    def test_false_pin_withdraws_the_permission(self, live: Live) -> None:
         with live.opened(permissions={"doors_closed": "volcal-plant.probe"}) as device:
             assert Permission.DOORS_CLOSED in device.status().missing
             with pytest.raises(PermissionMissing, match="doors closed"):
                 device.move_to(AWAY, feed_mm_per_s=None, guarded=True)
 
-    def test_pin_that_is_not_there_is_named(self, live: Live) -> None:
+    def test_missing_pin_is_named(self, live: Live) -> None:
         refused = pytest.raises(CommandRejected, match=r"no-such\.pin")
         with live.opened(temperatures={"artefact": "no-such.pin"}) as device, refused:
             device.temperatures_c()
@@ -326,5 +322,5 @@ def until(reached) -> None:
 
 
 def pause() -> None:
-    """Half a second of the controller, in which something that moves is seen to move."""
+    """Wait for half a second of machine time, long enough to detect a motion."""
     RealClock().sleep(0.5 / SPEED)

@@ -1,4 +1,4 @@
-"""`linuxcnc-comp` files in a stock LinuxCNC that really runs: its motors go as the export says, and that is better."""
+"""Tests of exported `linuxcnc-comp` files in a running stock LinuxCNC: the motors follow them and the error falls."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ AMPLITUDES = {
 }
 
 
-def test_a_running_linuxcnc_takes_the_machines_errors_out(tmp_path: Path) -> None:
-    """The truth has orders 7 and a wave that no series follows; the table knows orders up to 4 of it."""
+def test_a_running_linuxcnc_compensates_the_machines_errors(tmp_path: Path) -> None:
+    """The true error has order 7 plus a wave that no series represents; the table contains its orders up to 4."""
     chain = parse_chain("tool-Z-Y-X-bed-workpiece")
     true = ErrorModel.uniform(chain, RANGES, 7, ())
     real = family_from_amplitudes(true, AMPLITUDES).draw(np.random.default_rng(11), 1)[0]
@@ -58,7 +58,7 @@ def test_a_running_linuxcnc_takes_the_machines_errors_out(tmp_path: Path) -> Non
 
 
 def added_by_linuxcnc(folder: Path, files: dict[str, str], points: np.ndarray) -> np.ndarray:
-    """(n, 3) mm between motors and joints once at rest at axis positions (n, 3)."""
+    """Return the difference of motors and joints at rest at axis positions (n, 3), shape (n, 3), mm."""
     (folder / "build").mkdir()
     work = machine(folder / "work", built(folder / "build"), "comp-files")
     acting = (work / "tables" / "acting").resolve()

@@ -1,4 +1,4 @@
-"""The plant in front of LinuxCNC: what it shares with the servo thread, and the collisions that it sees."""
+"""Tests of the simulated plant for LinuxCNC: memory shared with the servo thread, and detection of collisions."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ int main(int count, char **words) {
 
 
 @needs_linuxcnc
-def test_servo_thread_reads_what_python_has_written(tmp_path: Path) -> None:
+def test_servo_thread_reads_the_data_written_by_python(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     linear = rng.normal(size=(3, 3)) * 1e-5
     origin, step, nodes = np.array([-10.0, 0.0, 5.0]), np.array([20.0, 30.0, 40.0]), (4, 3, 5)
@@ -80,7 +80,7 @@ class TestCollisions:
 
     @staticmethod
     def go(plant: LinuxCncPlant, *places: np.ndarray) -> list[tuple[str, str]]:
-        """The tip goes there, as the servo thread would write it; what has collided since the beginning."""
+        """Move the tip as the servo thread would report it; return all collisions since the beginning."""
         head = plant.memory._head
         for place in places:
             head["trace_mm"][0][int(head["traced"][0]) % TRACE] = place
@@ -88,17 +88,17 @@ class TestCollisions:
         plant.on_advance(0.0)
         return [(bump.body_a, bump.body_b) for bump in plant.world.collisions]
 
-    def test_touching_a_ball_is_none(self, plant: LinuxCncPlant) -> None:
+    def test_touching_a_ball_is_no_collision(self, plant: LinuxCncPlant) -> None:
         ball = np.array(plant.world.table.snapshot(0.0).balls[5])
         assert self.go(plant, *(ball - [0.0, distance, 0.0] for distance in (200.0, 20.0, 15.0, 20.0, 200.0))) == []
 
-    def test_pressed_deeper_than_the_probe_yields_is_one_and_only_one(self, plant: LinuxCncPlant) -> None:
+    def test_pressing_beyond_the_overtravel_is_exactly_one_collision(self, plant: LinuxCncPlant) -> None:
         standing = plant.world.table.snapshot(0.0)
         ball = np.array(standing.balls[5])
         way = [ball - [0.0, distance, 0.0] for distance in (20.0, 9.0, 8.5, 20.0)]
         assert self.go(plant, *way) == [(TIP, standing.ball_names[5])]
 
-    def test_ram_through_the_bar_is_one(self, plant: LinuxCncPlant) -> None:
+    def test_ram_through_the_bar_is_a_collision(self, plant: LinuxCncPlant) -> None:
         ball = np.array(plant.world.table.snapshot(0.0).balls[5])
         bumps = self.go(plant, *(ball + np.array([0.0, 60.0, z]) for z in (-300.0, 300.0)))
         assert bumps != []

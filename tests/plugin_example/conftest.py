@@ -1,3 +1,3 @@
-"""The example's tests need the example installed: tests/contract/test_third_party_plugin.py does both."""
+"""Exclude the example's tests, which tests/contract/test_third_party_plugin.py runs with the installed example."""
 
 collect_ignore = ["tests"]

@@ -235,7 +235,7 @@ class Bridge:
         self._await(lambda stat: stat.task_mode == mode, f"change to mode {MODES[mode]}")
 
     def _home(self, _request: Fields) -> Fields:
-        """Begin to home all joints, in the order of the INI file."""
+        """Start homing all joints, in the sequence of the INI file."""
         self._poll()
         if self._stat.task_state != linuxcnc.STATE_ON:
             raise RefusedError("the machine is not on")

@@ -100,9 +100,9 @@ class CompFileStore:
             table = self.read_table(active)
         except StoreError as error:
             return [DiagnosticFinding(subject, ok=False, text=str(error))]
-        acts = f"bank {active} is active, joint by joint" if active else "no table is active"
-        waits = "" if pending is None else f"; bank {pending} waits for a restart of LinuxCNC"
-        findings = [DiagnosticFinding(subject, ok=True, text=acts + waits)]
+        text = f"bank {active} is active, joint by joint" if active else "no table is active"
+        pending_text = "" if pending is None else f"; bank {pending} waits for a restart of LinuxCNC"
+        findings = [DiagnosticFinding(subject, ok=True, text=text + pending_text)]
         if table is not None:
             lost_um = own_axis_part(table).lost_mm * 1e3
             findings.append(

@@ -78,8 +78,8 @@ class LiveStore:
 
         Raises ReadBackMismatch.
         """
-        acting, chosen = int(self._get("acting-bank")), int(self._get("bank"))
-        self._banks.require_stageable(bank, table, (acting, chosen))
+        active, selected = int(self._get("acting-bank")), int(self._get("bank"))
+        self._banks.require_stageable(bank, table, (active, selected))
         self._require_alive()
         self._banks.write(bank, table)
         self._request("load", {"load-bank": bank}, bank)
@@ -120,8 +120,8 @@ class LiveStore:
         bank, crc = int(self._get("acting-bank")), int(self._get("acting-crc"))
         applied = "applied" if self._get("acting") else "not applied while the machine is off or not homed"
         age_s = float(self._get("age"))
-        acts = f"bank {bank}, CRC-32 {crc:08X}, loaded {age_s:.0f} s ago, {applied}" if bank else "no table is active"
-        findings = [DiagnosticFinding(subject, ok=fault == 0, text=FAULTS.get(fault, acts))]
+        text = f"bank {bank}, CRC-32 {crc:08X}, loaded {age_s:.0f} s ago, {applied}" if bank else "no table is active"
+        findings = [DiagnosticFinding(subject, ok=fault == 0, text=FAULTS.get(fault, text))]
         if self._get("limited"):
             text = "an axis is at its soft limit, where LinuxCNC cuts off the offset; move it inwards"
             findings.append(DiagnosticFinding(subject, ok=False, text=text))

@@ -14,8 +14,10 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OwnAxisPart:
-    """Nominal positions of each axis and the correction along that axis there, mm; `lost_mm` is the largest remainder.
+    """Correction of each axis as a function of its own position.
 
+    `nominal_mm` holds the node positions of each axis, `correction_mm` the corrections along that axis at these
+    positions; `lost_mm` is the largest remainder.
     The correction at a position of an axis is the mean over all nodes with that position, which is the least-squares
     fit over the grid.
     """

@@ -1,4 +1,4 @@
-/* Which bank acts, and the smooth way from one to another; shared by the components that correct.
+/* The active bank, and the smooth transition from one bank to another; shared by the correcting components.
  *
  * License: GPL v2 or later (linked with LinuxCNC).
  */
@@ -7,9 +7,9 @@
 
 #include "volcal_table.h"
 
-#define VOLCAL_STEEPEST 1.5 /* of 3 t^2 - 2 t^3 */
+#define VOLCAL_STEEPEST 1.5 /* largest slope of 3 t^2 - 2 t^3, at t = 1/2 */
 
-/* One end of a blend: a bank (0: none) as it was when it was taken, or a correction that is held. */
+/* One end of a transition: a bank (0: none) with its generation when it was selected, or a held correction. */
 typedef struct {
     rtapi_u32 number;
     rtapi_u32 generation;
@@ -24,7 +24,7 @@ typedef struct {
     int blending;
     double progress; /* 0 ... 1 while blending */
     double duration_s;
-    double age_s; /* since `now` acts alone */
+    double age_s; /* since the last transition ended */
     rtapi_u32 trouble;
     double last[3];
 } volcal_acting;
@@ -51,7 +51,7 @@ static inline int volcal_sound(const volcal_acting *acting, const volcal_source 
     return slot->generation == source->generation && slot->state == VOLCAL_COMPLETE;
 }
 
-/* Marks the bank as used and remembers its generation; 0 where it holds no complete table. */
+/* Marks the bank as used and stores its generation; returns 0 if it holds no complete table. */
 static inline int volcal_take(volcal_acting *acting, rtapi_u32 bank, volcal_source *source) {
     volcal_source taken = {.number = bank};
     if (bank > VOLCAL_BANKS) return 0;
@@ -72,14 +72,15 @@ static inline double volcal_largest(const volcal_acting *acting, const volcal_so
     return source->number ? volcal_slot_of(acting, source->number)->largest : 0.0;
 }
 
-/* How long a change of at most `jump` mm takes, so that no axis shifts faster than `rate`. */
+/* Duration of a transition of at most `jump` mm in which no axis shifts faster than `rate`:
+   v_max = VOLCAL_STEEPEST * jump / duration. */
 static inline double volcal_duration(double jump, double rate) {
     return rate > 0.0 ? VOLCAL_STEEPEST * jump / rate : 0.0;
 }
 
 static inline double volcal_smooth(double t) { return t * t * (3.0 - 2.0 * t); }
 
-/* The acting table is no longer what it was: hold the last correction. */
+/* The active table has changed in memory: hold the last correction. */
 static inline void volcal_hold(volcal_acting *acting) {
     volcal_source held = {.number = acting->now.number, .held = 1};
     for (int a = 0; a < 3; a++) held.constant[a] = acting->last[a];
@@ -110,7 +111,8 @@ static inline void volcal_begin(volcal_acting *acting, rtapi_u32 wanted, double 
         volcal_duration(volcal_largest(acting, &acting->now) + volcal_largest(acting, &acting->next), rate);
 }
 
-/* Once a servo period: follow `wanted`, notice damage. A held correction goes only by another choice of bank. */
+/* Called once per servo period: follows `wanted` and detects damage. Only the selection of another bank ends a held
+   correction. */
 static inline void volcal_step(volcal_acting *acting, rtapi_u32 wanted, double rate, double dt) {
     if (!acting->shared) return;
     acting->age_s += dt;
@@ -133,7 +135,7 @@ static inline void volcal_value(const volcal_acting *acting, const volcal_source
     for (int a = 0; a < 3; a++) value[a] = source->held ? source->constant[a] : 0.0;
 }
 
-/* What is added to the commanded position now, mm. */
+/* Correction added to the commanded position at present, mm. */
 static inline void volcal_correction(const volcal_acting *acting, const double position[3], double correction[3]) {
     double next[3];
     volcal_value(acting, &acting->now, position, correction);

@@ -1,40 +1,41 @@
 component volcal_eoffset "Volumetric compensation by external offsets";
 description """
-Looks a compensation table up at the commanded position of X, Y, Z and asks motion for that offset. The tables come from *volcal_tables*. While the machine is off or not homed, *clear* is held and the
-counts are zero; from the instant it is on, the offset comes in again, no faster than *jump-rate*.
+Looks up a compensation table at the commanded position of X, Y, Z and requests that external offset. The tables come
+from *volcal_tables*. While the machine is off or not homed, *clear* is set and the counts are zero; when it is switched
+on, the offset is applied again, no faster than *jump-rate*.
 Add the function to the servo thread after motion-controller.""";
 pin in float position-#[3] "axis.L.pos-cmd, mm; LinuxCNC shows it without the offset";
 pin in float offset-#[3] "axis.L.eoffset, mm";
 pin in bit machine-on "motion.motion-enabled";
 pin in bit homed "motion.is-all-homed";
-pin in bit limited "motion.eoffset-limited: an axis stands at its end, the offset beyond it is cut off";
-pin in u32 bank "the bank that shall act; 0: none";
+pin in bit limited "motion.eoffset-limited: an axis is at its limit, and the offset beyond it is cut off";
+pin in u32 bank "the selected bank; 0: none";
 pin out s32 counts-#[3] "axis.L.eoffset-counts";
 pin out bit clear = true "axis.L.eoffset-clear";
 pin out bit enable = true "axis.L.eoffset-enable";
 pin out float scale = 0.000001 "axis.L.eoffset-scale, mm";
-pin out float correction-#[3] "what shall be added to the commanded position, mm";
-pin out u32 active-bank "the bank that was chosen last and holds a complete table";
+pin out float correction-#[3] "correction requested for the commanded position, mm";
+pin out u32 active-bank "the active bank: the last selected one that holds a complete table";
 pin out u32 active-crc "CRC-32 of its table";
 pin out bit acting "the offset is applied: machine on and homed";
-pin out bit settled "acting, no change under way, and the offset is what it shall be, or cut off at the end of an axis";
-pin out u32 fault "0: none; 1: no shared memory; 2: the chosen bank is empty; 3: table damaged, last correction held";
+pin out bit settled "applied, no transition in progress, and the offset as requested or cut off at an axis limit";
+pin out u32 fault "0: none; 1: no shared memory; 2: the selected bank is empty; 3: table damaged, last correction held";
 pin out bit faulted "fault is not 0";
-pin out float age "seconds since the present bank acts alone";
-param rw float jump_rate = 0.5 "mm/s: fastest shift by switching banks or the machine on";
-param rw float tolerance = 0.0001 "mm: how far the offset may be off while settled";
+pin out float age "seconds since the last transition ended";
+param rw float jump_rate = 0.5 "mm/s: largest speed of the shift when switching banks or switching the machine on";
+param rw float tolerance = 0.0001 "mm: largest deviation of the offset while settled";
 option singleton yes;
 option extra_setup yes;
 option extra_cleanup yes;
 include "volcal_acting.h";
-function _ fp "look up, and ask for the offset";
+function _ fp "look up and request the offset";
 license "GPL";
 author "volcal";
 ;;
 
 static volcal_acting table_acting;
 static int memory_id;
-static double arrival; /* 0 ... 1: how much of the correction is in since the machine is on */
+static double arrival; /* 0 ... 1: progress of applying the correction after the machine was switched on */
 
 EXTRA_SETUP() {
     (void)__comp_inst; (void)prefix; (void)extra_arg;

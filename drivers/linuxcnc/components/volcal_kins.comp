@@ -1,25 +1,25 @@
 component volcal_kins "XYZ kinematics with volumetric compensation";
 description """
-joint = position + table(position) for X, Y, Z (joints 0, 1, 2); joints 3 ... 8 are A, B, C, U, V, W as they are.
-The way back is found by fixed-point steps. The tables come from *volcal_tables*. Add the function to the servo
-thread before motion-controller: it follows the choice of bank; without it nothing is ever corrected.""";
-pin in u32 bank "the bank that shall act; 0: none";
+joint = position + table(position) for X, Y, Z (joints 0, 1, 2); joints 3 ... 8 are A, B, C, U, V, W, uncorrected.
+The forward transformation uses fixed-point iteration. The tables come from *volcal_tables*. Add the function to the
+servo thread before motion-controller: it follows the selected bank; without it nothing is ever corrected.""";
+pin in u32 bank "the selected bank; 0: none";
 pin out float correction-#[3] "joint - position, mm";
-pin out u32 active-bank "the bank that acts";
+pin out u32 active-bank "the active bank";
 pin out u32 active-crc "CRC-32 of its table";
-pin out bit acting = true "the kinematics correct whether the machine is on or off";
-pin out bit settled "no change of bank under way";
-pin out u32 fault "0: none; 1: no shared memory; 2: the chosen bank is empty; 3: table damaged, last correction held";
+pin out bit acting = true "always true: the kinematics correct whether the machine is on or off";
+pin out bit settled "no transition between banks in progress";
+pin out u32 fault "0: none; 1: no shared memory; 2: the selected bank is empty; 3: table damaged, last correction held";
 pin out bit faulted "fault is not 0";
-pin out float age "seconds since the present bank acts alone";
-pin out u32 iterations "most fixed-point steps that a forward transformation took";
-param rw float jump_rate = 0.5 "mm/s: fastest shift by switching banks";
+pin out float age "seconds since the last transition ended";
+pin out u32 iterations "largest number of iterations of a forward transformation so far";
+param rw float jump_rate = 0.5 "mm/s: largest speed of the shift when switching banks";
 option singleton yes;
 option extra_setup yes;
 option extra_cleanup yes;
 include "volcal_acting.h";
 include "kinematics.h";
-function _ fp "follow the choice of bank";
+function _ fp "follow the selected bank";
 license "GPL";
 author "volcal";
 ;;
@@ -57,8 +57,8 @@ FUNCTION(_) {
 
 KINEMATICS_TYPE kinematicsType() { return KINEMATICS_IDENTITY; }
 
-/* The position whose corrected place the joints are: position = joint - table(position). It contracts, because a
-   correction changes by far less than the way does (the loader refuses steeper tables). */
+/* Solves position = joint - table(position) by fixed-point iteration. The iteration converges because a correction
+   changes by far less than the position does (the loader refuses steeper tables). */
 int kinematicsForward(const double *joint, EmcPose *pos, const KINEMATICS_FORWARD_FLAGS *fflags,
                       KINEMATICS_INVERSE_FLAGS *iflags) {
     (void)fflags; (void)iflags;

@@ -1,8 +1,8 @@
-/* Compensation tables shared between the loader (user space) and what acts (realtime).
+/* Compensation tables shared between the loader (user space) and the correcting components (realtime).
  *
- * The loader is the only writer. A table is written while nobody uses its bank: the generation is odd meanwhile.
- * Who acts marks the bank as used first, then looks at the generation; the loader makes the generation odd first,
- * then looks at the marks. So at least one of the two sees the other and gives way.
+ * The loader is the only writer. It writes a table only while no component uses its bank; the generation is odd
+ * meanwhile. A component first marks the bank as used, then checks the generation; the loader first makes the
+ * generation odd, then checks the marks. So at least one of the two sees the other and yields.
  *
  * Units: mm, mm/s, s. License: GPL v2 or later (linked with LinuxCNC).
  */
@@ -23,9 +23,9 @@
 enum volcal_state { VOLCAL_EMPTY = 0, VOLCAL_COMPLETE = 1, VOLCAL_DAMAGED = 2 };
 enum volcal_fault {
     VOLCAL_NO_FAULT = 0,
-    VOLCAL_NO_MEMORY = 1,   /* the shared memory is not there or of another layout */
-    VOLCAL_BANK_EMPTY = 2,  /* the bank that was chosen holds no complete table; the former one goes on */
-    VOLCAL_TABLE_CHANGED = 3 /* the acting table changed or is damaged; its last correction is held */
+    VOLCAL_NO_MEMORY = 1,   /* the shared memory is missing or has another layout */
+    VOLCAL_BANK_EMPTY = 2,  /* the selected bank holds no complete table; the previous one remains active */
+    VOLCAL_TABLE_CHANGED = 3 /* the active table changed or is damaged; its last correction is held */
 };
 enum volcal_reader { VOLCAL_OFFSETS = 0, VOLCAL_KINEMATICS = 1, VOLCAL_READERS = 2 };
 
@@ -48,7 +48,7 @@ typedef struct {
     volcal_slot slot[VOLCAL_BANKS]; /* bank n is slot[n - 1] */
 } volcal_shared;
 
-/* The memory, attached for `module`; NULL where there is none or another layout holds it. */
+/* Attaches the memory for `module`; NULL if there is none or it has another layout. */
 static inline volcal_shared *volcal_attach(int module, int *id) {
     void *memory = 0;
     *id = rtapi_shmem_new(VOLCAL_KEY, module, sizeof(volcal_shared));
@@ -62,7 +62,7 @@ static inline volcal_shared *volcal_attach(int module, int *id) {
     return shared->magic == VOLCAL_MAGIC && shared->layout == VOLCAL_LAYOUT ? shared : 0;
 }
 
-/* Cell and share along one axis; the border's value holds outside. */
+/* Cell along one axis, and the fraction within it; positions outside the grid get the value at the border. */
 static inline rtapi_u32 volcal_cell(double steps, rtapi_u32 nodes, double *share) {
     double last = (double)(nodes - 1);
     if (!(steps > 0.0)) steps = 0.0; /* NaN as well */
@@ -73,7 +73,7 @@ static inline rtapi_u32 volcal_cell(double steps, rtapi_u32 nodes, double *share
     return cell;
 }
 
-/* Trilinear between the eight nodes round `position`: what is added to the commanded position. */
+/* Trilinear interpolation between the eight nodes around `position`: the correction added to the commanded position. */
 static inline void volcal_lookup(const volcal_slot *slot, const double position[3], double correction[3]) {
     rtapi_u32 cell[3], next[3];
     double share[3];

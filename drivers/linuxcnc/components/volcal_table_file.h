@@ -1,4 +1,4 @@
-/* A compensation table as text, read strictly. User space only.
+/* Strict parser of a compensation table in text form. User space only.
  *
  *   volcal-compensation-table 1
  *   origin_mm X Y Z
@@ -6,7 +6,7 @@
  *   resolution_mm R
  *   nodes NX NY NZ
  *   counts_crc32 HHHHHHHH      over the counts as big-endian int32
- *   DX DY DZ                   one line a node, x slowest, z fastest
+ *   DX DY DZ                   one line per node, x slowest, z fastest
  *   file_crc32 HHHHHHHH        over every byte before this line
  *
  * License: GPL v2 or later (linked with LinuxCNC).
@@ -22,7 +22,7 @@
 
 #include "volcal_table.h"
 
-#define VOLCAL_STEEPEST_SLOPE 0.1 /* mm of correction per mm of way: the kinematics' way back must contract */
+#define VOLCAL_STEEPEST_SLOPE 0.1 /* mm of correction per mm of travel: the iteration of the forward kinematics must converge */
 #define VOLCAL_LONGEST_FILE (64l << 20)
 
 enum volcal_result {
@@ -136,7 +136,7 @@ static int volcal_steps_sound(const volcal_slot *slot) {
     return slot->step[0] > 0.0 && slot->step[1] > 0.0 && slot->step[2] > 0.0 && slot->resolution > 0.0;
 }
 
-/* Largest correction, and whether neighbours differ by no more than the steepest slope. */
+/* Determines the largest correction; returns 0 if it or a slope between neighbouring nodes exceeds its limit. */
 static int volcal_within(volcal_slot *slot, double largest) {
     rtapi_u32 stride[3] = {slot->nodes[1] * slot->nodes[2], slot->nodes[2], 1}, nodes = volcal_node_count(slot);
     slot->largest = 0.0;
@@ -153,7 +153,7 @@ static int volcal_within(volcal_slot *slot, double largest) {
     return slot->largest <= largest * (1.0 + 1e-9);
 }
 
-/* `text` ends with a zero; fills all of `slot` but its generation and state. */
+/* Parses zero-terminated `text`; fills all of `slot` except its generation and state. */
 static enum volcal_result volcal_parse(const char *text, size_t length, double largest, volcal_slot *slot) {
     const size_t last_line = strlen("file_crc32 HHHHHHHH\n");
     rtapi_u32 stated;
@@ -170,7 +170,7 @@ static enum volcal_result volcal_parse(const char *text, size_t length, double l
     return volcal_within(slot, largest) ? VOLCAL_OK : VOLCAL_BEYOND_LIMITS;
 }
 
-/* The whole file with a zero behind it, to be freed by the caller; NULL where it cannot be read. */
+/* Returns the whole file, zero-terminated, to be freed by the caller; NULL if it cannot be read. */
 static char *volcal_slurp(const char *path, size_t *length) {
     FILE *file = fopen(path, "rb");
     char *text = 0;

@@ -1,10 +1,10 @@
-/* volcal_tables: loads compensation tables from files into the memory that volcal_eoffset and volcal_kins read.
+/* volcal_tables: loads compensation tables from files into the shared memory read by volcal_eoffset and volcal_kins.
  *
  *   loadusr -Wn volcal-tables volcal_tables DIRECTORY [LARGEST_MM]
  *
- * DIRECTORY holds bank1.table, bank2.table, and active-bank, which is written here. Requests come by pins: set the
- * operands, then another sequence number; when `done` shows that number, `result` holds. A table acts in two steps:
- * arm with its CRC-32, then confirm with the nonce.
+ * DIRECTORY holds bank1.table, bank2.table, and active-bank, which this program writes. Requests come by pins: set the
+ * operands, then a new sequence number; once `done` shows that number, `result` is valid. A table is activated in two
+ * steps: arm with its CRC-32, then confirm with the nonce.
  *
  * License: GPL v2 or later (linked with LinuxCNC).
  */
@@ -18,7 +18,7 @@
 #include "volcal_table_file.h"
 
 #define POLL_US 2000
-#define CHECK_EVERY 500 /* polls between two looks at the memory's CRC-32 */
+#define CHECK_EVERY 500 /* polls between two checks of the memory's CRC-32 */
 #define LARGEST_MM 1.0
 
 typedef struct {
@@ -88,7 +88,7 @@ static int in_use(rtapi_u32 bank) {
     return 0;
 }
 
-/* From the scratch into the bank; refused where somebody uses it. */
+/* Copies the scratch table into the bank; refused while a component uses the bank. */
 static enum volcal_result publish(rtapi_u32 bank) {
     volcal_slot *slot = &shared->slot[bank - 1];
     rtapi_u32 writing = slot->generation | 1u;
@@ -114,7 +114,7 @@ static enum volcal_result publish(rtapi_u32 bank) {
     return VOLCAL_OK;
 }
 
-/* A file that cannot be taken empties the bank: a restart would find no other. */
+/* Loads the file of a bank. An unusable file leaves the bank empty, since a restart would find the same file. */
 static enum volcal_result load(rtapi_u32 bank) {
     char path[4096];
     size_t length;
@@ -166,7 +166,7 @@ static void answer_requests(void) {
     confirm();
 }
 
-/* Whole or not at all, across a power cut. */
+/* Writes the file active-bank atomically, also across a power cut. */
 static int write_active(rtapi_u32 bank, rtapi_u32 crc) {
     char part[4096], path[4096], text[64];
     snprintf(part, sizeof part, "%s/active-bank.part", directory);
@@ -184,7 +184,7 @@ static int write_active(rtapi_u32 bank, rtapi_u32 crc) {
     return durable;
 }
 
-/* What acted before the restart acts again, if its table is still the same one. */
+/* Reactivates the bank active before the restart, if its table is unchanged. */
 static void resume_active(void) {
     char path[4096];
     size_t length;
@@ -203,7 +203,7 @@ static void resume_active(void) {
         return;
     }
     *pins->table_lost = 1;
-    rtapi_print_msg(RTAPI_MSG_ERR, "volcal_tables: the table that acted is lost; nothing is compensated\n");
+    rtapi_print_msg(RTAPI_MSG_ERR, "volcal_tables: the active table is lost; nothing is compensated\n");
 }
 
 static void look_at_memory(void) {

@@ -1,1 +1,1 @@
-"""A volcal driver for ACME controllers, which speak one line of text at a time over TCP."""
+"""volcal driver for ACME controllers, which exchange lines of text over TCP."""

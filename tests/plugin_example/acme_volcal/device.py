@@ -1,4 +1,4 @@
-"""The device: Machine and Probe of an ACME controller. A role is played by having its methods."""
+"""Device with the roles Machine and Probe of an ACME controller. A device has a role if it implements its methods."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MARGIN_S = 5.0
 
 
 class AcmeCnc:
-    """Waits on the clock that it is given, and stops what it has started before an exception leaves."""
+    """ACME controller. Waits use the given clock; if an exception ends a wait, the motion is stopped first."""
 
     def __init__(self, address: tuple[str, int], timeout_s: float, clock: Clock, name: str) -> None:
         self._line = AcmeLine(address, timeout_s, name)
@@ -39,7 +39,7 @@ class AcmeCnc:
         self._line.close()
 
     def diagnose(self) -> list[DiagnosticFinding]:
-        """Reads only."""
+        """Return findings on link, state and permissions; reads only."""
         opened_here = not self._line.connected
         try:
             if opened_here:
@@ -74,7 +74,7 @@ class AcmeCnc:
         outcome = self._run("guarded" if guarded else "move", target_mm, feed_mm_per_s)
         if outcome == "tripped":
             self._ask("reset")
-            raise GuardTripped("probe tripped in a move that was no touch", **self._line.where)
+            raise GuardTripped("the probe tripped in a move that was not a touch", **self._line.where)
 
     def hold(self) -> None:
         self._ask("hold")
@@ -100,7 +100,7 @@ class AcmeCnc:
         x, y, z = self._numbers("latch")
         return Touch((x, y, z)) if outcome == "tripped" else Miss((x, y, z))
 
-    # how
+    # helpers
 
     def _run(self, kind: str, target_mm: Vector, feed_mm_per_s: float | None) -> str:
         """Start a motion and wait for its outcome."""
@@ -113,7 +113,7 @@ class AcmeCnc:
             allowed_s = 1.5 * float(np.linalg.norm(target_mm - start)) / speed + MARGIN_S
             deadline = Deadline.after(self._clock, allowed_s)
             while (outcome := self._ask("outcome")[0]) == "moving":
-                deadline.raise_if_expired(f"the end of {kind}", hint="see the controller", **self._line.where)
+                deadline.raise_if_expired(f"the end of {kind}", hint="check the controller", **self._line.where)
                 self._clock.sleep(POLL_S)
         except BaseException as error:
             try:
@@ -122,7 +122,7 @@ class AcmeCnc:
                 error.add_note(f"stop after this failed: {failure}")
             raise
         if outcome not in ("reached", "tripped"):
-            raise MotionFault(f"{kind} ended as {outcome}", hint="see the controller", **self._line.where)
+            raise MotionFault(f"{kind} ended as {outcome}", hint="check the controller", **self._line.where)
         return outcome
 
     def _numbers(self, question: str) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""One question, one answer, over TCP; every failure an error of volcal's tree that says where and what to do."""
+"""Requests and answers over TCP; every failure is a volcal error that says where it happened and what to do."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from drivers.errors import LinkLost, LinkTimeout, ProtocolError
 
 
 class AcmeLine:
-    """Answers are words; the first is ``ok`` or ``no``."""
+    """Line to the controller. An answer consists of words; the first is ``ok`` or ``no``."""
 
     def __init__(self, address: tuple[str, int], timeout_s: float, device: str) -> None:
         self._address, self._timeout_s = address, timeout_s
@@ -31,9 +31,9 @@ class AcmeLine:
             self._socket = None
 
     def ask(self, question: str) -> list[str]:
-        """The words of the answer."""
+        """Send a request and return the words of its answer."""
         if self._socket is None:
-            raise LinkLost("device is not open", hint="open it first", **self.where)
+            raise LinkLost("the device is not open", hint="open it first", **self.where)
         try:
             self._socket.sendall(question.encode() + b"\n")
             answer = b""
@@ -44,7 +44,7 @@ class AcmeLine:
                 answer += chunk
         except TimeoutError as error:
             self.close()  # a late answer would be taken for the next one
-            raise LinkTimeout(f"no answer to {question!r}", hint="see the controller", **self.where) from error
+            raise LinkTimeout(f"no answer to {question!r}", hint="check the controller", **self.where) from error
         except OSError as error:
             self.close()
             raise LinkLost(f"connection lost: {error}", hint="check cable and power", **self.where) from error

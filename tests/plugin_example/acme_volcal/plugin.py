@@ -1,4 +1,4 @@
-"""What the entry point names: settings, and how a device is made of them."""
+"""Entry point of the plugin: its settings, and the creation of a device from them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.registry import DeviceContext, DriverPlugin
 
 
 class AcmeSettings(BaseModel):
-    """Options of `driver = "acme-cnc"`. Unknown keys are refused, so that a misspelt one is told."""
+    """Options of `driver = "acme-cnc"`. Unknown keys are refused, so that misspellings are reported."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -1,4 +1,4 @@
-"""A pretended ACME controller with a wall across Y, for the driver's own tests: it moves on the time it is given."""
+"""Simulated ACME controller with a wall across Y, for the driver's own tests; it moves with the time passed to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""volcal's contract on the ACME driver, against a pretended controller on a virtual clock."""
+"""volcal's contract tests with the ACME driver and a simulated controller on a virtual clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mount driver on one side, simulated drives on the other, a virtual bus and a virtual clock between them."""
+"""Rig with a mount driver and simulated drives, connected by a virtual bus and driven by a virtual clock."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from simulators.wire.can.parameters import FactorGroup
 from simulators.wire.can.server import CanServer
 
 COUNTS_PER_DEGREE = 10_000 * 36 / 360
-"""10000 counts per motor turn, 36 motor turns per turn of the mount: 1000 counts per degree."""
+"""Scale: 10000 counts per motor turn and 36 motor turns per turn of the mount give 1000 counts per degree."""
 
 CYCLE_S = 0.02
-"""Of the threads that receive: a rig is closed as soon as they have ended."""
+"""Cycle of the receiving threads in s, short so that a rig closes quickly."""
 
 _channels = itertools.count()
 
@@ -84,14 +84,14 @@ class Rig:
     sniffer: can.BusABC
 
     def frames(self) -> list[tuple[int, bytes]]:
-        """What has been on the bus since the last call."""
+        """Return the frames on the bus since the last call."""
         seen = []
         while (message := self.sniffer.recv(0.0)) is not None:
             seen.append((message.arbitration_id, bytes(message.data)))
         return seen
 
     def writes(self, node_id: int, index: int) -> list[bytes]:
-        """Data of the expedited downloads to an object since the last look at the bus."""
+        """Return the data of expedited downloads to an object since the last call."""
         return [
             data[4:]
             for identifier, data in self.frames()

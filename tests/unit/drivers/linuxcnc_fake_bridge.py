@@ -1,8 +1,8 @@
-"""A bridge without LinuxCNC: answers line JSON from a script, in the place of the system's Python.
+"""Bridge without LinuxCNC that answers JSON lines from a script; it replaces the system's Python.
 
 Run as `python linuxcnc_fake_bridge.py SCRIPT.json BRIDGE`; the script is an object: request name → list of answers,
-used one after the other, the last one for ever. An answer is an object (`ok` or `error`), or a word: `die`, `silent`,
-`hang` (deaf from then on), `garbage`, `late` (the answer of another number first).
+used one after the other; the last one is repeated. An answer is an object (`ok` or `error`) or a word: `die`, `silent`,
+`hang` (no reaction from then on), `garbage`, `late` (first an answer with another number).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A small PLC for tests of the Modbus driver, written from docs/reference/modbus-register-map.md alone.
+"""Small PLC for tests of the Modbus driver, written only from docs/reference/modbus-register-map.md.
 
-It keeps plain registers and moves along straight lines at constant speed on the time that it is given. Numbers are
+It has plain registers and moves along straight lines at constant speed, with the time passed to it. Numbers are
 float64, high word first. `disturb(request, answer)` may return another answer, or None to lose it.
 """
 
@@ -55,7 +55,7 @@ class FakePlc:
         self._thread.join(5.0)
 
     def hang_up(self) -> None:
-        """As a killed process does."""
+        """Close the connection and the listener, as when the process is killed."""
         for end in (self._connection, self._listener):
             if end is not None:
                 try:

@@ -1,4 +1,4 @@
-"""The driver on a real pseudo-terminal, GRBL simulated at its other end, in virtual time."""
+"""Rig with the driver on a pseudo-terminal and a simulated GRBL at its other end, in virtual time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TOOL = np.array([0.0, 250.0, 0.0])
 
 @dataclass
 class Line:
-    """What a bad cable does to whole lines on their way to the driver: `on_line` changes each."""
+    """Faulty cable: `on_line` changes each line on its way to the driver."""
 
     port: GrblPort
     on_line: Callable[[bytes], bytes] | None = None
@@ -39,7 +39,7 @@ class Line:
         return data if self.on_line is None else self.on_line(data)
 
     def once(self, starts: bytes, change: Callable[[bytes], bytes]) -> None:
-        """Change the next line that begins so."""
+        """Change the next line that begins with `starts`."""
 
         def changed(line: bytes) -> bytes:
             if not line.startswith(starts):
@@ -63,7 +63,7 @@ class Rig:
     line: Line
 
     def at(self, instant_s: float, action: Callable[[], None]) -> None:
-        """Once, when machine time has come to `instant_s`."""
+        """Run `action` once, when the machine time reaches `instant_s`."""
         done: list[bool] = []
 
         def check(now_s: float) -> None:
@@ -74,7 +74,7 @@ class Rig:
         self.clock.subscribe(check)
 
     def type(self, data: bytes) -> None:
-        """As if it had come over the line: another user, a button."""
+        """Feed bytes to the controller as if another user had sent them."""
         with self.shared.lock:
             self.port.controller.received(data)
 
@@ -102,7 +102,10 @@ def rig(
     clock: Clock | None = None,
     **options: Any,
 ) -> Iterator[Rig]:
-    """Not open yet. `settings`: `$` values that differ; `clock`: instead of a virtual one."""
+    """Create a rig with a device that is not yet open.
+
+    `settings` are `$` values that differ from the defaults; `clock` replaces the virtual clock.
+    """
     world = World(_scenario())
     shared = SharedWorld(world)
     told = GrblSettings(world.controller.limits())
@@ -119,6 +122,6 @@ def rig(
     try:
         yield Rig(device, world, port, shared, virtual, line)
     finally:
-        with suppress(DeviceError):  # a dead peer cannot say that its axes rest
+        with suppress(DeviceError):  # a dead peer cannot report that its axes are at rest
             device.close()
         port.close()

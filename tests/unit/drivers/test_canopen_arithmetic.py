@@ -1,4 +1,4 @@
-"""Scale, turn duration, state table, settings: pure parts of the CANopen mount."""
+"""Tests of the pure parts of the CANopen mount: scale, duration of a turn, state table, settings."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_ties_go_to_even(angle: float, counts: int) -> None:
     shaft=st.integers(1, 20),
     encoder=st.integers(1000, 2**20),
 )
-def test_counts_survive_the_way_through_degrees(
+def test_counts_survive_conversion_to_degrees_and_back(
     counts: int, direction: int, offset: float, motor: int, shaft: int, encoder: int
 ) -> None:
     there = scale(
@@ -66,7 +66,7 @@ def test_counts_survive_the_way_through_degrees(
 
 
 def integrated_duration_s(distance: float, speed: float, acceleration: float, step: float = 1e-4) -> float:
-    """A turn in small steps: accelerate while the rest of the way is longer than the way to stop."""
+    """Simulate a turn in small steps: accelerate while the remaining angle exceeds the braking angle."""
     velocity = gone = elapsed = 0.0
     while gone < distance:
         brake = velocity**2 / (2 * acceleration)
@@ -167,7 +167,7 @@ def mount_settings(**changes: Any) -> dict[str, Any]:
         ({"bitrate": 500_000}, "Extra inputs"),
     ],
 )
-def test_settings_that_cannot_be(changes: dict[str, Any], text: str) -> None:
+def test_invalid_settings(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ValidationError, match=text):
         CanopenMountSettings.model_validate(mount_settings(**changes))
 

@@ -1,4 +1,4 @@
-"""What goes wrong on the bus and in the drives: the error's kind, its words, and that both drives have stopped."""
+"""Tests of faults on the bus and in the drives: type and text of the error, and that both drives have stopped."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HOMING = {"homing": {"method": 1, "search_speed_deg_per_s": 5.0}}
 
 
 def at(bench: Rig, instant_s: float, action: Callable[[], object]) -> None:
-    """Do something once, when machine time has reached an instant."""
+    """Run an action once, when the machine time reaches an instant."""
     done: list[float] = []
 
     def listener(now_s: float) -> None:
@@ -61,7 +61,7 @@ def test_emergency_message_without_a_fault() -> None:
         assert bench.clock.now() < 2.7
 
 
-def test_emergency_of_the_drive_that_is_there_already() -> None:
+def test_emergency_of_the_drive_that_already_reached_its_target() -> None:
     with rig() as bench:
         at(bench, 5.0, lambda: bench.elevation.trip(0x2310))
         with stopped_by(bench, MotionFault, "0x2310 continuous over-current", hint="cause", axis="elevation"):
@@ -69,7 +69,7 @@ def test_emergency_of_the_drive_that_is_there_already() -> None:
         assert bench.clock.now() < 5.7
 
 
-def test_emergency_at_rest_ends_nothing() -> None:
+def test_emergency_at_rest_is_only_logged() -> None:
     with rig() as bench:
         bench.mount.orient_to(1.0, 1.0)
         bench.azimuth.warn(0x4210)
@@ -105,7 +105,7 @@ def test_homing_that_finds_no_switch() -> None:
         assert bench.mount.orient_to(1.0, 1.0) == Orientation(1.0, 1.0)
 
 
-def test_jammed_axis_tells_how_far_it_came() -> None:
+def test_jammed_axis_reports_its_position() -> None:
     with rig(turn_margin_s=1.0) as bench:
         bench.azimuth.jam()
         words = r"azimuth to reach its target.*at 0.0000 of 90.0000 degrees, following error 90.0000 degrees \(0x60F4\)"
@@ -113,7 +113,7 @@ def test_jammed_axis_tells_how_far_it_came() -> None:
             turn(bench)
 
 
-def test_limit_switch_in_the_way() -> None:
+def test_active_limit_switch_blocks_the_turn() -> None:
     with rig() as bench:
         at(bench, 3.0, lambda: bench.azimuth.press_limit_switch(1))
         with stopped_by(bench, MotionFault, "stopped at a limit.*positive limit switch is active", hint="switches"):
@@ -126,7 +126,7 @@ def test_limit_switch_in_the_way() -> None:
         assert bench.mount.orient_to(20.0, 0.0) == Orientation(20.0, 0.0)
 
 
-def test_switch_that_bars_the_other_way_ends_nothing() -> None:
+def test_switch_for_the_other_direction_does_not_block() -> None:
     with rig() as bench:
         at(bench, 2.0, lambda: bench.azimuth.press_limit_switch(-1))
         assert bench.mount.orient_to(40.0, 0.0) == Orientation(40.0, 0.0)
@@ -144,7 +144,7 @@ def test_software_limit_of_the_drive_is_refused_before_anything_is_sent() -> Non
         assert bench.mount.orient_to(44.0, 0.0) == Orientation(44.0, 0.0)
 
 
-def test_software_limit_set_behind_our_back() -> None:
+def test_software_limit_changed_after_opening() -> None:
     with rig() as bench:
         bench.azimuth.parameters[0x607D, 1] = -45_000
         bench.azimuth.parameters[0x607D, 2] = 45_000
@@ -153,7 +153,7 @@ def test_software_limit_set_behind_our_back() -> None:
             turn(bench)
 
 
-def test_quick_stop_by_somebody_else() -> None:
+def test_quick_stop_by_another_master() -> None:
     with rig() as bench:
         bench.azimuth.parameters[0x605A, 0] = 6  # stay in quick stop active
         stop = bytes.fromhex("2B 40 60 00 02 00 00 00")
@@ -182,14 +182,14 @@ def test_bus_off_is_a_lost_link_and_the_mount_can_be_opened_again() -> None:
         assert QUICK_STOPS[0] in bench.frames(), "what still turned was stopped first"
 
 
-def test_error_passive_is_a_warning_and_ends_nothing() -> None:
+def test_error_passive_is_only_a_warning() -> None:
     with rig() as bench:
         passive = can.Message(arbitration_id=0x04, is_error_frame=True, data=b"\x00\x20" + bytes(6))
         at(bench, 2.0, lambda: bench.sniffer.send(passive))
         assert bench.mount.orient_to(40.0, 0.0) == Orientation(40.0, 0.0)
 
 
-def test_drives_that_were_exchanged_are_told_by_their_serial_numbers() -> None:
+def test_swapped_drives_are_detected_by_their_serial_numbers() -> None:
     with (
         rig(opened=False, azimuth={"serial_number": 1}, elevation={"serial_number": 4711}) as bench,
         pytest.raises(ProtocolError, match=r"0x1018:04 serial number is 0x1, expected 0x1267") as caught,
@@ -220,7 +220,7 @@ def test_claims_of_two_mounts_on_one_bus(tmp_path: Path) -> None:
     assert not set(first) & set(PLUGIN.claims(CanopenMountSettings.model_validate(elsewhere)))
 
 
-def test_who_only_looks_does_not_take_the_power_off_what_another_process_turns() -> None:
+def test_diagnosis_does_not_switch_off_a_drive_that_another_process_turns() -> None:
     with rig() as bench:
         bench.mount.orient_to(1.0, 1.0)
         looking = CanopenMount(bench.settings, DeviceContext("doctor", bench.clock, Path()), CanNetworks())

@@ -1,4 +1,4 @@
-"""The mount driver against simulated drives on a virtual bus, under a virtual clock."""
+"""Tests of the mount driver with simulated drives on a virtual bus and a virtual clock."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from simulators.wire.can.drive import DriveState
 
 
 def at(clock: VirtualClock, instant_s: float, action: object) -> None:
-    """Do something once, when machine time has reached an instant."""
+    """Run an action once, when the machine time reaches an instant."""
     done: list[bool] = []
 
     def listener(now_s: float) -> None:
@@ -47,7 +47,7 @@ def both_stopped(bench: Rig) -> bool:
     return quick_stopped(seen, 5) and quick_stopped(seen, 6) and not bench.axes.turns
 
 
-def test_it_plays_its_role() -> None:
+def test_it_implements_its_role() -> None:
     with rig(opened=False) as bench:
         assert isinstance(bench.mount, RotaryMount)
         assert isinstance(PLUGIN.create(bench.settings, DeviceContext("m", bench.clock, Path())), CanopenMount)
@@ -109,7 +109,7 @@ def test_opening_moves_nothing_and_starts_heartbeats() -> None:
 
 
 def test_offset_direction_and_gear() -> None:
-    """Counts grow as the angle falls, zero counts at 90 degrees: 60 degrees is +30000 counts."""
+    """Counts increase as the angle decreases, with zero counts at 90 degrees: 60 degrees is +30000 counts."""
     with rig(azimuth={"direction": -1, "offset_deg": 90.0, "upper_deg": 120.0, "lower_deg": 0.0}) as bench:
         bench.frames()
         assert bench.mount.orientation().azimuth_deg == 90.0
@@ -159,8 +159,8 @@ def test_following_error_without_a_fault() -> None:
 
 
 @pytest.mark.parametrize("exchange", range(1, 9))
-def test_one_lost_answer_is_asked_for_again(exchange: int) -> None:
-    """Whichever SDO answer of a turn is lost, the set-point is taken once and the turn ends."""
+def test_request_with_a_lost_answer_is_repeated(exchange: int) -> None:
+    """For any lost SDO answer during a turn, the set-point is accepted once and the turn ends."""
     with rig(sdo_timeout_s=0.5) as bench:
         bench.mount.orient_to(0.0, 0.0)
         bench.axes.commands.clear()
@@ -194,7 +194,7 @@ def test_fault_that_stays_is_a_motion_fault() -> None:
         assert bench.axes.commands == []
 
 
-def test_tolerated_emergency_is_no_end_of_the_turn() -> None:
+def test_tolerated_emergency_does_not_end_the_turn() -> None:
     with rig(tolerated_emergencies=[0x4210]) as bench:
         at(bench.clock, 1.0, lambda: bench.azimuth.warn(0x4210))
         assert bench.mount.orient_to(30.0, 0.0) == Orientation(30.0, 0.0)
@@ -242,14 +242,14 @@ def test_silent_drive_is_a_timeout_that_says_what_to_check() -> None:
         assert caught.value.__notes__
 
 
-def test_late_heartbeat_is_confirmed_by_asking() -> None:
+def test_late_heartbeat_is_checked_by_sdo() -> None:
     with rig() as bench:
         bench.azimuth_node.stop_heartbeat()
         assert bench.mount.orient_to(90.0, 0.0) == Orientation(90.0, 0.0)
 
 
-def test_heartbeat_loss_of_a_drive_that_is_not_asked() -> None:
-    """The elevation has reached its target and is looked at no more; its silence is noticed by its heartbeat."""
+def test_heartbeat_loss_of_a_drive_that_is_no_longer_polled() -> None:
+    """The elevation has reached its target and is no longer polled; its missing heartbeat reveals the failure."""
     with rig(sdo_timeout_s=0.5) as bench:
 
         def power_off() -> None:
@@ -344,7 +344,7 @@ def test_homing_that_does_not_end() -> None:
             bench.mount.orient_to(10.0, 0.0)
 
 
-def test_restart_forgets_the_reference() -> None:
+def test_restart_loses_the_reference() -> None:
     with rig(azimuth=HOMING) as bench:
         bench.mount.home()
         bench.server.restart(bench.azimuth_node)
@@ -354,7 +354,7 @@ def test_restart_forgets_the_reference() -> None:
             bench.mount.orient_to(10.0, 0.0)
 
 
-def test_nobody_at_the_node_id() -> None:
+def test_no_drive_at_the_node_id() -> None:
     with rig(opened=False, azimuth={"node_id": 9}, sdo_timeout_s=0.5) as bench:
         with pytest.raises(LinkTimeout, match="no SDO response from node 9 to 0x1000:00 device type"):
             bench.mount.open()
@@ -405,7 +405,7 @@ def test_diagnosis_names_a_fault() -> None:
         ]
 
 
-def test_close_takes_the_power_off() -> None:
+def test_close_switches_the_power_off() -> None:
     with rig() as bench:
         bench.mount.orient_to(1.0, 1.0)
         bench.mount.close()
@@ -450,7 +450,7 @@ def write_eds(path: Path, product: str, indexes: dict[int, int]) -> None:
 OBJECTS = {0x6040: 6, 0x6041: 6, 0x6060: 2, 0x6061: 2, 0x6064: 4, 0x607A: 4, 0x6081: 7}
 
 
-def test_eds_proves_the_identity(tmp_path: Path) -> None:
+def test_eds_gives_the_identity(tmp_path: Path) -> None:
     write_eds(tmp_path / "right.eds", "0x402", OBJECTS)
     write_eds(tmp_path / "wrong.eds", "0x403", OBJECTS)
     with rig(azimuth={"eds": str(tmp_path / "right.eds")}) as bench:
@@ -471,7 +471,7 @@ def test_eds_without_a_needed_object(tmp_path: Path) -> None:
         bench.mount.open()
 
 
-def test_eds_that_is_not_there(tmp_path: Path) -> None:
+def test_missing_eds_file(tmp_path: Path) -> None:
     with (
         rig(opened=False, elevation={"eds": str(tmp_path / "none.eds")}) as bench,
         pytest.raises(ConfigurationError, match=r"cannot be read.*none.eds"),

@@ -1,4 +1,4 @@
-"""The drive's own factors against the settings, the EDS file's word on objects, and what `doctor` reads of both."""
+"""Tests of the comparison of the drive's factors with the settings, of EDS files, and of their diagnosis."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from simulators.wire.can.parameters import FEED, GEAR, POLARITY, RESOLUTION, Fac
 from simulators.wire.can.server import CanServer
 
 IN_THOUSANDTHS = {"position": "feed", "feed_per_revolution": 360_000}
-"""The gear is in the drive, and a unit is a thousandth of a degree of the mount."""
+"""The drive includes the gear, and its position unit is 0.001 degree of the mount."""
 
 
 def axis(**changes: Any) -> AxisSettings:
@@ -56,7 +56,7 @@ def test_units_that_contradict_themselves(units: dict[str, Any], words: str) -> 
 
 @given(increments=st.integers(1, 2**20), gear=st.integers(1, 400), feed=st.integers(1, 10**7), polarity=st.booleans())
 def test_factors_as_the_profile_defines_them(increments: int, gear: int, feed: int, polarity: bool) -> None:
-    """CiA 402-2: position = increments * feed constant / (encoder resolution * gear ratio)."""
+    """Formula of CiA 402-2: position = increments * feed constant / (encoder resolution * gear ratio)."""
     group = FactorGroup((increments, 1), (gear, 1), (feed, 1), 0x80 if polarity else 0)
     one_turn_of_the_shaft = increments * gear * Parameters(group).units_per_increment
     assert one_turn_of_the_shaft == pytest.approx(-feed if polarity else feed)
@@ -74,7 +74,7 @@ def test_factors_as_the_profile_defines_them(increments: int, gear: int, feed: i
         (POLARITY, 0x80, "0x607E polarity is 0x80 in the drive and 0x0", "units.polarity"),
     ],
 )
-def test_other_factors_end_the_opening(key: tuple[int, int], value: int, words: str, setting: str) -> None:
+def test_differing_factors_refuse_the_opening(key: tuple[int, int], value: int, words: str, setting: str) -> None:
     with rig(opened=False) as bench:
         bench.azimuth.parameters[key] = value
         with pytest.raises(ConfigurationError, match=words) as caught:
@@ -87,8 +87,8 @@ def test_other_factors_end_the_opening(key: tuple[int, int], value: int, words: 
         assert any(f"0x{key[0]:04X}" in text and setting in text for text in bad)
 
 
-def test_why_a_difference_must_not_pass() -> None:
-    """Compared with nothing, a drive with another encoder stated turns elsewhere, and says it is there."""
+def test_without_the_comparison_the_angle_is_wrong() -> None:
+    """Without the comparison, a drive with another encoder resolution turns to a wrong angle and reports success."""
     with rig(opened=False, azimuth={"units": {"compare": []}}) as bench:
         bench.azimuth.parameters[RESOLUTION] = 20_000
         bench.mount.open()
@@ -109,7 +109,7 @@ def test_ratios_are_compared_as_numbers() -> None:
         assert bench.writes(5, 0x607A) == [bytes.fromhex("30 75 00 00")], "30000 thousandths"
 
 
-def test_factors_are_written_where_that_is_asked_for_and_read_back() -> None:
+def test_factors_are_written_if_configured_and_read_back() -> None:
     with rig(opened=False, azimuth={"units": {**IN_THOUSANDTHS, "write": True}}) as bench:
         bench.azimuth.parameters[FEED] = 1000
         bench.frames()
@@ -127,8 +127,8 @@ def test_reversed_polarity_turns_the_count_and_the_direction_turns_it_back() -> 
         assert bench.axes.position_deg("azimuth") == pytest.approx(20.0)
 
 
-def test_unit_codes_are_compared_where_they_are_stated() -> None:
-    """A drive that takes its speeds in turns a minute (0x00B44700) turns at another speed than asked for."""
+def test_unit_codes_are_compared_if_stated() -> None:
+    """A drive with speeds in turns per minute (0x00B44700) turns at a wrong speed."""
     units = {**IN_THOUSANDTHS, "unit_code": 0xFD41_0000, "velocity_unit_code": 0xFD41_0300}
     with rig(opened=False, azimuth={"units": units}) as bench:
         bench.azimuth.parameters[0x60A8, 0] = 0xFD41_0000
@@ -145,8 +145,8 @@ NANOTEC = (0x26C, 7, 1, 1)
 EXAMPLE = Path(__file__).parents[3] / "config" / "examples" / "nanotec-n5-mount.toml"
 
 
-def test_example_turns_drives_that_are_set_as_its_page_says() -> None:
-    """Simulated drives with the factors of the page: thousandths of a degree of the mount, gear 100:1 in the drive."""
+def test_example_turns_drives_set_as_on_its_page() -> None:
+    """Drives with the factors of the reference page: units of 0.001 degree of the mount, gear 100:1 in the drive."""
     options = tomllib.loads(EXAMPLE.read_text())["devices"]["mount"]["options"]
     stated = CanopenMountSettings.model_validate(options)
     assert (stated.azimuth.scale.counts(1.0), stated.elevation.scale.counts(1.0)) == (1000, 1000)
@@ -228,7 +228,7 @@ def refused(eds: str, **changes: Any) -> ConfigurationError:
     return caught.value
 
 
-def test_eds_that_lets_nobody_write_the_target(tmp_path: Path) -> None:
+def test_eds_with_a_read_only_target(tmp_path: Path) -> None:
     path = tmp_path / "locked.eds"
     write_eds(path, "0x402", OBJECTS)
     section = "[607A]\nParameterName=o607A\nObjectType=0x7\nDataType=0x0004\nAccessType="
@@ -251,7 +251,7 @@ def test_eds_needs_the_homing_objects_only_for_homing(tmp_path: Path) -> None:
     assert "does not list 0x6098:00 homing method" in str(error)
 
 
-def test_eds_that_is_none(tmp_path: Path) -> None:
+def test_file_that_is_not_an_eds(tmp_path: Path) -> None:
     path = tmp_path / "broken.eds"
     path.write_text("[FileInfo\nthis is no EDS")
     assert "cannot be read" in str(refused(str(path)))

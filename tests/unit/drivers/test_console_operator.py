@@ -1,4 +1,4 @@
-"""The operator on the terminal."""
+"""Tests of the operator at a terminal."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_answers(answers: str, agrees: bool) -> None:
     assert "Move the artefact (station 3) [d]one / [n]o: " in sink.getvalue()
 
 
-def test_what_is_never_understood_is_a_no() -> None:
+def test_unrecognised_answers_count_as_no() -> None:
     device, sink = operator("what\nhow\nyes\n")
     assert device.ask(CONSENT) is False
     assert sink.getvalue().count("Activate the new table? [y]es / [n]o: ") == 2

@@ -1,4 +1,4 @@
-"""The driver `linuxcnc` against a bridge that misbehaves, and what `doctor` says of wrong settings."""
+"""Tests of the driver `linuxcnc` with a faulty bridge, and of its diagnosis of wrong settings."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
 
     yield opened
     for device in made:
-        with suppress(DeviceError):  # what does not come to rest cannot be given back
+        with suppress(DeviceError):  # modes cannot be restored while an axis still moves
             device.close()
 
 
@@ -130,7 +130,7 @@ def link(tmp_path: Path) -> Iterator[Callable[..., BridgeLink]]:
 
 
 class TestLink:
-    def test_bridge_that_dies_says_why_and_stays_dead(self, link) -> None:
+    def test_dead_bridge_reports_why_and_is_not_restarted(self, link) -> None:
         dying = link("die")
         with pytest.raises(LinkLost, match="shot by the test"):
             dying.ask("ask")
@@ -153,7 +153,7 @@ class TestLink:
         hanging.abort()
         assert hanging.pid != before
 
-    def test_silence_is_a_timeout_and_a_late_answer_is_not_taken_for_the_next(self, link) -> None:
+    def test_silence_is_a_timeout_and_a_late_answer_is_discarded(self, link) -> None:
         silent = link("silent", {"ok": {"stale": False}}, within_s=1.5)
         with pytest.raises(LinkTimeout):
             silent.ask("ask")
@@ -162,7 +162,7 @@ class TestLink:
     def test_answer_of_another_number_is_dropped(self, link) -> None:
         assert link("late").ask("ask") == {"stale": False}
 
-    def test_what_is_not_json_is_a_protocol_error(self, link) -> None:
+    def test_invalid_json_is_a_protocol_error(self, link) -> None:
         with pytest.raises(ProtocolError, match="Segmentation"):
             link("garbage").ask("ask")
 
@@ -173,12 +173,12 @@ class TestLink:
         with pytest.raises(kind, match="the reason"):
             link({"error": error, "text": "the reason"}).ask("ask")
 
-    def test_program_that_is_not_there(self) -> None:
+    def test_missing_program(self) -> None:
         absent = BridgeLink(["/no/such/python3"], answer_within_s=1.0, watch_s=0.0, device="cnc")
         with pytest.raises(LinkLost, match="cannot be started"):
             absent.open()
 
-    def test_program_that_says_nothing_and_ends(self) -> None:
+    def test_program_that_ends_without_output(self) -> None:
         mute = BridgeLink(["true"], answer_within_s=5.0, watch_s=0.0, device="cnc")
         with pytest.raises(LinkLost, match="ended with 0"):
             mute.open()
@@ -191,7 +191,7 @@ class TestDevice:
         assert device.limits().rapid_mm_per_s == pytest.approx((254.0,) * 3)
         assert device.position() == pytest.approx([25.4, 50.8, 76.2])
 
-    def test_external_offset_is_no_part_of_the_position(self, make: Make) -> None:
+    def test_external_offset_is_not_part_of_the_position(self, make: Make) -> None:
         device = make(script(status=[look(eoffset=[0.1, -0.2, 0.0])]))
         assert device.position() == pytest.approx([0.9, 2.2, 3.0])
 
@@ -209,7 +209,7 @@ class TestDevice:
         with pytest.raises(kind):
             make(script(hello=[{"ok": HELLO | change}]))
 
-    def test_status_with_something_missing(self, make: Make) -> None:
+    def test_status_with_a_missing_field(self, make: Make) -> None:
         told = {name: value for name, value in STATUS.items() if name != "tripped"}
         with pytest.raises(ProtocolError, match="tripped"):
             make(script(status=[{"ok": told}])).status()
@@ -226,7 +226,7 @@ class TestDevice:
         with pytest.raises(MotionFault, match="stopped at the machine"):
             make(script()).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
 
-    def test_guard_that_trips_is_told_when_the_axes_have_braked(self, make: Make) -> None:
+    def test_guard_trip_is_raised_after_the_axes_have_stopped(self, make: Make) -> None:
         tripped = look(state="error", in_position=False, errors=["Probe tripped during non-probe move"])
         braking, resting = look(in_position=False, position=[4.0, 2.0, 3.0]), look(position=[4.1, 2.0, 3.0])
         device = make(script(status=[look(), tripped, braking, braking, resting]))
@@ -234,13 +234,13 @@ class TestDevice:
             device.move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
         assert device.status().state is MotionState.IDLE
 
-    def test_refusal_has_the_words_of_linuxcnc_even_when_they_come_late(self, make: Make) -> None:
+    def test_refusal_contains_a_late_message_of_linuxcnc(self, make: Make) -> None:
         told = script(status=[look(), look(state="error"), look(state="error", errors=["beyond X's limit"])])
         with pytest.raises(CommandRejected, match="beyond X's limit"):
             make(told).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
 
     @pytest.mark.parametrize("free", [True, False])
-    def test_probe_deflected_nobody_knows_how_is_led_a_little_first(self, make: Make, free: bool) -> None:
+    def test_probe_deflected_in_unknown_direction_is_freed_first(self, make: Make, free: bool) -> None:
         start, led = look(probe=True), look(probe=not free, position=[3.0, 2.0, 3.0])
         told = script(status=[start, led, look(position=[10.0, 2.0, 3.0])])
         device = make(told)
@@ -250,7 +250,7 @@ class TestDevice:
             with pytest.raises(GuardTripped, match="still deflected after 2 mm"):
                 device.move_to(TARGET, feed_mm_per_s=None, guarded=True)
 
-    def test_hold_is_waited_for_only_so_long(self, make: Make) -> None:
+    def test_wait_for_the_end_of_a_hold_is_bounded(self, make: Make) -> None:
         told = script(status=[look(), look(state="exec", idle=False, paused=True)])
         with pytest.raises(MotionFault, match="more than 30 s"):
             make(told, held_at_most_s=30.0).move_to(TARGET, feed_mm_per_s=1.0, guarded=True)
@@ -280,7 +280,7 @@ class TestDoctor:
     def findings(device: LinuxCnc) -> dict[str, DiagnosticFinding]:
         return {finding.subject: finding for finding in device.diagnose()}
 
-    def test_wrong_settings_are_told(self, make: Make) -> None:
+    def test_wrong_settings_are_reported(self, make: Make) -> None:
         ini = [INI, ["1.5", None, None, None, None, "2", "2", None, "10", None]]
         status = look(homed=False, feed_override=0.5, rotation_deg=3.0, probe=True)
         found = self.findings(make(script(ini=[{"ok": {"values": values}} for values in ini], status=[status])))
@@ -298,20 +298,20 @@ class TestDoctor:
         assert "JOINT_1" not in found["homing"].text
         assert "external offsets have no effect" in found["[AXIS_*]OFFSET_AV_RATIO"].text
 
-    def test_servo_period_that_makes_touches_unsure(self, make: Make) -> None:
+    def test_long_servo_period_is_reported(self, make: Make) -> None:
         slow = [*INI[:9], "2000000", *INI[10:]]
         found = self.findings(make(script(ini=[{"ok": {"values": slow}}, {"ok": {"values": [None] * 10}}])))
         assert not found["[EMCMOT]SERVO_PERIOD"].ok
         assert "up to 10.0 µm" in found["[EMCMOT]SERVO_PERIOD"].text
 
-    def test_clock_that_runs_otherwise_is_told(self, make: Make) -> None:
+    def test_clock_with_another_rate_is_reported(self, make: Make) -> None:
         looks = [look(monotonic_s=10.0 * number) for number in range(60)]
         found = self.findings(
             make(script(ini=[{"ok": {"values": INI}}, {"ok": {"values": [None] * 10}}], status=looks))
         )
         assert not found["latency"].ok
 
-    def test_what_cannot_be_reached_is_a_finding(self, tmp_path: Path) -> None:
+    def test_unreachable_bridge_is_a_finding(self, tmp_path: Path) -> None:
         settings = LinuxCncSettings(bridge_command=("/no/such/python3",))
         found = LinuxCnc(settings, DeviceContext("cnc", VirtualClock(), tmp_path)).diagnose()
         assert [(finding.subject, finding.ok) for finding in found] == [("bridge", False)]

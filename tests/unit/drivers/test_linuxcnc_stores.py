@@ -1,4 +1,4 @@
-"""The stores of LinuxCNC against a loader and signals that misbehave; with a real LinuxCNC in tests/linuxcnc."""
+"""Tests of the LinuxCNC stores with a faulty loader and faulty signals; tests/linuxcnc uses a real LinuxCNC."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TABLE = TableImage((0.0, 0.0, 0.0), (10.0, 10.0, 10.0), 1e-4, np.arange(24, dtyp
 
 
 class Loader:
-    """The pins of `volcal_tables` as its page describes them, answering at once. `faults` spoil single answers."""
+    """Loader `volcal_tables` with the pins documented on its page. `faults` change single answers."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -77,7 +77,7 @@ def store(loader: Loader, tmp_path: Path) -> LinuxCncStore:
     return create_store(settings, loader, VirtualClock(), base_path=tmp_path, device="cnc")
 
 
-def test_table_goes_in_acts_and_goes_out(store: LinuxCncStore) -> None:
+def test_table_is_staged_activated_and_deactivated(store: LinuxCncStore) -> None:
     store.stage(1, TABLE)
     store.activate(1)
     assert store.active_bank() == 1
@@ -85,7 +85,7 @@ def test_table_goes_in_acts_and_goes_out(store: LinuxCncStore) -> None:
     assert store.active_bank() == 0
 
 
-def test_component_that_is_not_loaded_is_said_with_what_to_do(loader: Loader, store: LinuxCncStore) -> None:
+def test_missing_component_is_reported_with_a_hint(loader: Loader, store: LinuxCncStore) -> None:
     del loader.pins["acting-fault"]
     with pytest.raises(StoreError, match=r"volcal-tables\.acting-fault.*HAL file"):
         store.active_bank()
@@ -109,7 +109,7 @@ def test_lost_link_stays_a_lost_link(loader: Loader, store: LinuxCncStore) -> No
         ({"bank1-state": 0}, StoreError),
     ],
 )
-def test_loader_that_takes_something_else_is_not_believed(
+def test_loader_with_another_table_is_detected(
     loader: Loader, store: LinuxCncStore, spoilt: dict[str, PinValue], error: type[Exception]
 ) -> None:
     loader.spoilt = spoilt
@@ -131,7 +131,7 @@ def test_loader_that_takes_something_else_is_not_believed(
         ({"acting-fault": 1}, StoreError),
     ],
 )
-def test_activation_that_did_not_happen_is_none(
+def test_activation_without_effect_is_an_error(
     loader: Loader, store: LinuxCncStore, spoilt: dict[str, PinValue], error: type[Exception]
 ) -> None:
     store.stage(1, TABLE)
@@ -147,14 +147,14 @@ def test_bank_is_active_though_the_machine_is_off(loader: Loader, store: LinuxCn
     assert "not applied" in store.diagnose()[0].text
 
 
-def test_bank_that_was_chosen_and_does_not_act_yet_is_not_written(loader: Loader, store: LinuxCncStore) -> None:
+def test_selected_bank_is_not_written(loader: Loader, store: LinuxCncStore) -> None:
     loader.spoilt = {"bank": 2}
     with pytest.raises(StoreError, match="active"):
         store.stage(2, TABLE)
     assert not (loader.directory / "bank2.table").exists()
 
 
-def test_held_correction_is_no_bank(loader: Loader, store: LinuxCncStore) -> None:
+def test_held_correction_is_not_a_bank(loader: Loader, store: LinuxCncStore) -> None:
     loader.spoilt = {"acting-fault": 3}
     with pytest.raises(StoreError, match="held"):
         store.active_bank()
@@ -162,7 +162,7 @@ def test_held_correction_is_no_bank(loader: Loader, store: LinuxCncStore) -> Non
 
 
 class Signals:
-    """The two signals of `bank.hal`."""
+    """Pins with the two signals of `bank.hal`."""
 
     def __init__(self) -> None:
         self.values: dict[str, PinValue] = {"volcal-comp-bank": 0, "volcal-comp-crc": 0}
@@ -187,7 +187,7 @@ def files(signals: Signals, tmp_path: Path) -> LinuxCncStore:
     return create_store(settings, signals, VirtualClock(), base_path=tmp_path, device="cnc")
 
 
-def test_directory_that_was_not_prepared_is_said(files: LinuxCncStore, signals: Signals, tmp_path: Path) -> None:
+def test_unprepared_directory_is_reported(files: LinuxCncStore, signals: Signals, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="no link"):
         files.pending_bank()
     (tmp_path / "acting").symlink_to("elsewhere")
@@ -213,7 +213,7 @@ def test_unknown_or_empty_bank_is_refused(files: LinuxCncStore, tmp_path: Path) 
 
 
 def test_files_hold_nominal_minus_correction(files: LinuxCncStore, tmp_path: Path) -> None:
-    """LinuxCNC adds nominal minus position. One node along X: two rows, since LinuxCNC wants an interval."""
+    """LinuxCNC adds nominal minus position. A single node along X gives two rows, as LinuxCNC needs an interval."""
     (tmp_path / "acting").symlink_to("bank0")
     counts = np.array([[[[50, -20, 7]], [[50, 30, 7]]]], dtype=np.int32)
     files.stage(1, TableImage((5.0, 1.0, 2.0), (1.0, 4.0, 1.0), 1e-4, counts))

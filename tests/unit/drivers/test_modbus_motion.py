@@ -1,4 +1,4 @@
-"""Motion, probing and the conversation around them, against a small PLC on virtual time."""
+"""Tests of motion, probing and session of the Modbus driver, with a small PLC in virtual time."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def cnc(plc: FakePlc, clock: VirtualClock) -> Iterator[ModbusCnc]:
         yield device
 
 
-def test_it_plays_four_roles(cnc: ModbusCnc) -> None:
+def test_it_implements_four_roles(cnc: ModbusCnc) -> None:
     for role in (Machine, Probe, CompensationStore, Thermometer):
         assert isinstance(cnc, role)
 
@@ -118,7 +118,7 @@ def test_a_touch_that_meets_nothing_is_a_miss(cnc: ModbusCnc) -> None:
     assert result.position_mm == (100.0, 210.0, 300.0)
 
 
-def test_a_latch_of_another_touch_is_not_believed(cnc: ModbusCnc, plc: FakePlc) -> None:
+def test_a_latch_of_another_touch_is_refused(cnc: ModbusCnc, plc: FakePlc) -> None:
     def restore_old_latch(request: bytes, answer: bytes) -> bytes:
         stale = bytearray(answer)
         if request[7] == 23 and int.from_bytes(answer[9 + 22 : 9 + 24], "big") == 3:  # outcome: tripped
@@ -131,14 +131,14 @@ def test_a_latch_of_another_touch_is_not_believed(cnc: ModbusCnc, plc: FakePlc) 
         cnc.touch_towards(np.array([100.0, 210.0, 300.0]), feed_mm_per_s=5.0)
 
 
-def test_a_latch_off_the_path_is_not_believed(cnc: ModbusCnc, plc: FakePlc) -> None:
+def test_a_latch_off_the_path_is_refused(cnc: ModbusCnc, plc: FakePlc) -> None:
     plc.trip_at_mm = 4.0
     plc.wrong_latch = (100.0, 204.0, 303.0)
     with pytest.raises(ProtocolError, match=r"3\.000 mm off the commanded path"):
         cnc.touch_towards(np.array([100.0, 210.0, 300.0]), feed_mm_per_s=5.0)
 
 
-def test_a_guard_trip_is_reported_and_the_way_back_is_open(cnc: ModbusCnc, plc: FakePlc) -> None:
+def test_a_guard_trip_is_reported_and_its_fault_cleared(cnc: ModbusCnc, plc: FakePlc) -> None:
     plc.trip_at_mm = 20.0
     with pytest.raises(GuardTripped, match=r"near X 120\.000"):
         cnc.move_to(np.array([200.0, 200.0, 300.0]), feed_mm_per_s=None, guarded=True)
@@ -260,13 +260,13 @@ def test_a_command_that_is_never_acknowledged_times_out_and_is_stopped(cnc: Modb
     assert plc.registers[2001] == 23
 
 
-def test_a_sequence_number_of_somebody_else_is_an_error(cnc: ModbusCnc, plc: FakePlc) -> None:
+def test_a_foreign_sequence_number_is_an_error(cnc: ModbusCnc, plc: FakePlc) -> None:
     plc.registers[1008] = 4711
     with pytest.raises(ProtocolError, match="sequence number 4711"):
         cnc.status()
 
 
-def test_sequence_numbers_go_on_where_they_stood_and_leave_out_zero(plc: FakePlc, clock: VirtualClock) -> None:
+def test_sequence_numbers_continue_and_skip_zero(plc: FakePlc, clock: VirtualClock) -> None:
     plc.registers[1008] = 65534
     with opened(plc, clock) as cnc:
         seen = []
@@ -293,7 +293,7 @@ def test_a_lost_answer_to_a_motion_is_resolved_by_reading(cnc: ModbusCnc, plc: F
     assert plc.commands == [11]
 
 
-def test_a_late_answer_to_a_former_request_is_left_aside(cnc: ModbusCnc, plc: FakePlc) -> None:
+def test_a_late_answer_to_an_earlier_request_is_discarded(cnc: ModbusCnc, plc: FakePlc) -> None:
     kept: list[bytes] = []
 
     def one_behind(_request: bytes, answer: bytes) -> bytes | None:
@@ -397,7 +397,7 @@ def test_implausible_limits_are_refused(
         pass
 
 
-def test_a_closed_device_says_so_and_stop_is_still_safe(cnc: ModbusCnc) -> None:
+def test_a_closed_device_raises_and_stop_is_still_safe(cnc: ModbusCnc) -> None:
     cnc.close()
     cnc.stop()
     with pytest.raises(LinkLost, match="not open"):

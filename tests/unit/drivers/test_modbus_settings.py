@@ -1,4 +1,4 @@
-"""Settings, number formats and the prediction of motions of the Modbus driver."""
+"""Tests of settings, number formats and predicted durations of the Modbus driver."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_heartbeat_is_judged_only_while_it_is_watched() -> None:
     heartbeat = PeerHeartbeat(clock, 1.0, {"device": "cnc"})
     heartbeat.observe(5)
     clock.sleep(60.0)
-    heartbeat.observe(5)  # not looked at for a minute: proves nothing
+    heartbeat.observe(5)  # a minute without an observation proves nothing
     for _ in range(2):
         clock.sleep(0.5)
         heartbeat.observe(5)
@@ -138,7 +138,7 @@ def test_one_link_and_its_own_timeout() -> None:
         ({"serial": {"baud": 9600}}, "Field required"),
     ],
 )
-def test_links_that_cannot_be(options: dict[str, object], text: str) -> None:
+def test_invalid_links(options: dict[str, object], text: str) -> None:
     with pytest.raises(ValidationError, match=text):
         ModbusCncSettings.model_validate(options)
 
@@ -153,7 +153,7 @@ def test_links_that_cannot_be(options: dict[str, object], text: str) -> None:
     ],
 )
 def test_four_orders_of_a_value(words, bytes_, hexed: str) -> None:
-    """258, -2 and 1.5 (3FF8 0000 0000 0000)."""
+    """The values are 258, -2 and 1.5 (3FF8 0000 0000 0000)."""
     registers = [RegisterField("a", "u16"), RegisterField("b", "i32"), RegisterField("c", "number")]
     layout = RegisterLayout(registers, NumberFormat("float64", 1.0, words, bytes_))
     assert layout.pack((0x0102, -2, 1.5)) == bytes.fromhex(hexed)

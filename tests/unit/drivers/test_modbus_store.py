@@ -1,4 +1,4 @@
-"""Compensation tables over Modbus: transfer, commit, read-back, two-step activation."""
+"""Tests of compensation tables over Modbus: transfer, commit, read-back, two-step activation."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_data_corrupted_on_the_way_fails_the_commit(cnc: ModbusCnc, plc: FakePlc
     assert cnc.read_table(1) is None
 
 
-def test_a_store_that_changes_data_after_the_commit_is_found_by_reading_back(cnc: ModbusCnc, plc: FakePlc) -> None:
+def test_data_changed_after_the_commit_is_detected_by_reading_back(cnc: ModbusCnc, plc: FakePlc) -> None:
     def flip(blocks: dict[int, bytes]) -> None:
         blocks[1] = b"\x01" + blocks[1][1:]
 

@@ -1,4 +1,4 @@
-"""Banks in files, and what an active one does to a machine that has no table of its own."""
+"""Tests of banks in files, and of their effect on a machine without tables of its own."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STEP = (1000.0, 650.0, 500.0)
 
 
 def table(seed: int = 1, largest: int = 500) -> TableImage:
-    """Corrections of up to 50 µm over the whole travel."""
+    """Return a table with corrections of up to 50 µm over the whole travel."""
     counts = np.random.default_rng(seed).integers(-largest, largest, (*SHAPE, 3)).astype(np.int32)
     return TableImage((0.0, 0.0, 0.0), STEP, 1e-4, counts)
 
@@ -37,14 +37,14 @@ class TestCorrection:
         assert Correction(table(seed)).at(np.array(place)) == pytest.approx(expected, abs=1e-12)
 
     @given(positions, st.integers(0, 50))
-    def test_is_taken_out_exactly(self, place: tuple[float, float, float], seed: int) -> None:
+    def test_is_removed_exactly(self, place: tuple[float, float, float], seed: int) -> None:
         correction = Correction(table(seed))
         displayed = np.array(place)
         assert correction.remove(correction.apply(displayed)) == pytest.approx(displayed, abs=1e-9)
 
     @settings(max_examples=20)
     @given(positions, st.integers(0, 20))
-    def test_is_taken_out_at_the_steepest_that_is_let_in(self, place: tuple[float, float, float], seed: int) -> None:
+    def test_is_removed_at_the_largest_accepted_slope(self, place: tuple[float, float, float], seed: int) -> None:
         steep = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, table(seed, round(MAX_SLOPE / 2e-4)).counts)
         correction = Correction(steep)
         assert correction.remove(correction.apply(np.array(place))) == pytest.approx(np.array(place), abs=1e-4)
@@ -58,7 +58,7 @@ class TestCorrection:
 
 
 class TestActiveBank:
-    def test_axes_go_elsewhere_and_the_display_stays(self, tmp_path: Path) -> None:
+    def test_axes_move_and_the_displayed_position_does_not(self, tmp_path: Path) -> None:
         with rig(tmp_path) as grbl:
             grbl.device.open()
             grbl.device.stage(1, table())
@@ -71,7 +71,7 @@ class TestActiveBank:
             assert moved == pytest.approx(TableField(table()).at_many(np.array([target]))[0], abs=1.1e-3)
             assert grbl.device.position() == pytest.approx(target, abs=1.1e-3)
 
-    def test_latch_is_told_as_a_corrected_program_would_have_it(self, tmp_path: Path) -> None:
+    def test_latch_is_displayed_as_for_a_corrected_program(self, tmp_path: Path) -> None:
         with rig(tmp_path) as grbl:
             grbl.device.open()
             centre = grbl.before()
@@ -83,7 +83,7 @@ class TestActiveBank:
             assert isinstance(touched, Touch)
             assert isinstance(corrected, Touch)
             sent = np.array(corrected.position_mm) + Correction(table()).at(np.array(corrected.position_mm))
-            # Touched beside the old line by the correction across it: along the normal of a ball that is nothing.
+            # The correction shifts the touch sideways, which does not change the touch along the normal of the ball.
             assert sent[1] == pytest.approx(touched.position_mm[1], abs=2e-3)
             assert abs(corrected.position_mm[1] - touched.position_mm[1]) > 5e-3
 
@@ -96,7 +96,7 @@ class TestActiveBank:
             grbl.device.move_to(np.array([0.0, 0.0, 0.0]), feed_mm_per_s=None, guarded=True)
             assert grbl.world.controller.displayed_position() == pytest.approx([0.0, 0.0, 0.0])
 
-    def test_acts_again_after_a_restart(self, tmp_path: Path) -> None:
+    def test_is_active_again_after_a_restart(self, tmp_path: Path) -> None:
         with rig(tmp_path) as grbl:
             grbl.device.open()
             grbl.device.stage(2, table())
@@ -144,7 +144,7 @@ class TestFiles:
         with rig(tmp_path) as grbl, pytest.raises(StoreError):
             grbl.device.open()
 
-    def test_exchanged_file_is_noticed(self, tmp_path: Path) -> None:
+    def test_exchanged_file_is_detected(self, tmp_path: Path) -> None:
         banks = self.staged(tmp_path)
         with rig(tmp_path) as grbl:
             grbl.device.open()
@@ -153,12 +153,12 @@ class TestFiles:
         with rig(tmp_path) as grbl, pytest.raises(ChecksumMismatch, match="bank 1 is active"):
             grbl.device.open()
 
-    def test_lost_file_is_noticed(self, tmp_path: Path) -> None:
+    def test_lost_file_is_detected(self, tmp_path: Path) -> None:
         (self.staged(tmp_path) / "bank1.table").unlink()
         with rig(tmp_path) as grbl, pytest.raises(StoreError, match="its file is missing"):
             grbl.device.open()
 
-    def test_file_that_says_nothing_of_use(self, tmp_path: Path) -> None:
+    def test_invalid_file_of_the_active_bank(self, tmp_path: Path) -> None:
         (self.staged(tmp_path) / "active").write_text("1")
         with rig(tmp_path) as grbl, pytest.raises(StoreError, match="names the active bank"):
             grbl.device.open()
@@ -181,7 +181,7 @@ class TestFiles:
             assert read is not None
             assert read.same_as(table())
 
-    def test_directory_that_cannot_be_made(self, tmp_path: Path) -> None:
+    def test_directory_that_cannot_be_created(self, tmp_path: Path) -> None:
         (tmp_path / "banks").write_text("a file")
         with rig(tmp_path) as grbl, pytest.raises(StoreError):
             grbl.device.open()

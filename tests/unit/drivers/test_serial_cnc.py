@@ -1,4 +1,4 @@
-"""The serial CNC driver against a GRBL that misbehaves: every fault a typed error, and the machine stopped."""
+"""Tests of the serial CNC driver with a faulty GRBL: every fault gives a typed error, and the machine stops."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def grbl(tmp_path: Path) -> Iterator[Rig]:
 
 
 def stands_still(grbl: Rig) -> bool:
-    """Braked within three seconds, and nothing moves after that."""
+    """Return True if the machine comes to rest within three seconds and remains at rest."""
     grbl.clock.sleep(3.0)
     first = grbl.world.controller.displayed_position()
     grbl.clock.sleep(3.0)
@@ -63,7 +63,7 @@ class TestFaultsOnTheLine:
             go_far(grbl)
         assert stands_still(grbl)
 
-    def test_lost_answer_is_found_out(self, grbl: Rig) -> None:
+    def test_lost_answer_is_detected(self, grbl: Rig) -> None:
         grbl.at(5.0, lambda: grbl.line.once(b"ok", lambda _: b""))
         with pytest.raises(ProtocolError, match="no answer to 'G4P0'"):
             go_far(grbl)
@@ -75,7 +75,7 @@ class TestFaultsOnTheLine:
             go_far(grbl)
         assert stands_still(grbl)
 
-    def test_late_answer_is_a_timeout_and_not_taken_for_another_ones(self, grbl: Rig) -> None:
+    def test_late_answer_is_a_timeout_and_not_assigned_to_another_line(self, grbl: Rig) -> None:
         late: list[bytes] = []
 
         def keep(line: bytes) -> bytes:
@@ -93,8 +93,8 @@ class TestFaultsOnTheLine:
         go_far(grbl)
         assert grbl.device.position() == pytest.approx(FAR)
 
-    def test_port_stays_up_when_it_is_closed(self, grbl: Rig) -> None:
-        """Else a board with an automatic reset restarts with each program."""
+    def test_dtr_stays_set_when_the_port_is_closed(self, grbl: Rig) -> None:
+        """Otherwise a board with automatic reset would restart with each program."""
         assert not termios.tcgetattr(grbl.port.line._theirs)[2] & termios.HUPCL
 
     def test_slow_overrides_give_a_motion_more_time(self, grbl: Rig) -> None:
@@ -131,7 +131,7 @@ class TestFaultsOnTheLine:
         with pytest.raises(ProtocolError, match="off the commanded path"):
             grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
 
-    def test_late_answer_of_an_earlier_user_is_not_taken_for_ours(self, tmp_path: Path) -> None:
+    def test_late_answer_to_a_previous_user_is_discarded(self, tmp_path: Path) -> None:
         with rig(tmp_path) as grbl:
             grbl.type(b"G1X-39")  # another program died in the middle of a line
             grbl.line.once(b"error", lambda line: b"ok\r\nok\r\n" + line)
@@ -139,14 +139,14 @@ class TestFaultsOnTheLine:
             assert grbl.device.position() == pytest.approx([0.0, 0.0, 0.0])
             assert grbl.device.status().state is MotionState.IDLE
 
-    def test_dead_peer_is_a_timeout_and_a_hold_is_sent_into_the_dark(self, grbl: Rig) -> None:
+    def test_dead_peer_is_a_timeout_and_a_hold_is_sent_nevertheless(self, grbl: Rig) -> None:
         grbl.at(3.0, grbl.line.dead)
         with pytest.raises(LinkTimeout) as caught:
             go_far(grbl)
         assert any("feed hold was sent" in note for note in caught.value.__notes__)
         assert stands_still(grbl)
 
-    def test_port_that_goes_is_a_lost_link(self, grbl: Rig) -> None:
+    def test_vanished_port_is_a_lost_link(self, grbl: Rig) -> None:
         grbl.at(3.0, grbl.port.close)
         with pytest.raises(LinkLost, match="gone"):
             go_far(grbl)
@@ -155,13 +155,13 @@ class TestFaultsOnTheLine:
         with rig(tmp_path, port=str(tmp_path / "ttyNone")) as grbl, pytest.raises(LinkLost, match="cannot be opened"):
             grbl.device.open()
 
-    def test_peer_that_says_nothing(self, tmp_path: Path) -> None:
+    def test_silent_peer(self, tmp_path: Path) -> None:
         with rig(tmp_path) as grbl:
             grbl.line.dead()
             with pytest.raises(LinkTimeout, match="no status report"):
                 grbl.device.open()
 
-    def test_peer_that_is_none(self, tmp_path: Path) -> None:
+    def test_peer_that_is_not_a_grbl(self, tmp_path: Path) -> None:
         with rig(tmp_path) as grbl:
             grbl.line.on_line = lambda _: b"login: \r\n"
             with pytest.raises(ProtocolError, match="is not a GRBL controller"):
@@ -173,13 +173,13 @@ class TestFaultsOnTheLine:
             other.open()
 
     def test_idle_report_before_the_motion_has_begun_is_not_its_end(self, grbl: Rig) -> None:
-        """`ok` means planned: for a moment after it the controller may still call itself idle."""
+        """`ok` means only that the motion is planned; the controller may still report idle for a moment."""
         grbl.line.once(b"<Run", lambda line: line.replace(b"<Run", b"<Idle"))
         go_far(grbl)
         assert grbl.device.position() == pytest.approx(FAR)
         assert grbl.clock.now() > 20.0
 
-    def test_never_more_under_way_than_the_controller_keeps(self, grbl: Rig) -> None:
+    def test_never_more_sent_than_the_receive_buffer_holds(self, grbl: Rig) -> None:
         grbl.device.close()
         settings = SerialCncSettings(port=grbl.port.line.device_path, answer_within_s=1.0)
         conversation = Conversation(SerialPort(SerialAddress(settings.port, settings.baud)), settings)
@@ -195,7 +195,7 @@ class TestFaultsOnTheLine:
 
 
 class TestTheControllerIntervenes:
-    def test_reboot_in_motion_is_a_fault_and_the_position_is_not_believed(self, grbl: Rig) -> None:
+    def test_reboot_in_motion_is_a_fault_and_loses_the_position(self, grbl: Rig) -> None:
         grbl.at(3.0, grbl.port.controller.reboot)
         with pytest.raises(MotionFault, match="restarted in the middle of a move"):
             go_far(grbl)
@@ -206,7 +206,7 @@ class TestTheControllerIntervenes:
         with pytest.raises(CommandRejected, match="home the machine"):
             grbl.device.reset()
 
-    def test_reboot_of_a_machine_that_cannot_home_is_noticed(self, tmp_path: Path) -> None:
+    def test_reboot_of_a_machine_that_cannot_home_is_detected(self, tmp_path: Path) -> None:
         with rig(tmp_path, settings={22: 0}, referenced_by_hand=True) as grbl:
             grbl.device.open()
             assert not grbl.device.status().missing
@@ -260,7 +260,7 @@ class TestTheControllerIntervenes:
         assert seen == [MotionState.HELD]
         assert grbl.device.position() == pytest.approx(FAR)
 
-    def test_stop_keeps_the_position_and_forgets_the_rest(self, grbl: Rig) -> None:
+    def test_stop_keeps_the_position_and_discards_the_motion(self, grbl: Rig) -> None:
         grbl.at(3.0, grbl.device.stop)
         with pytest.raises(MotionFault, match="move was stopped"):
             go_far(grbl)
@@ -284,7 +284,7 @@ class TestTheControllerIntervenes:
 
     @pytest.mark.parametrize("guarded", [False, True])
     def test_soft_limit_of_the_controller_silences_it_and_is_reset(self, grbl: Rig, guarded: bool) -> None:
-        grbl.port.controller.settings.store(130, 3500.0)  # less than it told when the device was opened
+        grbl.port.controller.settings.store(130, 3500.0)  # fewer than when the device was opened
         with pytest.raises(MotionFault, match="outside the travel"):
             grbl.device.move_to(np.array([100.0, 0.0, 0.0]), feed_mm_per_s=50.0, guarded=guarded)
         status = grbl.device.status()
@@ -309,7 +309,7 @@ class TestTheControllerIntervenes:
         with pytest.raises(PermissionMissing, match="spindle"):
             go_far(grbl)
 
-    def test_locked_controller_may_be_looked_at_and_not_moved(self, tmp_path: Path) -> None:
+    def test_locked_controller_can_be_read_but_not_moved(self, tmp_path: Path) -> None:
         with rig(tmp_path, homed=False) as grbl:
             grbl.device.open()
             status = grbl.device.status()
@@ -342,7 +342,7 @@ class TestTheControllerIntervenes:
 
 
 class TestGrblHal:
-    """What grblHAL says otherwise (its core's report.c): name, firmware, longer masks, alarm as a sub-state, homed."""
+    """Differences in grblHAL (its core's report.c): name, firmware, longer masks, alarm as a sub-state, homed."""
 
     @staticmethod
     def hal(line: bytes) -> bytes:
@@ -364,7 +364,7 @@ class TestGrblHal:
             grbl.device.stop()
             grbl.device.move_to(centre - np.array([0.0, 25.0, 0.0]), feed_mm_per_s=None, guarded=True)
 
-    def test_tells_why_it_is_locked(self, tmp_path: Path) -> None:
+    def test_reports_why_it_is_locked(self, tmp_path: Path) -> None:
         with rig(tmp_path, homed=False) as grbl:
             grbl.line.on_line = self.hal
             grbl.device.open()
@@ -372,16 +372,16 @@ class TestGrblHal:
             with pytest.raises(CommandRejected, match="home the machine"):
                 grbl.device.reset()
 
-    def test_says_that_it_is_not_homed_without_an_alarm(self, grbl: Rig) -> None:
+    def test_reports_that_it_is_not_homed_without_an_alarm(self, grbl: Rig) -> None:
         grbl.line.on_line = lambda line: line.replace(b"|FS:", b"|H:0|FS:")
         assert grbl.device.status().missing == (Permission.REFERENCED,)
         grbl.line.on_line = lambda line: line.replace(b"|FS:", b"|H:1,7|FS:")
         assert not grbl.device.status().missing
 
 
-class TestAClockThatRunsByItself:
+class TestRunningClock:
     def test_moves_touches_and_stops(self, tmp_path: Path) -> None:
-        """Nothing here may lean on time standing still while somebody thinks."""
+        """The driver must also work on a clock that runs while the program computes."""
         clock = ScaledClock(40.0)
         with rig(tmp_path, clock=clock) as grbl:
             ticker = Ticker(grbl.shared, clock)
@@ -409,7 +409,7 @@ class TestProbing:
         assert not grbl.device.status().missing
         go_far(grbl)
 
-    def test_work_offset_of_somebody_else_does_not_move_a_touch(self, grbl: Rig) -> None:
+    def test_foreign_work_offset_does_not_shift_a_touch(self, grbl: Rig) -> None:
         centre = grbl.before()
         first = grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
         grbl.device.move_to(centre - [0.0, 25.0, 0.0], feed_mm_per_s=None, guarded=True)
@@ -425,29 +425,29 @@ class TestProbing:
             assert isinstance(touch, Touch)
             assert touch.position_mm == pytest.approx(tuple(centre - [0.0, 15.5, 0.0]), abs=1.1e-3)
 
-    def test_inches_and_relative_left_by_somebody_do_no_harm(self, grbl: Rig) -> None:
+    def test_inch_and_relative_modes_of_another_user_have_no_effect(self, grbl: Rig) -> None:
         grbl.line.on_line = lambda line: b"" if line == b"ok\r\n" else line
         grbl.type(b"G20G91\n")
         grbl.line.on_line = None
         grbl.device.move_to(np.array([10.0, 0.0, 0.0]), feed_mm_per_s=None, guarded=True)
         assert grbl.device.position() == pytest.approx([10.0, 0.0, 0.0])
 
-    def test_pressing_on_is_refused(self, grbl: Rig) -> None:
+    def test_pressing_further_is_refused(self, grbl: Rig) -> None:
         centre = grbl.before()
         grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
         with pytest.raises(CommandRejected, match="press it further"):
             grbl.device.move_to(centre, feed_mm_per_s=5.0, guarded=True)
 
-    def test_probe_that_stays_deflected_ends_the_way_back(self, grbl: Rig) -> None:
+    def test_probe_that_stays_deflected_ends_the_withdrawal(self, grbl: Rig) -> None:
         centre = grbl.before()
         grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
-        grbl.port.controller.settings.store(6, 1.0)  # as if its wire broke
+        grbl.port.controller.settings.store(6, 1.0)  # as if its wire were broken
         grbl.device.move_to(centre - [0.0, 25.0, 0.0], feed_mm_per_s=None, guarded=False)
         with pytest.raises(MotionFault, match="still deflected after 5 mm"):
             grbl.device.move_to(centre - [0.0, 100.0, 0.0], feed_mm_per_s=50.0, guarded=True)
         assert stands_still(grbl)
 
-    def test_guarded_move_off_a_ball_guards_the_rest_of_its_way(self, grbl: Rig) -> None:
+    def test_guarded_move_off_a_ball_guards_the_rest_of_its_path(self, grbl: Rig) -> None:
         centre = grbl.before()
         grbl.device.touch_towards(centre, feed_mm_per_s=5.0)
         here = grbl.device.position()
@@ -489,7 +489,7 @@ class TestDoctor:
             assert (subject, True) in [(finding.subject, words in finding.text) for finding in wrong]
 
     @pytest.mark.parametrize("settings", [{13: 1}, {10: 0}, {110: 0}])
-    def test_what_would_be_misread_is_refused_at_once(self, tmp_path: Path, settings: dict[int, float]) -> None:
+    def test_settings_that_would_be_misread_are_refused(self, tmp_path: Path, settings: dict[int, float]) -> None:
         with rig(tmp_path, settings=settings) as grbl, pytest.raises(ConfigurationError, match=r"\$1"):
             grbl.device.open()
 

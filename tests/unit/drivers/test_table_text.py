@@ -1,4 +1,4 @@
-"""Tables as text: every bit comes back, and nothing that was cut or changed is taken for a table."""
+"""Tests of the text format of tables: values are preserved exactly, truncated or changed texts are refused."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_every_bit_comes_back(table: TableImage) -> None:
 
 
 @given(tables(), st.data())
-def test_cut_text_is_no_table(table: TableImage, data: st.DataObject) -> None:
+def test_truncated_text_is_refused(table: TableImage, data: st.DataObject) -> None:
     text = format_table(table)
     with pytest.raises(StoreError):
         parse_table(text[: data.draw(st.integers(0, len(text) - 1))])
@@ -52,7 +52,7 @@ def test_changed_byte_is_noticed(table: TableImage, data: st.DataObject) -> None
 
 
 def signed(body: str) -> str:
-    """`body` with a right last line: wrong in itself, not damaged."""
+    """Return `body` with a correct checksum line: the content is wrong, but not damaged."""
     return f"{body}file_crc32 {zlib.crc32(body.encode()):08X}\n"
 
 
@@ -73,7 +73,7 @@ BODY = GOOD[: GOOD.index("file_crc32")]
         BODY.replace("0 0 0\n0 0 0\n", "0 0 0 0 0 0\n"),
     ],
 )
-def test_text_that_makes_no_sense_is_no_table(body: str) -> None:
+def test_inconsistent_text_is_refused(body: str) -> None:
     with pytest.raises(StoreError) as caught:
         parse_table(signed(body), file="bank1.table")
     assert caught.value.where["file"] == "bank1.table"
@@ -102,13 +102,13 @@ def image(counts: np.ndarray, step: float = 10.0, resolution: float = 1e-4) -> T
         (image(np.full((2, 2, 2, 3), 1000)), ""),
     ],
 )
-def test_what_a_store_cannot_take(table: TableImage, said: str) -> None:
+def test_table_that_a_store_cannot_take(table: TableImage, said: str) -> None:
     objection = limits_violation(LIMITS, table)
     assert said in objection
     assert bool(objection) == bool(said)
 
 
-def test_what_is_no_grid() -> None:
+def test_invalid_grid() -> None:
     steep = np.zeros((2, 2, 2, 3))
     steep[1] = 1000
     assert table_defect(image(steep), 0.01) == ""
@@ -118,7 +118,7 @@ def test_what_is_no_grid() -> None:
         assert "do not define a grid" in table_defect(image(np.zeros((2, 2, 2, 3)), step=step), 1.0)
 
 
-def test_file_is_whole_or_not_there(tmp_path: Path) -> None:
+def test_file_is_complete_or_absent(tmp_path: Path) -> None:
     file = tmp_path / "bank1.table"
     assert read_if_exists(file) is None
     write_atomically(file, "first")

@@ -1,4 +1,4 @@
-"""Virtual time: whoever waits for an instant reaches it."""
+"""Tests of virtual time: a wait for an instant always reaches it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def test_time_passes_however_short_the_sleep() -> None:
 
 
 def test_an_instant_just_ahead_is_reached_after_a_hold_too() -> None:
-    """A hold shifts the clock of the run against that of the world by a number that no sleep matches exactly."""
+    """A hold shifts the clock of the run against that of the world by an offset that no sleep matches exactly."""
     clock = VirtualClock()
     held = iter([0.1 + 0.2])
     watched = InterruptibleClock(clock, lambda: clock.sleep(next(held, 0.0)))
@@ -26,7 +26,7 @@ def test_an_instant_just_ahead_is_reached_after_a_hold_too() -> None:
     assert watched.now() >= instant
 
 
-def test_no_time_passes_in_a_sleep_of_nothing() -> None:
+def test_no_time_passes_in_a_sleep_of_zero() -> None:
     clock = VirtualClock()
     clock.sleep(0.0)
     clock.sleep(-1.0)
