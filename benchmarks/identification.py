@@ -63,7 +63,7 @@ class Case:
     centre: Array
 
 
-def case(seed: int = 1) -> Case:
+def build_case(seed: int = 1) -> Case:
     model = ErrorModel.uniform(parse_chain("tool-Y-Z-X-bed-workpiece"), RANGES, 5)
     family = family_from_amplitudes(model, AMPLITUDES)
     rng = np.random.default_rng(seed)
@@ -160,7 +160,7 @@ def seconds(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, Ar
 
 def run() -> dict[str, float]:
     """Median times in ms and ratios, all measured in this process. Fixed scales: no outlier search, no misfit block."""
-    prepared = case()
+    prepared = build_case()
     everything = (prepared.model, prepared.observations, prepared.artefact, prepared.family)
     ready = jacobian(prepared)
     target = np.random.default_rng(0).normal(size=ready[0].shape[0] * ready[0].shape[1])

@@ -30,7 +30,7 @@ from simulated import SCENARIO
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import open_journal
 from agent.execution.steps import ACTING
-from benchmarks.service_wire import Wire, wire
+from benchmarks.service_wire import RecordingProxy, recording_proxy
 
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 POLLING_CLIENTS = 4
@@ -47,17 +47,17 @@ def main() -> None:
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, real_speed(Path(folder)) as (running, between):
         figures = idle(running, chosen.seconds)
-        with polled(running):
+        with polling_clients(running):
             stops = sorted(abort_to_stop_ms(running, between) for _ in range(chosen.aborts))
             early = sorted(early_abort_ms(running) for _ in range(max(chosen.aborts // 4, 1)))
         figures |= {"abort_to_stop_ms_median": stops[len(stops) // 2], "abort_to_stop_ms_worst": stops[-1]}
         figures |= {"aborts": len(stops), "abort_in_preflight_ms_worst": early[-1]}
-        figures |= measured(running, chosen.seconds)
+        figures |= measure_run(running, chosen.seconds)
     print(json.dumps({name: round(value, 3) for name, value in figures.items()}))
 
 
 @contextmanager
-def real_speed(directory: Path) -> Iterator[tuple[Service, Wire]]:
+def real_speed(directory: Path) -> Iterator[tuple[Service, RecordingProxy]]:
     arguments = ["--can", "socketcand:127.0.0.1:0", "--clock", "real", "--end-with-stdin"]
     command = [*COMMAND, "simulate", "--config", str(SCENARIO), *arguments]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as simulator:  # noqa: S603
@@ -65,7 +65,7 @@ def real_speed(directory: Path) -> Iterator[tuple[Service, Wire]]:
             assert simulator.stdout is not None
             ready = json.loads(simulator.stdout.readline())
             with (
-                wire(ready["modbus"]["host"], ready["modbus"]["port"]) as between,
+                recording_proxy(ready["modbus"]["host"], ready["modbus"]["port"]) as between,
                 service(_settings(ready, between, directory)) as running,
             ):
                 yield running, between
@@ -73,7 +73,7 @@ def real_speed(directory: Path) -> Iterator[tuple[Service, Wire]]:
             simulator.kill()
 
 
-def _settings(ready: dict[str, Any], between: Wire, directory: Path) -> Path:
+def _settings(ready: dict[str, Any], between: RecordingProxy, directory: Path) -> Path:
     config = short_settings({**ready, "time": {"port": 1}, "modbus": {"port": between.port}}, directory)
     text = config.read_text().replace('kind = "lockstep"\nhost = "127.0.0.1"\nport = 1\n', 'kind = "real"\n')
     config.write_text(text)
@@ -84,7 +84,7 @@ def idle(running: Service, seconds: float) -> dict[str, float]:
     return {"idle_cpu_percent": cpu_percent(running.process.pid, seconds), "idle_rss_mb": rss_mb(running.process.pid)}
 
 
-def abort_to_stop_ms(running: Service, between: Wire) -> float:
+def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
     """From a touch or a move under way."""
     running.start()
     running.until(lambda now: now["state"] == "measuring" and now["step"], "a step; the axes are on their way")
@@ -120,7 +120,7 @@ def ask_abort(running: Service) -> float:
     return began
 
 
-def measured(running: Service, seconds: float) -> dict[str, float]:
+def measure_run(running: Service, seconds: float) -> dict[str, float]:
     """A run that goes on for a while, then what its journal says of the time between its steps."""
     run_id = running.start()
     running.until(lambda now: now["touches"] > 0, "a touch", FIRST_TOUCH_WITHIN_S)
@@ -175,7 +175,7 @@ def rss_mb(process: int, name: str = "VmRSS") -> float:
 
 
 @contextmanager
-def polled(running: Service) -> Iterator[None]:
+def polling_clients(running: Service) -> Iterator[None]:
     """Clients that ask for the status all the time."""
     ended = threading.Event()
 

@@ -19,7 +19,7 @@ _COMMAND = struct.Struct(">HH")
 """Heartbeat and code, the first registers of the command block (docs/reference/modbus.md)."""
 
 
-class Wire:
+class RecordingProxy:
     """`port` passes to `target`; `stops` holds the instants of `perf_counter` at which a STOP was read from the agent's
     side, before it is passed on."""
 
@@ -66,8 +66,8 @@ def _is_stop(body: bytes) -> bool:
 
 
 @contextmanager
-def wire(host: str, port: int) -> Iterator[Wire]:
-    between = Wire((host, port))
+def recording_proxy(host: str, port: int) -> Iterator[RecordingProxy]:
+    between = RecordingProxy((host, port))
     threading.Thread(target=between.serve, daemon=True).start()
     try:
         yield between

@@ -1,8 +1,8 @@
-"""`make linuxcnc`: a stock LinuxCNC, really running, is calibrated by `volcal calibrate` over bridge and CAN.
+"""`make linuxcnc`: `volcal calibrate` calibrates a stock LinuxCNC, really running, over bridge and CAN.
 
-Everything runs accelerated, in namespaces of its own. The truth is the plant's: true volumetric error bare and with the
-table that acts in the end, and by how much what LinuxCNC tells the motors differs from that table. Closes with one line
-of JSON; exit code 0 only where the table was accepted and the true error fell.
+Everything runs accelerated, in its own namespaces. The truth comes from the plant: true volumetric error without table
+and with the table that is active at the end, and the difference between LinuxCNC's motor commands and that table. Ends
+with one line of JSON; exit code 0 only if the table was accepted and the true error decreased.
 """
 
 from __future__ import annotations
@@ -35,18 +35,19 @@ CONFIGURATION = ROOT / "config" / "linuxcnc"
 SCENARIO = ROOT / "config" / "simulators" / "case-study.toml"
 COMPONENTS = ROOT / "drivers" / "linuxcnc" / "components"
 VOLCAL = Path(sys.executable).parent / "volcal"
-LONGEST_RUN_S = 3600.0
-PLACES = 20
+RUN_TIMEOUT_S = 3600.0
+POINTS = 20
 ANSWER_WITHIN_S = 20.0
-"""As the computer may be busy with other programs."""
+"""Time allowed for an answer in s; the computer may be busy with other programs."""
 MOTORS = tuple(f"joint.{number}.motor-pos-cmd" for number in range(3))
-NOT_RUN = 77
+EXIT_NOT_RUN = 77
 
 
 @dataclass(frozen=True)
-class Trial:
-    """`changes`: what is replaced in the example's settings, `scenario_changes`: in what is simulated; `arguments` are
-    those of `volcal calibrate`."""
+class LinuxCncTrial:
+    """One trial: `changes` replace text in the example's settings, `scenario_changes` in the scenario; `arguments` are
+    those of `volcal calibrate`.
+    """
 
     work: Path
     speed: float = 10.0
@@ -55,12 +56,12 @@ class Trial:
     scenario_changes: dict[str, str] = field(default_factory=dict)
 
 
-def calibrated(trial: Trial) -> dict[str, Any]:
-    """Run it; the outcome of `volcal calibrate` and beside it what only the plant knows."""
+def run_calibration(trial: LinuxCncTrial) -> dict[str, Any]:
+    """Run the trial; return the outcome of `volcal calibrate` together with the plant's truth."""
     began_s = wall_seconds()
     trial.work.mkdir(parents=True, exist_ok=True)
-    scenario = _written(SCENARIO, trial.work / "scenario.toml", trial.scenario_changes)
-    settings = _written(
+    scenario = _write_changed_copy(SCENARIO, trial.work / "scenario.toml", trial.scenario_changes)
+    settings = _write_changed_copy(
         CONFIGURATION / "volcal.toml",
         trial.work / "volcal.toml",
         {"factor = 10.0": f"factor = {trial.speed!r}", **trial.changes},
@@ -74,7 +75,7 @@ def calibrated(trial: Trial) -> dict[str, Any]:
     ) as machine:
         command = [str(VOLCAL), "calibrate", "--config", str(settings), "--json", *trial.arguments]
         done = subprocess.run(  # noqa: S603  our own program
-            machine.inside(*command), stdout=subprocess.PIPE, text=True, timeout=LONGEST_RUN_S, check=False
+            machine.inside(*command), stdout=subprocess.PIPE, text=True, timeout=RUN_TIMEOUT_S, check=False
         )
         outcome = json.loads(done.stdout) if done.stdout else {"state": "nothing said"}
         return {
@@ -88,14 +89,16 @@ def calibrated(trial: Trial) -> dict[str, Any]:
             "chi2_normalised": outcome.get("chi2_normalised"),
             "verification": outcome.get("verification"),
             "collisions": machine.ask("collisions")["count"],
-            **truth(trial, scenario, machine),
+            **true_errors(trial, scenario, machine),
             "speed": trial.speed,
             "wall_seconds": round(wall_seconds() - began_s, 1),
         }
 
 
-def truth(trial: Trial, scenario: Path, machine: LinuxCncProcess) -> dict[str, Any]:
-    """True volumetric error (rigidly aligned) bare and with the table that acts, and whether it acts as it is."""
+def true_errors(trial: LinuxCncTrial, scenario: Path, machine: LinuxCncProcess) -> dict[str, Any]:
+    """Return the true volumetric error (rigidly aligned) without table and with the active table, and how exactly
+    LinuxCNC applies that table.
+    """
     world = World(read_scenario(scenario))
     options = LinuxCncSettings.model_validate(
         {
@@ -110,7 +113,7 @@ def truth(trial: Trial, scenario: Path, machine: LinuxCncProcess) -> dict[str, A
     try:
         bank = device.active_bank()
         image = device.read_table(bank) if bank else None
-        worst_um = acted_otherwise_um(device, machine, image)
+        worst_um = largest_applied_difference_um(device, machine, image)
         latency = next(finding.text for finding in device.diagnose() if finding.subject == "latency")
     finally:
         device.close()
@@ -126,9 +129,11 @@ def truth(trial: Trial, scenario: Path, machine: LinuxCncProcess) -> dict[str, A
     }
 
 
-def acted_otherwise_um(device: LinuxCnc, machine: LinuxCncProcess, image: TableImage | None) -> float:
-    """Largest difference between what the motors were told beyond the position displayed, and the table, at random
-    places where Y ends and no artefact stands."""
+def largest_applied_difference_um(device: LinuxCnc, machine: LinuxCncProcess, image: TableImage | None) -> float:
+    """Return the largest difference in µm between the correction applied to the motors and the table.
+
+    Measured at random points at the end of Y, where no artefact stands.
+    """
     table = None if image is None else TableField(image)
     limits = device.limits()
     rng = np.random.default_rng(5)
@@ -136,7 +141,7 @@ def acted_otherwise_um(device: LinuxCnc, machine: LinuxCncProcess, image: TableI
     link = BridgeLink(machine.bridge_command, answer_within_s=5.0, watch_s=0.0, device="motors")
     link.open()
     try:
-        for x in rng.uniform(limits.lower_mm[0] + 1.0, limits.upper_mm[0] - 1.0, PLACES):
+        for x in rng.uniform(limits.lower_mm[0] + 1.0, limits.upper_mm[0] - 1.0, POINTS):
             place = np.array(
                 [x, limits.lower_mm[1] + 1.0, rng.uniform(limits.lower_mm[2] + 1.0, limits.upper_mm[2] - 1.0)]
             )
@@ -149,8 +154,8 @@ def acted_otherwise_um(device: LinuxCnc, machine: LinuxCncProcess, image: TableI
     return 1e3 * worst
 
 
-def _written(example: Path, path: Path, changes: dict[str, str]) -> Path:
-    """An example's file elsewhere: its paths made absolute, and changed."""
+def _write_changed_copy(example: Path, path: Path, changes: dict[str, str]) -> Path:
+    """Write a copy of an example's file with absolute paths and the given changes."""
     text = example.read_text(encoding="utf-8").replace('"../', f'"{example.parent.parent}/')
     for old, new in changes.items():
         if old not in text:
@@ -161,53 +166,60 @@ def _written(example: Path, path: Path, changes: dict[str, str]) -> Path:
 
 
 SHORT_CHANGES = {
-    # the computer may be busy with other tests
+    # other tests may keep the computer busy
     "motion_margin_s = 120.0": f"motion_margin_s = 600.0\nanswer_within_s = {ANSWER_WITHIN_S}",
     "watch_s = 2.0": "watch_s = 20.0",
-    # one touch a ball point, at the feed at which it is also found
+    # one touch per point, at the feed of the search
     "touch_stages = 2": "touch_stages = 1",
     "touch_feed_mm_per_min = 60.0": "touch_feed_mm_per_min = 180.0",
     "stations = [1, 4]": "stations = [1]\npositions_deg = [[30.0, 30.0]]",
     "limit_um = 3.5": "limit_um = 5.0",
     "[probe_check]": "[reversal]\nenabled = false\n\n[probe_check]",
 }
-"""What makes the run short enough for every change of the source."""
+"""Changes of the settings that make the run short enough for every change of the source."""
 SHORT_SCENARIO = {
     "[truth]": "[ageing]\nnight = 1\ncollision_night = 1\ncollision = { B0Z = 80.0, A0Z = -80.0, C0Y = 60.0 }\n[truth]"
 }
-"""From a few positions at one end of the travel only part of the error is found: this machine has been hit besides, and
-has lost its squareness (µrad)."""
+"""Changes of the scenario for the short run.
+
+From a few positions at one end of the travel only part of the error is identified, so this machine has also had a
+collision and has lost its squareness (µrad).
+"""
 
 
-def short(work: Path, speed: float) -> Trial:
-    """One station, few positions."""
+def short_trial(work: Path, speed: float) -> LinuxCncTrial:
+    """Return a trial at one station with few positions."""
     positions = str(CONFIGURATION / "few-positions.csv")
     arguments = ("--stations", "1", "--position-set", positions)
-    return Trial(work, speed, arguments, SHORT_CHANGES, SHORT_SCENARIO)
+    return LinuxCncTrial(work, speed, arguments, SHORT_CHANGES, SHORT_SCENARIO)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--speed", type=float, default=10.0, help="times real time")
+    parser.add_argument("--speed", type=float, default=10.0, help="speed as a multiple of real time")
     parser.add_argument("--short", action="store_true", help="one station, few positions")
-    parser.add_argument("--position-set", help="as volcal calibrate takes it")
-    parser.add_argument("--stations", help="as volcal calibrate takes it")
-    parser.add_argument("--work", type=Path, help="kept; without it a temporary directory")
+    parser.add_argument("--position-set", help="passed to volcal calibrate")
+    parser.add_argument("--stations", help="passed to volcal calibrate")
+    parser.add_argument("--work", type=Path, help="working directory, not deleted; default: a temporary directory")
     options = parser.parse_args()
     reason = unavailable_reason()
     if reason:
         print(json.dumps({"not_run": reason}))
-        raise SystemExit(NOT_RUN)
+        raise SystemExit(EXIT_NOT_RUN)
     with tempfile.TemporaryDirectory(prefix="volcal-linuxcnc-") as temporary:
         work = (options.work or Path(temporary) / "work").resolve()
-        trial = short(work, options.speed) if options.short else Trial(work, options.speed, arguments=_wanted(options))
-        result = calibrated(trial)
+        trial = (
+            short_trial(work, options.speed)
+            if options.short
+            else LinuxCncTrial(work, options.speed, arguments=_calibrate_arguments(options))
+        )
+        result = run_calibration(trial)
     print(json.dumps(result))
     proved = result["exit_code"] == 0 and result["true_ve_after_um"] < result["true_ve_before_um"]
     raise SystemExit(0 if proved else 1)
 
 
-def _wanted(options: argparse.Namespace) -> tuple[str, ...]:
+def _calibrate_arguments(options: argparse.Namespace) -> tuple[str, ...]:
     named = {"--position-set": options.position_set, "--stations": options.stations}
     return tuple(word for name, value in named.items() if value for word in (name, value))
 

@@ -1,1 +1,3 @@
-"""One whole run, broken off at each of its steps in every way: is the machine always left as it was found?"""
+"""One whole run interrupted at each of its steps in every way; checks that the machine is always
+left as it was found.
+"""

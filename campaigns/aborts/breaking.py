@@ -1,4 +1,6 @@
-"""Ways to break a run off at a step: before it begins, in its middle, after it has acted and before that is known."""
+"""Kinds of interruption of a step: before it begins, in its middle, or after its effect but before
+that is journaled.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +14,20 @@ from agent.execution import steps as s
 from agent.execution.engine import Action
 from agent.execution.rig import Rig
 from agent.execution.supervisor import Supervisor
-from campaigns.aborts.case import Memory
+from campaigns.aborts.case import InMemoryDatabase
 from campaigns.aborts.forks import Forks
 from campaigns.plans.moving import AlarmClock
 from drivers.errors import CommandRejected, GuardTripped, LinkLost
 from simulators.world.world import World
 
 MOVING = (s.MoveTo, s.TouchTowards, s.OrientTo)
-AT_ONCE = (s.AskOperator, s.StageTable, s.ActivateBank)
-"""In this process these take no time: their middle is when they have acted and nobody knows yet."""
+IMMEDIATE = (s.AskOperator, s.StageTable, s.ActivateBank)
+"""Steps that take no time in this process: their middle is after the effect and before the journal knows of it."""
 
 
 @dataclass(frozen=True)
-class Way:
-    """`how` it is broken off, and `when`: ``before`` the step, in its ``middle``, ``after`` it has acted."""
+class Interruption:
+    """Interruption of kind `how` at `when`: ``before`` the step, in its ``middle``, or ``after`` its effect."""
 
     how: str
     when: str
@@ -35,22 +37,24 @@ class Way:
         return f"{self.how} {self.when}"
 
 
-def ways_of(step: s.Step) -> list[Way]:
-    """Every way that this step can be broken off in."""
-    ways = [Way(how, "before") for how in ("abort", "link", "link once", "fault", "refused", "disk full", "defect")]
+def interruptions_of(step: s.Step) -> list[Interruption]:
+    """Return every interruption possible for this step."""
+    ways = [
+        Interruption(how, "before") for how in ("abort", "link", "link once", "fault", "refused", "disk full", "defect")
+    ]
     if isinstance(step, MOVING):
-        ways += [Way(how, "middle") for how in ("abort", "link", "link once", "fault")]
-    if isinstance(step, AT_ONCE):
-        ways += [Way(how, "after") for how in ("abort", "link", "link once", "disk full")]
+        ways += [Interruption(how, "middle") for how in ("abort", "link", "link once", "fault")]
+    if isinstance(step, IMMEDIATE):
+        ways += [Interruption(how, "after") for how in ("abort", "link", "link once", "disk full")]
     if isinstance(step, s.MoveTo):
-        ways.append(Way("guard", "before"))
+        ways.append(Interruption("guard", "before"))
     if isinstance(step, s.AskOperator):
-        ways.append(Way("no", "before"))
+        ways.append(Interruption("no", "before"))
     return ways
 
 
-class CutLink:
-    """A device as it is until its link is lost; then every call fails but to close."""
+class BreakableLink:
+    """Device proxy whose calls all fail, except close, once its link is lost."""
 
     def __init__(self, device: Any) -> None:
         self._device = device
@@ -58,76 +62,78 @@ class CutLink:
 
     def __getattr__(self, name: str) -> Any:
         if self.lost and name != "close":
-            return self._gone
+            return self._fail
         return getattr(self._device, name)
 
     @staticmethod
-    def _gone(*_: Any, **__: Any) -> Any:
-        raise lost_link()
+    def _fail(*_: Any, **__: Any) -> Any:
+        raise link_lost_error()
 
 
-def lost_link() -> LinkLost:
+def link_lost_error() -> LinkLost:
     return LinkLost("connection reset", link="127.0.0.1:502")
 
 
 @dataclass
-class Breaking:
-    """What a broken run can be broken with. `left`: by the children, in order; `wanted` says at which steps they are
-    made, by ordinal and step."""
+class Interrupter:
+    """State for interrupting one run.
+
+    `results`: results of the child processes, in order; `selects` says by ordinal and step where they are forked.
+    """
 
     world: World
     clock: AlarmClock
-    memory: Memory
-    wanted: Callable[[int, s.Step], bool]
+    memory: InMemoryDatabase
+    selects: Callable[[int, s.Step], bool]
     forks: Forks = dataclasses.field(default_factory=Forks)
-    left: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    results: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     supervisor: Supervisor | None = None
-    link: CutLink | None = None
+    link: BreakableLink | None = None
     ordinal: int = 0
-    way: Way | None = None
+    interruption: Interruption | None = None
     key: str = ""
 
     def rig(self, whole: Rig) -> Rig:
-        """The same rig behind a link that can be lost, each of its actions open to be broken off."""
+        """Return the same rig behind a breakable link, with every action open to interruption."""
         [(name, device)] = whole.devices.items()
-        self.link = CutLink(device)
+        self.link = BreakableLink(device)
         roles = dict.fromkeys(("machine", "probe", "store", "thermometer", "operator"), self.link)
         given = {field.name: getattr(whole, field.name) for field in dataclasses.fields(whole) if field.init}
         given |= {"devices": {name: self.link}, "mounts": dict.fromkeys(whole.mounts, self.link), **roles}
-        return BreakableRig(self, given)
+        return InterruptibleRig(self, given)
 
-    def performed(self, action: Action, step: s.Step) -> Any:
-        """Have the step done; before that, in as many copies of this process, have it go wrong."""
+    def perform(self, action: Action, step: s.Step) -> Any:
+        """Perform the step; before that, fork one child per interruption and perform it interrupted there."""
         if self.forks.is_child:
             return action(step)
         self.ordinal += 1
-        if self.wanted(self.ordinal, step):
-            for way in ways_of(step):
-                result = self.forks.split()
+        if self.selects(self.ordinal, step):
+            for interruption in interruptions_of(step):
+                result = self.forks.fork()
                 if result is None:
-                    self.way, self.key = way, step.key
-                    return self._broken(way, action, step)
-                self.left.append({**result, "way": way.name, "step": step.key, "ordinal": self.ordinal})
+                    self.interruption, self.key = interruption, step.key
+                    return self._perform_interrupted(interruption, action, step)
+                self.results.append({**result, "way": interruption.name, "step": step.key, "ordinal": self.ordinal})
         return action(step)
 
-    def _broken(self, way: Way, action: Action, step: s.Step) -> Any:
-        if way.when == "before":
-            self._break(way.how)
+    def _perform_interrupted(self, interruption: Interruption, action: Action, step: s.Step) -> Any:
+        if interruption.when == "before":
+            self._interrupt(interruption.how)
             return action(step)
-        if way.when == "middle":
-            self.clock.watch = lambda now_s, _: self._break_in_the_middle(way.how, now_s)
+        if interruption.when == "middle":
+            self.clock.watch = lambda now_s, _: self._interrupt_midway(interruption.how, now_s)
             return action(step)
         result = action(step)
-        self._break(way.how)
+        self._interrupt(interruption.how)
         return result
 
-    def _break_in_the_middle(self, how: str, now_s: float) -> None:
+    def _interrupt_midway(self, how: str, now_s: float) -> None:
         self.clock.watch = None
         ends = (self.world.controller.motion_ends_s, self.world.workpiece.mount.settled_s)
         end_s = max(instant for instant in ends if instant is not None)
-        self.clock.at(0.5 * (now_s + end_s), lambda: self._break(how))
+        self.clock.at(0.5 * (now_s + end_s), lambda: self._interrupt(how))
 
-    def _break(self, how: str) -> None:
+    def _interrupt(self, how: str) -> None:
         assert self.supervisor is not None
         assert self.link is not None
         match how:
@@ -135,9 +141,9 @@ class Breaking:
                 self.supervisor.request_abort("SIGINT")
             case "link":
                 self.link.lost = True
-                raise lost_link()
+                raise link_lost_error()
             case "link once":
-                raise lost_link()
+                raise link_lost_error()
             case "fault":
                 self.world.controller.fail("door opened")
             case "refused":
@@ -152,15 +158,15 @@ class Breaking:
                 raise ZeroDivisionError("a defect of ours")
 
 
-class BreakableRig(Rig):
-    """A rig whose actions go through `Breaking.performed`."""
+class InterruptibleRig(Rig):
+    """Rig whose actions go through `Interrupter.perform`."""
 
-    def __init__(self, breaking: Breaking, given: dict[str, Any]) -> None:
+    def __init__(self, interrupter: Interrupter, given: dict[str, Any]) -> None:
         super().__init__(**given)
-        self._breaking = breaking
+        self._interrupter = interrupter
 
     def actions(self, *given: Any, **named: Any) -> dict[type, Action]:
         return {kind: self._breakable(action) for kind, action in super().actions(*given, **named).items()}
 
     def _breakable(self, action: Action) -> Action:
-        return lambda step: self._breaking.performed(action, step)
+        return lambda step: self._interrupter.perform(action, step)

@@ -1,4 +1,4 @@
-"""The run that is broken off: a small set on the case study with a former table active, in memory throughout."""
+"""Run that is interrupted: a small set on the case study with a former table active, kept in memory."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from simulators.scenario import read_scenario
 from simulators.world.world import World
 
 FORMER_BANK = 1
-FORMER = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
-"""A constant correction: what acted before must act afterwards, and it is not bank 0."""
+FORMER_TABLE = TableImage((0.0, 0.0, 0.0), (2000.0, 650.0, 750.0), 1e-4, np.full((3, 3, 3, 3), 7, dtype=np.int32))
+"""Constant correction: the active table before the run must be active afterwards, and it is not bank 0."""
 POSITIONS = "station,azimuth_deg,elevation_deg\n1,45,0\n1,0,45\n"
 SCALE = 4.0
-"""The machine is so bad, and the gates are so wide, that every run that is left alone is accepted."""
+"""Error scale so large, with gates so wide, that every uninterrupted run is accepted."""
 
 
-def job_of(directory: Path, **sections: dict[str, Any]) -> Job:
-    """Two positions at one station and one held out; nobody knows where the artefact stands, so it is asked for."""
+def prepare_case(directory: Path, **sections: dict[str, Any]) -> Job:
+    """Return a job with two positions at one station and one held out; the artefact's station is unknown, so it is
+    asked for.
+    """
     listed = directory / "two-positions.csv"
     listed.write_text(POSITIONS)
     document = load_settings(CASE_STUDY).model_dump()
@@ -50,26 +52,26 @@ def job_of(directory: Path, **sections: dict[str, Any]) -> Job:
     return prepare_job(settings, SHIPPED_CONFIGURATION)
 
 
-def world_of() -> World:
-    """The shipped machine, worse, with the former table in its bank and active."""
+def build_case_world() -> World:
+    """Return the shipped machine with larger errors, and with the former table stored and active."""
     shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
     truth = shipped.settings.truth.model_copy(update={"scale": SCALE})
     world = World(replace(shipped, settings=shipped.settings.model_copy(update={"truth": truth})))
-    world.controller.write_bank(FORMER_BANK, FORMER)
+    world.controller.write_bank(FORMER_BANK, FORMER_TABLE)
     world.controller.activate(FORMER_BANK)
     return world
 
 
 @dataclass
-class Memory:
-    """Every SQLite database of this process in one memory: a forked process has a copy of its own."""
+class InMemoryDatabase:
+    """One in-memory database for all SQLite connections of this process; a forked process has its own copy."""
 
-    keeper: sqlite3.Connection
+    connection: sqlite3.Connection
     connect: Callable[..., sqlite3.Connection]
 
     @classmethod
-    def instead_of_files(cls) -> Memory:
-        """From here on `sqlite3.connect` opens the one database in memory, whatever file is asked for."""
+    def replace_files(cls) -> InMemoryDatabase:
+        """Make `sqlite3.connect` open the one database in memory, whatever file is requested."""
         real, address = sqlite3.connect, "file:volcal-aborts?mode=memory&cache=shared"
 
         def connect(_: object, **options: Any) -> sqlite3.Connection:
@@ -80,15 +82,15 @@ class Memory:
         return cls(real(address, uri=True, isolation_level=None), real)
 
     def fill(self) -> None:
-        """From here on the disk is full: what needs another page is refused by SQLite itself."""
-        [pages] = self.keeper.execute("PRAGMA page_count").fetchone()
-        self.keeper.execute(f"PRAGMA max_page_count = {pages}")
+        """Simulate a full disk: SQLite refuses every statement that needs another page."""
+        [pages] = self.connection.execute("PRAGMA page_count").fetchone()
+        self.connection.execute(f"PRAGMA max_page_count = {pages}")
 
     @property
     def journal(self) -> JournalReader:
-        return JournalReader(self.keeper)
+        return JournalReader(self.connection)
 
-    def end(self) -> None:
-        """Files again."""
+    def restore_files(self) -> None:
+        """Make `sqlite3.connect` open files again."""
         sqlite3.connect = self.connect  # type: ignore[assignment]
-        self.keeper.close()
+        self.connection.close()

@@ -1,4 +1,4 @@
-"""The run as it is, and the same broken off at its steps."""
+"""Uninterrupted run, and the same run interrupted at its steps."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from agent.planning.case_file import SHIPPED_CONFIGURATION
 from agent.runs.kinds.calibrate import FullCalibration
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
-from campaigns.aborts.breaking import Breaking
-from campaigns.aborts.case import FORMER, FORMER_BANK, Memory, job_of, world_of
-from campaigns.aborts.judging import found
-from campaigns.nights.play import rig_of
+from campaigns.aborts.breaking import Interrupter
+from campaigns.aborts.case import FORMER_BANK, FORMER_TABLE, InMemoryDatabase, build_case_world, prepare_case
+from campaigns.aborts.judging import check_interruption
+from campaigns.nights.play import build_rig
 from campaigns.plans.moving import AlarmClock
 
 MEASURING = ("measure/", "verify/", "probe/")
-AROUND = 4
-"""So many steps of a measurement before and after one that reads or writes tables are always looked at."""
+NEIGHBOURS = 4
+"""Number of measurement steps always included before and after a step that reads or writes tables."""
 
 
 @dataclass(frozen=True)
-class Thinned:
-    """Which steps are looked at: of all, those of one `share` of `shares`; every `every`th, and all around tables.
+class StepSelection:
+    """Selection of steps: one `share` of `shares`; every `every`th step, and all steps around tables.
 
-    What is ahead is known from the `keys` of an earlier, unbroken run.
+    The following steps are known from the `keys` of an earlier, uninterrupted run.
     """
 
     share: int
@@ -41,73 +41,75 @@ class Thinned:
     every: int
     keys: Sequence[str]
 
-    def wanted(self, ordinal: int, _: s.Step) -> bool:
-        near = self.keys[max(ordinal - 1 - AROUND, 0) : ordinal + AROUND]
+    def selects(self, ordinal: int, _: s.Step) -> bool:
+        near = self.keys[max(ordinal - 1 - NEIGHBOURS, 0) : ordinal + NEIGHBOURS]
         chosen = ordinal % self.every == 0 or any(not key.startswith(MEASURING) for key in near)
         return chosen and ordinal % self.shares == self.share
 
 
-def unbroken() -> list[str]:
-    """Keys of all steps of the run as it is when nothing comes in between; those that act are marked by a ``!``."""
+def uninterrupted_keys() -> list[str]:
+    """Return the keys of all steps of the uninterrupted run; keys of acting steps end with ``!``."""
     keys: list[str] = []
 
     def noted(_: int, step: s.Step) -> bool:
         keys.append(step.key + ("!" if isinstance(step, s.ACTING) else ""))
         return False
 
-    with _case(noted) as (breaking, directory):
-        _completed(breaking, directory)
+    with _case(noted) as (interrupter, directory):
+        _complete(interrupter, directory)
     return keys
 
 
-def broken_off(thinned: Thinned) -> list[dict[str, Any]]:
-    """What the copies of one run that were broken off on its way have left."""
-    with _case(thinned.wanted) as (breaking, directory):
+def run_interrupted(selection: StepSelection) -> list[dict[str, Any]]:
+    """Return the results of all interrupted copies of one run."""
+    with _case(selection.selects) as (interrupter, directory):
         gc.freeze()
-        _completed(breaking, directory)
-    return breaking.left
+        _complete(interrupter, directory)
+    return interrupter.results
 
 
 @contextmanager
-def _case(wanted: Callable[[int, s.Step], bool]) -> Iterator[tuple[Breaking, Path]]:
-    memory = Memory.instead_of_files()
+def _case(selects: Callable[[int, s.Step], bool]) -> Iterator[tuple[Interrupter, Path]]:
+    memory = InMemoryDatabase.replace_files()
     with tempfile.TemporaryDirectory(prefix="volcal-aborts-") as name:
         try:
-            yield Breaking(world_of(), AlarmClock(), memory, wanted), Path(name)
+            yield Interrupter(build_case_world(), AlarmClock(), memory, selects), Path(name)
         finally:
-            memory.end()
+            memory.restore_files()
 
 
-def _completed(breaking: Breaking, directory: Path) -> None:
-    """Carry the run out. A child of it says what it has found, and is no more; the parent must complete."""
+def _complete(interrupter: Interrupter, directory: Path) -> None:
+    """Carry out the run. A child sends its result and exits; the parent must complete."""
     defect: BaseException | None = None
     ended: RunResult | None = None
     try:
-        ended = _carried_out(breaking, directory)
-    except BaseException as error:  # noqa: BLE001  a child must not go on as its parent, whatever happens
+        ended = _carry_out(interrupter, directory)
+    except BaseException as error:  # noqa: BLE001  a child must never continue as its parent
         defect = error
-    if breaking.forks.is_child:
-        breaking.forks.leave(_found(breaking, ended, defect))
+    if interrupter.forks.is_child:
+        interrupter.forks.send_and_exit(_found(interrupter, ended, defect))
     if defect is not None:
         raise defect
-    if ended is None or ended.outcome.state is not RunState.COMPLETE or breaking.world.collisions:
+    if ended is None or ended.outcome.state is not RunState.COMPLETE or interrupter.world.collisions:
         raise RuntimeError(f"the run that nobody broke off did not complete: {ended and ended.error}")
 
 
-def _found(breaking: Breaking, ended: RunResult | None, defect: BaseException | None) -> dict[str, Any]:
+def _found(interrupter: Interrupter, ended: RunResult | None, defect: BaseException | None) -> dict[str, Any]:
     try:
-        return found(breaking, ended, defect)
+        return check_interruption(interrupter, ended, defect)
     except BaseException as error:  # noqa: BLE001  as above
         return {"failures": [f"could not be judged: {error!r}"]}
 
 
-def _carried_out(breaking: Breaking, directory: Path, **sections: dict[str, Any]) -> RunResult:
-    job = job_of(directory, **sections)
+def _carry_out(interrupter: Interrupter, directory: Path, **sections: dict[str, Any]) -> RunResult:
+    job = prepare_case(directory, **sections)
 
     def keep(supervisor: Supervisor) -> None:
-        breaking.supervisor = supervisor
+        interrupter.supervisor = supervisor
 
-    devices = Devices(lambda _, clock, __: breaking.rig(rig_of(breaking.world, clock, job)), lambda _: breaking.clock)
+    devices = Devices(
+        lambda _, clock, __: interrupter.rig(build_rig(interrupter.world, clock, job)), lambda _: interrupter.clock
+    )
     hooks = RunHooks(attach=keep, devices=devices, write_files=False)
     return carry_out(job, FullCalibration(), SHIPPED_CONFIGURATION, hooks)
 
@@ -118,15 +120,15 @@ ENDS: dict[str, tuple[dict[str, dict[str, Any]], RunState]] = {
 }
 
 
-def closed_and_restored() -> dict[str, Any]:
-    """The ways out that the run itself takes: nothing is written, or what was written is taken back."""
+def check_refused_and_restored() -> dict[str, Any]:
+    """Check the regular ends of a run without a new table: refused by a gate, or the former table restored."""
     failed = []
     for name, (sections, state) in ENDS.items():
-        with _case(lambda *_: False) as (breaking, directory):
-            ended = _carried_out(breaking, directory, **sections)
-            controller = breaking.world.controller
-            kept = controller.active_bank == FORMER_BANK and controller.banks[FORMER_BANK].same_as(FORMER)
-            if ended.outcome.state is not state or not kept or breaking.world.collisions:
+        with _case(lambda *_: False) as (interrupter, directory):
+            ended = _carry_out(interrupter, directory, **sections)
+            controller = interrupter.world.controller
+            kept = controller.active_bank == FORMER_BANK and controller.banks[FORMER_BANK].same_as(FORMER_TABLE)
+            if ended.outcome.state is not state or not kept or interrupter.world.collisions:
                 failed.append(
                     f"{name}: ended {ended.outcome.state.value}, bank {controller.active_bank}: {ended.error}"
                 )

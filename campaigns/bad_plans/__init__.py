@@ -1,1 +1,1 @@
-"""Plans that must not pass: each is one mutation of a good one, with the words that its refusal must say."""
+"""Plans that must be refused: each is one mutation of a good plan, with the text that its refusal must contain."""

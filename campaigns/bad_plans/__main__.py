@@ -1,4 +1,4 @@
-"""Every bad plan, tried; ends with one line of JSON that names those that were not refused for the right reason.
+"""Trial of every bad plan; ends with one line of JSON that lists those not refused for the right reason.
 
 python -m campaigns.bad_plans
 """

@@ -1,14 +1,14 @@
-"""All bad plans, by name."""
+"""Catalogue of all bad plans, by name."""
 
 from __future__ import annotations
 
-from campaigns.bad_plans.files import in_files
-from campaigns.bad_plans.mutation import Bad
-from campaigns.bad_plans.numbers import in_settings
-from campaigns.bad_plans.steps import in_steps
+from campaigns.bad_plans.files import file_plans
+from campaigns.bad_plans.mutation import BadPlan
+from campaigns.bad_plans.numbers import number_plans
+from campaigns.bad_plans.steps import step_plans
 
 
-def bad_plans() -> list[Bad]:
-    plans = [*in_files(), *in_steps(), *in_settings()]
+def bad_plans() -> list[BadPlan]:
+    plans = [*file_plans(), *step_plans(), *number_plans()]
     assert len({bad.name for bad in plans}) == len(plans)
     return plans

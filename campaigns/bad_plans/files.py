@@ -1,4 +1,4 @@
-"""Settings that are well formed and wrong; machine, artefact and position files that are not what they should be."""
+"""Bad plans with well-formed but wrong settings, or with invalid machine, artefact or position files."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ import math
 from collections.abc import Callable
 
 from agent.errors import PlanRefused
-from campaigns.bad_plans.mutation import Bad, Change, Files, artefact, machine, positions, setting
+from campaigns.bad_plans.mutation import BadPlan, CaseFiles, Change, artefact, machine, positions, setting
 from drivers.errors import ConfigurationError, InputError
 
 HELD_OUT = "verification.positions_deg"
 OFFSET = "tools.probe.offset_mm"
 
 
-def config(name: str, change: Change, *words: str) -> Bad:
-    return Bad(name, change, ConfigurationError, words)
+def config(name: str, change: Change, *words: str) -> BadPlan:
+    return BadPlan(name, change, ConfigurationError, words)
 
 
-def both(*changes: Change) -> Change:
-    def change(files: Files) -> None:
+def combine(*changes: Change) -> Change:
+    def change(files: CaseFiles) -> None:
         for one in changes:
             one(files)
 
     return change
 
 
-def _stations() -> list[Bad]:
+def _stations() -> list[BadPlan]:
     nowhere = [[700.0, 5000.0, 750.0]] * 4
     return [
         config("station of the set that is not there", setting("procedure.stations", [9]), "station 9"),
@@ -43,9 +43,11 @@ def _stations() -> list[Bad]:
     ]
 
 
-def _positions() -> list[Bad]:
-    def listed(name: str, kind: type[ConfigurationError] | type[InputError], rows: tuple[str, ...], *words: str) -> Bad:
-        return Bad(f"positions: {name}", positions(*rows), kind, ("positions.csv", *words))
+def _positions() -> list[BadPlan]:
+    def listed(
+        name: str, kind: type[ConfigurationError] | type[InputError], rows: tuple[str, ...], *words: str
+    ) -> BadPlan:
+        return BadPlan(f"positions: {name}", positions(*rows), kind, ("positions.csv", *words))
 
     return [
         listed("unreachable entry", ConfigurationError, ("1,45,0", "1,90,0"), "position 2", "within reach"),
@@ -63,17 +65,17 @@ def _positions() -> list[Bad]:
         listed("azimuth too large", InputError, ("1,190,0",), "outside ±180°", "row 2"),
         listed("elevation too large", InputError, ("1,0,91",), "±90°", "row 2"),
         listed("cell missing", InputError, ("1,45",), "row 2", "elevation_deg"),
-        config("also held out", both(positions("1,45,0", "1,20,25")), HELD_OUT),
+        config("also held out", combine(positions("1,45,0", "1,20,25")), HELD_OUT),
         config("held out beyond the mount", setting(HELD_OUT, [[20.0, 95.0]]), "95"),
         config("held out out of reach", setting(HELD_OUT, [[90.0, 0.0]]), "verification.positions_deg"),
         config("nothing held out", setting(HELD_OUT, []), HELD_OUT),
         config("held out NaN", setting(HELD_OUT, [[math.nan, 0.0]]), HELD_OUT),
         config("unknown set", setting("procedure.position_set", "S9"), "'S9'", "S1, S2, S3"),
-        Bad("no such position file", setting("procedure.position_set", "none.csv"), InputError, ("none.csv",)),
+        BadPlan("no such position file", setting("procedure.position_set", "none.csv"), InputError, ("none.csv",)),
     ]
 
 
-def _artefact() -> list[Bad]:
+def _artefact() -> list[BadPlan]:
     balls = "balls.1"
     return [
         config("balls overlap", artefact(balls, [-745.0, -60.0, 15.5]), "balls 0 and 1", "artefact.toml"),
@@ -94,13 +96,13 @@ def _artefact() -> list[Bad]:
     ]
 
 
-def _sunk(files: Files) -> None:
-    """Holders of no length: every ball is in the middle of the bar, where no probe comes."""
+def _sunk(files: CaseFiles) -> None:
+    """Set holders of zero length: every ball is in the middle of the bar, out of reach of the probe."""
     for ball in files.artefact["balls"]:
         ball[1:] = [0.0, 0.0]
 
 
-def _machine() -> list[Bad]:
+def _machine() -> list[BadPlan]:
     return [
         config("axis without length", machine("axes.X.range_mm", [4000.0, 4000.0]), "axes.X.range_mm"),
         config("axis reversed", machine("axes.Y.range_mm", [1300.0, 0.0]), "axes.Y.range_mm"),
@@ -120,7 +122,7 @@ def _machine() -> list[Bad]:
     ]
 
 
-def _geometry() -> list[Bad]:
+def _geometry() -> list[BadPlan]:
     return [
         config("stem longer than the probe", setting("probe.stem_length_mm", 240.0), "too short", "probe.reach_mm"),
         config("reach shorter than the body", setting("probe.reach_mm", 60.0), "too short", "probe.reach_mm"),
@@ -130,7 +132,7 @@ def _geometry() -> list[Bad]:
         config("bar as thick as its holders are long", setting("mount.bar_radius_mm", 90.0), "three"),
         config("holders as thick as balls", setting("mount.post_radius_mm", 14.0), "three"),
         config("stem thicker than the gap", setting("probe.stem_radius_mm", 200.0), "three"),
-        Bad(
+        BadPlan(
             "geometry: ram into the table",
             setting("mount.table_z_mm", -60.0),
             PlanRefused,
@@ -141,6 +143,6 @@ def _geometry() -> list[Bad]:
     ]
 
 
-def in_files() -> list[Bad]:
-    groups: tuple[Callable[[], list[Bad]], ...] = (_stations, _positions, _artefact, _machine, _geometry)
+def file_plans() -> list[BadPlan]:
+    groups: tuple[Callable[[], list[BadPlan]], ...] = (_stations, _positions, _artefact, _machine, _geometry)
     return [bad for group in groups for bad in group()]

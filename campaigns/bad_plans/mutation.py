@@ -1,4 +1,4 @@
-"""One bad plan: what is wrong with it, how it is tried, and what its refusal must say."""
+"""One bad plan: its mutation, how it is checked, and the text that its refusal must contain."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ GOOD_POSITION = "station,azimuth_deg,elevation_deg\n1,45,0\n"
 
 
 @dataclass
-class Files:
-    """A good case as documents that a mutation may change: settings, machine, artefact, and the text of positions."""
+class CaseFiles:
+    """Documents of a good case that a mutation may change: settings, machine, artefact, and the
+    text of the positions.
+    """
 
     settings: Document
     machine: Document
@@ -29,14 +31,14 @@ class Files:
     positions: str = GOOD_POSITION
 
 
-Change = Callable[[Files], None]
+Change = Callable[[CaseFiles], None]
 
 
 @dataclass(frozen=True)
-class Bad:
-    """`error`: type of the refusal; `words`: each in its text; `where`: named places that it must give.
+class BadPlan:
+    """One bad plan. `error`: type of the refusal; `words`: texts in its message; `where`: locations that it must name.
 
-    `preflight`: preflight run once its files have passed; by default of the unchanged procedure.
+    `preflight`: the preflight run once the files have passed; by default that of the unchanged procedure.
     """
 
     name: str
@@ -47,9 +49,9 @@ class Bad:
     preflight: Callable[[Job], object] = run_preflight
 
     def complaint(self, directory: Path) -> str:
-        """Empty where the plan is refused for the right reason; else what happened instead."""
+        """Return an empty string if the plan is refused for the right reason; otherwise what happened instead."""
         try:
-            prepared(self.change, directory, self.preflight)
+            check_case(self.change, directory, self.preflight)
         except VolcalError as refusal:
             return self._wrong(refusal)
         except Exception as defect:  # noqa: BLE001  a traceback is never the right refusal
@@ -59,14 +61,16 @@ class Bad:
     def _wrong(self, refusal: VolcalError) -> str:
         text = str(refusal)
         if type(refusal) is not self.error:
-            return f"{type(refusal).__name__}, wanted {self.error.__name__}: {text}"
+            return f"{type(refusal).__name__}, expected {self.error.__name__}: {text}"
         missing = [word for word in self.words if word not in text]
         missing += [f"{k} {v}" for k, v in (self.where or {}).items() if not refusal.where.get(k, "").startswith(v)]
         return f"does not say {missing}: {text}" if missing else ""
 
 
-def good(directory: Path) -> Files:
-    """One position and one held out at the first station of the case study, without a look at the probe before."""
+def good_case(directory: Path) -> CaseFiles:
+    """Return a case with one position and one held out at the first station of the case study,
+    without a probe check.
+    """
     settings = tomllib.loads(CASE_STUDY.read_text())
     machine = CASE_STUDY.parent / settings["machine"]
     artefact = CASE_STUDY.parent / settings["artefact"]
@@ -79,12 +83,12 @@ def good(directory: Path) -> Files:
     settings["reversal"] = {"enabled": False}
     described = tomllib.loads(machine.read_text())
     del described["deflection"]
-    return Files(settings, described, tomllib.loads(artefact.read_text()))
+    return CaseFiles(settings, described, tomllib.loads(artefact.read_text()))
 
 
-def prepared(change: Change, directory: Path, preflight: Callable[[Job], object]) -> None:
-    """Everything that `volcal config check` and the preflight do with a changed case. Raises their refusal."""
-    files = good(directory)
+def check_case(change: Change, directory: Path, preflight: Callable[[Job], object]) -> None:
+    """Do everything that `volcal config check` and the preflight do with a changed case. Raises their refusal."""
+    files = good_case(directory)
     change(files)
     for name in ("machine", "artefact"):
         (directory / f"{name}.toml").write_text(toml(getattr(files, name)))
@@ -94,34 +98,34 @@ def prepared(change: Change, directory: Path, preflight: Callable[[Job], object]
     preflight(job)
 
 
-def unchanged(_: Files) -> None:
-    """The files are good; it is the steps that are not."""
+def unchanged(_: CaseFiles) -> None:
+    """Leave the files unchanged, for plans whose steps are bad."""
 
 
 def setting(path: str, value: object) -> Change:
-    """One key of the settings, by its path."""
-    return lambda files: put(files.settings, path, value)
+    """Return a change of one settings key, given by its path."""
+    return lambda files: set_key(files.settings, path, value)
 
 
 def machine(path: str, value: object) -> Change:
-    return lambda files: put(files.machine, path, value)
+    return lambda files: set_key(files.machine, path, value)
 
 
 def artefact(path: str, value: object) -> Change:
-    return lambda files: put(files.artefact, path, value)
+    return lambda files: set_key(files.artefact, path, value)
 
 
 def positions(*rows: str) -> Change:
-    """The rows of the position file below its header."""
+    """Return a change that sets the rows of the position file below its header."""
 
-    def change(files: Files) -> None:
+    def change(files: CaseFiles) -> None:
         files.positions = "\n".join(["station,azimuth_deg,elevation_deg", *rows]) + "\n"
 
     return change
 
 
-def put(document: Document, path: str, value: object) -> None:
-    """Set the key at a path such as ``stations.places_mm.0.1``; sections that are missing are made."""
+def set_key(document: Document, path: str, value: object) -> None:
+    """Set the key at a path such as ``stations.places_mm.0.1``; missing sections are created."""
     *parents, last = path.split(".")
     place: Any = document
     for name in parents:

@@ -1,4 +1,4 @@
-"""NaN, infinity and numbers outside their bounds, in every key of the settings that takes a number."""
+"""Bad plans with NaN, infinity or out-of-range numbers in every numeric key of the settings."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from collections.abc import Iterator
 from typing import Any
 
 from agent.settings.schema import Settings
-from campaigns.bad_plans.mutation import Bad, setting
+from campaigns.bad_plans.mutation import BadPlan, setting
 from drivers.errors import ConfigurationError
 
 MAY_BE_NEGATIVE = ("mount.table_z_mm",)
 EVERYWHERE = {"nan": math.nan, "inf": math.inf}
 
 
-def in_settings() -> list[Bad]:
-    """From the schema of the settings, so that no key is forgotten."""
+def number_plans() -> list[BadPlan]:
+    """Return the plans derived from the settings schema, so that no key is missed."""
     schema = Settings.model_json_schema()
     return [bad for path, kind in _numbers(schema, schema, "") for bad in _wrong_at(path, kind)]
 
 
-def _wrong_at(path: str, kind: dict[str, Any]) -> Iterator[Bad]:
+def _wrong_at(path: str, kind: dict[str, Any]) -> Iterator[BadPlan]:
     wrong: dict[str, object] = dict(EVERYWHERE)
     if path not in MAY_BE_NEGATIVE:
         wrong["negative"] = kind.get("minimum", 0) - 1
@@ -29,11 +29,11 @@ def _wrong_at(path: str, kind: dict[str, Any]) -> Iterator[Bad]:
     if "exclusiveMinimum" in kind:
         wrong["zero"] = kind["exclusiveMinimum"]
     for name, value in wrong.items():
-        yield Bad(f"{path} {name}", setting(path, value), ConfigurationError, (path,))
+        yield BadPlan(f"{path} {name}", setting(path, value), ConfigurationError, (path,))
 
 
 def _numbers(schema: dict[str, Any], node: dict[str, Any], path: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Paths of all keys with one number, and what the schema says of each."""
+    """Yield the path and schema of every key with a single number."""
     if "$ref" in node:
         node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
     branches = node.get("anyOf", [])

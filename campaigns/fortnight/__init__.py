@@ -1,1 +1,1 @@
-"""A simulated fortnight: the real service, a timer, a machine that ages, and everything that goes wrong on the way."""
+"""Simulated fortnight: the real service, a timer, a machine that ages, and all kinds of incidents."""

@@ -1,8 +1,8 @@
-"""A simulated fortnight with everything that goes wrong, and the history that it leaves.
+"""Simulated fortnight with all kinds of incidents, and the history that it produces.
 
     python -m campaigns.fortnight [--figure trend.png] [--csv fortnight.csv]
 
-ends with one JSON line, and with exit code 0 only where every claim holds.
+Ends with one JSON line, and with exit code 0 only if every claim holds.
 """
 
 from __future__ import annotations
@@ -16,18 +16,20 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
-from campaigns.fortnight.play import DAMAGE, FORTNIGHT, THIN, Played, play
+from campaigns.fortnight.play import DAMAGE, FORTNIGHT, SHORT, FortnightResult, run_fortnight
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--figure", type=Path, help="trends as `volcal history` draws them")
-    parser.add_argument("--csv", type=Path, help="one row an evening")
-    parser.add_argument("--thin", action="store_true", help="everything in five evenings, with a small set")
+    parser.add_argument("--figure", type=Path, help="write the trends as drawn by `volcal history`")
+    parser.add_argument("--csv", type=Path, help="write one row per evening")
+    parser.add_argument(
+        "--thin", action="store_true", help="shortened: all incidents in five evenings, with a small set"
+    )
     given = parser.parse_args(arguments)
-    played = play(THIN if given.thin else FORTNIGHT, lambda text: print(text, flush=True), given.figure)
+    played = run_fortnight(SHORT if given.thin else FORTNIGHT, lambda text: print(text, flush=True), given.figure)
     if given.csv is not None:
         write_csv(played, given.csv)
     result = verdict(played)
@@ -35,12 +37,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if result["passed"] else 1
 
 
-def verdict(played: Played) -> dict[str, object]:
+def verdict(played: FortnightResult) -> dict[str, object]:
     evenings = played.evenings
     claims = [held for evening in evenings for held in evening.claims.values()] + [*played.claims.values()]
     bounded = [evening for evening in evenings if evening.incident != DAMAGE]
     ratios = {evening.night + 1: round(evening.ratio, 3) for evening in bounded if evening.reach > 0.0}
-    told = {name: value for evening in evenings for name, value in evening.told.items()}
+    told = {name: value for evening in evenings for name, value in evening.figures.items()}
     return {
         "passed": all(claims) and not played.failed,
         "failed": played.failed,
@@ -62,19 +64,19 @@ def verdict(played: Played) -> dict[str, object]:
 
 
 def cpu_seconds() -> float:
-    """Of this process and of all that it has started and seen to its end."""
+    """Return the CPU time in s of this process and of all its finished child processes."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
-def write_csv(played: Played, path: Path) -> None:
-    """Rows of history beside what only the simulator knows of the evening; the last run of an evening stands for it."""
+def write_csv(played: FortnightResult, path: Path) -> None:
+    """Write the history rows together with the simulator's truth; the last run of an evening represents it."""
     names = ("kind", "state", "night", "accepted", "machine_minutes", "ve_now_um", "acting_um", "table_crc32")
     rows = iter(played.rows)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("night", "incident", "station", *names, "true_before", "true_after", "reach", "ratio"))
-        for evening in played.evenings:  # each has a run in the end
+        for evening in played.evenings:  # each evening has at least one run
             row = [next(rows) for _ in evening.expected][-1]
             truth = (evening.true_before, evening.true_after, evening.reach, evening.ratio)
             head = (evening.night + 1, evening.incident, evening.station)

@@ -1,4 +1,4 @@
-"""The calendar of a fortnight that takes minutes: a file says which instant it is, machine time goes on from there."""
+"""Calendar of a fortnight that takes minutes: a file gives the date and time, and machine time advances from there."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from drivers.clock import LockstepClock
 UP_MINUTES = 600.0
 
 
-def turn_to(path: Path, instant: datetime) -> None:
-    """From now on it is `instant`, for everybody who reads `path`."""
+def set_calendar(path: Path, instant: datetime) -> None:
+    """Set the present date and time for all readers of `path`."""
     new = path.with_suffix(".new")
     new.write_text(instant.isoformat(), encoding="utf-8")
     new.replace(path)
 
 
-class Almanac:
-    """Civil time of one process: what the file says, and the machine seconds that have passed here since it said so."""
+class SimulatedCalendar:
+    """Civil time of one process: the instant in the file plus the machine time passed here since it was set."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -30,18 +30,18 @@ class Almanac:
         self._machine_s = self._turned_s = 0.0
 
     def seconds(self) -> float:
-        """Since 1970, UTC."""
+        """Return the time in s since 1970, UTC."""
         said = self._path.read_text(encoding="utf-8")
         if said != self._said:
             self._said, self._turned_s = said, self._machine_s
         return datetime.fromisoformat(said).timestamp() + self._machine_s - self._turned_s
 
     def circumstances(self) -> Circumstances:
-        """The plant keeps UTC, and the computer at the machine is never switched off."""
+        """Return the time and uptime: the plant uses UTC, and the controller PC is never switched off."""
         return Circumstances(datetime.fromtimestamp(self.seconds(), UTC), UP_MINUTES)
 
-    def rule(self) -> None:
-        """Every record of this process is dated by this calendar, and machine time moves it on."""
+    def install(self) -> None:
+        """Use this calendar for all timestamps of this process, and let machine time advance it."""
         drivers.clock.time = _CivilTime(self)  # type: ignore[attr-defined]
         sleep = LockstepClock.sleep
 
@@ -53,10 +53,10 @@ class Almanac:
 
 
 class _CivilTime:
-    """The module `time` with another calendar; its other clocks are what they are."""
+    """Module `time` with a different calendar; its other clocks are unchanged."""
 
-    def __init__(self, almanac: Almanac) -> None:
-        self.time = almanac.seconds
+    def __init__(self, calendar_: SimulatedCalendar) -> None:
+        self.time = calendar_.seconds
 
     def __getattr__(self, name: str) -> Any:
         return getattr(time, name)

@@ -1,4 +1,4 @@
-"""What is kept of an evening: what happened, what was claimed of it, and what only the simulator knows."""
+"""Record of an evening: events, claims, and the truth known only to the simulator."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class Expected:
-    """The row of a run in history: `decision` one of these, `reason` a part of it."""
+class ExpectedRun:
+    """Expected history row of a run: `decision` is one of these, `reason` contains this text."""
 
     kind: str
     state: str
@@ -20,9 +20,11 @@ class Expected:
 
 @dataclass
 class Evening:
-    """µm, aligned: `true_before` with the table of the day before, `true_after` as it is left, `reach` of a full
-    calibration of that night's machine, 0 where it was not worked out. `asked`: exit codes of what the timer called,
-    in turn."""
+    """Record of one evening; errors in µm, aligned.
+
+    `true_before`: with the table of the previous day; `true_after`: as left; `reach`: of a full calibration of that
+    night's machine, 0 if not computed. `exit_codes`: of the commands called by the timer, in order.
+    """
 
     night: int
     incident: str
@@ -31,15 +33,15 @@ class Evening:
     true_after: float = 0.0
     reach: float = 0.0
     active_bank: int = 0
-    asked: list[int] = field(default_factory=list)
-    expected: list[Expected] = field(default_factory=list)
+    exit_codes: list[int] = field(default_factory=list)
+    expected: list[ExpectedRun] = field(default_factory=list)
     claims: dict[str, bool] = field(default_factory=dict)
-    told: dict[str, object] = field(default_factory=dict)
+    figures: dict[str, object] = field(default_factory=dict)
     wall_s: float = 0.0
 
     @property
     def ratio(self) -> float:
-        """Infinite where nobody has worked out the reach."""
+        """True error relative to the reach; infinite if the reach was not computed."""
         return self.true_after / self.reach if self.reach else math.inf
 
     @property

@@ -1,4 +1,4 @@
-"""The real service as a process of its own, its settings, and everybody who asks it for something."""
+"""Real service as a separate process, with its settings and its clients."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ import httpx
 from agent.planning.case_file import CASE_STUDY, SHIPPED_CONFIGURATION
 from agent.service import address_file
 from agent.service.allowed_requests import AT_REST
-from campaigns.fortnight.almanac import turn_to
+from campaigns.fortnight.almanac import set_calendar
 
 Found = TypeVar("Found")
 Document = dict[str, Any]
 
-PATIENCE_S = 300.0
-LOOK_EVERY_S = 0.005
-ASK_EVERY_S = 0.2
-"""A service that is asked all the time has less time for its run."""
+TIMEOUT_S = 300.0
+POLL_S = 0.005
+STATUS_POLL_S = 0.2
+"""Interval in s between status requests; more frequent ones would take time from the run."""
 AT_REST_NAMES = frozenset(state.value for state in AT_REST)
 COMMAND = (sys.executable, "-m", "agent.cli.main")
 SECTIONS = """
@@ -45,18 +45,21 @@ held_out_tolerance_um = 3.5
 """
 
 
-def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = LOOK_EVERY_S) -> Found:
-    """What `condition` finds in the end. TimeoutError naming `what` where it finds nothing."""
-    ends_s = time.monotonic() + PATIENCE_S
+def wait_for(condition: Callable[[], Found | None], what: str, every_s: float = POLL_S) -> Found:
+    """Return the first true result of `condition`. Raises TimeoutError naming `what` if there is none in time."""
+    ends_s = time.monotonic() + TIMEOUT_S
     while not (found := condition()):
         if time.monotonic() > ends_s:
-            raise TimeoutError(f"waited in vain for {what}")
+            raise TimeoutError(f"timed out waiting for {what}")
         time.sleep(every_s)
     return found
 
 
-class House:
-    """One state directory with its settings and, most of the time, a service. A context: nothing outlives it."""
+class ServiceHost:
+    """One state directory with its settings and, most of the time, a running service.
+
+    As a context manager it ends all processes on exit.
+    """
 
     def __init__(self, directory: Path, ready: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> None:
         self.directory = directory
@@ -70,7 +73,7 @@ class House:
         directory.mkdir(parents=True, exist_ok=True)
         self.config.write_text(settings_text(ready, self._changes), encoding="utf-8")
 
-    def __enter__(self) -> House:
+    def __enter__(self) -> ServiceHost:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -81,26 +84,26 @@ class House:
                 process.kill()
                 process.wait()
 
-    def is_now(self, instant: datetime) -> None:
-        turn_to(self.calendar, instant)
+    def set_time(self, instant: datetime) -> None:
+        set_calendar(self.calendar, instant)
 
-    def copy(self, directory: Path, ready: Mapping[str, Any]) -> House:
-        """Another one with the same past."""
+    def copy(self, directory: Path, ready: Mapping[str, Any]) -> ServiceHost:
+        """Return another host with a copy of the same history."""
         shutil.copytree(
             self.state, directory / "state", ignore=shutil.ignore_patterns(address_file.PLACE_FILE, "*.lock")
         )
-        other = House(directory, ready, self._changes)
+        other = ServiceHost(directory, ready, self._changes)
         shutil.copy(self.calendar, other.calendar)
         return other
 
     # ------------------------------------------------------------------ the service
 
     def serve(self) -> None:
-        """Start it, as systemd would, and wait until it answers."""
+        """Start the service as systemd would, and wait until it answers."""
         arguments = ["-m", "campaigns.fortnight.serving", str(self.config), str(self.calendar)]
         with (self.directory / "service.log").open("a", encoding="utf-8") as log:
-            self._service = self._started([sys.executable, *arguments], stdout=log, stderr=subprocess.STDOUT)
-        address_file.withdraw(self.state)  # of one that was killed
+            self._service = self._start([sys.executable, *arguments], stdout=log, stderr=subprocess.STDOUT)
+        address_file.withdraw(self.state)  # left by a service that was killed
         wait_for(lambda: (self.state / address_file.PLACE_FILE).exists() or self._ended(), "the service")
         if self._ended():
             raise RuntimeError((self.directory / "service.log").read_text(encoding="utf-8")[-2000:])
@@ -108,22 +111,22 @@ class House:
         self._http = httpx.Client(base_url=address_file.told(self.state), timeout=60.0, trust_env=False)
         self._token = {"Authorization": f"Bearer {token}"}
 
-    def power_fails(self) -> None:
-        """What a process sees of it: nothing at all."""
+    def kill_service(self) -> None:
+        """Simulate a power failure: the process is killed without notice."""
         assert self._service is not None
         self._service.kill()
         self._service.wait()
 
     def stop(self) -> int:
-        """SIGTERM, as `systemctl stop`."""
+        """Stop the service with SIGTERM, as `systemctl stop` does, and return its exit code."""
         assert self._service is not None
         self._service.send_signal(signal.SIGTERM)
-        return self._service.wait(PATIENCE_S)
+        return self._service.wait(TIMEOUT_S)
 
     def _ended(self) -> bool:
         return self._service is not None and self._service.poll() is not None
 
-    # ------------------------------------------------------------------ who asks
+    # ------------------------------------------------------------------ clients
 
     def status(self) -> Document:
         return self.get("/api/status")
@@ -140,38 +143,38 @@ class House:
         return self._http.post(path, json=body, headers=self._token if token else {})
 
     def at_rest(self, run_id: str) -> Document:
-        """The status in which the run has ended."""
+        """Wait for the end of the run and return the status."""
 
         def ended() -> Document | None:
             now = self.status()
             return now if now["run_id"] == run_id and now["state"] in AT_REST_NAMES else None
 
-        return wait_for(ended, f"the end of run {run_id}", ASK_EVERY_S)
+        return wait_for(ended, f"the end of run {run_id}", STATUS_POLL_S)
 
     def command(self, *arguments: str, timer: bool = False) -> subprocess.Popen[str]:
-        """`volcal …` with these settings. `timer`: as systemd's timer starts it."""
+        """Start `volcal …` with these settings. `timer`: as systemd's timer does."""
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         if timer:
             environment["INVOCATION_ID"] = "fortnight"
         command = [*COMMAND, *arguments, "--config", str(self.config)]
-        return self._started(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
+        return self._start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
 
-    def asked(self, *arguments: str) -> str:
-        """What a command prints, however it ends."""
-        return self.command(*arguments).communicate(timeout=PATIENCE_S)[0]
+    def output(self, *arguments: str) -> str:
+        """Return the output of a command, whatever its exit code."""
+        return self.command(*arguments).communicate(timeout=TIMEOUT_S)[0]
 
     def timer(self, kind: str, station: int, *options: str) -> subprocess.Popen[str]:
-        """What the unit of the timer calls."""
+        """Start the command of the timer's unit."""
         return self.command("start", "--kind", kind, "--wait", "--stations", str(station), *options, timer=True)
 
-    def _started(self, command: list[str], **how: Any) -> subprocess.Popen[str]:
+    def _start(self, command: list[str], **how: Any) -> subprocess.Popen[str]:
         process = subprocess.Popen(command, text=True, **how)  # noqa: S603  our own interpreter and modules
         self.processes.append(process)
         return process
 
 
 def settings_text(ready: Mapping[str, Any], changes: Mapping[str, str]) -> str:
-    """The shipped settings of the case study for a machine on other ports, with the sections of a service."""
+    """Return the shipped settings of the case study with other ports, and with the sections of a service."""
     text = CASE_STUDY.read_text(encoding="utf-8")
     exchanged = {
         "port = 5021": f"port = {ready['time']['port']}",

@@ -1,4 +1,4 @@
-"""Evenings of the fortnight: what is asked of the service, what goes wrong, and what must come of it."""
+"""Evenings of the fortnight: requests to the service, incidents, and the expected result."""
 
 from __future__ import annotations
 
@@ -11,29 +11,31 @@ from pathlib import Path
 from agent.execution.journal_reader import open_journal
 from agent.results.run_outcome import Decision
 from agent.service.state.journal_state import INTERRUPTED_CODE
-from campaigns.fortnight.evening import Evening, Expected
-from campaigns.fortnight.house import ASK_EVERY_S, PATIENCE_S, House, wait_for
-from campaigns.fortnight.plant import Plant
+from campaigns.fortnight.evening import Evening, ExpectedRun
+from campaigns.fortnight.house import STATUS_POLL_S, TIMEOUT_S, ServiceHost, wait_for
+from campaigns.fortnight.plant import FortnightPlant
 from drivers.roles import Permission
 
 FIRST_EVENING = datetime(2026, 3, 2, tzinfo=UTC)
 SLOT = ("--slot", "15min")
-FUSED = (Decision.FUSED.value, Decision.WRITTEN.value)
-LOOKED_ONLY = (None, Decision.WITHIN.value)
-"""Of a night that broke off: its verification stands, nothing of it was accepted."""
+FUSED_DECISIONS = (Decision.FUSED.value, Decision.WRITTEN.value)
+CHECKED_DECISIONS = (None, Decision.WITHIN.value)
+"""Decisions of an interrupted night: its check measurement counts, but nothing was accepted."""
 BALLS_BEFORE_THE_POWER_FAILS = 20
 LINK, REFUSED, ABORTED, NOT_NOW = 3, 4, 5, 6
 """Exit codes of `volcal start --wait`."""
 
-GOOD_NIGHT = Expected("nightly", "complete", "timer", FUSED)
+GOOD_NIGHT = ExpectedRun("nightly", "complete", "timer", FUSED_DECISIONS)
 
 
 class Incidents:
-    """One house and one plant; every method is an evening, or the beginning of one, by its name in `by_name`.
-    `compared`: what broke off is compared with the same night gone through."""
+    """Incidents on one host and one plant; `by_name` maps the name of an evening, or of its beginning, to its method.
 
-    def __init__(self, house: House, plant: Plant, *, compared: bool) -> None:
-        self._house = house
+    `compared`: an interrupted night is compared with the same night run without interruption.
+    """
+
+    def __init__(self, host: ServiceHost, plant: FortnightPlant, *, compared: bool) -> None:
+        self._host = host
         self._plant = plant
         self._compared = compared
         self.by_name: dict[str, Callable[[Evening], None]] = {
@@ -50,204 +52,206 @@ class Incidents:
         }
 
     def prepare(self, evening: Evening) -> None:
-        """The service is started on the first day."""
-        self._is(evening, 17)
-        self._house.serve()
+        """Start the service on the first day."""
+        self._set_time(evening, 17)
+        self._host.serve()
 
-    # ------------------------------------------------------------------ evenings as they should be
+    # ------------------------------------------------------------------ regular evenings
 
     def by_hand(self, evening: Evening) -> None:
-        """Somebody stands at the machine with the page open, in the afternoon."""
-        self._is(evening, 18)
-        answer = self._house.post("/api/start", {"kind": "calibrate", "consent": True})
-        status = self._house.at_rest(answer.json()["run_id"])
+        """Calibrate from the page in the afternoon, with a person at the machine."""
+        self._set_time(evening, 18)
+        answer = self._host.post("/api/start", {"kind": "calibrate", "consent": True})
+        status = self._host.at_rest(answer.json()["run_id"])
         evening.claims["complete"] = status["state"] == "complete"
-        evening.expected.append(Expected("calibrate", "complete", "page", accepted=True))
+        evening.expected.append(ExpectedRun("calibrate", "complete", "page", accepted=True))
 
     def timer(self, evening: Evening) -> None:
-        """What systemd's timer does every night."""
-        self._is(evening, 23)
-        code, _ = self._asked(evening, *SLOT)
+        """Run what systemd's timer starts every night."""
+        self._set_time(evening, 23)
+        code, _ = self._ask(evening, *SLOT)
         evening.claims["the timer's command ends well"] = code == 0
         evening.expected.append(GOOD_NIGHT)
 
     def verify(self, evening: Evening) -> None:
-        self._is(evening, 23)
-        code, _ = self._ended(evening, self._house.timer("verify", evening.station))
+        self._set_time(evening, 23)
+        code, _ = self._finish(evening, self._host.timer("verify", evening.station))
         evening.claims["the timer's command ends well"] = code == 0
-        evening.expected.append(Expected("verify", "complete", "timer", (Decision.WITHIN.value,)))
+        evening.expected.append(ExpectedRun("verify", "complete", "timer", (Decision.WITHIN.value,)))
 
-    # ------------------------------------------------------------------ what the service refuses by itself
+    # ------------------------------------------------------------------ refused by the service
 
     def at_noon(self, evening: Evening) -> None:
-        self._is(evening, 12)
-        self._refused(evening, "it is 12:00, and nothing may begin by itself outside 22:00-05:30")
+        self._set_time(evening, 12)
+        self._expect_refusal(evening, "it is 12:00, and nothing may begin by itself outside 22:00-05:30")
 
     def doors_open(self, evening: Evening) -> None:
-        self._is(evening, 22)
+        self._set_time(evening, 22)
         self._plant.permit(Permission.DOORS_CLOSED, False)
-        self._refused(evening, "the machine does not permit motion; missing: doors closed")
+        self._expect_refusal(evening, "the machine does not permit motion; missing: doors closed")
         self._plant.permit(Permission.DOORS_CLOSED, True)
 
-    # ------------------------------------------------------------------ what breaks off
+    # ------------------------------------------------------------------ interrupted runs
 
     def power_failure(self, evening: Evening) -> None:
-        """In the middle of measuring; the machine stays as it stands. The same night on a machine and a past that are
-        the same goes through beside it."""
-        self._is(evening, 23)
-        through = self._gone_through(evening) if self._compared else []
-        waiting = self._house.timer("nightly", evening.station, *SLOT)
-        status = wait_for(self._measured, "balls", every_s=0.05)
-        self._house.power_fails()
-        self._is(evening, 25)
-        self._house.serve()
-        self._stands(evening, "faulted", INTERRUPTED_CODE)
-        code, said = self._ended(evening, waiting)
+        """Power failure while measuring; the machine stays where it is.
+
+        The same night runs without interruption on an identical machine with the same history.
+        """
+        self._set_time(evening, 23)
+        through = self._uninterrupted_estimate(evening) if self._compared else []
+        waiting = self._host.timer("nightly", evening.station, *SLOT)
+        status = wait_for(self._status_after_balls, "balls", every_s=0.05)
+        self._host.kill_service()
+        self._set_time(evening, 25)
+        self._host.serve()
+        self._expect_state(evening, "faulted", INTERRUPTED_CODE)
+        code, said = self._finish(evening, waiting)
         evening.claims["the timer's command tells it"] = code == ABORTED and "interrupted" in said
         self._sticky_until_reset(evening)
         run_id = str(status["run_id"])
-        evening.claims["it can be gone on with"] = self._house.status()["unfinished"] == run_id
-        answer = self._house.post("/api/resume-run", {"source": "page"})
+        evening.claims["it can be gone on with"] = self._host.status()["unfinished"] == run_id
+        answer = self._host.post("/api/resume-run", {"source": "page"})
         evening.claims["it is the same run"] = answer.json().get("run_id") == run_id
-        evening.claims["complete"] = self._house.at_rest(run_id)["state"] == "complete"
-        with open_journal(self._house.state) as reader:
+        evening.claims["complete"] = self._host.at_rest(run_id)["state"] == "complete"
+        with open_journal(self._host.state) as reader:
             again = [ball.key for ball in reader.balls(reader.require_run(run_id).run)]
         evening.claims["no ball twice"] = len(again) == len(set(again))
         if through:
-            apart = largest_difference(through, estimate_of(self._house, run_id))
-            evening.told["largest_difference_sigma"] = apart
+            apart = largest_difference(through, read_estimate(self._host, run_id))
+            evening.figures["largest_difference_sigma"] = apart
             evening.claims["same estimate as uninterrupted"] = apart == 0.0
         evening.expected.append(GOOD_NIGHT)
 
     def link_loss(self, evening: Evening) -> None:
-        """Behind the activation: nothing can be written back until the link is whole."""
+        """Link loss after the activation: nothing can be written back until the link is restored."""
         before = self._plant.active_bank, self._plant.active_crc32
-        waiting = self._until_a_new_table_acts(evening)
-        self._plant.cut_the_link()
-        code, _ = self._ended(evening, waiting)
+        waiting = self._wait_for_new_table(evening)
+        self._plant.cut_link()
+        code, _ = self._finish(evening, waiting)
         evening.claims["the timer's command tells it"] = code == LINK
-        self._stands(evening, "faulted", 311)
+        self._expect_state(evening, "faulted", 311)
         evening.claims["the new table was left acting"] = self._plant.active_bank != before[0]
         self._plant.power_cycle()
         self._sticky_until_reset(evening)
         evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
-        evening.expected.append(Expected("nightly", "faulted", "timer", LOOKED_ONLY, "Modbus"))
+        evening.expected.append(ExpectedRun("nightly", "faulted", "timer", CHECKED_DECISIONS, "Modbus"))
 
     def abort(self, evening: Evening) -> None:
-        """Behind the activation, from the page, without a token."""
+        """Abort from the page after the activation, without a token."""
         before = self._plant.active_bank, self._plant.active_crc32
-        waiting = self._until_a_new_table_acts(evening)
-        answer = self._house.post("/api/abort", {"reason": "a person walks in"}, token=False)
+        waiting = self._wait_for_new_table(evening)
+        answer = self._host.post("/api/abort", {"reason": "a person walks in"}, token=False)
         evening.claims["taken without a token"] = answer.status_code == 200
-        code, said = self._ended(evening, waiting)
+        code, said = self._finish(evening, waiting)
         evening.claims["the timer's command tells it"] = code == ABORTED and "a person walks in" in said
-        self._stands(evening, "aborted", 470)
+        self._expect_state(evening, "aborted", 470)
         evening.claims["the table from before acts"] = (self._plant.active_bank, self._plant.active_crc32) == before
         self._sticky_until_reset(evening)
         evening.expected.append(
-            Expected("nightly", "aborted", "timer", (None, Decision.WITHIN.value), "a person walks in")
+            ExpectedRun("nightly", "aborted", "timer", (None, Decision.WITHIN.value), "a person walks in")
         )
 
-    # ------------------------------------------------------------------ what the machine suffers
+    # ------------------------------------------------------------------ damage to the machine
 
     def damage(self, evening: Evening) -> None:
-        self._is(evening, 23)
-        code, said = self._asked(evening, *SLOT)
+        self._set_time(evening, 23)
+        code, said = self._ask(evening, *SLOT)
         evening.claims["the timer's command tells it"] = code == REFUSED and "a full calibration is" in said
         named = said.partition("at once: ")[2].partition("; ")[0].partition(". ")[0]
-        evening.told["named"] = named
+        evening.figures["named"] = named
         first = named.startswith("B0Z changed by +")
         evening.claims["named by axis and error"] = first if self._compared else "B0Z changed by +" in named
-        expected = Expected("nightly", "refused", "timer", (Decision.FULL_NEEDED.value,), "B0Z changed by +")
+        expected = ExpectedRun("nightly", "refused", "timer", (Decision.FULL_NEEDED.value,), "B0Z changed by +")
         evening.expected.append(expected)
         if code == REFUSED:
-            self._stands(evening, "refused", 420)
+            self._expect_state(evening, "refused", 420)
 
     def full(self, evening: Evening) -> None:
-        """Somebody carries the artefact tonight."""
-        self._is(evening, 23)
-        code, _ = self._asked(evening, "--slot", "3h", "--full-allowed")
+        """Full calibration, with a person to move the artefact."""
+        self._set_time(evening, 23)
+        code, _ = self._ask(evening, "--slot", "3h", "--full-allowed")
         evening.claims["the timer's command ends well"] = code == 0
-        expected = Expected("nightly", "complete", "timer", (Decision.FULL_DONE.value,), accepted=True)
+        expected = ExpectedRun("nightly", "complete", "timer", (Decision.FULL_DONE.value,), accepted=True)
         evening.expected.append(expected)
 
-    # ------------------------------------------------------------------ parts of them
+    # ------------------------------------------------------------------ helpers
 
-    def _is(self, evening: Evening, hour: int) -> None:
-        self._house.is_now(FIRST_EVENING + timedelta(days=evening.night, hours=hour))
+    def _set_time(self, evening: Evening, hour: int) -> None:
+        self._host.set_time(FIRST_EVENING + timedelta(days=evening.night, hours=hour))
 
-    def _asked(self, evening: Evening, *options: str) -> tuple[int, str]:
-        return self._ended(evening, self._house.timer("nightly", evening.station, *options))
+    def _ask(self, evening: Evening, *options: str) -> tuple[int, str]:
+        return self._finish(evening, self._host.timer("nightly", evening.station, *options))
 
-    def _ended(self, evening: Evening, command: subprocess.Popen[str]) -> tuple[int, str]:
-        """Exit code, and what it said on one line."""
-        _, said = command.communicate(timeout=PATIENCE_S)
-        evening.asked.append(command.returncode)
+    def _finish(self, evening: Evening, command: subprocess.Popen[str]) -> tuple[int, str]:
+        """Return the exit code and the error output as one line."""
+        _, said = command.communicate(timeout=TIMEOUT_S)
+        evening.exit_codes.append(command.returncode)
         return command.returncode, " ".join(said.split())
 
-    def _refused(self, evening: Evening, reason: str) -> None:
-        """With the reason; nothing is begun and nothing moves."""
+    def _expect_refusal(self, evening: Evening, reason: str) -> None:
+        """Expect a refusal with `reason`, without a new run and without motion."""
         runs = self._runs_and_steps()
         stood = self._plant.position
-        found, said = self._asked(evening, *SLOT)
+        found, said = self._ask(evening, *SLOT)
         evening.claims["refused with the reason"] = found == NOT_NOW and reason in said
         evening.claims["moved nothing"] = self._plant.position == stood
         evening.claims["began nothing"] = self._runs_and_steps() == runs
 
     def _runs_and_steps(self) -> dict[str, int]:
         """How many steps each run of the journal has."""
-        with open_journal(self._house.state) as reader:
+        with open_journal(self._host.state) as reader:
             return {run.run_id: reader.count_steps(run.run) for run in reader.runs()}
 
-    def _measured(self) -> dict[str, object] | None:
-        status = self._house.status()
+    def _status_after_balls(self) -> dict[str, object] | None:
+        status = self._host.status()
         enough = status["state"] == "measuring" and status["balls"] >= BALLS_BEFORE_THE_POWER_FAILS
         return status if enough else None
 
-    def _until_a_new_table_acts(self, evening: Evening) -> subprocess.Popen[str]:
-        self._is(evening, 23)
-        before, waiting = self._plant.active_bank, self._house.timer("nightly", evening.station, *SLOT)
+    def _wait_for_new_table(self, evening: Evening) -> subprocess.Popen[str]:
+        self._set_time(evening, 23)
+        before, waiting = self._plant.active_bank, self._host.timer("nightly", evening.station, *SLOT)
         wait_for(lambda: self._plant.active_bank != before or waiting.poll() is not None, "a new table")
         if waiting.poll() is not None:
-            raise RuntimeError(f"night {evening.night + 1} wrote no table: {self._house.status()}")
+            raise RuntimeError(f"night {evening.night + 1} wrote no table: {self._host.status()}")
         return waiting
 
-    def _stands(self, evening: Evening, state: str, code: int) -> None:
-        status = wait_for(lambda: self._in_state(state), f"the state {state}", ASK_EVERY_S)
+    def _expect_state(self, evening: Evening, state: str, code: int) -> None:
+        status = wait_for(lambda: self._in_state(state), f"the state {state}", STATUS_POLL_S)
         evening.claims[f"{state}, alarm {code}"] = [alarm["code"] for alarm in status["alarms"]][:1] == [code]
 
     def _in_state(self, state: str) -> dict[str, object] | None:
-        status = self._house.status()
+        status = self._host.status()
         return status if status["state"] == state else None
 
     def _sticky_until_reset(self, evening: Evening) -> None:
-        answer = self._house.post("/api/start", {"kind": "nightly", "source": "timer"})
+        answer = self._host.post("/api/start", {"kind": "nightly", "source": "timer"})
         evening.claims["sticky until reset"] = answer.status_code == 409 and "reset" in answer.json()["hint"]
-        self._house.command("reset").communicate(timeout=PATIENCE_S)
-        evening.claims["idle after the reset"] = self._house.status()["state"] == "idle"
+        self._host.command("reset").communicate(timeout=TIMEOUT_S)
+        evening.claims["idle after the reset"] = self._host.status()["state"] == "idle"
 
-    def _gone_through(self, evening: Evening) -> list[tuple[str, float, float]]:
-        """The estimate of this very night where nothing happens to it."""
-        twin = self._plant.twin()
-        directory = Path(self._house.directory, "twin")
-        with self._house.copy(directory, twin.ready) as other:
+    def _uninterrupted_estimate(self, evening: Evening) -> list[tuple[str, float, float]]:
+        """Return the estimate of the same night without interruption."""
+        twin = self._plant.duplicate()
+        directory = Path(self._host.directory, "twin")
+        with self._host.copy(directory, twin.ready) as other:
             other.serve()
             command = other.timer("nightly", evening.station, *SLOT)
-            run_id = command.communicate(timeout=PATIENCE_S)[0].strip()
+            run_id = command.communicate(timeout=TIMEOUT_S)[0].strip()
             other.stop()
             twin.switch_off()
-            return estimate_of(other, run_id)
+            return read_estimate(other, run_id)
 
 
-def estimate_of(house: House, run_id: str) -> list[tuple[str, float, float]]:
-    """Name, value and standard uncertainty of every parameter."""
-    with open_journal(house.state) as reader:
+def read_estimate(host: ServiceHost, run_id: str) -> list[tuple[str, float, float]]:
+    """Return name, value and standard uncertainty of every parameter."""
+    with open_journal(host.state) as reader:
         [text] = reader.estimates(reader.require_run(run_id).run)
     parameters = json.loads(text)["parameters"]
     return [(one["name"], one["value"], one["standard_uncertainty"]) for one in parameters]
 
 
 def largest_difference(one: list[tuple[str, float, float]], other: list[tuple[str, float, float]]) -> float:
-    """In standard uncertainties."""
+    """Return the largest difference in standard uncertainties."""
     assert [name for name, _, _ in one] == [name for name, _, _ in other]
     return max(abs(a - b) / sigma for (_, a, sigma), (_, b, _) in zip(one, other, strict=True))

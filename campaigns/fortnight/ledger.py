@@ -1,4 +1,4 @@
-"""What stands in journal and history at the end, row by row, against what the evenings were."""
+"""Final contents of journal and history, compared row by row with the evenings."""
 
 from __future__ import annotations
 
@@ -9,32 +9,35 @@ from typing import Any
 
 from agent.execution.journal_reader import open_journal
 from agent.runs.reference_state import last_accepted
-from campaigns.fortnight.evening import Evening, Expected
-from campaigns.fortnight.house import House
-from campaigns.fortnight.plant import Plant
+from campaigns.fortnight.evening import Evening, ExpectedRun
+from campaigns.fortnight.house import ServiceHost
+from campaigns.fortnight.plant import FortnightPlant
 
 Row = dict[str, Any]
 
 
-def history_of(house: House) -> list[Row]:
-    """The rows of history as `volcal history list` tells them, the oldest first."""
-    rows: list[Row] = json.loads(house.asked("history", "list", "--last", "100", "--json"))["runs"]
+def read_history(host: ServiceHost) -> list[Row]:
+    """Return the history rows as listed by `volcal history list`, oldest first."""
+    rows: list[Row] = json.loads(host.output("history", "list", "--last", "100", "--json"))["runs"]
     return rows
 
 
-def trends_of(house: House, figure: Path | None = None) -> Row:
-    """`volcal history trend` of the three volumetric errors."""
+def read_trends(host: ServiceHost, figure: Path | None = None) -> Row:
+    """Return the result of `volcal history trend` for the three volumetric errors."""
     names = [part for name in ("ve_bare", "ve_acting", "held_out") for part in ("--of", name)]
     drawn = [] if figure is None else ["--figure", str(figure)]
-    document: Row = json.loads(house.asked("history", "trend", *names, *drawn, "--json"))
+    document: Row = json.loads(host.output("history", "trend", *names, *drawn, "--json"))
     return document
 
 
-def differing(house: House, evenings: Sequence[Evening], rows: Sequence[Row]) -> list[str]:
-    """Rows that are not what they should be; the journal has the same runs in the same order, with the same ends."""
+def mismatched_rows(host: ServiceHost, evenings: Sequence[Evening], rows: Sequence[Row]) -> list[str]:
+    """Return history rows that differ from the expected ones.
+
+    The journal must have the same runs in the same order, with the same final states.
+    """
     expected = [(evening, row) for evening in evenings for row in evening.expected]
     found = [*_against(expected, rows)]
-    with open_journal(house.state) as reader:
+    with open_journal(host.state) as reader:
         journal = [(run.run_id, run.kind, run.state, run.reason or "") for run in reader.runs()]
     told = [(row["run_id"], row["kind"], row["state"], row["reason"]) for row in rows]
     if journal != told:
@@ -42,7 +45,7 @@ def differing(house: House, evenings: Sequence[Evening], rows: Sequence[Row]) ->
     return found
 
 
-def _against(expected: Sequence[tuple[Evening, Expected]], rows: Sequence[Row]) -> list[str]:
+def _against(expected: Sequence[tuple[Evening, ExpectedRun]], rows: Sequence[Row]) -> list[str]:
     if len(expected) != len(rows):
         return [f"{len(rows)} runs in history instead of {len(expected)}"]
     wrong = []
@@ -59,21 +62,21 @@ def _against(expected: Sequence[tuple[Evening, Expected]], rows: Sequence[Row]) 
     return wrong
 
 
-def acting_is_accepted(house: House, plant: Plant) -> bool:
-    """The bank that acts holds the table of the last accepted night, and the service says so."""
-    last = last_accepted(house.state)
+def active_table_is_accepted(host: ServiceHost, plant: FortnightPlant) -> bool:
+    """Return True if the active bank holds the table of the last accepted night and the service reports that bank."""
+    last = last_accepted(host.state)
     accepted = last is not None and last.accepted.crc32 == plant.active_crc32
-    return accepted and house.status()["active_bank"] == plant.active_bank
+    return accepted and host.status()["active_bank"] == plant.active_bank
 
 
-def left_over(directory: Path) -> list[str]:
-    """Processes that still have to do with the fortnight."""
+def leftover_processes(directory: Path) -> list[str]:
+    """Return the command lines of processes that still use the fortnight's directory."""
     found = []
     for place in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             command = place.read_bytes().replace(b"\0", b" ").decode(errors="replace")
         except OSError:
-            continue  # it has just ended
+            continue  # the process has just ended
         if str(directory) in command:
             found.append(command.strip())
     return found

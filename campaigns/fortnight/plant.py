@@ -1,7 +1,7 @@
-"""The machine of the fortnight on its real links, and what its surroundings do to it.
+"""Machine of the fortnight on its real links, and the influences of its surroundings.
 
-It runs in the process of whoever plays the fortnight; the service reaches it over Modbus TCP and CAN alone. Every
-evening it is another day's machine: the controller was switched off, and has kept its banks.
+It runs in the process that runs the fortnight; the service reaches it only over Modbus TCP and CAN. Every evening it is
+another day's machine: the controller was switched off and has retained its banks.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from simulators.world.world import World
 HERE = "127.0.0.1"
 
 
-class Plant:
-    """`station_of` night: where the day shift has put the artefact."""
+class FortnightPlant:
+    """Simulated machine over several nights. `station_of`: station of the artefact in a given night."""
 
     def __init__(self, scenario: Scenario, station_of: Callable[[int], int]) -> None:
         settings = scenario.settings.model_copy(update={"noise_by_step": True})
@@ -31,16 +31,16 @@ class Plant:
         self._active = 0
         self._night = 0
         self._collisions = 0
-        self._machine = self._switched_on()
-        self._links = _same_places(self.ready)
+        self._machine = self._switch_on()
+        self._links = _same_addresses(self.ready)
 
-    # ------------------------------------------------------------------ what happens to it
+    # ------------------------------------------------------------------ influences
 
-    def becomes(self, night: int) -> None:
-        """Switched off, and on again as the machine that it is that night."""
+    def switch_to_night(self, night: int) -> None:
+        """Switch off, and on again as the machine of `night`."""
         self.switch_off()
         self._night = night
-        self._machine = self._switched_on()
+        self._machine = self._switch_on()
 
     def switch_off(self) -> None:
         controller = self.world.controller
@@ -49,26 +49,26 @@ class Plant:
         self._machine.close()
 
     def power_cycle(self) -> None:
-        """The same night; what was cut is whole again."""
-        self.becomes(self._night)
+        """Switch off and on in the same night; a broken link is restored."""
+        self.switch_to_night(self._night)
 
-    def cut_the_link(self) -> None:
-        """Modbus: whoever speaks to the controller is hung up on, and nobody gets through any more."""
+    def cut_link(self) -> None:
+        """Cut Modbus: the connection is closed and no new one is accepted."""
         self._machine.modbus.close()
 
     def permit(self, permission: Permission, given: bool) -> None:
         self.world.controller.granted[permission] = given
 
-    def twin(self) -> Plant:
-        """A machine that is the same in everything, on links of its own."""
-        other = Plant(self._scenario, self._station_of)
+    def duplicate(self) -> FortnightPlant:
+        """Return an identical machine on its own links."""
+        other = FortnightPlant(self._scenario, self._station_of)
         other.switch_off()
         controller = self.world.controller
         other._banks, other._active, other._night = dict(controller.banks), controller.active_bank, self._night
-        other._machine = other._switched_on()
+        other._machine = other._switch_on()
         return other
 
-    # ------------------------------------------------------------------ what only the simulator knows
+    # ------------------------------------------------------------------ truth
 
     @property
     def world(self) -> World:
@@ -84,13 +84,13 @@ class Plant:
 
     @property
     def active_crc32(self) -> int | None:
-        """Of the table in the bank that acts."""
+        """CRC-32 of the table in the active bank; None if there is none."""
         image = self.world.controller.banks.get(self.active_bank)
         return None if image is None else table_digest(image)
 
     @property
     def true_um(self) -> float:
-        """Volumetric error with the acting table, aligned."""
+        """True volumetric error with the active table, aligned, in µm."""
         return self.world.truth.true_volumetric_error(self.active_bank)[1]
 
     @property
@@ -99,10 +99,10 @@ class Plant:
 
     @property
     def position(self) -> list[float]:
-        """Displayed, mm."""
+        """Displayed axis position in mm."""
         return [float(value) for value in self.world.controller.displayed_position()]
 
-    def _switched_on(self) -> WiredMachine:
+    def _switch_on(self) -> WiredMachine:
         scenario = scenario_of_night(self._scenario, self._night)
         settings = scenario.settings.model_copy(update={"standing_at": self._station_of(self._night)})
         machine = WiredMachine(replace(scenario, settings=settings), self._links)
@@ -115,8 +115,8 @@ class Plant:
         return machine
 
 
-def _same_places(ready: dict[str, object]) -> Links:
-    """Where the machine listens for ever: the settings of the service name it."""
+def _same_addresses(ready: dict[str, object]) -> Links:
+    """Return the addresses of `ready` as fixed links, because the service's settings name them."""
 
     def place(name: str) -> tuple[str, int]:
         found = ready[name]

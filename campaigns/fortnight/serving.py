@@ -1,4 +1,4 @@
-"""`volcal serve` with the calendar of the fortnight; nothing else in it is another one.
+"""Command `volcal serve` with the calendar of the fortnight, otherwise unchanged.
 
 python -m campaigns.fortnight.serving SETTINGS CALENDAR
 """
@@ -10,19 +10,19 @@ import os
 import sys
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
 from agent.service.daemon.logs import log_as_json
 from agent.service.daemon.serve import serve
-from campaigns.fortnight.almanac import Almanac
+from campaigns.fortnight.almanac import SimulatedCalendar
 
 
 def main() -> None:
     config, calendar = map(Path, sys.argv[1:])
-    almanac = Almanac(calendar)
-    almanac.rule()
+    calendar_ = SimulatedCalendar(calendar)
+    calendar_.install()
     log_as_json(logging.INFO)
-    serve(config, almanac.circumstances)
+    serve(config, calendar_.circumstances)
 
 
 if __name__ == "__main__":

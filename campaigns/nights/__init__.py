@@ -1,1 +1,1 @@
-"""A season of nights on a machine that drifts and is hit once."""
+"""Season of nights on a machine that drifts and has one collision."""

@@ -1,4 +1,4 @@
-"""`python -m campaigns.nights`."""
+"""Command `python -m campaigns.nights`."""
 
 from __future__ import annotations
 

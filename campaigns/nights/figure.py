@@ -1,4 +1,4 @@
-"""The nights as a picture: true VCE every morning against what a full calibration would reach, and what was decided."""
+"""Figure of the nights: true VCE every morning, compared with a full calibration, and the decisions."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from matplotlib.figure import Figure
 from agent.figures.study_style import BLUE, GREEN, INK, ORANGE, PURPLE, QUIET, from_zero, picture
 from agent.files import write_all_atomically
 from agent.results.run_outcome import Decision
-from campaigns.nights.row import Row
+from campaigns.nights.row import NightRow
 
 LARGEST_RATIO = 1.5
 
 
-def draw(rows: Sequence[Row], step: int, path: Path) -> None:
-    """Write the PNG `path`."""
+def draw(rows: Sequence[NightRow], step: int, path: Path) -> None:
+    """Write the figure to the PNG file `path`."""
     found = picture(path.stem, lambda figure: _draw(figure, rows, step), (8.0, 5.6))
     write_all_atomically(path.parent, {path.name: found.png})
 
 
-def _draw(figure: Figure, rows: Sequence[Row], step: int) -> None:
+def _draw(figure: Figure, rows: Sequence[NightRow], step: int) -> None:
     above, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3, 1]})
     _draw_errors(above, rows, step)
     nights = [row.night for row in rows]
@@ -34,7 +34,7 @@ def _draw(figure: Figure, rows: Sequence[Row], step: int) -> None:
     below.set_xlim(-0.7, nights[-1] + 0.7)
 
 
-def _draw_errors(axes: Axes, rows: Sequence[Row], step: int) -> None:
+def _draw_errors(axes: Axes, rows: Sequence[NightRow], step: int) -> None:
     nights = [row.night for row in rows]
     reach = [row.reach for row in rows]
     axes.fill_between(nights, 0.0, [LARGEST_RATIO * one for one in reach], color=GREEN, alpha=0.10, linewidth=0.0)
@@ -50,7 +50,7 @@ def _draw_errors(axes: Axes, rows: Sequence[Row], step: int) -> None:
         label="in the evening, table of the night before",
     )
     untouched = [row.untouched for row in rows]
-    axes.plot(nights, untouched, ":", color=QUIET, label="if only the first night had been")
+    axes.plot(nights, untouched, ":", color=QUIET, label="with the table of the first night only")
     axes.plot(nights, [row.true_after for row in rows], "-o", color=BLUE, label="in the morning, after the slot")
     if step < len(rows):
         _mark_step(axes, rows, step)
@@ -60,7 +60,7 @@ def _draw_errors(axes: Axes, rows: Sequence[Row], step: int) -> None:
     axes.legend(loc="upper left", ncols=2)
 
 
-def _mark_step(axes: Axes, rows: Sequence[Row], step: int) -> None:
+def _mark_step(axes: Axes, rows: Sequence[NightRow], step: int) -> None:
     row = rows[step]
     axes.axvline(step, color=PURPLE, linewidth=0.8, linestyle=":")
     named = row.named.replace(", ", "\n") or "not noticed"

@@ -1,16 +1,16 @@
 """Nights of one machine that drifts: a full calibration, then short slots, and a collision on the way.
 
-Every night is a whole run of the agent (`volcal nightly`) on the simulated machine as it is that night: in this
-process, on virtual time. What only the simulator knows is told beside it: the true volumetric error with the acting
-table, and what a full calibration that very night would reach.
+Every night is a whole run of the agent (`volcal nightly`) on the simulated machine of that night, in this process and
+on virtual time. The simulator's truth is reported with it: the true volumetric error with the active table, and that of
+a full calibration in the same night (the reach).
 
-That reach is found by Monte Carlo at the level of ball centres: the true ball centres of the whole set on a copy of
-that night's machine, found through its exact field with the noise of a touch pattern, identified with the order by
-evidence, written as a table; the mean of `DRAWS` of them. Real full calibrations of the season are told beside it.
+The reach is found by Monte Carlo at the level of ball centres: the true ball centres of the whole set on a copy of that
+night's machine, measured through its exact field with the noise of a touch pattern, identified with the order by
+evidence, written as a table; the mean of `DRAWS` of them. Real full calibrations of the season are reported too.
 
     python -m campaigns.nights --nights 30 --step 17 [--figure nights.png] [--csv nights.csv]
 
-ends with one JSON line, and with exit code 0 only where every claim holds.
+Ends with one JSON line, and with exit code 0 only if every claim holds.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
 
 from agent.execution.device_assembly import Devices
@@ -41,8 +41,8 @@ from agent.runs.run_context import RunHooks
 from agent.runs.session import carry_out
 from benchmarks.places import memory_directory, write_csv
 from campaigns.nights.figure import draw
-from campaigns.nights.row import Row
-from campaigns.nights.season import DRAWS, Season, case, reach_um, with_table
+from campaigns.nights.row import NightRow
+from campaigns.nights.season import DRAWS, Season, full_calibration_vce_um, load_season_case, true_vce_with_table
 from drivers.clock import Clock, VirtualClock
 from drivers.roles import TableImage
 from simulators.backend import SimulatedMachineDevice
@@ -54,14 +54,14 @@ FULL_SLOT_MINUTES = 180.0
 LARGEST_RATIO = 1.5
 
 
-def played(season: Season, report: bool = True) -> list[Row]:
-    """All nights in turn; what full calibrations reach is worked out beside them by a process of its own."""
+def run_season(season: Season, report: bool = True) -> list[NightRow]:
+    """Run all nights in order; the reach of full calibrations is computed in a separate process meanwhile."""
     with (
         ProcessPoolExecutor(1) as pool,
         memory_directory("nights") as directory,
     ):
-        reached = [pool.submit(reach_um, season, night) for night in range(season.nights + 1)]
-        rows, machine = [], Machine(season, Path(directory) / "state")
+        reached = [pool.submit(full_calibration_vce_um, season, night) for night in range(season.nights + 1)]
+        rows, machine = [], SeasonMachine(season, Path(directory) / "state")
         for night in range(season.nights + 1):
             row = machine.row(night)
             reach = reached[night].result()
@@ -71,8 +71,8 @@ def played(season: Season, report: bool = True) -> list[Row]:
     return rows
 
 
-class Machine:
-    """One machine with its controller's banks, and the agent that looks after it."""
+class SeasonMachine:
+    """One machine with its controller's banks, and the agent that calibrates it."""
 
     def __init__(self, season: Season, state: Path) -> None:
         self._season = season
@@ -83,7 +83,7 @@ class Machine:
         self._first: TableImage | None = None
         self._needs_full = False
 
-    def row(self, night: int) -> Row:
+    def row(self, night: int) -> NightRow:
         world = self._world(night)
         before = world.truth.true_volumetric_error(self._active)[1]
         outcome = self._run(world, night)
@@ -92,7 +92,7 @@ class Machine:
             self._first = self._banks[self._active]
         found = outcome.night
         self._needs_full = found is not None and found.decision is Decision.FULL_NEEDED
-        return Row(
+        return NightRow(
             night=night,
             station=self._season.station(night),
             decision="calibrated" if found is None else found.decision.value,
@@ -100,7 +100,7 @@ class Machine:
             positions=0 if found is None else found.positions,
             true_before=before,
             true_after=world.truth.true_volumetric_error(self._active)[1],
-            untouched=with_table(world, self._first),
+            untouched=true_vce_with_table(world, self._first),
             reach=math.nan,
             ratio=math.nan,
             ve_now=None if found is None else found.ve_now_um,
@@ -121,8 +121,8 @@ class Machine:
         return world
 
     def _run(self, world: World, night: int) -> Outcome:
-        job = standing(case(self._state), self._season.station(night))
-        devices = Devices(lambda _, clock, __: rig_of(world, clock, job), lambda _: VirtualClock())
+        job = standing(load_season_case(self._state), self._season.station(night))
+        devices = Devices(lambda _, clock, __: build_rig(world, clock, job), lambda _: VirtualClock())
         hooks = RunHooks(devices=devices, write_files=False)
         ended = carry_out(job, self._kind(night), SHIPPED_CONFIGURATION, hooks)
         if world.collisions:
@@ -136,8 +136,8 @@ class Machine:
         return Night(slot_minutes=slot, full_allowed=self._needs_full, nights=1.0)
 
 
-def rig_of(world: World, clock: Clock, job: Job) -> Rig:
-    """One device in this process that plays every role."""
+def build_rig(world: World, clock: Clock, job: Job) -> Rig:
+    """Return a rig in which one device in this process plays every role."""
     device = SimulatedMachineDevice(world, clock)
     mounts = dict.fromkeys(range(1, len(job.settings.stations.places_mm) + 1), device)
     return Rig(
@@ -152,8 +152,8 @@ def rig_of(world: World, clock: Clock, job: Job) -> Rig:
     )
 
 
-def verdict(season: Season, rows: Sequence[Row]) -> dict[str, object]:
-    """What is claimed of the nights, and whether it holds."""
+def verdict(season: Season, rows: Sequence[NightRow]) -> dict[str, object]:
+    """Return the claims about the nights, and whether they hold."""
     slots = [row for row in rows[1:] if row.night != season.step]
     worst = max(slots, key=lambda row: row.ratio, default=rows[0])
     happens = season.step <= season.nights
@@ -194,7 +194,7 @@ def verdict(season: Season, rows: Sequence[Row]) -> dict[str, object]:
     }
 
 
-def _line(row: Row) -> str:
+def _line(row: NightRow) -> str:
     says = "" if row.ve_now is None else f" says {row.ve_now:.2f}"
     chi2 = "" if row.chi2 is None else f" χ² {row.chi2:.2f}"
     return (
@@ -206,15 +206,15 @@ def _line(row: Row) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--nights", type=int, default=30)
-    parser.add_argument("--step", type=int, default=17, help="night of the collision; beyond the last one: none")
+    parser.add_argument("--nights", type=int, default=30, help="number of nights after the first calibration")
+    parser.add_argument("--step", type=int, default=17, help="night of the collision; none if beyond the last night")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args(arguments)
     began = perf_counter()
     season = Season(given.nights, given.step, given.seed)
-    rows = played(season)
+    rows = run_season(season)
     if given.csv is not None:
         write_csv([asdict(row) for row in rows], given.csv)
     if given.figure is not None:

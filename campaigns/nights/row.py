@@ -1,4 +1,4 @@
-"""One night of a season, as a row of the result."""
+"""Row of results for one night of a season."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Row:
-    """One night. µm: `true_before` with the table of the night before, `true_after` with the one that acts in the
-    morning, `untouched` with that of the first night, `reach` of a full calibration that night; `ve_now` and `ve_after`
-    as the agent says."""
+class NightRow:
+    """Results of one night; errors in µm.
+
+    `true_before`: with the table of the previous night; `true_after`: with the table active in the morning;
+    `untouched`: with the table of the first night; `reach`: of a full calibration in that night; `ve_now` and
+    `ve_after`: as reported by the agent.
+    """
 
     night: int
     station: int

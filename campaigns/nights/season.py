@@ -1,4 +1,4 @@
-"""The season that nights are played in, and what a full calibration of one of its nights would reach."""
+"""Season of the nights, and the error that a full calibration would reach in one of them."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ DRAWS = 2
 BANK = 1
 
 COLLISION = {"B0Z": 12.0, "EAZ": 4.0, "EYX": 3.0}
-"""µrad, µrad, µm: the column was hit, most of all it leans."""
+"""Jumps in µrad, µrad, µm: the column was hit and above all leans."""
 
 
 @dataclass(frozen=True)
 class Season:
-    """So many nights, the collision before the slot of night `step`."""
+    """Season of `nights` nights, with the collision before the slot of night `step`."""
 
     nights: int = 30
     step: int = 17
@@ -39,7 +39,7 @@ class Season:
 
     @property
     def scenario(self) -> Scenario:
-        """Scales of a season of three months, a slow walk of everything, and the collision."""
+        """Scenario with three-month seasonal scale errors, a slow random walk of all errors, and the collision."""
         shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
         ageing = AgeingSettings(
             seed=self.seed,
@@ -53,40 +53,42 @@ class Season:
         return replace(shipped, settings=shipped.settings.model_copy(update={"ageing": ageing, "seed": self.seed}))
 
     def station(self, night: int) -> int:
-        """Where the day shift has put the artefact: the next station every day."""
+        """Return the station at which the day shift has placed the artefact: the next one every day."""
         return 1 + night % len(self.scenario.settings.stations_mm)
 
 
-def case(state: Path) -> Job:
-    """The shipped case study with its runs under `state`."""
+def load_season_case(state: Path) -> Job:
+    """Return the shipped case study with its runs under `state`."""
     settings = load_settings(CASE_STUDY).model_copy(update={"state_directory": state})
     return prepare_job(settings, SHIPPED_CONFIGURATION)
 
 
-def reach_um(season: Season, night: int) -> float:
-    """True VCE, aligned, of full calibrations of that night's machine."""
-    job = case(Path("unused"))
+def full_calibration_vce_um(season: Season, night: int) -> float:
+    """Return the mean true VCE in µm, aligned, of full calibrations of that night's machine."""
+    job = load_season_case(Path("unused"))
     world = World(scenario_of_night(season.scenario, night))
     reached = []
     for number in range(DRAWS):
-        observations = found_exactly(world, job, np.random.default_rng([season.seed, night, number]))
+        observations = simulated_observations(world, job, np.random.default_rng([season.seed, night, number]))
         settings = job.settings
         order = settings.identification.order
         finding = find(job.machine, job.artefact, settings.tool, observations, Options(), settings.table, order)
-        reached.append(with_table(world, image_of(finding.table, world.controller.store_limits)))
+        reached.append(true_vce_with_table(world, image_of(finding.table, world.controller.store_limits)))
     return float(np.mean(reached))
 
 
-def with_table(world: World, image: TableImage) -> float:
-    """True VCE, aligned, with a table in the place of the one that acts; the world is of no further use."""
+def true_vce_with_table(world: World, image: TableImage) -> float:
+    """Return the true VCE in µm, aligned, with `image` in place of the active table; the world must not be used
+    afterwards.
+    """
     if world.controller.active_bank == BANK:
         world.controller.activate(0)
     world.controller.write_bank(BANK, image)
     return world.truth.true_volumetric_error(BANK)[1]
 
 
-def found_exactly(world: World, job: Job, rng: np.random.Generator) -> Observations:
-    """Ball centres of the whole set as the bare machine would find them, each with the noise of its touches."""
+def simulated_observations(world: World, job: Job, rng: np.random.Generator) -> Observations:
+    """Return the ball centres of the whole set as the machine without table would measure them, with touch noise."""
     planned = job.procedure.plan(job.positions).observations
     settings = world.scenario.settings
     centres = np.concatenate([_true_balls(world, job, k, planned, rng) for k in np.unique(planned.position)], axis=0)
@@ -104,7 +106,7 @@ def found_exactly(world: World, job: Job, rng: np.random.Generator) -> Observati
 
 
 def _true_balls(world: World, job: Job, k: int, planned: Observations, rng: np.random.Generator) -> Array:
-    """(m, 3) of one position, the mount somewhere near its place."""
+    """Return the true ball centres (m, 3) of one position, with a random placement of the mount."""
     settings = world.scenario.settings
     position = job.procedure.plan(job.positions).positions[k]
     place = np.array(settings.stations_mm[position.station - 1])

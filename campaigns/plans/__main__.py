@@ -19,10 +19,10 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from time import perf_counter
 
-from campaigns.plans.provoking import Provoked, provoked
-from campaigns.plans.trial import Trial, summed, tried
+from campaigns.plans.provoking import JudgeComparison, compare_judge
+from campaigns.plans.trial import PlanTrial, summarise, try_plan
 
-SEEDS_APART = 1_000_000
+SEED_STRIDE = 1_000_000
 MOVES_A_CASE = 20
 REPORT_EVERY = 500
 
@@ -39,11 +39,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.only is not None:
         return _one(given.only)
     began = perf_counter()
-    seeds = [given.seed * SEEDS_APART + number for number in range(given.first, given.first + given.count)]
+    seeds = [given.seed * SEED_STRIDE + number for number in range(given.first, given.first + given.count)]
     trials, compared = _all(seeds, given.judge_every, given.workers)
     wall_s = perf_counter() - began
     result = {
-        **summed(trials),
+        **summarise(trials),
         "judge_compared": compared.moves,
         "judge_collisions": compared.collisions,
         "judge_disagrees": list(compared.disagreed),
@@ -57,22 +57,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if failed else 0
 
 
-def _all(seeds: Sequence[int], judge_every: int, workers: int) -> tuple[list[Trial], Provoked]:
+def _all(seeds: Sequence[int], judge_every: int, workers: int) -> tuple[list[PlanTrial], JudgeComparison]:
     with ProcessPoolExecutor(workers) as pool:
         judged = frozenset(seeds[::judge_every])
-        provoking = pool.map(partial(provoked, moves=MOVES_A_CASE), sorted(judged), chunksize=4)
+        comparisons = pool.map(partial(compare_judge, moves=MOVES_A_CASE), sorted(judged), chunksize=4)
         trials = []
-        for trial in pool.map(partial(_tried, judged=judged), seeds, chunksize=8):
+        for trial in pool.map(partial(_try_plan, judged=judged), seeds, chunksize=8):
             trials.append(trial)
             _report(trial, len(trials))
-        return trials, Provoked.sum(provoking)
+        return trials, JudgeComparison.sum(comparisons)
 
 
-def _tried(seed: int, judged: frozenset[int]) -> Trial:
-    return tried(seed, judged=seed in judged)
+def _try_plan(seed: int, judged: frozenset[int]) -> PlanTrial:
+    return try_plan(seed, judged=seed in judged)
 
 
-def _report(trial: Trial, count: int) -> None:
+def _report(trial: PlanTrial, count: int) -> None:
     for failure in trial.failures:
         print(f"seed {trial.seed}: {failure}", flush=True)
     if count % REPORT_EVERY == 0:
@@ -80,7 +80,7 @@ def _report(trial: Trial, count: int) -> None:
 
 
 def _one(seed: int) -> int:
-    trial = tried(seed, judged=True)
+    trial = try_plan(seed, judged=True)
     print(json.dumps({**vars(trial), "seen": None if trial.seen is None else vars(trial.seen)}, default=str))
     return 1 if trial.failures else 0
 

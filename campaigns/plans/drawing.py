@@ -1,7 +1,7 @@
-"""A random but sensible case: machine, probe, artefact, mount, stations, procedure, and errors of the true world.
+"""Random but sensible case: machine, probe, artefact, mount, stations, procedure, and true errors of the world.
 
-What is drawn here is what an engineer could have written; whether it fits together in every detail is for the
-agent's checks and its preflight to say.
+Every drawn case is one that an engineer could have written; whether it is consistent in every detail is for the agent's
+checks and its preflight to decide.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from twin.artefact.position_set import POSITION_SETS, Position
 Document = dict[str, Any]
 ROLES = ("machine", "probe", "store", "thermometer", "operator", "mount")
 CANDIDATES = 24
-"""Orientations that are looked at until enough of them are found within reach."""
+"""Number of orientations tried until enough of them are within reach."""
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """`job` as the agent has it, `scenario` as the world is: with another start, another hand, other errors.
+class DrawnCase:
+    """Drawn case: `job` as the agent has it, `scenario` with the true start, placement and errors.
 
-    `interruption`: what happens in the second run of the plan, and at which part of its time.
+    `interruption`: event in the second run of the plan, at the share `at_share` of its duration.
     """
 
     seed: int
@@ -41,7 +41,7 @@ class Drawn:
 
 
 class Dice:
-    """One generator, and the few ways in which it is asked."""
+    """Random generator with the few draws needed here."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 20261])
@@ -50,7 +50,7 @@ class Dice:
         return round(float(self._rng.uniform(low, high)), digits)
 
     def whole(self, low: int, high: int) -> int:
-        """`high` included."""
+        """Return a random integer from `low` to `high`, both included."""
         return int(self._rng.integers(low, high + 1))
 
     def chance(self, probability: float) -> bool:
@@ -62,7 +62,7 @@ class Dice:
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the rest is laid out around; mm."""
+    """Dimensions that determine the layout, in mm."""
 
     probe: Document
     bar: Document
@@ -73,8 +73,10 @@ class Sizes:
     park: float
 
 
-def draw(seed: int, directory: Path) -> Drawn:
-    """The case of `seed`; its files are written into `directory`. UserError where the agent refuses it already."""
+def draw(seed: int, directory: Path) -> DrawnCase:
+    """Return the case of `seed`, with its files written into `directory`. Raises UserError if the agent already refuses
+    it.
+    """
     dice = Dice(seed)
     sizes = _sizes(dice)
     machine, places = _machine(dice, sizes)
@@ -98,7 +100,7 @@ def draw(seed: int, directory: Path) -> Drawn:
         **_procedure(dice, sizes),
     }
     job = _with_positions(dice, settings, directory)
-    return Drawn(
+    return DrawnCase(
         seed,
         job,
         _scenario(dice, settings, machine, seed),
@@ -148,7 +150,9 @@ def _sizes(dice: Dice) -> Sizes:
 
 
 def _machine(dice: Dice, sizes: Sizes) -> tuple[Document, list[list[float]]]:
-    """Travel around the stations' places: in front of the first the retreat plane, behind it the bar's far end."""
+    """Return a machine whose travel surrounds the stations: retreat plane before the first, far end of the bar behind
+    it.
+    """
     stations, gap = dice.whole(1, 4), dice.between(100, 700)
     half, sweep = 0.5 * sizes.bar["length_mm"], sizes.sweep
     x_low, y_low, z_low = (dice.one_of(0.0, dice.between(-600, 300)) for _ in range(3))
@@ -193,7 +197,7 @@ def _artefact(sizes: Sizes) -> Document:
 
 
 def _procedure(dice: Dice, sizes: Sizes) -> Document:
-    """Limits wide enough for the noise that is drawn; this is about motion."""
+    """Return a procedure with limits wide enough for the drawn noise; this campaign is about motion."""
     approach = dice.between(1.5, 6)
     touches = dice.one_of(*[5] * 26, 9, 9, 13, 25)
     return {
@@ -225,7 +229,7 @@ def _procedure(dice: Dice, sizes: Sizes) -> Document:
 
 
 def _with_positions(dice: Dice, settings: Document, directory: Path) -> Job:
-    """Orientations that a look at the layout finds within reach: subsets of S1 to S3, of a grid, and any."""
+    """Return a job with orientations found within reach of the layout: from S1 to S3, from a grid, or arbitrary."""
     places = len(settings["stations"]["places_mm"])
     stations = sorted({dice.whole(1, places) for _ in range(dice.whole(1, 2))})
     provisional = {**settings, "procedure": {**settings["procedure"], "position_set": "S3", "stations": stations}}
@@ -263,7 +267,7 @@ def _orientation(dice: Dice) -> tuple[float, float]:
 
 
 def _position_file(dice: Dice, listed: list[Position], directory: Path) -> str:
-    """As CSV or as TOML; a named set where nothing of what was drawn is within reach."""
+    """Write the positions as CSV or TOML; return a named set if none of the drawn ones is within reach."""
     if not listed:
         return str(dice.one_of("S1", "S2", "S3"))
     listed.sort(key=lambda p: p.station)
@@ -279,7 +283,7 @@ def _position_file(dice: Dice, listed: list[Position], directory: Path) -> str:
 
 
 def _scenario(dice: Dice, settings: Document, machine: Document, seed: int) -> Scenario:
-    """The world as it is: up to half again as wrong as the shipped one."""
+    """Return the true world, with errors up to one and a half times those of the shipped one."""
     low = [machine["axes"][axis]["range_mm"][0] for axis in "XYZ"]
     high = [machine["axes"][axis]["range_mm"][1] for axis in "XYZ"]
     start = [
@@ -325,7 +329,7 @@ def with_start(scenario: Scenario, start_mm: tuple[float, float, float]) -> Scen
 
 
 def toml(document: Document) -> str:
-    """A document of tables as TOML, inline from the second level on."""
+    """Return a document of tables as TOML, inline from the second level on."""
     return "".join(f"{name} = {_inline(value)}\n" for name, value in document.items() if value is not None)
 
 

@@ -1,4 +1,4 @@
-"""A kind of run that only moves: everything that a calibration measures, and nothing is identified or written."""
+"""Run kind that only moves: everything that a calibration measures, without identification and without writing."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from agent.runs.planned_run import PlannedRun, StartConditions
 from drivers.clock import VirtualClock
 
 
-class MovingRun(GuardedRun):
-    """The whole procedure from permission on; its ways out are those of every run."""
+class MotionOnlyRun(GuardedRun):
+    """Whole procedure from the permissions on; it ends like every other run."""
 
     def _work(self) -> None:
         self._begin()
@@ -24,7 +24,7 @@ class MovingRun(GuardedRun):
 
 
 @dataclass
-class Moving:
+class MotionOnlyKind:
     """Kind with one preflight from the current position; a second run of the same plan starts there too."""
 
     name: str = "moving"
@@ -35,11 +35,14 @@ class Moving:
     def plan(self, job: Job, start: StartConditions, watch: Callable[[], None]) -> PlannedRun:
         if self.preflight is None:
             self.preflight = run_preflight(job, start.start_mm)
-        return PlannedRun(job, self, start, self.preflight, lambda context: MovingRun(job, context))
+        return PlannedRun(job, self, start, self.preflight, lambda context: MotionOnlyRun(job, context))
 
 
 class AlarmClock(VirtualClock):
-    """Calls `at(instant)` once time passes it; `watch(before_s, after_s)` sees every advance before it happens."""
+    """Clock that calls the action given to `at` once its instant passes.
+
+    `watch(before_s, after_s)` is called before every advance.
+    """
 
     def __init__(self) -> None:
         super().__init__()

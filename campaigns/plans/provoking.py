@@ -1,4 +1,4 @@
-"""The judge on trial: random straight moves among the bodies, its verdict beside the simulated world's."""
+"""Test of the judge: random straight moves among the bodies, its verdict compared with the simulated world's."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from typing import Self
 
 import numpy as np
 
-from campaigns.plans.drawing import Drawn, draw, with_start
-from campaigns.plans.judge import BLUR_MM, STEP_MM, Figures, Seen, cloud_of, look
+from campaigns.plans.drawing import DrawnCase, draw, with_start
+from campaigns.plans.judge import STEP_MM, TOLERANCE_MM, JudgeResult, ProbeDimensions, build_cloud, judge_tips
 from drivers.errors import UserError
 from simulators.world.mount import AZIMUTH, ELEVATION
 from simulators.world.world import World
 
-TOO_CLOSE_TO_CALL_MM = 0.25
-"""Verdicts are compared where the judge is farther than this from contact: steps and spacing blur it."""
+UNDECIDED_MM = 0.25
+"""Distance from contact within which verdicts are not compared, because steps and spacing make them uncertain."""
 FREE_AT_START_MM = 2.0
 
 
 @dataclass(frozen=True)
-class Provoked:
-    """`disagreed`: what was found, by seed and move."""
+class JudgeComparison:
+    """Comparison of verdicts. `disagreed`: disagreements, by seed and move."""
 
     moves: int = 0
     collisions: int = 0
     disagreed: tuple[str, ...] = ()
 
     @classmethod
-    def sum(cls, many: Iterable[Provoked]) -> Self:
+    def sum(cls, many: Iterable[JudgeComparison]) -> Self:
         all_of_them = list(many)
         return cls(
             sum(one.moves for one in all_of_them),
@@ -39,50 +39,52 @@ class Provoked:
         )
 
 
-def provoked(seed: int, moves: int) -> Provoked:
-    """Unguarded moves from anywhere to anywhere on the case of `seed`."""
+def compare_judge(seed: int, moves: int) -> JudgeComparison:
+    """Compare the verdicts on unguarded moves between random positions in the case of `seed`."""
     with tempfile.TemporaryDirectory(prefix="volcal-provoked-") as directory:
         try:
             drawn = draw(seed, Path(directory))
         except UserError:
-            return Provoked()
-        return Provoked.sum(_moved(drawn, number) for number in range(moves))
+            return JudgeComparison()
+        return JudgeComparison.sum(_moved(drawn, number) for number in range(moves))
 
 
-def _moved(drawn: Drawn, number: int) -> Provoked:
+def _moved(drawn: DrawnCase, number: int) -> JudgeComparison:
     rng = np.random.default_rng([drawn.seed, number, 7])
     limits = np.array(drawn.scenario.machine.limits)
     start, target = (rng.uniform(limits[:, 0], limits[:, 1]) for _ in range(2))
     world = World(with_start(drawn.scenario, (float(start[0]), float(start[1]), float(start[2]))))
     _turn(world, rng)
-    figures = Figures(drawn.job, 0.0)
-    before, judged = Seen(), Seen()
+    dimensions = ProbeDimensions(drawn.job, 0.0)
+    before, judged = JudgeResult(), JudgeResult()
     tool = np.array(world.controller.tool_offset)
     stand = world.workpiece.snapshot(world.now).pose
-    cloud = cloud_of(
+    cloud = build_cloud(
         drawn.job, np.asarray(world.workpiece.location_mm), np.asarray(stand.centre), np.asarray(stand.rotation)
     )
-    look(before, start[None] + tool, cloud, figures)
+    judge_tips(before, start[None] + tool, cloud, dimensions)
     if before.collisions or before.smallest_mm < FREE_AT_START_MM or world.collisions:
-        return Provoked()
+        return JudgeComparison()
     count = int(np.ceil(np.linalg.norm(target - start) / STEP_MM)) + 1
     path = start + np.linspace(0.0, 1.0, count)[:, None] * (target - start)
-    look(judged, path + tool, cloud, figures)
+    judge_tips(judged, path + tool, cloud, dimensions)
     world.controller.begin_move(target, None, guarded=False)
     ends = world.controller.motion_ends_s
     world.advance_to(world.now if ends is None else ends)
     return _verdict(drawn.seed, number, world, judged)
 
 
-def _verdict(seed: int, number: int, world: World, judged: Seen) -> Provoked:
+def _verdict(seed: int, number: int, world: World, judged: JudgeResult) -> JudgeComparison:
     crashed = bool(world.collisions)
     hit = bool(judged.collisions)
     deepest = max((float(text.split(", ")[1].split()[0]) for text in judged.collisions), default=0.0)
-    doubtful = deepest < TOO_CLOSE_TO_CALL_MM if hit else judged.smallest_mm < TOO_CLOSE_TO_CALL_MM + BLUR_MM
+    doubtful = deepest < UNDECIDED_MM if hit else judged.smallest_mm < UNDECIDED_MM + TOLERANCE_MM
     if crashed == hit or doubtful:
-        return Provoked(1, int(crashed))
+        return JudgeComparison(1, int(crashed))
     said = f"{world.collisions[0].body_a} with {world.collisions[0].body_b}" if crashed else "no collision"
-    return Provoked(1, int(crashed), (f"seed {seed} move {number}: world {said}, judge {judged.collisions[:2]}",))
+    return JudgeComparison(
+        1, int(crashed), (f"seed {seed} move {number}: world {said}, judge {judged.collisions[:2]}",)
+    )
 
 
 def _turn(world: World, rng: np.random.Generator) -> None:

@@ -16,22 +16,23 @@ from agent.execution.supervisor import Supervisor
 from agent.runs.run_context import RunHooks
 from agent.runs.session import RunResult, carry_out
 from benchmarks.places import memory_directory
-from campaigns.nights.play import rig_of
-from campaigns.plans.drawing import Drawn, draw
-from campaigns.plans.judge import Judge, Seen
-from campaigns.plans.moving import AlarmClock, Moving
+from campaigns.nights.play import build_rig
+from campaigns.plans.drawing import DrawnCase, draw
+from campaigns.plans.judge import CollisionJudge, JudgeResult
+from campaigns.plans.moving import AlarmClock, MotionOnlyKind
 from drivers.errors import UserError, VolcalError
 from simulators.world.world import World
 
 HOLD_S = 3.0
-AT_PLACE_MM = 0.01
+POSITION_TOLERANCE_MM = 0.01
 
 
 @dataclass
-class Trial:
-    """`refused`: the reason where the plan never moved; `stopped`: why a run that moved did not end as it should.
+class PlanTrial:
+    """Result of one plan. `refused`: reason if the plan never moved; `stopped`: why a run that moved did not end as
+    expected.
 
-    `failures`: what must not be. `seen`: what the judge saw, where it looked.
+    `failures`: violated conditions. `seen`: result of the judge, if it watched.
     """
 
     seed: int
@@ -42,16 +43,16 @@ class Trial:
     machine_minutes: float = 0.0
     wall_seconds: float = 0.0
     interruption: str = ""
-    seen: Seen | None = None
+    seen: JudgeResult | None = None
 
 
-def tried(seed: int, *, judged: bool = False) -> Trial:
-    """Everything about the plan of `seed`. Never raises for what the agent says; a traceback is a failure too."""
-    trial, began = Trial(seed), perf_counter()
+def try_plan(seed: int, *, judged: bool = False) -> PlanTrial:
+    """Run everything for the plan of `seed`. Never raises for the agent's refusals; a traceback is a failure too."""
+    trial, began = PlanTrial(seed), perf_counter()
     with memory_directory("plan") as directory:
         try:
             drawn = draw(seed, Path(directory))
-            kind = Moving()
+            kind = MotionOnlyKind()
             _run(trial, drawn, kind, judged)
             if not (trial.refused or trial.stopped):
                 _interrupted(trial, drawn, kind)
@@ -63,11 +64,11 @@ def tried(seed: int, *, judged: bool = False) -> Trial:
     return trial
 
 
-def _run(trial: Trial, drawn: Drawn, kind: Moving, judged: bool) -> None:
+def _run(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind, judged: bool) -> None:
     world, clock = World(drawn.scenario), AlarmClock()
-    judge = Judge(world, drawn.job) if judged else None
+    judge = CollisionJudge(world, drawn.job) if judged else None
     clock.watch = judge.watch if judge else None
-    ended = _carried_out(drawn, kind, world, clock, lambda _: None)
+    ended = _carry_out(drawn, kind, world, clock, lambda _: None)
     if isinstance(ended.error, (PlanRefused, UserError)):
         trial.refused = reason_of(ended.error)
         return
@@ -81,8 +82,8 @@ def _run(trial: Trial, drawn: Drawn, kind: Moving, judged: bool) -> None:
         trial.failures += [f"run, judged: {text}" for text in trial.seen.collisions]
 
 
-def _interrupted(trial: Trial, drawn: Drawn, kind: Moving) -> None:
-    """Once more from the start, until something comes in between; the way out ends at the retreat plane."""
+def _interrupted(trial: PlanTrial, drawn: DrawnCase, kind: MotionOnlyKind) -> None:
+    """Run again from the start until the interruption; the withdrawal must end at the retreat plane."""
     assert kind.preflight is not None
     world, clock = World(drawn.scenario), AlarmClock()
     instant_s = drawn.at_share * kind.preflight.machine_seconds
@@ -97,18 +98,18 @@ def _interrupted(trial: Trial, drawn: Drawn, kind: Moving) -> None:
         else:
             clock.at(instant_s, lambda: world.controller.fail("emergency stop"))
 
-    ended = _carried_out(drawn, kind, world, clock, prepare)
+    ended = _carry_out(drawn, kind, world, clock, prepare)
     _judge_world(trial, drawn.interruption, world)
     state = ended.outcome.state
     expected = {"abort": (RunState.ABORTED,), "hold": (RunState.COMPLETE,), "fault": (RunState.FAULTED,)}
     if state not in (*expected[drawn.interruption], RunState.COMPLETE):
         trial.failures.append(f"{drawn.interruption}: ended {state.value}: {ended.error}")
     retreated = abs(float(world.controller.displayed_position()[1]) - world.controller.limits().lower_mm[1])
-    if drawn.interruption == "abort" and retreated > AT_PLACE_MM:
+    if drawn.interruption == "abort" and retreated > POSITION_TOLERANCE_MM:
         trial.failures.append(f"abort: the axes stand {retreated:.1f} mm before the retreat plane")
 
 
-def _judge_world(trial: Trial, what: str, world: World) -> None:
+def _judge_world(trial: PlanTrial, what: str, world: World) -> None:
     world.advance_to(world.now + 60.0)
     for collision in world.collisions:
         trial.failures.append(f"{what}: {collision.body_a} with {collision.body_b} at {collision.time_s:.2f} s")
@@ -116,20 +117,20 @@ def _judge_world(trial: Trial, what: str, world: World) -> None:
         trial.failures.append(f"{what}: left {world.controller.motion.value}")
 
 
-def _carried_out(
-    drawn: Drawn, kind: Moving, world: World, clock: AlarmClock, prepare: Callable[[Supervisor], None]
+def _carry_out(
+    drawn: DrawnCase, kind: MotionOnlyKind, world: World, clock: AlarmClock, prepare: Callable[[Supervisor], None]
 ) -> RunResult:
-    devices = Devices(lambda _, watched, __: rig_of(world, watched, drawn.job), lambda _: clock)
+    devices = Devices(lambda _, watched, __: build_rig(world, watched, drawn.job), lambda _: clock)
     return carry_out(drawn.job, kind, Path("/"), RunHooks(attach=prepare, devices=devices, write_files=False))
 
 
 def reason_of(error: VolcalError) -> str:
-    """The kind of a refusal: its type and words, numbers and balls left out."""
+    """Return the kind of a refusal: its type and message without numbers and balls."""
     words = re.sub(r"-?\d+(\.\d+)?", "#", error.message)
     return f"{type(error).__name__}: {words}"
 
 
-def summed(trials: list[Trial]) -> dict[str, object]:
+def summarise(trials: list[PlanTrial]) -> dict[str, object]:
     accepted = [trial for trial in trials if not trial.refused]
     seen = [trial.seen for trial in trials if trial.seen is not None]
     return {

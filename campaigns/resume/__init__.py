@@ -1,1 +1,1 @@
-"""A run interrupted at every instant of every step and resumed."""
+"""Run interrupted at every instant of every step, and resumed."""

@@ -1,4 +1,4 @@
-"""`python -m campaigns.resume`."""
+"""Command `python -m campaigns.resume`."""
 
 from __future__ import annotations
 

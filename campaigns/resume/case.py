@@ -1,7 +1,8 @@
-"""A short run that breaks off: one machine in this process, and a fuse that ends everything at one instant of one step.
+"""Short run that is interrupted: one machine in this process, and a kill switch that ends everything at a given
+instant.
 
-A process that is killed runs nothing any more. Here journal, clock and devices are dead from the fuse on: whatever the
-run's own ways out try comes to nothing, as if there were no process.
+A killed process executes nothing. Here journal, clock and devices are dead once the kill switch has been used: the
+run's own withdrawal and clean-up have no effect, as if there were no process.
 """
 
 from __future__ import annotations
@@ -33,28 +34,29 @@ from simulators.scenario import ScenarioDocument, build_scenario
 from simulators.world.world import World
 
 MOMENTS = ("before", "begun", "midway", "done", "durable")
-"""Before the step is in the journal; in it, before anything is done; in the middle of its motion; done, its result not
-durable; durable."""
+"""Instants of a step: before it is in the journal; journaled but not begun; in the middle of its motion; done but its
+result not durable; durable.
+"""
 
 STATE = Path("state")
-"""Relative on purpose: a copy of the directory is gone on with by changing into it."""
+"""State directory; relative on purpose, so that a copy is resumed by changing into it."""
 
 BALLS = (0, 2, 5, 8, 10)
 
 
 class Killed(BaseException):
-    """Nothing runs any more."""
+    """Simulated death of the process."""
 
 
-class Fuse:
-    """Alive until `burn`; `tell` hears of every instant of every step of the procedure before it passes."""
+class KillSwitch:
+    """Alive until `kill`; `notify` is called at every instant of every step of the procedure before it passes."""
 
-    def __init__(self, tell: Callable[[str, Step], None]) -> None:
+    def __init__(self, notify: Callable[[str, Step], None]) -> None:
         self.dead = False
         self.midway = False
-        self.tell = tell
+        self.notify = notify
 
-    def burn(self) -> None:
+    def kill(self) -> None:
         self.dead = True
         raise Killed
 
@@ -64,12 +66,12 @@ class Fuse:
 
 
 @dataclass
-class FusedClock:
-    """The clock of one process on a machine that outlives it."""
+class KillableClock:
+    """Clock of one process on a machine that outlives it."""
 
     inner: Clock
     world: World
-    fuse: Fuse | None
+    kill_switch: KillSwitch | None
 
     def __post_init__(self) -> None:
         self._ahead_s = self.world.now - self.inner.now()
@@ -78,50 +80,52 @@ class FusedClock:
         return self.inner.now() + self._ahead_s
 
     def sleep(self, duration_s: float) -> None:
-        fuse = self.fuse
-        if fuse is not None and fuse.midway:
+        kill_switch = self.kill_switch
+        if kill_switch is not None and kill_switch.midway:
             self.inner.sleep(0.5 * duration_s)
             self.world.advance_to(self.now())
-            fuse.burn()
+            kill_switch.kill()
         self.inner.sleep(duration_s)
 
 
-class FusedDevice:
-    def __init__(self, device: SimulatedMachineDevice, fuse: Fuse) -> None:
-        self._device, self._fuse = device, fuse
+class KillableDevice:
+    def __init__(self, device: SimulatedMachineDevice, kill_switch: KillSwitch) -> None:
+        self._device, self._kill_switch = device, kill_switch
 
     def __getattr__(self, name: str) -> Any:
-        self._fuse.check()
+        self._kill_switch.check()
         return getattr(self._device, name)
 
 
-def fused_journal(fuse: Fuse) -> Callable[[], None]:
-    """Every journal of this process tells the `fuse` of its steps; returns what takes that away again."""
+def patch_journal(kill_switch: KillSwitch) -> Callable[[], None]:
+    """Make every journal of this process notify the `kill_switch` of its steps; return the function
+    that undoes this.
+    """
     begin, finish, execute = RunJournal.begin, RunJournal.finish, RunJournal._execute
 
-    def fused_begin(self: RunJournal, step: Step) -> None:
-        fuse.tell("before", step)
+    def patched_begin(self: RunJournal, step: Step) -> None:
+        kill_switch.notify("before", step)
         begin(self, step)
-        fuse.tell("begun", step)
-        fuse.tell("midway", step)
+        kill_switch.notify("begun", step)
+        kill_switch.notify("midway", step)
 
-    def fused_finish(self: RunJournal, step: Step, result: object, *, begun: bool) -> None:
-        fuse.tell("done" if begun else "before", step)
+    def patched_finish(self: RunJournal, step: Step, result: object, *, begun: bool) -> None:
+        kill_switch.notify("done" if begun else "before", step)
         finish(self, step, result, begun=begun)
-        fuse.tell("durable", step)
+        kill_switch.notify("durable", step)
 
-    def fused_execute(self: RunJournal, statement: str, values: Any = ()) -> Any:
-        fuse.check()
+    def patched_execute(self: RunJournal, statement: str, values: Any = ()) -> Any:
+        kill_switch.check()
         return execute(self, statement, values)
 
-    RunJournal.begin, RunJournal.finish = fused_begin, fused_finish  # type: ignore[method-assign]
-    RunJournal._execute = fused_execute  # type: ignore[method-assign]
+    RunJournal.begin, RunJournal.finish = patched_begin, patched_finish  # type: ignore[method-assign]
+    RunJournal._execute = patched_execute  # type: ignore[method-assign]
 
-    def unfuse() -> None:
+    def restore() -> None:
         RunJournal.begin, RunJournal.finish = begin, finish  # type: ignore[method-assign]
         RunJournal._execute = execute  # type: ignore[method-assign]
 
-    return unfuse
+    return restore
 
 
 def cache_preflight() -> None:
@@ -137,43 +141,45 @@ def cache_preflight() -> None:
 
 
 @dataclass
-class Machine:
+class ResumeMachine:
     """One machine, and the runs of one state directory on it."""
 
     world: World
 
-    def run(self, settings: Settings, fuse: Fuse | None = None) -> RunResult:
+    def run(self, settings: Settings, kill_switch: KillSwitch | None = None) -> RunResult:
         job = prepare_job(settings, Path.cwd())
-        return carry_out(job, FullCalibration(), Path.cwd(), self._hooks(fuse), run_id="run")
+        return carry_out(job, FullCalibration(), Path.cwd(), self._hooks(kill_switch), run_id="run")
 
     def resume(self) -> RunResult:
         return resume(STATE, self._hooks(None))
 
-    def _hooks(self, fuse: Fuse | None) -> RunHooks:
-        return RunHooks(devices=Devices(self._rig(fuse), lambda _: VirtualClock()), write_files=False)
+    def _hooks(self, kill_switch: KillSwitch | None) -> RunHooks:
+        return RunHooks(devices=Devices(self._rig(kill_switch), lambda _: VirtualClock()), write_files=False)
 
     @property
     def table(self) -> list[int]:
-        """Bank that acts, and CRC-32 of what is in it."""
+        """Active bank, and the CRC-32 of its contents."""
         controller = self.world.controller
         bank = controller.active_bank
         return [bank, table_digest(controller.banks[bank]) if bank else 0]
 
-    def _rig(self, fuse: Fuse | None) -> Callable[[Settings, Clock, Path], Rig]:
+    def _rig(self, kill_switch: KillSwitch | None) -> Callable[[Settings, Clock, Path], Rig]:
         def assembled(settings: Settings, clock: Clock, _: Path) -> Rig:
-            own = FusedClock(clock, self.world, fuse)
+            own = KillableClock(clock, self.world, kill_switch)
             device: Any = SimulatedMachineDevice(self.world, own)
-            if fuse is not None:
-                device = FusedDevice(device, fuse)
+            if kill_switch is not None:
+                device = KillableDevice(device, kill_switch)
             mounts = {1: device}
             return Rig({"twin": device}, device, device, mounts, device, device, device, clock)
 
         return assembled
 
 
-def prepare(directory: Path) -> tuple[Settings, Machine]:
-    """Files of a small case in `directory`, which is the working directory: five balls, two positions, one held out; a
-    machine so bad, and gates so wide, that the table is written and proved."""
+def prepare_case(directory: Path) -> tuple[Settings, ResumeMachine]:
+    """Write the files of a small case to `directory`, the working directory.
+
+    Five balls, two positions, one held out; errors so large, and gates so wide, that the table is written and verified.
+    """
     artefact = (SHIPPED_CONFIGURATION / "artefacts" / "ball-bar-1500.toml").read_text()
     head, rows = artefact.split("balls = [\n")
     lines = rows.splitlines()
@@ -214,11 +220,11 @@ def prepare(directory: Path) -> tuple[Settings, Machine]:
         "table": {"step_mm": [500.0, 325.0, 500.0]},
     }
     world = World(build_scenario(ScenarioDocument.model_validate(scenario), directory))
-    return Settings.model_validate(document), Machine(world)
+    return Settings.model_validate(document), ResumeMachine(world)
 
 
-def signature(machine: Machine) -> dict[str, Any]:
-    """What must be the same whether or not a run was interrupted: every figure with all its digits."""
+def signature(machine: ResumeMachine) -> dict[str, Any]:
+    """Return everything that must not depend on an interruption: every figure with all its digits."""
     with open_journal(STATE) as reader:
         [row] = reader.runs()
         run = row.run
@@ -240,5 +246,5 @@ def signature(machine: Machine) -> dict[str, Any]:
         }
 
 
-def _nobody(*_: Any) -> None:
-    """Nobody listens."""
+def _ignore(*_: Any) -> None:
+    """Ignore all arguments."""

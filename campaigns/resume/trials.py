@@ -1,12 +1,12 @@
-"""A run broken off at each instant of each step, gone on with, and compared with the one that was never broken off.
+"""Run interrupted at each instant of each step, resumed, and compared with the uninterrupted run.
 
-One run goes through; at every instant a copy of the process and of its state directory is made, in which the run dies
-there and is then gone on with on the machine as it was left. Every figure of every copy must be that of the run that
-went through, every touch made once, and the table the same.
+One run continues to its end; at every instant the process and its state directory are copied, and the run dies in the
+copy and is resumed on the machine as it was left. Every figure of every copy must equal that of the uninterrupted run,
+every touch must be made once, and the table must be the same.
 
     python -m campaigns.resume [--every 1] [--moments before,begun,midway,done,durable]
 
-ends with one JSON line, and with exit code 0 only where nothing differs.
+Ends with one JSON line, and with exit code 0 only if nothing differs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
 from agent.execution.journal_reader import open_journal
 from agent.execution.steps import Step
@@ -33,38 +33,38 @@ from benchmarks.places import memory_directory
 from campaigns.resume.case import (
     MOMENTS,
     STATE,
-    Fuse,
     Killed,
-    Machine,
+    KillSwitch,
+    ResumeMachine,
     cache_preflight,
-    fused_journal,
-    prepare,
+    patch_journal,
+    prepare_case,
     signature,
 )
 
 
 @dataclass
-class Breaks:
-    """Where copies broke off, and what became of them."""
+class InterruptionRecorder:
+    """Interruption points of the copies, and their results."""
 
-    machine: Machine
+    machine: ResumeMachine
     every: int
     moments: Sequence[str]
     results: Path
-    fuse: Fuse = field(init=False)
+    kill_switch: KillSwitch = field(init=False)
     steps: int = 0
     points: list[tuple[str, str]] = field(default_factory=list)
     only: str = ""
     in_copy: bool = False
 
     def __post_init__(self) -> None:
-        self.fuse = Fuse(self.tell)
+        self.kill_switch = KillSwitch(self.notify)
 
-    def tell(self, moment: str, step: Step) -> None:
-        self.fuse.check()
+    def notify(self, moment: str, step: Step) -> None:
+        self.kill_switch.check()
         if self.in_copy:
-            if self.fuse.midway:  # a step in which nothing has to be waited for has no middle: it is done
-                self.fuse.burn()
+            if self.kill_switch.midway:  # a step without a wait has no middle: it is done
+                self.kill_switch.kill()
             return
         self.steps += moment == "durable"
         if moment not in self.moments or (step.key != self.only if self.only else self.steps % self.every):
@@ -81,45 +81,45 @@ class Breaks:
         shutil.copytree(STATE, copied / STATE)
         os.chdir(copied)
         if moment == "midway":
-            self.fuse.midway = True
+            self.kill_switch.midway = True
         else:
-            self.fuse.burn()
+            self.kill_switch.kill()
 
     def conclude(self) -> None:
-        """In a copy: go on with the run that has died, and write down what came of it."""
+        """Resume the dead run in a copy, and write its result."""
         try:
             ended = self.machine.resume()
             if ended.error is not None:
                 raise ended.error
-            result = signature(self.machine) | {"again": measured_twice()}
-        except BaseException:  # noqa: BLE001  whatever it was, the copy has to tell
+            result = signature(self.machine) | {"again": repeated_measurements()}
+        except BaseException:  # noqa: BLE001  the copy reports any failure
             result = {"error": traceback.format_exc()}
         number = len(self.points) - 1
         (self.results / f"{number}.json").write_text(json.dumps(result))
         shutil.rmtree(Path.cwd(), ignore_errors=True)
 
 
-def measured_twice() -> list[Any]:
-    """Touches with a result, and balls, that the procedure has more than once."""
+def repeated_measurements() -> list[Any]:
+    """Return touches with a result, and balls, that occur more than once."""
     with open_journal(STATE) as reader:
         [run] = reader.runs()
         keys = [[row.key for row in rows] for rows in (reader.touches(run.run), reader.balls(run.run))]
     return [key for counted in map(Counter, keys) for key, count in counted.items() if count > 1]
 
 
-def compared(every: int, moments: Sequence[str], only: str = "") -> dict[str, Any]:
+def compare_interrupted(every: int, moments: Sequence[str], only: str = "") -> dict[str, Any]:
     began = perf_counter()
     with _working_directory() as directory:
-        settings, machine = prepare(directory)
+        settings, machine = prepare_case(directory)
         cache_preflight()
-        breaks = Breaks(machine, every, moments, directory, only=only)
-        unfuse = fused_journal(breaks.fuse)
+        breaks = InterruptionRecorder(machine, every, moments, directory, only=only)
+        restore = patch_journal(breaks.kill_switch)
         try:
-            ended = machine.run(settings, breaks.fuse)
+            ended = machine.run(settings, breaks.kill_switch)
         except Killed:
             ended = None
         finally:
-            unfuse()
+            restore()
         if breaks.in_copy:
             breaks.conclude()
             os._exit(0)
@@ -140,10 +140,10 @@ def compared(every: int, moments: Sequence[str], only: str = "") -> dict[str, An
         }
 
 
-def _differences(breaks: Breaks, through: dict[str, Any]) -> Iterator[str]:
+def _differences(breaks: InterruptionRecorder, through: dict[str, Any]) -> Iterator[str]:
     for number, (moment, key) in enumerate(breaks.points):
         path = breaks.results / f"{number}.json"
-        found = json.loads(path.read_text()) if path.exists() else {"error": "nothing came of it"}
+        found = json.loads(path.read_text()) if path.exists() else {"error": "no result"}
         wrong = [name for name, value in through.items() if found.get(name) != value]
         wrong += found.get("again", [])
         yield f"{moment} {key}: {found.get('error') or wrong}" if wrong else ""
@@ -162,10 +162,10 @@ def _working_directory() -> Iterator[Path]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--every", type=int, default=1, help="once in so many steps")
-    parser.add_argument("--moments", default=",".join(MOMENTS), help="which instants of a step")
-    parser.add_argument("--only", default="", metavar="KEY", help="only at this step")
+    parser.add_argument("--every", type=int, default=1, help="interrupt at each K-th step")
+    parser.add_argument("--moments", default=",".join(MOMENTS), help="instants of a step at which to interrupt")
+    parser.add_argument("--only", default="", metavar="KEY", help="interrupt only at this step")
     given = parser.parse_args()
-    result = compared(given.every, given.moments.split(","), given.only)
+    result = compare_interrupted(given.every, given.moments.split(","), given.only)
     print(json.dumps(result))
     sys.exit(1 if result["differing"] or result["state"] != "complete" else 0)

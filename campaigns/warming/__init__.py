@@ -1,1 +1,1 @@
-"""A machine and a ball bar that warm up while they measure each other."""
+"""Machine and ball bar that warm up while they are measured against each other."""

@@ -1,4 +1,4 @@
-"""`python -m campaigns.warming`."""
+"""Command `python -m campaigns.warming`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The warm runs as a picture: how warm it became, and what the table left, with and without regard to the drift."""
+"""Figure of the warming runs: temperatures, and residual errors with and without the drift correction."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ from matplotlib.figure import Figure
 
 from agent.figures.study_style import BLUE, GREEN, ORANGE, QUIET, picture
 from agent.files import write_all_atomically
-from campaigns.warming.row import Row
+from campaigns.warming.row import WarmingRow
 
 
 @dataclass(frozen=True)
-class Trace:
-    """Temperatures as they were told with every ball; minutes of machine time."""
+class TemperatureTrace:
+    """Temperatures reported with every ball, over minutes of machine time."""
 
     minutes: tuple[float, ...]
     machine_c: tuple[float, ...]
     artefact_c: tuple[float, ...]
 
 
-def draw(rows: Sequence[Row], trace: Trace, path: Path) -> None:
-    """Write the PNG `path`."""
+def draw(rows: Sequence[WarmingRow], trace: TemperatureTrace, path: Path) -> None:
+    """Write the figure to the PNG file `path`."""
     found = picture(path.stem, lambda figure: _draw(figure, rows, trace), (8.0, 3.6))
     write_all_atomically(path.parent, {path.name: found.png})
 
 
-def _draw(figure: Figure, rows: Sequence[Row], trace: Trace) -> None:
+def _draw(figure: Figure, rows: Sequence[WarmingRow], trace: TemperatureTrace) -> None:
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2, 3]})
     left.plot(trace.minutes, trace.machine_c, ".", color=BLUE, markersize=3, label="machine")
     left.plot(trace.minutes, trace.artefact_c, ".", color=ORANGE, markersize=3, label="bar")
     left.set_xlabel("machine time / min")
     left.set_ylabel("temperature / °C")
-    left.set_title("Told with every ball")
+    left.set_title("Reported with every ball")
     left.legend(loc="lower right")
     _draw_errors(right, rows)
 
 
-def _draw_errors(axes: Axes, rows: Sequence[Row]) -> None:
+def _draw_errors(axes: Axes, rows: Sequence[WarmingRow]) -> None:
     place = np.arange(len(rows))
     bars = (
         ("constant, 23 °C", GREEN, [row.settled for row in rows]),
@@ -58,5 +58,5 @@ def _draw_errors(axes: Axes, rows: Sequence[Row]) -> None:
     axes.set_xticks(place, [str(row.seed) for row in rows])
     axes.set_xlabel("machine, bar and noise of seed")
     axes.set_ylabel("true VCE, rigidly aligned / µm")
-    axes.set_title("What the table left")
+    axes.set_title("Residual error with the table")
     axes.legend(loc="upper left")

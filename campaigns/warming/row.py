@@ -1,4 +1,4 @@
-"""One machine that warms, as a row of the result."""
+"""Row of results for one machine that warms."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Row:
-    """One machine. True VCE, aligned, µm: with the run's table at `constant` temperature (20 °C), `settled` at 23 °C,
-    and `warm`, while it warms from the one to the other; `ratio` of the last two. By the ball centres of the warm run,
-    `undrifted` without the machine's drift, `untold` with no temperature known at all. `late`: warm, at the end of the
-    whole run; `bare`: then without any table."""
+class WarmingRow:
+    """Results of one machine: true VCE, aligned, in µm.
+
+    With the run's table: `constant` at 20 °C, `settled` at 23 °C, and `warm` while it warms from the one to the other;
+    `ratio` is warm over settled. From the ball centres of the warm run: `undrifted` without the machine's drift,
+    `untold` without any known temperature. `late`: warm, at the end of the whole run; `bare`: the same without any
+    table.
+    """
 
     seed: int
     minutes: float

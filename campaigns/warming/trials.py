@@ -1,17 +1,17 @@
-"""A machine and a bar that warm by 3 K while they measure each other, against the same ones at constant temperature.
+"""Machine and bar that warm by 3 K during a calibration, compared with the same ones at constant temperature.
 
-Whole calibrations on the simulated case study, in this process and on virtual time. The hall warms at once; the bar
-follows it, and so does the machine: its scales grow, its column bends behind its own thermometer, spindle and ram grow,
-the bar bows, the thermometers scatter, lag and err. Told are true volumetric errors, rigidly aligned, with the table
-that the run has written, of the machine as it stood at the last ball of the set: that is the state which the estimate
-is said to hold for. The same machine and bar at constant temperature are measured twice: at 20 °C, and as warm as they
-became, where the bar's expansion is as uncertain as in the warm run. From the ball centres of the warm run it is told
-what would have been without the drift of the machine, and without any regard to temperature at all.
+Whole calibrations on the simulated case study, in this process and on virtual time. The hall warms at once; bar and
+machine follow: the machine's scales grow, its column bends with a lag behind its thermometer, spindle and ram grow, the
+bar bows, and the thermometers have noise, lag and offsets. The results are true volumetric errors, rigidly aligned,
+with the table written by the run, of the machine as it was at the last ball of the set: the state for which the
+estimate is stated to hold. The same machine and bar are measured twice at constant temperature: at 20 °C, and as warm
+as they became, where the bar's expansion is as uncertain as in the warm run. The ball centres of the warm run also give
+the result without the machine's drift, and without any regard to temperature.
 
     python -m campaigns.warming --seeds 3 [--figure warming.png] [--csv warming.csv]
 
-ends with one JSON line, and with exit code 0 only where the tables are worse, in the rms over the machines, by less
-than a fifth than those of the machines that had settled.
+Ends with one JSON line, and with exit code 0 only if the rms error over the machines is less than a fifth larger than
+that of the settled machines.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # said before numpy is first imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # must be set before numpy is imported
 
 import numpy as np
 
@@ -43,10 +43,10 @@ from agent.runs.session import RunResult, carry_out
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings
 from benchmarks.places import memory_directory, write_csv
-from campaigns.nights.play import rig_of
-from campaigns.nights.season import with_table
-from campaigns.warming.figure import Trace, draw
-from campaigns.warming.row import Row
+from campaigns.nights.play import build_rig
+from campaigns.nights.season import true_vce_with_table
+from campaigns.warming.figure import TemperatureTrace, draw
+from campaigns.warming.row import WarmingRow
 from drivers.clock import VirtualClock
 from simulators.scenario import ArtefactTruthSettings, Scenario, TruthSettings, read_scenario
 from simulators.temperatures import TemperatureSettings
@@ -74,8 +74,8 @@ THERMOMETER_K = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """`records`: of the balls, as the journal has them."""
+class WarmingRun:
+    """One calibration. `records`: its balls, as in the journal."""
 
     world: World
     job: Job
@@ -84,21 +84,21 @@ class Run:
 
     @property
     def true_um(self) -> float:
-        """As the machine is now."""
+        """True volumetric error in µm with the active table, in the machine's present state."""
         return self.world.truth.true_volumetric_error(self.world.controller.active_bank)[1]
 
 
-def compared(seed: int) -> tuple[Row, Trace]:
-    """All runs of one machine. RuntimeError where one of them does not end well."""
-    still, settled, warm = (carried_out(seed, temperatures) for temperatures in (STILL, SETTLED, WARMING))
+def compare_runs(seed: int) -> tuple[WarmingRow, TemperatureTrace]:
+    """Carry out all runs of one machine. Raises RuntimeError if one of them does not end well."""
+    still, settled, warm = (run_calibration(seed, temperatures) for temperatures in (STILL, SETTLED, WARMING))
     world, records = warm.world, warm.records
     late_um, bare_um = warm.true_um, world.truth.true_volumetric_error(None)[1]
-    world.now = records[-1]["instant_s"]  # nothing moves any more: what is asked of it is its truth
+    world.now = records[-1]["instant_s"]  # nothing moves any more: only the truth is read
     true_um = warm.true_um
     machine = [record["machine_c"] for record in records]
     artefact = [record["temperature_c"] for record in records]
-    undrifted = _otherwise(warm, told=True)
-    row = Row(
+    undrifted = _vce_without_drift(warm, told=True)
+    row = WarmingRow(
         seed=seed,
         minutes=warm.ended.outcome.machine_minutes,
         machine_k=machine[-1] - machine[0],
@@ -110,20 +110,20 @@ def compared(seed: int) -> tuple[Row, Trace]:
         late=late_um,
         ratio=true_um / settled.true_um,
         undrifted=undrifted,
-        untold=_otherwise(warm, told=False),
+        untold=_vce_without_drift(warm, told=False),
         predicted_constant=still.ended.outcome.predicted_vce_um or np.nan,
         predicted_settled=settled.ended.outcome.predicted_vce_um or np.nan,
         predicted_warm=warm.ended.outcome.predicted_vce_um or np.nan,
     )
-    return row, Trace(tuple(r["instant_s"] / 60.0 for r in records), tuple(machine), tuple(artefact))
+    return row, TemperatureTrace(tuple(r["instant_s"] / 60.0 for r in records), tuple(machine), tuple(artefact))
 
 
-def carried_out(seed: int, temperatures: TemperatureSettings) -> Run:
-    """One calibration from an empty controller on."""
+def run_calibration(seed: int, temperatures: TemperatureSettings) -> WarmingRun:
+    """Carry out one calibration, starting with an empty controller."""
     with memory_directory("warming") as directory:
         state = Path(directory) / "state"
         world, job = World(_scenario(seed, temperatures)), prepare_job(_settings(state), SHIPPED_CONFIGURATION)
-        devices = Devices(lambda _, clock, __: rig_of(world, clock, job), lambda _: VirtualClock())
+        devices = Devices(lambda _, clock, __: build_rig(world, clock, job), lambda _: VirtualClock())
         hooks = RunHooks(devices=devices, write_files=False)
         ended = carry_out(job, FullCalibration(), SHIPPED_CONFIGURATION, hooks)
         if ended.error is not None or world.collisions or not world.controller.active_bank:
@@ -131,7 +131,7 @@ def carried_out(seed: int, temperatures: TemperatureSettings) -> Run:
         with open_journal(state) as reader:
             balls = reader.balls(reader.require_run(ended.outcome.run_id).run)
         records = [ball.record for ball in balls if not ball.record["key"].startswith("verify")]
-    return Run(world, job, ended, records)
+    return WarmingRun(world, job, ended, records)
 
 
 def _settings(state: Path) -> Settings:
@@ -153,9 +153,11 @@ def _scenario(seed: int, temperatures: TemperatureSettings) -> Scenario:
     return replace(shipped, settings=settings)
 
 
-def _otherwise(run: Run, *, told: bool) -> float:
-    """True VCE with the table of the same ball centres without any drift of the machine; `told`: the bar's temperature
-    is known, else 20 °C."""
+def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
+    """Return the true VCE with the table of the same ball centres identified without any drift of the machine.
+
+    `told`: the bar's temperature is known; otherwise 20 °C is assumed.
+    """
     job, settings = run.job, run.job.settings
     held = {(p.station, p.azimuth_deg, p.elevation_deg) for p in job.held_out}
     kept = [
@@ -177,11 +179,11 @@ def _otherwise(run: Run, *, told: bool) -> float:
     )
     options, order = options_of(settings, observations), settings.identification.order
     finding = find(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
-    return with_table(run.world, image_of(finding.table, run.world.controller.store_limits))
+    return true_vce_with_table(run.world, image_of(finding.table, run.world.controller.store_limits))
 
 
-def verdict(rows: Sequence[Row]) -> dict[str, object]:
-    """What is claimed, and whether it holds."""
+def verdict(rows: Sequence[WarmingRow]) -> dict[str, object]:
+    """Return the claims, and whether they hold."""
     worst = max(rows, key=lambda row: row.ratio)
     constant, settled, warm = (_rms([getattr(row, name) for row in rows]) for name in ("constant", "settled", "warm"))
     warmed = min(min(row.machine_k, row.artefact_k) for row in rows)
@@ -212,7 +214,7 @@ def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _line(row: Row) -> str:
+def _line(row: WarmingRow) -> str:
     parts = (
         f"{row.seed:2d}: {row.minutes:5.1f} min, machine {row.machine_k:+.2f} K, bar {row.artefact_k:+.2f} K",
         f"true VCE at 20 °C {row.constant:.2f}, settled {row.settled:.2f}, warming {row.warm:.2f} µm (ratio "
@@ -225,16 +227,16 @@ def _line(row: Row) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--first", type=int, default=1, help="the first seed")
+    parser.add_argument("--seeds", type=int, default=3, help="number of machines")
+    parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args(arguments)
     began = perf_counter()
-    rows: list[Row] = []
-    traces: list[Trace] = []
+    rows: list[WarmingRow] = []
+    traces: list[TemperatureTrace] = []
     with ProcessPoolExecutor(2) as pool:
-        for row, trace in pool.map(compared, range(given.first, given.first + given.seeds)):
+        for row, trace in pool.map(compare_runs, range(given.first, given.first + given.seeds)):
             rows.append(row)
             traces.append(trace)
             print(_line(row), flush=True)

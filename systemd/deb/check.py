@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from container import NEEDED, Container, base_root, booted, waited
+from container import NEEDED, Container, base_root, booted_container, wait_for
 from plant import SETTINGS, STATE, end_simulator, start_simulator, write_settings
 
 HERE = Path(__file__).resolve().parent
@@ -44,13 +44,13 @@ def main() -> None:
         ["dpkg-deb", "--field", str(package), "Depends"], check=True, stdout=subprocess.PIPE, text=True
     ).stdout  # fmt: skip
     began = time.monotonic()
-    with booted(base_root(WORK, depends), WORK / "root", WORK / "console.log") as machine:
+    with booted_container(base_root(WORK, depends), WORK / "root", WORK / "console.log") as machine:
         shutil.copy(package, machine.root / "root/volcal.deb")
-        found = Trial(machine).walk()
+        found = PackageTrial(machine).walk()
     sys.stdout.write(json.dumps({**found, "seconds": round(time.monotonic() - began)}) + "\n")
 
 
-class Trial:
+class PackageTrial:
     """What an administrator does, in this order; every step says what it has seen."""
 
     def __init__(self, machine: Container) -> None:
@@ -138,9 +138,9 @@ class Trial:
         machine.write(f"/etc/systemd/system/{TIMER}.d/often.conf", EVERY_FEW_SECONDS)
         machine.run("systemctl", "daemon-reload")
         machine.run("systemctl", "start", TIMER)
-        waited(lambda: machine.property(NIGHTLY, "ActiveState") == "activating", "the timer to fire", 30.0)
+        wait_for(lambda: machine.property(NIGHTLY, "ActiveState") == "activating", "the timer to fire", 30.0)
         machine.run("systemctl", "stop", TIMER)
-        waited(lambda: machine.property(NIGHTLY, "ActiveState") != "activating", "the night to end", PATIENCE_S)
+        wait_for(lambda: machine.property(NIGHTLY, "ActiveState") != "activating", "the night to end", PATIENCE_S)
         self.seen["night"] = self._last_run()
         assert self.seen["night"]["kind"] == "nightly", self.seen
         assert machine.property(NIGHTLY, "Result") == "success", machine.journal(NIGHTLY)
@@ -170,8 +170,8 @@ class Trial:
         process = machine.property(SERVICE, "MainPID")
         began = time.monotonic()
         machine.run("sh", "-c", f"kill -STOP {process}")
-        waited(lambda: machine.property(SERVICE, "NRestarts") == "1", "the watchdog", PATIENCE_S)
-        waited(lambda: machine.property(SERVICE, "ActiveState") == "active", "the new process", PATIENCE_S)
+        wait_for(lambda: machine.property(SERVICE, "NRestarts") == "1", "the watchdog", PATIENCE_S)
+        wait_for(lambda: machine.property(SERVICE, "ActiveState") == "active", "the new process", PATIENCE_S)
         self.seen["hang_to_ready_s"] = round(time.monotonic() - began, 1)
         assert machine.property(SERVICE, "MainPID") != process
         assert "Watchdog timeout" in machine.journal(SERVICE)
@@ -195,9 +195,9 @@ class Trial:
         machine = self.machine
         self._make_next()
         machine.run("volcal", "start", "--kind", "calibrate", "--consent", "--config", SETTINGS)
-        waited(lambda: self._status()["touches"] > 0, "touches", PATIENCE_S)
+        wait_for(lambda: self._status()["touches"] > 0, "touches", PATIENCE_S)
         machine.run("volcal", "hold", "--config", SETTINGS)
-        waited(lambda: self._status()["state"] == "held", "the hold", PATIENCE_S)
+        wait_for(lambda: self._status()["state"] == "held", "the hold", PATIENCE_S)
         process = machine.property(SERVICE, "MainPID")
         refused = machine.run("dpkg", "-i", "/root/next.deb", check=False)
         assert refused.returncode != 0

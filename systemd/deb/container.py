@@ -50,7 +50,7 @@ def _mirror() -> list[str]:
 
 
 @contextmanager
-def booted(base: Path, root: Path, log: Path) -> Iterator[Container]:
+def booted_container(base: Path, root: Path, log: Path) -> Iterator[Container]:
     """A copy of `base` at `root`, up and running, with a network of its own; powered off and removed at the end."""
     shutil.rmtree(root, ignore_errors=True)
     subprocess.run(["cp", "-a", "--reflink=auto", str(base), str(root)], check=True)
@@ -61,9 +61,9 @@ def booted(base: Path, root: Path, log: Path) -> Iterator[Container]:
         subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=console, stderr=subprocess.STDOUT) as process,
     ):
         try:
-            leader = waited(lambda: _child(process), "the container's first process", BOOTS_WITHIN_S)
+            leader = wait_for(lambda: _child(process), "the container's first process", BOOTS_WITHIN_S)
             container = Container(root, leader)
-            waited(lambda: container.state() in {"running", "degraded"}, "the container to boot", BOOTS_WITHIN_S)
+            wait_for(lambda: container.state() in {"running", "degraded"}, "the container to boot", BOOTS_WITHIN_S)
             yield container
         finally:
             _power_off(process)
@@ -111,11 +111,11 @@ class Container:
         return os.path.lexists(self.root / path.lstrip("/"))
 
 
-def waited(condition: Callable[[], T], what: str, within_s: float) -> T:
+def wait_for(condition: Callable[[], T], what: str, within_s: float) -> T:
     deadline = time.monotonic() + within_s
     while not (found := condition()):
         if time.monotonic() > deadline:
-            raise AssertionError(f"waited {within_s:.0f} s in vain for {what}")
+            raise AssertionError(f"timed out after {within_s:.0f} s waiting for {what}")
         time.sleep(LOOK_EVERY_S)
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from container import Container, waited
+from container import Container, wait_for
 
 STATE = "/var/lib/volcal"
 SETTINGS = "/etc/volcal/volcal.toml"
@@ -44,7 +44,7 @@ def start_simulator(machine: Container) -> None:
     machine.write(UNIT_FILE, SIMULATOR)
     machine.run("systemctl", "daemon-reload")
     machine.run("systemctl", "start", UNIT)
-    waited(lambda: '"modbus"' in machine.journal(UNIT), "the simulator", READY_WITHIN_S)
+    wait_for(lambda: '"modbus"' in machine.journal(UNIT), "the simulator", READY_WITHIN_S)
 
 
 def end_simulator(machine: Container) -> None:

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from needing import needs_linuxcnc
 
-from campaigns.linuxcnc import NOT_RUN, calibrated, short
+from campaigns.linuxcnc import EXIT_NOT_RUN, run_calibration, short_trial
 
 
 @needs_linuxcnc
 @pytest.mark.timeout(400)
 def test_stock_linuxcnc_is_calibrated_end_to_end(tmp_path: Path) -> None:
-    result = calibrated(short(tmp_path / "work", speed=15.0))
+    result = run_calibration(short_trial(tmp_path / "work", speed=15.0))
     assert result["exit_code"] == 0, result
     assert result["state"] == "complete"
     assert result["table_bank"] == 1
@@ -35,5 +35,5 @@ def test_benchmark_reports_that_linuxcnc_cannot_run(tmp_path: Path) -> None:
         timeout=60,
         check=False,
     )
-    assert done.returncode == NOT_RUN
+    assert done.returncode == EXIT_NOT_RUN
     assert "linuxcnc-uspace" in json.loads(done.stdout.splitlines()[-1])["not_run"]

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from campaigns.bad_plans.catalogue import bad_plans
-from campaigns.bad_plans.mutation import Bad, prepared, unchanged
+from campaigns.bad_plans.mutation import BadPlan, check_case, unchanged
 
 BAD_PLANS = bad_plans()
 
 
 def test_the_plan_that_is_mutated_is_good(tmp_path: Path) -> None:
-    prepared(unchanged, tmp_path, BAD_PLANS[0].preflight)
+    check_case(unchanged, tmp_path, BAD_PLANS[0].preflight)
 
 
 def test_there_are_more_than_a_hundred_of_them_beside_wrong_numbers() -> None:
@@ -22,5 +22,5 @@ def test_there_are_more_than_a_hundred_of_them_beside_wrong_numbers() -> None:
 
 
 @pytest.mark.parametrize("bad", BAD_PLANS, ids=lambda bad: bad.name)
-def test_refused_for_the_right_reason(bad: Bad, tmp_path: Path) -> None:
+def test_refused_for_the_right_reason(bad: BadPlan, tmp_path: Path) -> None:
     assert bad.complaint(tmp_path) == ""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from campaigns.warming.trials import compared
+from campaigns.warming.trials import compare_runs
 
 pytestmark = pytest.mark.timeout(300)
 
 
 def test_a_table_measured_while_all_warms_is_no_worse_by_more_than_a_fifth() -> None:
-    row, trace = compared(1)
+    row, trace = compare_runs(1)
     assert row.machine_k > 2.9
     assert row.artefact_k > 2.9
     assert max(trace.machine_c) > 22.9
