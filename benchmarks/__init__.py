@@ -1,4 +1,4 @@
-"""Figures as ratios measured side by side in one run; never asserted in tests."""
+"""Benchmarks: figures as ratios measured side by side in one run; never asserted in tests."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""`make bench`: every benchmark in one run on one machine."""
+"""Command `make bench`: all benchmarks in one run on one machine."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The design search on a 15° grid at four stations to 24 positions, against a plain evaluation of the criterion.
+"""Design search on a 15° grid at four stations to 24 positions, compared with direct evaluation of the criterion.
 
-Plain: for every candidate at every step the whole covariance of all unknowns with that candidate, and its trace. It is
-timed on a sample of candidates and extrapolated over the candidates of every step. Both begin from the same factors;
-building them and pricing the candidates are timed apart.
+Direct evaluation: for every candidate at every step, the whole covariance of all unknowns with that candidate, and its
+trace. It is timed on a sample of candidates and extrapolated to all candidates of all steps. Both start from the same
+factors; building them and computing the candidates' cycle times are timed separately.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def plain_value(candidates: CandidatePositions, precision: np.ndarray, index: in
 
 
 def plain_seconds(candidates: CandidatePositions, chosen: tuple[int, ...]) -> float:
-    """Of one evaluation, on average over the sample; plainly evaluated the found set must be worth the same."""
+    """Return the mean time in s of one direct evaluation, and assert that it gives the same value for the set found."""
     precision = candidates.precision.copy()
     sample = np.linspace(0, candidates.count - 1, SAMPLE).astype(int)
     start = perf_counter()

@@ -1,4 +1,4 @@
-"""What a step costs beyond the device: with two durable journal commits, and in a dry run without a journal."""
+"""Cost of a step beyond the device: with two durable journal commits, and in a preflight without a journal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEPS = 2000
 
 
 def moves(count: int, stamps: list[float]) -> Plan[None]:
-    """A plan of moves that notes when it is asked for the next one."""
+    """Yield a plan of moves, noting the time at which each next step is requested."""
     for number in range(count):
         yield MoveTo(f"station-1/az090-el045/ball-{number:04d}/touch-2/above", (1.0, 2.0, 3.0 + number))
         stamps.append(perf_counter())
@@ -30,7 +30,7 @@ def median_step_us(engine: Engine) -> float:
 
 
 def commit_us(directory: Path) -> float:
-    """One bare durable commit on the same disk in the same run: what the journal cannot go below."""
+    """Return the median time in µs of one bare durable commit on the same disk: the lower limit for the journal."""
     journal = Journal(directory)
     connection = journal._connection
     connection.execute("CREATE TABLE bare (n INTEGER PRIMARY KEY, t TEXT)")

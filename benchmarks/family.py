@@ -1,9 +1,9 @@
-"""VE and VCE of 10,000 machines of the family by quadratic forms, against evaluating the 60×20×20 grid for each.
+"""VE and VCE of 10,000 machines of the family by quadratic forms, compared with evaluating the 60×20×20 grid for each.
 
-Two plain evaluations, each timed on a sample of the machines and extrapolated per machine: `exact` multiplies the
-transforms at every point of the grid, which is what VE is defined by; `linear` has the basis of the field ready, so
-that a machine costs one product, and is what the form must agree with to 1e-9. Both take out the best rigid motion by
-a basis made once. The form's own preparation (grid, basis, rigid motions) is timed as well and counted in one ratio.
+Two direct evaluations, each timed on a sample of the machines and extrapolated per machine: `exact` multiplies the
+transforms at every point of the grid, which defines VE; `linear` has the basis of the field ready, so that a machine
+costs one product, and the form must agree with it to 1e-9. Both remove the best rigid motion with a basis computed
+once. The form's own preparation (grid, basis, rigid motions) is timed as well and included in one ratio.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ROUNDS = 5
 
 
 class PlainGrid:
-    """Raw and aligned rms of one machine after the other, from all points of the grid."""
+    """Raw and aligned rms of single machines, from all points of the grid."""
 
     def __init__(self) -> None:
         self.grid = evaluation_grid(RANGES)
@@ -73,10 +73,10 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Times in turns, so that whatever else the computer does meets all of them; medians over the rounds."""
+    """Return the medians over the rounds; the alternatives take turns, so that other load affects all of them."""
     rng = np.random.default_rng(1)
     machines = FAMILY.draw(rng, MACHINES)
-    # models that left a tenth of every error: VCE is the same form, applied to the difference
+    # models that leave a tenth of every error: VCE is the same form, applied to the difference
     left = machines - machines * (1.0 - 0.1 * rng.standard_normal(machines.shape))
     plain = PlainGrid()
     form = QuadraticForm.build(MODEL, plain.grid, TOOL).with_field(plain.field)
@@ -108,7 +108,7 @@ def run() -> dict[str, float]:
 
 
 def largest_difference(plain: PlainGrid, form: QuadraticForm, machines: Array) -> float:
-    """Of raw and aligned rms to those of the linear field, relative, on a sample."""
+    """Return the largest relative difference of raw and aligned rms from those of the linear field, on a sample."""
     wanted = np.array([plain.by_linear(machine) for machine in machines[:SAMPLE]])
     found = np.stack(form.values(machines[:SAMPLE]), axis=1)
     return float(np.abs(found / wanted - 1.0).max())

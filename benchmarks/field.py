@@ -1,7 +1,7 @@
-"""The exact field on 24,000 points against a plain loop of 4x4 matrices, and against the quadratic form.
+"""Exact field on 24,000 points, compared with a plain loop of 4x4 matrices and with the quadratic form.
 
-The loop is what one writes first: per point and axis the Legendre series, the transforms as 4x4 arrays, their
-product with `@`. It is timed on a sample of the same points and extrapolated per point.
+The loop is the obvious implementation: for each point and axis the Legendre series, the transforms as 4x4 arrays, and
+their product with `@`. It is timed on a sample of the same points and extrapolated per point.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ROUNDS = 15
 
 
 def machine() -> Array:
-    """A machine with tens of µm and µrad."""
+    """Return the parameters of a machine with errors of tens of µm and µrad."""
     sizes = [2e-2 if parameter.unit == "mm" else 2e-5 for parameter in MODEL.parameters]
     return np.random.default_rng(1).uniform(-1.0, 1.0, MODEL.size) * sizes
 
@@ -40,7 +40,9 @@ def legendre(order: int, argument: float) -> list[float]:
 
 
 def axis_transform(axis: int, point: list[float], series: Array, lean: list[float]) -> Array:
-    """Trans(q u) Trans(E) Rz Ry Rx of one axis as a 4x4 array; `lean` bends column and ram."""
+    """Return Trans(q u) Trans(E) Rz Ry Rx of one axis as a 4x4 array; `lean` holds the bending
+    terms of column and ram.
+    """
     low, high = RANGES[axis]
     values = legendre(series.shape[1] - 1, 2.0 * (point[axis] - low) / (high - low) - 1.0)
     motions = (series @ values).tolist()
@@ -62,7 +64,7 @@ def axis_transform(axis: int, point: list[float], series: Array, lean: list[floa
 
 
 def plain_loop(points: Array, parameters: Array) -> Array:
-    """Deviation (n, 3) by one product of 4x4 matrices per point."""
+    """Return the deviation (n, 3), computed by one product of 4x4 matrices per point."""
     series = [MODEL.coefficients(axis, parameters) for axis in range(3)]
     lean = list(MODEL.cross_terms(parameters).values())
     a0z, b0z, c0y = MODEL.squareness(parameters)
@@ -89,7 +91,7 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def run() -> dict[str, float]:
-    """Times in turns, so that whatever else the computer does meets all of them; medians over the rounds."""
+    """Return the medians over the rounds; the alternatives take turns, so that other load affects all of them."""
     grid, parameters = evaluation_grid(RANGES), machine()
     lengths = np.array([high for _, high in RANGES])
     scattered = np.random.default_rng(2).uniform(0.0, 1.0, grid.shape) * lengths

@@ -1,7 +1,8 @@
-"""A part program of a million lines corrected from file to file: seconds, and memory against one of a hundredth.
+"""Correction of a part program of a million lines: time, and memory compared with a program of a hundredth of the
+length.
 
-Beside it the same correction one block at a time, as a program would do that looks up the table for every line; it is
-timed on a sample and compared per line. Ends with one line of JSON.
+For comparison, the same correction one block at a time, as a program would do that looks up the table for every line;
+it is timed on a sample and compared per line. Ends with one line of JSON.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ SAMPLE = 20_000
 
 
 def table() -> CompensationTable:
-    """Smooth, some tens of µm, nodes as close as a controller's."""
+    """Return a smooth table of some tens of µm, with nodes as close as a controller's."""
     nodes = regular_nodes(((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0)), (100.0, 100.0, 100.0))
     x, y, z = np.meshgrid(*nodes, indexing="ij")
     waves = (np.sin(x / 900.0 + y / 700.0), np.cos(y / 500.0 - z / 800.0), np.sin(z / 600.0 + x / 1500.0))
@@ -38,7 +39,7 @@ def table() -> CompensationTable:
 
 
 def program(lines: int) -> Iterator[str]:
-    """Finishing passes over a wavy face: short lines, an arc and a rapid move now and then."""
+    """Yield finishing passes over a wavy face: short lines, with occasional arcs and rapid moves."""
     yield "G21 G90 G17 G54\nG0 X0 Y0 Z0\n"
     for number in range(lines):
         x, y = 0.8 * (number % 2000), 0.002 * number % 700.0
@@ -51,7 +52,7 @@ def program(lines: int) -> Iterator[str]:
 
 
 def from_file_to_file(lines: int) -> tuple[float, float, int, float]:
-    """Seconds, of them busy, lines written and peak of resident memory in MB of this process."""
+    """Return wall and CPU seconds, lines written, and the peak resident memory of this process in MB."""
     with tempfile.TemporaryDirectory() as folder:
         part, out = Path(folder) / "part.nc", Path(folder) / "out.nc"
         with part.open("w") as file:
@@ -69,7 +70,7 @@ def in_own_process(lines: int) -> tuple[float, float, int, float]:
 
 
 def one_by_one(lines: Iterable[str], field: CompensationTable) -> float:
-    """Busy seconds for the same look-ups, a line at a time: words by splitting, one point in the table, words again."""
+    """Return the CPU seconds for the same look-ups line by line: split words, look up one point, format words."""
     here, work = {"X": 0.0, "Y": 0.0, "Z": 0.0}, SETUP.work_offsets["G54"]
     start = process_time()
     for line in lines:

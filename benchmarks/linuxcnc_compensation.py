@@ -1,9 +1,9 @@
-"""What external offsets and kinematics of ours leave over, in a stock LinuxCNC run here without realtime kernel.
+"""Residual errors of external offsets and of our kinematics in a stock LinuxCNC, run without a realtime kernel.
 
     .venv/bin/python benchmarks/linuxcnc_compensation.py
 
-As root, with linuxcnc-uspace and linuxcnc-uspace-dev. A table of 11 × 6 × 5 nodes with corrections up to 24 µm over
-800 × 400 × 320 mm; servo period 1 ms; positions by HAL's sampler, the table's values by independent arithmetic.
+Needs root, linuxcnc-uspace and linuxcnc-uspace-dev. A table of 11 × 6 × 5 nodes with corrections up to 24 µm over 800 ×
+400 × 320 mm; servo period 1 ms; positions from HAL's sampler, the table's values by independent arithmetic.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ COMPONENT = {"external-offsets": "volcal-eoffset", "kinematics": "volcal-kins"}
 
 
 def at_rest_mm(controller: Controller) -> float:
-    """Largest difference of the motors from commanded plus table, over 30 places."""
+    """Return the largest difference of the motor positions from commanded position plus table, over 30 positions."""
     worst = 0.0
     for place in np.random.default_rng(7).uniform([-50, -50, -50], [799, 399, 319], (30, 3)):
         controller.at(*place)
@@ -41,7 +41,7 @@ def at_rest_mm(controller: Controller) -> float:
 
 
 def in_motion_mm(controller: Controller, feed_mm_per_min: int) -> float:
-    """Largest distance from the programmed line of where the motors are, the table taken out."""
+    """Return the largest distance of the motor positions from the programmed line, with the table subtracted."""
     controller.at(*START_MM)
     controller("mdi", "G4 P0.1")
     x, y, z = END_MM
@@ -49,6 +49,7 @@ def in_motion_mm(controller: Controller, feed_mm_per_min: int) -> float:
     controller("mdi", f"G53 G1 F{feed_mm_per_min} X{x} Y{y} Z{z}")
     motor = controller.samples()[:, :3]
     nominal = motor.copy()
+    # Invert motor = nominal + table(nominal) by fixed-point iteration.
     for _ in range(8):
         nominal = motor - trilinear(TABLE, nominal)
     return float(off_line(nominal).max())
@@ -61,7 +62,7 @@ def off_line(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def largest_table_s(store: LinuxCncStore) -> float:
-    """Seconds to write, load and read back 262,144 nodes."""
+    """Return the seconds needed to write, load and read back 262,144 nodes."""
     counts = np.random.default_rng(3).integers(-200, 200, (64, 64, 64, 3)).astype(np.int32)
     begun = time.perf_counter()
     store.stage(2, TableImage((0.0, 0.0, 0.0), (12.0, 6.0, 5.0), 1e-4, counts))

@@ -1,4 +1,4 @@
-"""Where benchmarks keep what they make: journals in memory, rows in a file."""
+"""Output locations of benchmarks: journals in memory, rows in a file."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-SHARED_MEMORY = "/dev/shm"  # noqa: S108  each takes a directory of its own inside
+SHARED_MEMORY = "/dev/shm"  # noqa: S108  each benchmark creates its own directory inside
 
 
 def memory_directory(name: str) -> tempfile.TemporaryDirectory[str]:
-    """Where a commit costs no disk, removed at the end; durability is tested elsewhere."""
+    """Return a temporary directory in memory, so that commits cost no disk access; durability is tested elsewhere."""
     shared = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None
     return tempfile.TemporaryDirectory(prefix=f"volcal-{name}-", dir=shared)
 
 
 def write_csv(rows: Sequence[Mapping[str, object]], path: Path) -> None:
-    """One line a row under the names of the first."""
+    """Write one line per row, with the keys of the first row as header."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()

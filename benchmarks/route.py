@@ -1,4 +1,7 @@
-"""Ways and orders: minutes of a plan before and after, and what finding them costs; one JSON line with `--json`."""
+"""Paths and measuring orders: machine minutes of a plan before and after, and the cost of finding them.
+
+Writes one JSON line with `--json`.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ def minutes(job: Job) -> float:
 
 
 def run() -> dict[str, float]:
-    """`cpu_s`: of a first plan, ways sought; `again_s`: of a second one, which finds them known."""
+    """Return figures per set; `seeking_s` is the CPU time of a first plan, which searches paths, beyond that of a
+    second one.
+    """
     load_case(CASE_STUDY)
     found: dict[str, float] = {}
     for name in SETS:

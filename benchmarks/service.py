@@ -1,9 +1,9 @@
-"""The service at real speed: abort to stop command, overhead of a step, share of a core, memory. One JSON line.
+"""Service at real speed: time from abort to stop command, overhead of a step, CPU share, memory. Writes one JSON line.
 
-`volcal serve` and `volcal simulate` are processes of their own on the wall clock, four clients poll the status and one
-hears the events. Requests are timed from before their connection is made, STOP when it comes by between agent and
-controller. What a step costs is the time from a result to the next step that moves; a reading in between is the
-device's time, so gaps with one are left out.
+`volcal serve` and `volcal simulate` run as separate processes on the wall clock; four clients poll the status and one
+receives the events. Requests are timed from before their connection is made, STOP when it passes between agent and
+controller. The cost of a step is the time from a result to the next step that moves; gaps that contain a reading are
+omitted, because a reading takes the device's time.
 """
 
 from __future__ import annotations
@@ -42,8 +42,10 @@ FIRST_TOUCH_WITHIN_S = 300.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--aborts", type=int, default=20)
-    parser.add_argument("--seconds", type=float, default=30.0, help="of idling, and of a run that is measured")
+    parser.add_argument("--aborts", type=int, default=20, help="number of aborts")
+    parser.add_argument(
+        "--seconds", type=float, default=30.0, help="duration of the idle phase and of the measured run, in s"
+    )
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, real_speed(Path(folder)) as (running, between):
         figures = idle(running, chosen.seconds)
@@ -85,7 +87,7 @@ def idle(running: Service, seconds: float) -> dict[str, float]:
 
 
 def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
-    """From a touch or a move under way."""
+    """Return the time in ms from an abort during a touch or a move to STOP on the wire."""
     running.start()
     running.until(lambda now: now["state"] == "measuring" and now["step"], "a step; the axes are on their way")
     known = len(between.stops)
@@ -98,7 +100,7 @@ def abort_to_stop_ms(running: Service, between: RecordingProxy) -> float:
 
 
 def early_abort_ms(running: Service) -> float:
-    """Wait until the state reports the preflight of the run."""
+    """Return the time in ms from an abort during the preflight until the state shows it."""
     running.start()
     running.until(lambda now: now["state"] == "preflight", "the preflight")
     began = ask_abort(running)
@@ -110,7 +112,9 @@ def early_abort_ms(running: Service) -> float:
 
 
 def ask_abort(running: Service) -> float:
-    """The instant before the connection was made. Raw, so that no client's own preparation is counted."""
+    """Send an abort and return the instant before the connection was made; raw, so that no client's preparation is
+    included.
+    """
     host, _, port = running.url.removeprefix("http://").partition(":")
     request = f"POST /api/abort HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
     began = time.perf_counter()
@@ -121,7 +125,9 @@ def ask_abort(running: Service) -> float:
 
 
 def measure_run(running: Service, seconds: float) -> dict[str, float]:
-    """A run that goes on for a while, then what its journal says of the time between its steps."""
+    """Start a run, abort it after `seconds`, and return the figures from its journal about the time
+    between its steps.
+    """
     run_id = running.start()
     running.until(lambda now: now["touches"] > 0, "a touch", FIRST_TOUCH_WITHIN_S)
     commits = sorted(bare_commits_s(running.directory, COMMITS))
@@ -146,7 +152,7 @@ def measure_run(running: Service, seconds: float) -> dict[str, float]:
 
 
 def bare_commits_s(directory: Path, count: int) -> Iterator[float]:
-    """Durable commits of nothing much beside the journal, meanwhile: what a step cannot go below on this disk."""
+    """Yield the times of minimal durable commits made at the same time: the lower limit for a step on this disk."""
     journal = Journal(directory / "bare")
     connection = journal._connection
     connection.execute("CREATE TABLE bare (n INTEGER PRIMARY KEY, t TEXT)")
@@ -176,7 +182,7 @@ def rss_mb(process: int, name: str = "VmRSS") -> float:
 
 @contextmanager
 def polling_clients(running: Service) -> Iterator[None]:
-    """Clients that ask for the status all the time."""
+    """Run clients that poll the status while the context is active."""
     ended = threading.Event()
 
     def poll() -> None:

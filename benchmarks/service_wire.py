@@ -1,4 +1,4 @@
-"""Between agent and controller: passes Modbus TCP on and notes when a STOP comes by."""
+"""Proxy between agent and controller that forwards Modbus TCP and records when a STOP passes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ _COMMAND = struct.Struct(">HH")
 
 
 class RecordingProxy:
-    """`port` passes to `target`; `stops` holds the instants of `perf_counter` at which a STOP was read from the agent's
-    side, before it is passed on."""
+    """Proxy from `port` to `target`; `stops` holds the `perf_counter` instants at which a STOP from the agent was read,
+    before it was forwarded.
+    """
 
     def __init__(self, target: tuple[str, int]) -> None:
         self._target = target
@@ -49,7 +50,9 @@ class RecordingProxy:
                 if _is_stop(body):
                     self.stops.append(perf_counter())
                 controller.sendall(header + body)
-            controller.shutdown(socket.SHUT_RDWR)  # the other thread still reads; closing alone would leave it open
+            controller.shutdown(
+                socket.SHUT_RDWR
+            )  # the other thread still reads: closing alone would leave the connection open
 
 
 def _answers(controller: socket.socket, agent: socket.socket) -> None:

@@ -1,4 +1,4 @@
-"""Machine time of a plan: walked on an ideal machine, against the dry run with physics."""
+"""Machine time of a plan: cycle-time model on an ideal machine, compared with the preflight with physics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run that is interrupted: a small set on the case study with a former table active, kept in memory."""
+"""Run that is interrupted: a small set on the case study with a former table active, all in memory."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ class Incidents:
         evening.claims["began nothing"] = self._runs_and_steps() == runs
 
     def _runs_and_steps(self) -> dict[str, int]:
-        """How many steps each run of the journal has."""
+        """Return the number of steps of each run in the journal."""
         with open_journal(self._host.state) as reader:
             return {run.run_id: reader.count_steps(run.run) for run in reader.runs()}
 

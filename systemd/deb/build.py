@@ -1,6 +1,6 @@
-"""`make deb`: the Debian package with an environment of its own, the same bytes from the same sources and date.
+"""Command `make deb`: the Debian package with its own environment; same sources and date give the same bytes.
 
-The interpreter that runs this decides which Python the package is for. Its dependencies are those of constraints.txt.
+The interpreter that runs this determines the package's Python version. Dependencies are those of constraints.txt.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ def run(*command: str | Path, cwd: Path | None = None) -> str:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("--revision", default="1", help="of the package, after the version of the program")
-    asked.add_argument("--out", type=Path, default=ROOT / "dist")
-    revision, out = asked.parse_args().revision, asked.parse_args().out.resolve()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--revision", default="1", help="package revision, appended to the program version")
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="output directory")
+    arguments = parser.parse_args()
+    revision, out = arguments.revision, arguments.out.resolve()
     began = time.monotonic()
     version = f"{tomllib.loads((ROOT / 'pyproject.toml').read_text())['project']['version']}-{revision}"
     date = int(os.environ.get("SOURCE_DATE_EPOCH") or run("git", "-C", ROOT, "log", "-1", "--format=%ct"))
@@ -57,7 +58,7 @@ def main() -> None:
 
 
 def lay_out(tree: Path) -> None:
-    """Write everything except the environment, the licences and the control files."""
+    """Install everything except the environment, the licences and the control files."""
     private = tree / "usr/lib/volcal"
     put(private / "bin/volcal", LAUNCHER, PROGRAM)
     (private / "bin/python3").symlink_to(f"/usr/bin/{PYTHON}")
@@ -97,7 +98,7 @@ def describe(tree: Path, site: Path, version: str) -> None:
 
 
 def pack(tree: Path, out: Path, version: str, date: int) -> Path:
-    """Pack the tree with modes and times that do not depend on the umask and the clock of the builder."""
+    """Build the package with file modes and times that do not depend on the umask or the clock."""
     for path in (tree, *tree.rglob("*")):
         if not path.is_symlink():
             path.chmod(PROGRAM if path.is_dir() or path.stat().st_mode & 0o100 else TEXT)
@@ -105,7 +106,7 @@ def pack(tree: Path, out: Path, version: str, date: int) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     architecture = run("dpkg", "--print-architecture").strip()
     package = out / f"volcal_{version}_{architecture}.deb"
-    # Two threads: xz then cuts into blocks, the same ones on any computer.
+    # With two threads xz splits into blocks, which are the same on any computer.
     run("dpkg-deb", "--root-owner-group", "-Zxz", "-z3", "--threads-max=2", "--build", tree, package)
     return package
 

@@ -1,7 +1,6 @@
-"""`make deb-test`: the package on a Debian that really boots, from its first installation until nothing of it is left.
+"""Command `make deb-test`: the package on a really booting Debian, from first installation until it is purged.
 
-Needs root, debootstrap and systemd-container. Ends with one line of JSON; the first thing that is not so ends it at
-once.
+Needs root, debootstrap and systemd-container. Ends with one line of JSON; the first failed check ends it at once.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ def main() -> None:
 
 
 class PackageTrial:
-    """What an administrator does, in this order; every step says what it has seen."""
+    """Actions of an administrator, in order; each step records its observations."""
 
     def __init__(self, machine: Container) -> None:
         self.machine = machine
@@ -87,7 +86,7 @@ class PackageTrial:
         self._libraries_are_there()
 
     def _libraries_are_there(self) -> None:
-        """What the environment links to is on this Debian, or beside it in the environment."""
+        """Check that every library linked by the environment is part of this Debian or of the environment."""
         machine = self.machine
         linked = "find /usr/lib/volcal -name '*.so*' -type f | xargs -n1 ldd 2>/dev/null | awk '/not found/ {print $1}'"
         absent = set(machine.out("sh", "-c", linked).split())
@@ -124,7 +123,7 @@ class PackageTrial:
         assert self._status()["state"] == "complete"
 
     def report(self) -> None:
-        """Under what the service may do, on a Debian that has only what the package depends on."""
+        """Write a report under the service's restrictions, on a Debian with only the package's dependencies."""
         allowed = ("User=volcal", "MemoryDenyWriteExecute=yes", "SystemCallFilter=@system-service")
         options = [word for one in allowed for word in ("-p", one)]
         command = ("volcal", "report", "last", "--pdf", "--config", SETTINGS)
@@ -133,7 +132,7 @@ class PackageTrial:
         assert pages, "no report.pdf"
 
     def timer(self) -> None:
-        """The real timer, with another calendar: a night is asked for and carried out."""
+        """Check with the real timer and another calendar that a night is requested and carried out."""
         machine = self.machine
         machine.write(f"/etc/systemd/system/{TIMER}.d/often.conf", EVERY_FEW_SECONDS)
         machine.run("systemctl", "daemon-reload")
@@ -146,7 +145,7 @@ class PackageTrial:
         assert machine.property(NIGHTLY, "Result") == "success", machine.journal(NIGHTLY)
 
     def decline(self) -> None:
-        """Outside the permitted hours nothing begins, and nobody has to come."""
+        """Check that nothing begins outside the permitted hours, and that this is not a failure."""
         hour = (int(self.machine.out("date", "+%H")) + 11) % 24
         runs = self._last_run()
         write_settings(self.machine, f'hours = ["{hour:02}:00-{hour:02}:30"]\n')
@@ -162,7 +161,7 @@ class PackageTrial:
         self.machine.run("systemctl", "reload", SERVICE)
 
     def hang(self) -> None:
-        """A stopped process feeds no watchdog."""
+        """Check that the watchdog restarts a stopped process."""
         machine = self.machine
         machine.write(f"/etc/systemd/system/{SERVICE}.d/watchdog.conf", QUICK_WATCHDOG)
         machine.run("systemctl", "daemon-reload")
@@ -180,7 +179,9 @@ class PackageTrial:
         machine.run("systemctl", "daemon-reload")
 
     def credentials(self) -> None:
-        """A token of the administrator's, which the night has too; one without a panel code starts all the same."""
+        """Check the administrator's token, which the night uses too; the service must also start
+        without a panel code.
+        """
         machine = self.machine
         machine.write("/etc/credstore/volcal.token", f"{SECRET}\n", 0o600)
         write_settings(self.machine, 'token_file = "/etc/credstore/volcal.token"\n')
@@ -191,7 +192,7 @@ class PackageTrial:
         assert "token" not in machine.journal(SERVICE).rpartition('"event":"serving"')[2]
 
     def upgrade_while_held(self) -> None:
-        """A run that is on, if only held, is not interrupted by whoever upgrades packages."""
+        """Check that an upgrade does not interrupt a run, even one on hold."""
         machine = self.machine
         self._make_next()
         machine.run("volcal", "start", "--kind", "calibrate", "--consent", "--config", SETTINGS)
@@ -220,7 +221,7 @@ class PackageTrial:
         machine.run("volcal", "reset", "--config", SETTINGS)
 
     def upgrade(self) -> None:
-        """At rest: stopped, replaced, running again with what it had."""
+        """Check that an upgrade at rest stops, replaces and restarts the service with its state."""
         machine, former = self.machine, self._last_run()
         process = machine.property(SERVICE, "MainPID")
         machine.run("dpkg", "-i", "/root/next.deb")
@@ -260,7 +261,7 @@ class PackageTrial:
         return self.machine.out("dpkg-query", "-W", "-f", "${Version}", "volcal")
 
     def _make_next(self) -> None:
-        """The same package with a higher version."""
+        """Build the same package with a higher version."""
         tree = WORK / "next"
         shutil.rmtree(tree, ignore_errors=True)
         package = self.machine.root / "root/volcal.deb"
@@ -275,7 +276,7 @@ class PackageTrial:
         shutil.rmtree(tree)
 
     def _files(self) -> set[str]:
-        """What is there, but for what comes and goes by itself."""
+        """Return all files except transient ones."""
         found = self.machine.out("find", "/", "-xdev", "-not", "-path", "/root/*").splitlines()
         passing = tuple(f"/{folder}/" for folder in TRANSIENT)
         return {path for path in found if not path.startswith(passing)}

@@ -1,4 +1,4 @@
-"""A minimal Debian that really boots: its root is made once, copied for each test, and runs under systemd-nspawn."""
+"""Minimal Debian that really boots: its root is created once, copied for each test, and run under systemd-nspawn."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 def base_root(directory: Path, depends: str) -> Path:
-    """A root with what the package depends on, from the cache where it is still what is wanted."""
+    """Return a root with the package's dependencies, cached while the list of packages is unchanged."""
     names = [re.split(r"[ (]", one.strip(), maxsplit=1)[0] for one in depends.split(",")]
     packages = ",".join([*BASE, *(name for name in names if name != "systemd")])
     base, stamp = directory / "base", directory / "base.packages"
@@ -40,7 +40,7 @@ def base_root(directory: Path, depends: str) -> Path:
 
 
 def _mirror() -> list[str]:
-    """The one that this computer uses, or debootstrap's own."""
+    """Return the mirror that this computer uses, or none for debootstrap's default."""
     if named := os.environ.get("DEBIAN_MIRROR"):
         return [named]
     places = (Path("/etc/apt/sources.list"), *sorted(Path("/etc/apt/sources.list.d").glob("*")))
@@ -51,7 +51,7 @@ def _mirror() -> list[str]:
 
 @contextmanager
 def booted_container(base: Path, root: Path, log: Path) -> Iterator[Container]:
-    """A copy of `base` at `root`, up and running, with a network of its own; powered off and removed at the end."""
+    """Boot a copy of `base` at `root` with its own network; power it off and remove it at the end."""
     shutil.rmtree(root, ignore_errors=True)
     subprocess.run(["cp", "-a", "--reflink=auto", str(base), str(root)], check=True)
     (root / "etc/machine-id").write_text("uninitialized\n")
@@ -76,7 +76,7 @@ class Container:
     leader: int
 
     def run(self, *command: str, check: bool = True, within_s: float = 300.0) -> subprocess.CompletedProcess[str]:
-        """A command inside; AssertionError with what it said where it fails and `check`."""
+        """Run a command inside. If `check`, raise AssertionError with its output when it fails."""
         entered = ["nsenter", "-t", str(self.leader), "-a", "-r", "-w", "--", *command]
         done = subprocess.run(
             entered, check=False, capture_output=True, text=True, env=ENVIRONMENT, stdin=subprocess.DEVNULL,
@@ -121,7 +121,7 @@ def wait_for(condition: Callable[[], T], what: str, within_s: float) -> T:
 
 
 def _child(process: subprocess.Popen[bytes]) -> int:
-    """The first process of the container, or 0 while there is none yet."""
+    """Return the pid of the container's first process, or 0 while there is none."""
     if process.poll() is not None:
         raise AssertionError(f"systemd-nspawn ended with {process.returncode}; see its log")
     for status in Path("/proc").glob("[0-9]*/status"):
@@ -135,7 +135,7 @@ def _child(process: subprocess.Popen[bytes]) -> int:
 
 
 def _power_off(process: subprocess.Popen[bytes]) -> None:
-    """systemd-nspawn hands SIGTERM on as a request to power off."""
+    """Send SIGTERM, which systemd-nspawn forwards as a request to power off."""
     process.send_signal(signal.SIGTERM)
     try:
         process.wait(60.0)

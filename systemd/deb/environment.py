@@ -1,4 +1,4 @@
-"""The package's own Python environment: pinned dependencies, and no trace of the computer it was built on."""
+"""Python environment of the package: pinned dependencies, and no traces of the computer that built it."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 SITE = Path("/usr/lib/volcal/lib") / PYTHON / "site-packages"
 SOURCES = ("agent", "config", "drivers", "simulators", "twin", "volcal", "pyproject.toml", "README.md", "LICENSE")
 EXTRAS = "opcua,postgres"
-"""Extras that a plant may need for the service; the cluster for studies runs on another computer."""
+"""Optional dependencies that a plant may want for the service; a cluster for studies belongs on another computer."""
 TESTS_OF = ("matplotlib", "mpl_toolkits", "numpy", "pandas", "scipy")
 PUBLIC_INDEX = "pypi.org"
 
 
 def install(root: Path, build: Path, site: Path) -> None:
-    """Install volcal, from the tracked files below `root`, and its dependencies into `site`.
+    """Install volcal from the tracked files below `root` and its dependencies into `site`.
 
-    Raises SystemExit if a trace of this computer is left in a file.
+    Raises SystemExit if a trace of the build computer remains.
     """
     wheel = _wheel(root, build)
     _pip("install", "--no-compile", "--target", site, "--constraint", root / "constraints.txt", f"{wheel}[{EXTRAS}]")
@@ -60,7 +60,9 @@ def _licence(about: Message) -> str:
 
 
 def _wheel(root: Path, build: Path) -> Path:
-    """Build the wheel from the tracked files, away from old build files of the checkout, which it would include."""
+    """Build the wheel from the files tracked by git, away from the checkout, whose leftovers
+    setuptools would include.
+    """
     source, wheels = build / "source", build / "wheels"
     for folder in (source, wheels):
         shutil.rmtree(folder, ignore_errors=True)
@@ -87,7 +89,9 @@ def _only_what_is_there(record: Path, site: Path) -> None:
 
 
 def _hosts() -> set[str]:
-    """Return the hosts of the package indexes that pip uses on this computer, by file or environment."""
+    """Return the hosts of the package indexes that pip uses on this computer, from its configuration or the
+    environment.
+    """
     told = subprocess.run(
         [sys.executable, "-m", "pip", "config", "list"],
         check=True, stdout=subprocess.PIPE, text=True,
@@ -102,4 +106,4 @@ def _refuse_traces(site: Path, traces: list[str]) -> None:
         if path.is_file():
             content = path.read_bytes()
             if found := [trace for trace in traces if trace.encode() in content]:
-                raise SystemExit(f"{path} would carry {found} to every machine")
+                raise SystemExit(f"{path} contains {found}, a trace of the build computer")

@@ -1,4 +1,4 @@
-"""The machine of the package's test: a simulator as a unit of its own, and settings with which a run takes seconds."""
+"""Machine for the package test: a simulator as a separate unit, and settings with which a run takes seconds."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ AT_ONCE = (
 
 
 def start_simulator(machine: Container) -> None:
-    """A machine with errors large enough that a small run is worth a table."""
+    """Start a machine with errors large enough that a small run is worth a table."""
     scenario = machine.read(f"{SHIPPED}/simulators/case-study.toml")
     scenario = scenario.replace("[truth]", "[truth]\nscale = 4.0").replace('"../', f'"{SHIPPED}/')
     machine.write(SCENARIO, scenario)
@@ -53,7 +53,9 @@ def end_simulator(machine: Container) -> None:
 
 
 def write_settings(machine: Container, service: str) -> None:
-    """Of the case study, with two positions at one station and gates open; `service` is added to its section."""
+    """Write the settings of the case study with two positions at one station and wide gates; append `service` to its
+    section.
+    """
     text = machine.read(f"{SHIPPED}/case-study.toml")
     for former, now in SHORT.items():
         assert former in text, former

@@ -1,4 +1,4 @@
-"""Somebody who is in a bus's `recv` all the time, as the receiving thread of a link and a CAN server are."""
+"""Permanent reader of a bus, like the receiving thread of a link or a CAN server."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import can
 
 @contextmanager
 def listening(bus: can.BusABC) -> Iterator[list[can.Message]]:
-    """What the bus hears, in order."""
+    """Collect the messages received on the bus, in order."""
     heard: list[can.Message] = []
     ending = threading.Event()
 

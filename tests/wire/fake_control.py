@@ -1,4 +1,4 @@
-"""A Control that only writes down what it was asked for, and moves through the states as a run would."""
+"""Fake Control that records the requests it receives and passes through the states of a run."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class FakeControl:
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """As after the start of the service; whoever listens goes on listening."""
+        """Restart as the service does at start-up; subscribers stay subscribed."""
         self.asked: list[tuple[str, Any]] = []
         self.runs = 0
         self._status = Status("mill-7", RunState.IDLE, PACKML[RunState.IDLE], may=frozenset({"start"}))
 
     def now(self, state: RunState, **changes: Any) -> None:
-        """The run has come so far."""
+        """Set the state that the run has reached."""
         self._status = replace(self._status, state=state, packml=PACKML[state], **changes)
         self.tell("state", state.value)
 

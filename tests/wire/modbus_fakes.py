@@ -1,4 +1,4 @@
-"""A controller of straight lines at constant speed, small enough to be checked by eye."""
+"""Fake controller with straight lines at constant speed, simple enough to be checked by eye."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FakeLatch:
 
 @dataclass
 class FakeController:
-    """`wall_y` is a wall the probe trips at when moving towards +Y."""
+    """Fake controller physics; `wall_y` is a wall that trips the probe when moving towards +Y."""
 
     now: float = 0.0
     wall_y: float | None = None

@@ -1,4 +1,4 @@
-"""The other end of a serial line in tests: a pseudo-terminal, and whatever answers on it."""
+"""Far end of a serial line in tests: a pseudo-terminal and the device that answers on it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 
 def crc(data: bytes) -> bytes:
-    """MODBUS over Serial Line V1.02, 6.2.2, step by step."""
+    """Return the CRC-16, computed step by step as in MODBUS over Serial Line V1.02, 6.2.2."""
     register = 0xFFFF
     for byte in data:
         register ^= byte
@@ -28,7 +28,7 @@ def framed(hexed: str) -> bytes:
 
 
 def request_length(data: bytes) -> int | None:
-    """Bytes of the request that begins so; None while that is not known."""
+    """Return the length in bytes of the request that begins with `data`, or None if it is not yet known."""
     if len(data) < 2:
         return None
     at = {16: 6, 23: 10}.get(data[1])
@@ -38,7 +38,9 @@ def request_length(data: bytes) -> int | None:
 
 
 class RtuSlave:
-    """Calls `answer(request)` for each whole request, CRC included, and sends what comes back; None: silence."""
+    """Slave that calls `answer(request)` for each whole request, CRC included, and sends the
+    result; None: no answer.
+    """
 
     def __init__(self, answer: Callable[[bytes], bytes | None]) -> None:
         self._answer = answer
@@ -51,11 +53,11 @@ class RtuSlave:
         self._thread.start()
 
     def push(self, data: bytes) -> None:
-        """Bytes that nobody asked for."""
+        """Send unsolicited bytes."""
         os.write(self._ours, data)
 
     def close(self) -> None:
-        """As an adapter does that is pulled out."""
+        """Close the line as an unplugged adapter does."""
         if self._ours < 0:
             return
         os.write(self._waker, b"!")
@@ -80,6 +82,6 @@ class RtuSlave:
 
 
 def scripted(*answers: bytes | None) -> RtuSlave:
-    """Answers request n with `answers[n]`, and is silent afterwards."""
+    """Return a function that answers request n with `answers[n]`, and nothing afterwards."""
     left = list(answers)
     return RtuSlave(lambda _request: left.pop(0) if left else None)

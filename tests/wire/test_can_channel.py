@@ -1,4 +1,6 @@
-"""The buses between two processes: words, settings, the socketcand protocol byte by byte, multicast if there is."""
+"""Buses between two processes: channel words, settings, the socketcand protocol byte by byte,
+multicast if available.
+"""
 
 from __future__ import annotations
 
@@ -40,13 +42,13 @@ class StillAxes:
 
 @contextmanager
 def pumped(bus: can.BusABC) -> Iterator[list[can.Message]]:
-    """Somebody listens, as a CAN server always does; then the bus ends."""
+    """Keep reading the bus, as a CAN server does, and close it at the end."""
     with bus, listening(bus) as received:
         yield received
 
 
 class RawClient:
-    """A plain socket that speaks the protocol as its document writes it."""
+    """Client on a plain socket that speaks the protocol as documented."""
 
     def __init__(self, port: int) -> None:
         self._stream = socket.create_connection(("127.0.0.1", port), timeout=5.0)
@@ -207,7 +209,7 @@ def test_own_frames_are_dropped_on_multicast() -> None:
 
 
 def test_two_processes_over_socketcand() -> None:
-    """The agent's side is a process of its own: what it needs is on its command line."""
+    """The agent's side is a separate process with all its parameters on the command line."""
     program = (
         "import sys, canopen\n"
         "from drivers.links.can_adapters import CanAddress\n"
@@ -254,7 +256,7 @@ def test_server_that_goes_away_is_noticed() -> None:
 
 @pytest.mark.parametrize("spec", ["socketcand:127.0.0.1:0", "virtual:bus-off"])
 def test_bus_off_ends_receiving(spec: str) -> None:
-    """An error frame of class 0x40 (linux/can/error.h), where the adapter passes such on."""
+    """Adapters that report bus-off send an error frame of class 0x40 (linux/can/error.h)."""
     channel = open_channel(spec)
     with pumped(channel.bus):
         link = CanNetworks().acquire(CanAddress.of(channel.interface, channel.channel, channel.options))
@@ -273,7 +275,7 @@ def test_error_frame_in_the_words_of_socketcand() -> None:
 
 
 def test_interface_that_the_kernel_has_not() -> None:
-    """True on every kernel: on one without CAN for another reason than on one with it."""
+    """This fails on every kernel; one without CAN gives another reason than one with it."""
     with pytest.raises(ConfigurationError, match="socketcan:nocan7 cannot be opened"):
         open_channel("socketcan:nocan7")
     with pytest.raises(LinkLost, match=r"cannot open the CAN bus.*link socketcan:nocan7.*ip link"):

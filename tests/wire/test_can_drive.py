@@ -1,4 +1,4 @@
-"""A simulated drive frame by frame. Statuswords and controlwords are CiA 402's, written in hex by hand."""
+"""Simulated drive frame by frame. Statuswords and controlwords are those of CiA 402, written in hexadecimal by hand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simulators.wire.can.parameters import FactorGroup
 
 
 class Axes:
-    """Turns end when the test says so."""
+    """Fake axes whose turns end on request of the test."""
 
     def __init__(self) -> None:
         self.position = 0.0
@@ -239,7 +239,7 @@ def test_silent_node_says_nothing(bench: Bench) -> None:
 
 
 def with_factors(resolution: int, gear: int, feed: int, polarity: int = 0) -> Bench:
-    """1000 increments a degree of the mount, whatever the factors say."""
+    """Return a drive with 1000 increments per degree of the mount, whatever the factors are."""
     bench = Bench()
     factors = FactorGroup((resolution, 1), (gear, 1), (feed, 1), polarity)
     bench.node, bench.drive = drive_node(DriveConfig(5, "azimuth", 1000.0, factors=factors), bench.axes)
@@ -247,7 +247,7 @@ def with_factors(resolution: int, gear: int, feed: int, polarity: int = 0) -> Be
 
 
 def test_factor_group_makes_the_unit_of_position() -> None:
-    """10000 increments a turn, gear 36, a turn of the shaft is 3600 units: a tenth of a degree each."""
+    """With 10000 increments per turn, gear 36 and 3600 units per turn of the shaft, a unit is a tenth of a degree."""
     bench = with_factors(10_000, 36, 3600)
     assert bench.ask("40 8F 60 01 00 00 00 00") == [(0x585, bytes.fromhex("43 8F 60 01 10 27 00 00"))]
     assert bench.ask("40 91 60 00 00 00 00 00") == [(0x585, bytes.fromhex("4F 91 60 00 02 00 00 00"))]

@@ -1,4 +1,4 @@
-"""The drives in front of the mount's own physics: ramps, encoder and braking as the world has them."""
+"""Drives in front of the mount's own physics: ramps, encoder and braking as in the world."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COUNTS_PER_DEGREE = 131072 * 80 / 360
 
 
 class MovedPhysics:
-    """The mount alone, moved along with a clock."""
+    """Mount without the rest of the world, advanced by a clock."""
 
     def __init__(self) -> None:
         self.physics = MountPhysics(MountBehaviour(), 1, lambda: None)

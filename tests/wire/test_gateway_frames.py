@@ -1,4 +1,4 @@
-"""Golden frames of the panel gateway, written from the MODBUS documents and the register table, byte for byte."""
+"""Golden frames of the panel gateway, written byte for byte from the MODBUS documents and the register table."""
 
 from __future__ import annotations
 

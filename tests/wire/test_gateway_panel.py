@@ -33,7 +33,7 @@ DONE, WRONG_CODE, NO_CODE_SET, LOCKED, UNKNOWN_COMMAND, NOT_ALLOWED, BUSY = 1, 1
 
 def block(command: int, sequence: int, *, kind=1, consent=1, full=0, slot=0, stations=0, number=0, answer=0,
           sets="", code=CODE) -> list[int]:  # fmt: skip
-    """The whole command block, laid out by hand from the document."""
+    """Return the whole command block, arranged by hand from the document."""
     data = struct.pack(">6HIH", command, kind, consent, full, slot, stations, number, answer)
     data += sets.encode().ljust(32, b"\0") + struct.pack(">IH", code, sequence)
     return list(struct.unpack(f">{len(data) // 2}H", data))
@@ -55,7 +55,7 @@ class Panel:
         return self.read(ACCEPTED)[0] % 65535 + 1
 
     def give(self, command: int, **values) -> int:
-        """Give a command with the next number; its result."""
+        """Give a command with the next number and return its result."""
         sequence = self.next()
         assert self.client.write_multiple_registers(COMMAND, block(command, sequence, **values))
         assert self.read(ACCEPTED) == [sequence]
@@ -393,7 +393,7 @@ def test_who_is_not_among_the_clients_is_hung_up_on(control, tmp_path):
 
 
 def test_several_panels_at_once_and_every_number_is_taken_once(door, control):
-    """Four panels press hold as fast as they can; each accepted number was one hold."""
+    """Four panels press hold as fast as possible; each accepted number must be one hold."""
     accepted = []
 
     def press() -> None:

@@ -1,4 +1,6 @@
-"""Whatever panels write, and however often: no number gives two commands, no command comes without its code."""
+"""Property tests of the gateway: no number gives two commands, and no command comes without its code, whatever is
+written.
+"""
 
 from __future__ import annotations
 
@@ -46,9 +48,9 @@ def test_random_requests_are_answered_and_move_nothing_without_the_code(requests
 
 
 class Panels(RuleBasedStateMachine):
-    """Two connections of panels that draft, commit, repeat, reconnect, and a service that restarts now and then.
+    """Two panel connections that draft, commit, repeat and reconnect, and a service that restarts now and then.
 
-    The model is the text of the document: a draft a connection, one accepted number, one command for each number.
+    The model follows the document: one draft per connection, one accepted number, one command per number.
     """
 
     @initialize()
@@ -108,7 +110,7 @@ class Panels(RuleBasedStateMachine):
 
     @rule(who=st.integers(0, 1))
     def write_the_same_again(self, who: int) -> None:
-        """A PLC that writes its block in every cycle."""
+        """Write the block again, like a PLC that writes in every cycle."""
         if self.last is not None:
             before = len(self.control.asked)
             assert self.write(who, 0, self.last)[0] == 16

@@ -1,4 +1,4 @@
-"""Lines as GRBL's and grblHAL's documents show them, and lines as a bad cable makes them."""
+"""Lines as in the documents of GRBL and grblHAL, and lines garbled by a bad cable."""
 
 from __future__ import annotations
 

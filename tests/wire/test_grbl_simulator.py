@@ -1,4 +1,4 @@
-"""The simulated GRBL against the documents of GRBL 1.1 (gnea/grbl, doc/markdown): transcripts byte by byte."""
+"""Simulated GRBL against the documents of GRBL 1.1 (gnea/grbl, doc/markdown): transcripts byte by byte."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOCKED = "[MSG:'$H'|'$X' to unlock]"
 
 
 class Terminal:
-    """Types bytes, sees lines, moves time."""
+    """Terminal that types bytes, collects lines and advances time."""
 
     def __init__(self, *, homed: bool = True, **settings: float) -> None:
         self.world = World(read_scenario(SCENARIO).without_errors())

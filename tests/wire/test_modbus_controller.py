@@ -1,5 +1,8 @@
-"""The simulated controller byte by byte: golden frames of docs/reference/modbus-register-map.md, and its
-behaviour in virtual time. A raw socket, struct and zlib: no Modbus library, no map shared with anybody."""
+"""Simulated controller byte by byte: golden frames of docs/reference/modbus-register-map.md, and behaviour in virtual
+time.
+
+A raw socket, struct and zlib: no Modbus library and no shared register map.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,7 @@ COUNTS_F = (1, -2, 3, 4, 5, -6)
 
 
 class Peer:
-    """A client that knows frames and addresses only as numbers."""
+    """Client that knows frames and addresses only as numbers."""
 
     def __init__(self, address: tuple[str, int]) -> None:
         self.socket = socket.create_connection(address, timeout=5.0)
@@ -112,7 +115,7 @@ class Peer:
         nonce: int = 0,
         crc: int = 0,
     ) -> int:
-        """Send one command with the next sequence number; the result, 1 for accepted."""
+        """Send one command with the next sequence number and return the result, 1 for accepted."""
         self.sequence = self.sequence % 65535 + 1
         self.heartbeat = self.heartbeat % 65535 + 1
         block = struct.pack(">4HI4dH", self.heartbeat, code, bank, nonce, crc, *target, feed, self.sequence)
@@ -122,13 +125,13 @@ class Peer:
         return result
 
     def motion(self) -> tuple[int, int, int, int]:
-        """State, fault code, motion sequence, motion outcome."""
+        """Return state, fault code, motion sequence and motion outcome."""
         state, fault = self.words(1004, 2)
         sequence, outcome = self.words(1010, 2)
         return state, fault, sequence, outcome
 
     def block(self, number: int, counts: tuple[int, ...]) -> tuple[int, int]:
-        """Send one data block; block acknowledge and block result."""
+        """Send one data block; return block acknowledge and block result."""
         filled = counts + (0,) * (60 - len(counts))
         self.write(2200, struct.pack(">60iH", *filled, number))
         acknowledge, result = self.words(1044, 2)
@@ -146,7 +149,7 @@ class Rig:
         self.shared.advance_to(self.shared.now + seconds)
 
     def advance_beating(self, seconds: float) -> None:
-        """Time passes with the agent's heartbeat alive, 0.25 s apart: exact in binary."""
+        """Advance time with the agent's heartbeat alive, in steps of 0.25 s, which is exact in binary."""
         for _ in range(round(seconds / 0.25)):
             self.advance(0.25)
             self.peer.beat()
@@ -170,7 +173,7 @@ def _rig(controller: FakeController, **options: object) -> Iterator[Rig]:
 
 
 def write_table_f(peer: Peer, bank: int, *, activate: bool = False) -> None:
-    """The table of golden frame F into `bank`, by five commands at most."""
+    """Write the table of golden frame F to `bank`, with at most five commands."""
     descriptor = bytearray(bytes.fromhex(GOLDEN_F)[13:])
     descriptor[1] = bank
     peer.write(2100, bytes(descriptor))
@@ -203,7 +206,7 @@ def test_heartbeat_and_status_in_one_request(rig: Rig) -> None:
 
 
 def test_touch_is_answered_by_the_golden_status(rig: Rig) -> None:
-    """Frames C and D with the whole history that D tells: table in bank 1, touch 6, then touch 7."""
+    """Frames C and D with the whole history contained in D: table in bank 1, touch 6, then touch 7."""
     peer, controller = rig.peer, rig.controller
     write_table_f(peer, 1, activate=True)  # sequences 1 to 4
     assert peer.command(23) == 1
@@ -288,7 +291,7 @@ def test_exceptions(rig: Rig, request_hex: str, answer_hex: str) -> None:
 
 
 def test_most_registers_a_write_may_carry(rig: Rig) -> None:
-    """123 registers would fit the frame; the page allows 121, the DATA WINDOW."""
+    """The frame could carry 123 registers; the page allows 121, the DATA WINDOW."""
     rig.peer.write(2200, bytes(242))
     assert rig.peer.pdu(struct.pack(">BHHB", 16, 2200, 122, 244) + bytes(244)) == b"\x90\x03"
 
@@ -552,7 +555,7 @@ def test_bank_states_and_crc(rig: Rig) -> None:
 
 
 def test_table_of_many_blocks_x_slowest(rig: Rig) -> None:
-    """3 × 2 × 7 = 42 nodes: three blocks, the last with 6 counts."""
+    """3 × 2 × 7 = 42 nodes need three blocks, the last with 6 counts."""
     counts = [((7 * i) % 19) - 9 for i in range(126)]
     crc = zlib.crc32(b"".join(c.to_bytes(4, "big", signed=True) for c in counts))
     grid = (10.0, 20.0, 30.0, 100.0, 200.0, 50.0, 0.0001)
@@ -698,7 +701,7 @@ def test_activation_at_reset() -> None:
 
 
 def test_scaled_integers() -> None:
-    """`number: int32`, 0.01 µm a count: -0.25 mm is -25 000, in the first two of four registers."""
+    """With `number: int32` and 0.01 µm per count, -0.25 mm is -25 000 in the first two of four registers."""
     for rig in _rig(FakeController(), numbers=ScaledInt32Numbers()):
         rig.controller.position = np.array([1000.0, 150.0, -0.25])
         position = struct.unpack(">i4xi4xi4x", rig.peer.read(1012, 12))

@@ -1,6 +1,6 @@
-"""The bytes on the wire against the golden frames of docs/reference/modbus-register-map.md.
+"""Bytes on the wire against the golden frames of docs/reference/modbus-register-map.md.
 
-A scripted TCP server knows nothing but the document's hex: it notes what it is sent and answers what it is told.
+A scripted TCP server knows only the document's hexadecimal text: it records requests and sends the given answers.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs/reference/modbus-register-map.md"
 
 
 def golden_frames() -> dict[str, bytes]:
-    """The hex blocks of section 10 by their letter."""
+    """Return the hexadecimal blocks of section 10 by their letter."""
     section = DOCUMENT.read_text(encoding="utf-8").split("## 10 Golden frames")[1]
     blocks = re.findall(r"^\*\*([A-G])\*\*.*?^```\n(.*?)^```", section, re.MULTILINE | re.DOTALL)
     return {letter: bytes.fromhex(text) for letter, text in blocks}
@@ -41,7 +41,7 @@ GOLDEN = golden_frames()
 
 
 class Script:
-    """Answers request n with `answers[n]`; None is silence, b"" hangs up."""
+    """Server that answers request n with `answers[n]`; None gives no answer, b"" closes the connection."""
 
     def __init__(self, answers: list[bytes | None]) -> None:
         self.requests: list[bytes] = []
@@ -96,7 +96,7 @@ def link_to(script: Script, retries: int = 0, timeout_s: float = PATIENCE_S) -> 
 
 
 def status_answer(transaction: int) -> bytes:
-    """D with another transaction number."""
+    """Return frame D with another transaction number."""
     return transaction.to_bytes(2, "big") + GOLDEN["D"][2:]
 
 

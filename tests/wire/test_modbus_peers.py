@@ -1,6 +1,8 @@
-"""Controllers of other making that serve the documented register map: libmodbus (C, over TCP and over a serial line)
-and pyModbusTCP. Each is an ideal machine with one ball that runs on the wall clock; the driver moves, touches, and
-keeps a table on it. Where the wall clock is all there is, every wait is the driver's own, bounded one."""
+"""Controllers of other makes with the documented register map: libmodbus (C, over TCP and serial line) and pyModbusTCP.
+
+Each is an ideal machine with one ball that runs on the wall clock; the driver moves, touches, and stores a table on it.
+All waits on the wall clock are the driver's own, bounded ones.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ LINE = {"baud": 57600, "parity": "none", "stop_bits": 2}
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The C peer, compiled here."""
+    """Compile the C peer."""
     if not (shutil.which("gcc") and Path("/usr/include/modbus/modbus.h").exists()):
         pytest.skip(f"{NOT_HERE}: the libmodbus peers: gcc or Debian's libmodbus-dev is missing")
     target = tmp_path_factory.mktemp("peer") / "ideal_machine"
@@ -45,7 +47,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def running(program: Path, *words: str) -> Iterator[None]:
-    """Ends with its standard input."""
+    """Run the peer until its standard input closes."""
     with subprocess.Popen([program, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         try:
             assert process.stdout.readline() == b"ready\n"
@@ -60,7 +62,7 @@ def running(program: Path, *words: str) -> Iterator[None]:
 
 
 class Cable:
-    """Two pseudo-terminals joined, so that both sides open a device file."""
+    """Two connected pseudo-terminals, so that both sides open a device file."""
 
     def __init__(self) -> None:
         self._ends = [pty.openpty() for _ in range(2)]
@@ -153,7 +155,7 @@ def cnc(request: pytest.FixtureRequest) -> Iterator[ModbusCnc]:
 
 
 def table() -> TableImage:
-    """45 nodes: three blocks, the last one not full."""
+    """Return a table of 45 nodes: three blocks, the last one not full."""
     counts = np.arange(3 * 3 * 5 * 3, dtype=np.int32).reshape(3, 3, 5, 3) * 61 - 4000
     return TableImage((0.0, 10.0, -20.5), (250.0, 240.0, 125.0), 1e-4, counts)
 
@@ -218,7 +220,7 @@ def test_every_peer_passes_the_doctor(cnc: ModbusCnc) -> None:
     ],
 )
 def test_wrong_orders_and_addresses_are_told_before_anything_moves(program: Path, order, options, text) -> None:
-    """A gap of the map is answered with exception 2."""
+    """A gap in the map is answered with exception 2."""
     port = free_port()
     with (
         running(program, "tcp", str(port), order),

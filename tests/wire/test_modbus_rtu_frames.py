@@ -1,5 +1,8 @@
-"""Modbus RTU byte by byte. Golden frames: MODBUS Application Protocol V1.1b3, 6.3, 6.12 and 6.17 and 7; Modicon's
-guide PI-MBUS-300 for those of unit 17; MODBUS over Serial Line V1.02 for CRC and times."""
+"""Modbus RTU byte by byte.
+
+Golden frames: MODBUS Application Protocol V1.1b3, 6.3, 6.12, 6.17 and 7; Modicon's guide PI-MBUS-300 for those of unit
+17; MODBUS over Serial Line V1.02 for CRC and times.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +74,7 @@ def test_golden_write() -> None:
 
 
 def test_golden_write_and_read() -> None:
-    """V1.1b3, 6.17: six registers from 3 are read, three from 14 written."""
+    """Example of V1.1b3, 6.17: six registers from 3 are read, three from 14 written."""
     slave = scripted(framed("11 17 0C 00FE 0ACD 0001 0003 000D 00FF"))
     with linked(slave) as link:
         read = link.exchange(14, bytes.fromhex("00FF 00FF 00FF"), 3, 6, idempotent=True)

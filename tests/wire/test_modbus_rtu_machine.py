@@ -1,5 +1,7 @@
-"""The simulated controller on a serial line: paced, deaf to another baud rate, silent to what is not sound; and the
-driver on a line that loses, cuts, garbles, doubles and delays."""
+"""Simulated controller on a serial line: paced, without answer at another baud rate or to invalid requests.
+
+Also the driver on a line that loses, cuts, garbles, doubles and delays frames.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,7 @@ def controller(request: pytest.FixtureRequest) -> Iterator[ModbusRtuController]:
 
 
 def asked(controller: ModbusRtuController, *requests: bytes, baud: int = 9600, silent_s: float = 0.15) -> bytes:
-    """All that comes back until the line has been silent for a while."""
+    """Return everything received until the line has been silent for a while."""
     with serial.Serial(controller.agent_settings["serial"]["port"], baud, timeout=silent_s) as port:
         for request in requests:
             port.write(request)
@@ -91,7 +93,7 @@ def test_a_frame_that_is_longer_than_the_standard_allows_is_none() -> None:
 
 
 def test_the_wall_is_touched_over_the_serial_line(controller: ModbusRtuController) -> None:
-    """One row of the contract, here with the fake world: what was asked for arrives whole."""
+    """One row of the contract with the fake world: the request arrives complete."""
     clock = VirtualClock()
     clock.subscribe(controller._shared.advance_to)
     controller._shared.world.controller.wall_y = 200.0
@@ -114,8 +116,10 @@ NOISE: list[Callable[[bytes], bytes | None]] = [
 
 @pytest.mark.parametrize("seed", range(6))
 def test_on_a_bad_line_what_comes_out_is_right_or_an_error(seed: int) -> None:
-    """Every sixth answer is lost, cut, garbled, doubled or has a glitch before it; every tenth request is not heard.
-    Each motion is carried out once."""
+    """Every sixth answer is lost, cut, garbled, doubled or preceded by a glitch; every tenth request is lost.
+
+    Each motion is carried out once.
+    """
     drawn = random.Random(seed)  # noqa: S311  not for secrets
     shared = SharedWorld(FakeWorld())
     registers = attach_registers(shared)

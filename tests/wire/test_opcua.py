@@ -1,4 +1,4 @@
-"""The OPC UA door over real sockets with asyncua's client: who gets in, what it reads, calls and hears."""
+"""OPC UA endpoint over real sockets with asyncua's client: access control, reading, method calls and events."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ROOT = "Volcal"
 
 
 def certificate(directory: Path, name: str, *, valid_for=timedelta(days=2)) -> tuple[Path, Path]:
-    """A client's own certificate and key."""
+    """Create a client's own certificate and key."""
     directory.mkdir(exist_ok=True)
     key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
     subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
@@ -66,7 +66,7 @@ def free_port() -> int:
 
 
 class World:
-    """A door that is open, with one trusted and one strange client certificate."""
+    """Open endpoint with one trusted and one unknown client certificate."""
 
     def __init__(self, directory: Path, *, anonymous_reading: bool) -> None:
         self.state = directory / "state"
@@ -414,7 +414,7 @@ def test_nobody_writes_a_node_or_changes_the_address_space(world):
 
 
 def test_a_session_cannot_be_taken_over_from_another_channel(world):
-    """asyncua binds a channel to whatever session it names before it looks at the user; a guessed number is enough."""
+    """asyncua binds a channel to any session it names before checking the user, so a guessed number would be enough."""
 
     async def scene() -> None:
         async with world.connected() as victim:

@@ -1,4 +1,4 @@
-"""One world behind several servers: its lock, its companions, and what moves its time."""
+"""One world behind several servers: its lock, its companions, and its source of time."""
 
 from __future__ import annotations
 

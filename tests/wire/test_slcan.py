@@ -1,4 +1,4 @@
-"""The serial CAN adapter: LAWICEL's commands byte by byte, bursts in both directions, adapters that fail."""
+"""Serial CAN adapter: LAWICEL's commands byte by byte, bursts in both directions, and failing adapters."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def peer() -> Iterator[SlcanPeerBus]:
 
 
 class Terminal:
-    """A host that types, with python's serial line and nothing else."""
+    """Host that types commands, with only Python's serial line."""
 
     def __init__(self, port: str) -> None:
         self._line = serial.Serial(port, timeout=5.0)
@@ -141,7 +141,7 @@ def numbered(number: int) -> can.Message:
 
 
 def test_a_burst_to_the_host_arrives_whole_and_in_order(peer: SlcanPeerBus) -> None:
-    """110 kB at once, far more than the line holds: what does not fit waits, and nothing is lost."""
+    """110 kB at once is far more than the line holds; the rest must wait without loss."""
     with SlcanBus(peer.port, **READY) as host:
         for number in range(BURST):
             peer.send(numbered(number))
@@ -200,7 +200,7 @@ def test_two_devices_with_other_options_do_not_share_a_port(peer: SlcanPeerBus) 
 
 @contextmanager
 def dead_adapter() -> Iterator[str]:
-    """A port that opens, and nobody behind it: nothing is read, nothing answered."""
+    """Port that opens but has no adapter behind it: nothing is read or answered."""
     ours, theirs = pty.openpty()
     yield os.ttyname(theirs)
     os.close(ours)

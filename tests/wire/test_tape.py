@@ -1,4 +1,4 @@
-"""Punch/read over a real pseudo-terminal, in virtual time, and its characters and blocks from the maker's pages."""
+"""Punch and read over a real pseudo-terminal in virtual time; characters and blocks from the maker's manuals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from drivers.serial_cnc.tape.transfer import PunchRead
 from simulators.wire.tape.controller import Mode, TapeCnc
 
 MANUAL = "%\nN00000P00001100\nN00002P00000000\nN09162P00000000\nN09163P00000000\n%\n"
-"""The example of B-63330EN/03, 3 (15i): beginning and end of a record."""
+"""Example of B-63330EN/03, 3 (15i): beginning and end of a record."""
 PARAMETERS = {number: f"P{number * 7}" for number in range(3620, 3660)} | {
     1005: "A1P10000001A2P10000001A3P10000001",
     5603: "S1P00001000S2P00001000S3P00000000",

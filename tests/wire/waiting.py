@@ -1,6 +1,6 @@
-"""How long wire tests wait for the other end, s."""
+"""Waiting times of wire tests, in s."""
 
 PATIENCE_S = 5.0
-"""For an answer that comes: a loaded computer may let the other end wait."""
+"""Time allowed for an answer that must come; a loaded computer may delay the other end."""
 SILENCE_S = 0.2
-"""For one that does not come, or is too short."""
+"""Time after which an answer counts as missing or incomplete."""

@@ -1,4 +1,4 @@
-"""A machine that ages: what each cause does to its field, and that nights are the same whoever asks."""
+"""Ageing of a machine: effect of each cause on its field, and reproducible nights."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ CORNERS = np.array([[0.0, 0.0, 0.0], [4000.0, 0.0, 0.0], [0.0, 1300.0, 0.0], [0.
 
 
 def deviation(night: int, **ageing: object) -> np.ndarray:
-    """(4, 3) mm at the corners."""
+    """Return the deviation (4, 3) in mm at the corners."""
     settings = SCENARIO.settings.model_copy(update={"ageing": AgeingSettings(night=night, **ageing)})
     return true_machine(replace(SCENARIO, settings=settings)).deviation(CORNERS)
 
 
 def test_a_season_stretches_the_axes() -> None:
-    """A quarter of a period: the whole amplitude; from one end to the other amplitude times length."""
+    """A quarter of a period gives the full amplitude: from end to end, amplitude times length."""
     change = deviation(20, seasonal_um_per_m=(5.0, 0.0, -3.0), season_nights=80.0) - deviation(0)
     assert change[1, 0] - change[0, 0] == pytest.approx(5e-6 * 4000.0, abs=1e-6)
     assert change[3, 2] - change[0, 2] == pytest.approx(-3e-6 * 1500.0, abs=1e-6)
@@ -42,7 +42,7 @@ def test_a_phase_leaves_the_first_night_as_it_is() -> None:
 
 
 def test_a_collision_turns_z_at_its_night_and_not_before() -> None:
-    """B0Z: z-travel about Y, d = (B0Z z, 0, 0)."""
+    """B0Z rotates the Z travel about Y: d = (B0Z z, 0, 0)."""
     collision = {"collision_night": 17, "collision": {"B0Z": 12.0}}
     assert deviation(16, **collision) == pytest.approx(deviation(16), abs=1e-12)
     for night in (17, 25):

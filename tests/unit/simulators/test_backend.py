@@ -1,4 +1,4 @@
-"""The roles in one process, and a whole set measured with them."""
+"""Device roles in one process, and a whole set measured with them."""
 
 import math
 
@@ -146,7 +146,7 @@ def test_every_ball_of_s3_is_found_exactly_without_a_collision(position) -> None
 
 
 def _touched(played: SimulatedMachineDevice, centre: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """In along +Y beside the ball, touch, and out the same way."""
+    """Approach along +Y beside the ball, touch, and withdraw along the same path."""
     start = centre - direction * (REACH + 4.0)
     away = np.array([start[0], centre[1] - 60.0, start[2]])
     for target in (centre - [0.0, 60.0, 0.0], away, start):

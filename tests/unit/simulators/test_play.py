@@ -1,4 +1,4 @@
-"""Lost motion of the axes: the play operator against its definition, step by step."""
+"""Lost motion of the axes: the play operator compared with its definition, step by step."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_play_grows_along_the_axis_and_never_below_nothing() -> None:
 
 @given(st.lists(st.floats(-0.02, 0.02), min_size=1, max_size=40))
 def test_slide_is_that_of_the_play_operator_in_small_steps(ways: list[float]) -> None:
-    """Against brute force: the drive goes in steps of 0.1 µm and pushes the slide only at either end of the play."""
+    """Brute force: the drive moves in steps of 0.1 µm and pushes the slide only at either end of the play."""
     ways = [round(way, 4) for way in ways if abs(round(way, 4)) > 1e-4]
     axes, drive, slide, half = play(8.0), 0.0, 0.0, 0.004
     for way in ways:

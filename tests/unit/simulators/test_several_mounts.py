@@ -1,5 +1,6 @@
-"""A mount at every station of the simulated world: all stand in the way, each turns by itself, nothing is carried by
-accident."""
+"""A mount at every station of the simulated world: all are obstacles, each turns alone, and no artefact moves by
+accident.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +74,7 @@ def test_the_probe_is_watched_against_the_bar_that_is_not_measured() -> None:
 
 
 def test_a_bar_that_turns_past_an_upright_one_passes_and_two_level_ones_meet() -> None:
-    """867 mm apart, bars of 1500 mm: one level and one upright have 87 mm between them, two level ones overlap."""
+    """Mounts 867 mm apart, bars of 1500 mm: one level and one upright are 87 mm apart, two level ones overlap."""
     four = four_at_867_mm()
     played = device(four)
     played.mount_at(2).orient_to(0.0, 0.0)
@@ -85,7 +86,7 @@ def test_a_bar_that_turns_past_an_upright_one_passes_and_two_level_ones_meet() -
 
 
 def test_where_bars_meet_is_where_brute_force_sees_them_meet() -> None:
-    """Tips of two bars rising and falling in one plane, sampled every millisecond."""
+    """Tips of two bars rise and fall in one plane, sampled every millisecond."""
     four = four_at_867_mm()
     two, three = four.table.pieces[1:3]
     two.mount.begin_turn("elevation", 0.0)

@@ -1,4 +1,4 @@
-"""The proof that a turn meets nothing, against the bodies themselves at many instants of it."""
+"""Proof that a turn is clear, compared with the bodies themselves at many instants."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TURNS = [((0.0, 0.0), (90.0, 45.0)), ((-60.0, 30.0), (45.0, -45.0)), ((120.0, -8
 
 
 def turning(start: tuple[float, float], end: tuple[float, float]) -> tuple[World, float]:
-    """A world whose mount begins to turn from `start` to `end`, and how long that takes."""
+    """Return a world whose mount turns from `start` to `end`, and the end of that turn."""
     world = ideal_world()
     mount = world.mounts["mount"]
     for angles in (start, end):
@@ -46,7 +46,7 @@ def test_what_is_proved_is_so_and_what_is_far_away_is_proved(start, end) -> None
 
 
 def test_a_turn_that_is_not_proved_is_looked_at() -> None:
-    """The tip just before the bar's end: nothing touches it at the start, and then the bar comes."""
+    """The tip rests just before the bar's end: nothing touches it at the start, then the bar arrives."""
     world, end_s = turning((0.0, 0.0), (-45.0, 0.0))
     ball = world.workpiece.snapshot(world.now).balls[8]
     tip = translate_point(ball, (0.0, -100.0, 0.0))

@@ -1,4 +1,6 @@
-"""What warms and what its warmth does, against a differential equation solved step by step and plain geometry."""
+"""Temperatures and thermal effects, compared with a stepwise solution of the differential equation
+and plain geometry.
+"""
 
 import numpy as np
 import pytest

@@ -23,7 +23,7 @@ def image_of(corrections_mm: np.ndarray) -> TableImage:
 
 
 def quiet_case_study() -> World:
-    """The true machine, but a probe and axes without noise: only the field is left."""
+    """Return the true machine with a probe and axes without noise, so that only the field remains."""
     scenario = case_study()
     update = {
         "trigger": TriggerSettings(pretravel_um=0.0, lobing_um=0.0, touch_sigma_um=0.0),

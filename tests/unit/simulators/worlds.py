@@ -1,4 +1,4 @@
-"""Worlds to try things in: the shipped case study, with and without its errors."""
+"""Worlds for tests: the shipped case study, with and without its errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simulators.world.world import World
 
 SHIPPED = Path(__file__).parents[3] / "config" / "simulators" / "case-study.toml"
 REACH = 15.5
-"""Radius of the ball and of the tip together."""
+"""Sum of ball radius and tip radius, in mm."""
 TOOL = np.array([0.0, 250.0, 0.0])
 
 
@@ -24,19 +24,19 @@ def case_study() -> Scenario:
 
 
 def ideal_world(station: int = 2) -> World:
-    """No error at all; the bar at `station`, level along X; the machine in its corner."""
+    """Return a world without errors; bar at `station`, level along X; machine in its corner."""
     world = World(case_study().without_errors())
     world.place_artefact(station)
     return world
 
 
 def ball_axis_position(world: World, ball: int) -> np.ndarray:
-    """Axis positions at which the tip of a perfect machine would be in the middle of the true ball."""
+    """Return the axis positions at which the tip of a perfect machine would be at the true ball centre."""
     return np.array(world.workpiece.snapshot(world.now).balls[ball]) - TOOL
 
 
 def run(world: World) -> None:
-    """Let the current motion end."""
+    """Advance to the end of the current motion."""
     ends = world.controller.motion_ends_s
     world.advance_to(world.now if ends is None else ends)
 
@@ -47,7 +47,7 @@ def moved(world: World, target: np.ndarray) -> None:
 
 
 def before_ball(world: World, ball: int, distance: float = 20.0) -> np.ndarray:
-    """Bring the tip in front of a ball, coming along +Y; returns the axis position of the ball."""
+    """Move the tip in front of a ball, approaching along +Y; return the axis position of the ball."""
     centre = ball_axis_position(world, ball)
     moved(world, np.array([centre[0], 0.0, centre[2]]))
     moved(world, centre - [0.0, distance, 0.0])

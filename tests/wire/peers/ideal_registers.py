@@ -1,7 +1,7 @@
-"""An ideal machine with one ball behind pyModbusTCP, written from docs/reference/modbus-register-map.md alone.
+"""Ideal machine with one ball behind pyModbusTCP, written only from docs/reference/modbus-register-map.md.
 
-Unlike the one in C it acts on what a request writes before it reads the answer, it counts in whole numbers of a scale
-where it is told to, and it keeps its registers by name of the page's tables rather than by place.
+Unlike the peer in C it executes what a request writes before it reads the answer, it can count in integers of a scale,
+and it stores its registers by the names in the page's tables rather than by address.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ TRAVEL, RAPID, RESOLUTION, MOST_MM = 500.0, 500.0, 1e-4, 0.5
 
 
 class IdealRegisters(DataBank):
-    """`scale`: None for f64, else int32 of so many mm. `low_word`, `low_byte`: what comes first."""
+    """Registers of the ideal machine. `scale`: None for f64, else int32 counts in mm; `low_word`, `low_byte`: order on
+    the wire.
+    """
 
     def __init__(self, scale: float | None = None, *, low_word: bool = False, low_byte: bool = False) -> None:
         super().__init__(h_regs_size=2402, coils_size=1, d_inputs_size=1, i_regs_size=1)
@@ -200,7 +202,9 @@ class IdealRegisters(DataBank):
         return tuple(a + share * (b - a) for a, b in zip(motion["from"], motion["to"], strict=True))
 
     def _contact(self, motion: dict, length: float) -> float:
-        """Where the way comes within reach of the ball, found by halving: no formula in common with anybody."""
+        """Return the path distance of contact with the ball, found by bisection so that no formula is shared with other
+        code.
+        """
         ways = [length * step / 2000 for step in range(2001)]
         inside = [math.dist(self._along(motion, way / length), BALL) < REACH for way in ways]
         entries = [index for index in range(1, 2001) if inside[index] and not inside[index - 1]]
@@ -314,5 +318,5 @@ class IdealRegisters(DataBank):
 
 
 def serving(registers: IdealRegisters, port: int) -> ModbusServer:
-    """A server on this computer that is not started yet. It answers whatever unit it is asked as."""
+    """Return a server on this computer, not yet started, that answers any unit."""
     return ModbusServer("127.0.0.1", port, no_block=True, data_hdl=DataHandler(registers))
