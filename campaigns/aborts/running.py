@@ -91,7 +91,7 @@ def _complete(interrupter: Interrupter, directory: Path) -> None:
     if defect is not None:
         raise defect
     if ended is None or ended.outcome.state is not RunState.COMPLETE or interrupter.world.collisions:
-        raise RuntimeError(f"the run that nobody broke off did not complete: {ended and ended.error}")
+        raise RuntimeError(f"the uninterrupted run did not complete: {ended and ended.error}")
 
 
 def _found(interrupter: Interrupter, ended: RunResult | None, defect: BaseException | None) -> dict[str, Any]:
