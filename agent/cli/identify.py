@@ -14,7 +14,7 @@ from agent.cli.errors import reported
 from agent.cli.options import PATH
 from agent.cli.printing import results_console
 from agent.results.estimation import order_text
-from agent.runs.offline_identification import Request, Result, identify_files
+from agent.runs.offline_identification import IdentificationRequest, IdentificationResult, identify_files
 from agent.settings.load import read_settings
 from agent.settings.schema import GateSettings, IdentificationSettings, Order
 from drivers.clock import utc_timestamp, wall_seconds
@@ -104,7 +104,9 @@ def identify(
     if process_noise_um is not None and carried_over is None:
         raise click.UsageError("--process-noise-um says how an estimate has aged: give it with --carried-over")
     gates = GateSettings() if config is None else read_settings(config).gates
-    request = Request(balls, machine, artefact, out, options, tool, order, carried_over, process_noise_um or 0.0, gates)
+    request = IdentificationRequest(
+        balls, machine, artefact, out, options, tool, order, carried_over, process_noise_um or 0.0, gates
+    )
     result = identify_files(request, utc_timestamp())
     if as_json:
         click.echo(json.dumps(result.as_json(wall_seconds() - started)))
@@ -112,7 +114,7 @@ def identify(
         _show(result, wall_seconds() - started)
 
 
-def _show(result: Result, seconds: float) -> None:
+def _show(result: IdentificationResult, seconds: float) -> None:
     estimate, finding = result.finding.estimate, result.finding
     table = Table(title=f"{result.material.machine.name}: {result.position_set}", title_justify="left")
     table.add_column("")

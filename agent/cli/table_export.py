@@ -16,7 +16,13 @@ from agent.cli.options import PATH, config_option
 from agent.cli.printing import results_console
 from agent.cli.store_connection import connected
 from agent.files import write_all_atomically
-from agent.results.controller_export import Material, Request, Result, export_table, table_in_files
+from agent.results.controller_export import (
+    TableExportRequest,
+    TableExportResult,
+    TableToExport,
+    export_table,
+    table_in_files,
+)
 from agent.results.table_image import table_of
 from drivers.errors import InputError
 from twin.compensation.controllers.format_options import (
@@ -115,15 +121,15 @@ def export(
     if table_path is not None and bank is not None:
         raise click.UsageError("--table and --bank name two tables: give one of the two")
     chosen = _chosen(format_name, format_options)
-    material = _from_bank(config, bank, estimate) if table_path is None else table_in_files(table_path, estimate)
+    source = _from_bank(config, bank, estimate) if table_path is None else table_in_files(table_path, estimate)
     if format_name is None:
         if points or opposite_sign or as_json:
             raise click.UsageError("--points, --opposite-sign and --json need --format")
-        _write_neutral(material.table, out)
-        click.echo(f"{material.origin} → {out}")
+        _write_neutral(source.table, out)
+        click.echo(f"{source.origin} → {out}")
         return
     choices = ExportOptions(chosen, opposite_sign)
-    result = export_table(material, Request(format_name, out, points, largest_um, choices))
+    result = export_table(source, TableExportRequest(format_name, out, points, largest_um, choices))
     if as_json:
         click.echo(json.dumps(result.as_json()))
     else:
@@ -141,13 +147,13 @@ def _chosen(format_name: str | None, given: Mapping[str, Any]) -> dict[str, Any]
     return chosen
 
 
-def _from_bank(config: Path, bank: int | None, estimate: Path | None) -> Material:
+def _from_bank(config: Path, bank: int | None, estimate: Path | None) -> TableToExport:
     with connected(config) as (job, rig):
         chosen = rig.store.active_bank() if bank is None else bank
         image = rig.store.read_table(chosen) if chosen else None
         if image is None:
             raise InputError(f"bank {chosen} holds no table", hint="`volcal table show` lists the banks", key="--bank")
-        return Material(table_of(image, job.tool_offset_mm), f"bank {chosen}", estimate, image.resolution_mm)
+        return TableToExport(table_of(image, job.tool_offset_mm), f"bank {chosen}", estimate, image.resolution_mm)
 
 
 def _write_neutral(table: CompensationTable, out: Path) -> None:
@@ -155,9 +161,9 @@ def _write_neutral(table: CompensationTable, out: Path) -> None:
     write_all_atomically(out.parent, texts)
 
 
-def _show(result: Result) -> None:
+def _show(result: TableExportResult) -> None:
     found, said, console = result.loss, result.as_json(), results_console()
-    table = Table(title=f"{result.material.origin} for {result.request.format}", title_justify="left")
+    table = Table(title=f"{result.source.origin} for {result.request.format}", title_justify="left")
     table.add_column("volumetric error")
     table.add_column("aligned", justify="right")
     table.add_column("as defined", justify="right")
@@ -182,7 +188,7 @@ def _show(result: Result) -> None:
         console.print(f"lost: {text}", markup=False)
     for name, fact in result.exported.facts.items():
         console.print(f"{name}: {fact}", markup=False)
-    if result.request.choices.opposite_sign:
+    if result.request.options.opposite_sign:
         console.print("Every value has the OPPOSITE sign of the documented one.", style="yellow")
     for name in result.exported.files:
         console.print(str(result.request.out / name), markup=False)

@@ -1,4 +1,4 @@
-"""A compensation table for a controller: read, checked, reduced, valued, written into a folder whole or not at all."""
+"""A compensation table for a controller: read, checked, reduced, valued; written as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ RECORD = "export.json"
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """`origin`: where the table comes from, for people. `estimate_file` None: the table speaks for itself.
+class TableToExport:
+    """A table with `origin`, the name of its bank or file for people.
 
-    `resolution_mm`: of the counts that a controller kept it in, 0 for a file.
+    `estimate_file` None: the machine is taken as the table describes it. `resolution_mm`: resolution of the counts in
+    which a controller stored the table, 0 for a file.
     """
 
     table: CompensationTable
@@ -45,41 +46,41 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Request:
-    """`points` None: the table's own grid. `largest_um`: corrections beyond it are refused."""
+class TableExportRequest:
+    """Format, folder and options. `points` None: the grid of the table. Corrections above `largest_um` are refused."""
 
     format: str
     out: Path
     points: Shape | None
     largest_um: float
-    choices: ExportOptions
+    options: ExportOptions
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
-    """`check`: where most is added, and how much, in mm."""
+class TableExportResult:
+    """Files and figures of an export. `check`: axis position of the largest correction, and that correction, in mm."""
 
-    request: Request
-    material: Material
+    request: TableExportRequest
+    source: TableToExport
     exported: ControllerExport
     loss: CompensationLoss
     check: tuple[Array, Array]
     table_crc32: str
 
     def as_json(self) -> dict[str, Any]:
-        """What `--json` prints; `export.json` in the folder says the same."""
-        table, found = self.material.table, self.loss
+        """Return the object that `--json` prints; `export.json` in the folder has the same keys."""
+        table, found = self.source.table, self.loss
         points = self.request.points or table.corrections.shape[:3]
         return {
             "format": self.request.format,
-            "table": self.material.origin,
+            "table": self.source.origin,
             "table_crc32": self.table_crc32,
-            "estimate": None if self.material.estimate_file is None else str(self.material.estimate_file),
+            "estimate": None if self.source.estimate_file is None else str(self.source.estimate_file),
             "points": list(points),
             "tool_offset_mm": table.tool_offset.tolist(),
             "largest_um": round(1e3 * float(np.abs(table.corrections).max()), 3),
             "extrapolated_percent": round(100.0 * float(np.mean(table.extrapolated)), 1),
-            "opposite_sign": self.request.choices.opposite_sign,
+            "opposite_sign": self.request.options.opposite_sign,
             "ve_before_um": round(found.before.aligned_um, 3),
             "ve_full_um": round(found.full.aligned_um, 3),
             "ve_reduced_um": round(found.reduced.aligned_um, 3),
@@ -96,8 +97,8 @@ class Result:
         }
 
 
-def table_in_files(path: Path, estimate: Path | None) -> Material:
-    """The table of a run's folder or of a CSV file, with the estimate named or the one that lies beside it."""
+def table_in_files(path: Path, estimate: Path | None) -> TableToExport:
+    """Return the table of a run's folder or of a CSV file, with the named estimate or the one beside it."""
     if path.is_dir():
         path = path / "table.csv"
     side = path.with_suffix(".json")
@@ -105,24 +106,24 @@ def table_in_files(path: Path, estimate: Path | None) -> Material:
     with translated(InputError, file=str(path)):
         table = parse_table(text, side_text, str(path), str(side))
     beside = path.parent / "estimate.json"
-    return Material(table, str(path), estimate or (beside if beside.exists() else None))
+    return TableToExport(table, str(path), estimate or (beside if beside.exists() else None))
 
 
-def export_table(material: Material, request: Request) -> Result:
-    """Write the files of a format and `export.json` into `request.out`. Raises UserError; then nothing is written."""
-    with translated(InputError, file=material.origin):
-        whole = ExportSource(material.table, _identified(material.estimate_file))
+def export_table(source: TableToExport, request: TableExportRequest) -> TableExportResult:
+    """Write the files of a format and `export.json` into `request.out`. Raises UserError without writing."""
+    with translated(InputError, file=source.origin):
+        whole = ExportSource(source.table, _identified(source.estimate_file))
         require_small_corrections(whole.table, 1e-3 * request.largest_um)
-        require_same_machine(whole, material.resolution_mm)
+        require_same_machine(whole, source.resolution_mm)
         table = whole.table if request.points is None else resample_table(whole.table, request.points)
-        exported = FORMATS[request.format].export(ExportSource(table, whole.estimate), request.choices)
+        exported = FORMATS[request.format].export(ExportSource(table, whole.estimate), request.options)
         found, check = compensation_loss(whole, exported.correction), largest_correction(table, exported.correction)
-    result = Result(request, material, exported, found, check, checksum(format_table(material.table)))
+    result = TableExportResult(request, source, exported, found, check, checksum(format_table(source.table)))
     write_all_atomically(request.out, _contents(result))
     return result
 
 
-def _contents(result: Result) -> Mapping[str, str]:
+def _contents(result: TableExportResult) -> Mapping[str, str]:
     record = {"software": f"volcal {version('volcal')}", **result.as_json()}
     return {**result.exported.files, RECORD: json.dumps(record, indent=2, ensure_ascii=False) + "\n"}
 

@@ -38,7 +38,7 @@ NO_STORE = StoreLimits((), (0, 0, 0), 0, 0.0, float("inf"), Activation.IMMEDIATE
 
 
 @dataclass(frozen=True)
-class Request:
+class IdentificationRequest:
     """Files and options of an identification. `tool` None: the tool with which most balls were measured.
 
     `carried_over`: an earlier estimate as prior; the machine may have changed since by `process_noise_um` (rms of the
@@ -58,7 +58,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Material:
+class IdentificationInput:
     """Contents of the files, and the tool that the table is made for."""
 
     machine: MachineDescription
@@ -69,11 +69,11 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Result:
+class IdentificationResult:
     run_id: str
     timestamp: str
     position_set: str
-    material: Material
+    material: IdentificationInput
     finding: Finding
     gates: tuple[Gate, ...]
     report: Path
@@ -106,7 +106,7 @@ class Result:
         }
 
 
-def identify_files(request: Request, timestamp: str) -> Result:
+def identify_files(request: IdentificationRequest, timestamp: str) -> IdentificationResult:
     """Read the files, identify, and write estimate.json, table.csv, table.json and report.html into `request.out`.
 
     `timestamp` (ISO 8601 UTC) dates the results. Raises UserError for wrong input; nothing is written in that case.
@@ -115,7 +115,7 @@ def identify_files(request: Request, timestamp: str) -> Result:
     material = read_material(request)
     with translated(file=str(request.balls)):
         finding, gates = _gated(material, request)
-    result = Result(
+    result = IdentificationResult(
         run_id=f"identify-{timestamp[:19].replace('-', '').replace(':', '')}Z",
         timestamp=timestamp,
         position_set=name_of_positions(material.balls.positions),
@@ -128,7 +128,7 @@ def identify_files(request: Request, timestamp: str) -> Result:
     return result
 
 
-def read_material(request: Request) -> Material:
+def read_material(request: IdentificationRequest) -> IdentificationInput:
     """Return the contents of the files. Raises UserError naming file and key or row if something cannot be used."""
     machine = load_machine(request.machine)
     artefact = load_artefact(request.artefact)
@@ -143,7 +143,7 @@ def read_material(request: Request) -> Material:
         known = _carried_over(request.carried_over, machine, tool, request.process_noise_um)
         with translated(ConfigurationError):
             options = replace(options, carried_over=known)
-    return Material(machine, artefact, balls, tool, options)
+    return IdentificationInput(machine, artefact, balls, tool, options)
 
 
 def _carried_over(path: Path, machine: MachineDescription, tool: str, process_noise_um: float) -> CarriedOverPrior:
@@ -155,7 +155,7 @@ def _carried_over(path: Path, machine: MachineDescription, tool: str, process_no
         return known.after(process_noise(family, MM_PER_UM * process_noise_um, machine.tool(tool)))
 
 
-def _gated(material: Material, request: Request) -> tuple[Finding, tuple[Gate, ...]]:
+def _gated(material: IdentificationInput, request: IdentificationRequest) -> tuple[Finding, tuple[Gate, ...]]:
     """Return estimate and table, and the verdicts of the gates that a run has. Raises TwinError."""
     finding = find(
         material.machine,
@@ -173,7 +173,7 @@ def _gated(material: Material, request: Request) -> tuple[Finding, tuple[Gate, .
     return finding, gates
 
 
-def _table_tool(request: Request, machine: MachineDescription, balls: BallFile) -> str:
+def _table_tool(request: IdentificationRequest, machine: MachineDescription, balls: BallFile) -> str:
     names = list(machine.tools)
     if request.tool is None:
         return names[int(np.bincount(balls.observations.tool).argmax())]
@@ -183,7 +183,7 @@ def _table_tool(request: Request, machine: MachineDescription, balls: BallFile) 
     return request.tool
 
 
-def _texts(result: Result, request: Request) -> dict[str, str]:
+def _texts(result: IdentificationResult, request: IdentificationRequest) -> dict[str, str]:
     """Return the four result files by name."""
     from agent.reports.page.render import render_report  # noqa: PLC0415  refused input does not wait for matplotlib
 
@@ -196,7 +196,7 @@ def _texts(result: Result, request: Request) -> dict[str, str]:
     }
 
 
-def _provenance(result: Result, request: Request) -> dict[str, str]:
+def _provenance(result: IdentificationResult, request: IdentificationRequest) -> dict[str, str]:
     return {
         "run_id": result.run_id,
         "time": result.timestamp,
@@ -212,13 +212,13 @@ def _provenance(result: Result, request: Request) -> dict[str, str]:
     }
 
 
-def _prior_text(request: Request) -> str:
+def _prior_text(request: IdentificationRequest) -> str:
     if request.carried_over is not None:
         return f"{request.carried_over.name}, changed since by {request.process_noise_um:g} µm rms"
     return "family of the machine" if request.options.use_prior else "none"
 
 
-def _report_data(result: Result, request: Request, crc32: str) -> ReportData:
+def _report_data(result: IdentificationResult, request: IdentificationRequest, crc32: str) -> ReportData:
     material, finding, options = result.material, result.finding, request.options
     settings = {
         "Prior": _prior_text(request),
@@ -254,7 +254,7 @@ def _report_data(result: Result, request: Request, crc32: str) -> ReportData:
     )
 
 
-def _warnings(material: Material, finding: Finding, options: Options) -> tuple[str, ...]:
+def _warnings(material: IdentificationInput, finding: Finding, options: Options) -> tuple[str, ...]:
     """Return notes to read before the table is loaded into a machine."""
     notes = ["Nothing was measured with the table active: values after compensation are predictions."]
     share = float(np.mean(finding.table.extrapolated))
@@ -267,6 +267,6 @@ def _warnings(material: Material, finding: Finding, options: Options) -> tuple[s
     return (*notes, *scale_warnings(finding.estimate))
 
 
-def _used_tools(material: Material) -> set[str]:
+def _used_tools(material: IdentificationInput) -> set[str]:
     names = list(material.machine.tools)
     return {names[tool] for tool in np.unique(material.balls.observations.tool)}

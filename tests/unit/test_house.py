@@ -60,7 +60,6 @@ SAME_NAME = {
         "Body",
         "Done",
         "Judge",
-        "Material",
         "MotionKind",
         "MotionResult",
         "Orientation",
