@@ -112,7 +112,7 @@ OWN_COMMANDS = {
         "Compare a run's step times with the prediction and suggest latencies for the settings.",
     ),
     "verify": OwnCommand(
-        "agent.cli.verify:verify_command",
+        "agent.cli.nightly:verify_command",
         "Measure a few positions with the active table and compare with the last accepted night.",
     ),
     "table": OwnCommand("agent.cli.table:table_group", "Show, export and restore compensation tables."),
