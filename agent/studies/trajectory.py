@@ -46,7 +46,7 @@ class TrajectoryResult:
         return _rms(self.machine_um - self.models_um[count]) if count in self.models_um else None
 
     def expected_residual_um(self, count: int) -> float | None:
-        """Return the same rms length as expected over all machines."""
+        """Return the expected rms length of M less C over all machines, or None if there is no C."""
         return _rms(self.sigma_um[count]) if count in self.sigma_um else None
 
 

@@ -1,4 +1,4 @@
-"""Table cells of verdicts."""
+"""Verdicts on procedures as cells of a table."""
 
 from __future__ import annotations
 

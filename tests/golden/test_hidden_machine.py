@@ -1,8 +1,8 @@
-"""Validity of the stated uncertainties for a machine that the model cannot represent.
+"""Validity of the stated uncertainty for a machine that the model cannot represent.
 
-The truth has Legendre orders up to 7, a deflection of a form unknown to the model, an artefact with errors within its
+The truth has Legendre orders up to 7, a form of deflection unknown to the program, an artefact that deviates within its
 certificate, touch noise and two gross errors. The model has the order chosen by the evidence, and the certificate.
-Figures are over all forms of deflection and all seeds.
+Figures are taken over all forms of deflection and all seeds.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ GROSS = {20: np.array([0.02, 0.0, 0.01]), 100: np.array([0.0, -0.05, 0.0])}
 
 
 def leaning_column(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a ram sag with a power law, a column that yields more with height and a rail that waves in X."""
+    """Ram sag with a power law, a column whose compliance grows with height, and a rail that undulates in X."""
     return 2.0 * np.sin(3.0 * np.pi * z) * y, 3.0 * y**3 * z, -9.0 * y**2 * (0.5 + z) + 1.5 * np.sin(5.0 * np.pi * x)
 
 
 def soft_spot(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a foundation that yields in one location and between screws."""
+    """Foundation that yields at one point and between the screws."""
     sunk = np.exp(-(((x - 0.4) / 0.15) ** 2))
     return 3.0 * sunk * z, 2.0 * np.cos(5.0 * x) * y * z, -8.0 * y**2.5 + 2.0 * np.sin(4.0 * np.pi * x) ** 2 * y
 
 
 def joined_rails(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rails of two pieces: a kink in X and a step in height at the joint, and a kink halfway up."""
+    """Rails of two pieces: a kink in X and a step in height at the joint, and a kink half-way up."""
     step = np.tanh((x - 0.55) / 0.04)
     return 2.0 * np.abs(z - 0.5) * y, 3.0 * np.abs(x - 0.55) * (0.5 + z), 1.2 * step - 6.0 * y**1.5
 
 
 def pendulum(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a cross-beam that swings with the position of its saddle; no term is a product of one axis and a lever."""
+    """Cross-beam that swings with the position of its saddle: not a product of one axis with a lever."""
     swing = np.sin(np.pi * (x + 0.7 * y + 0.4 * z))
     return (
         2.0 * swing * z,
@@ -148,7 +148,7 @@ def night(form: str, seed: int) -> Night:
 
 
 def left_um(one: Night, estimate: Estimate) -> float:
-    """Return the true aligned VCE."""
+    """Return the true aligned VCE in µm."""
     left = one.truth - exact_deviation(estimate.model, GRID, TOOL, estimate.parameters)
     return volumetric_error(GRID + TOOL, left).aligned_um
 
@@ -171,9 +171,7 @@ def test_the_aligned_volumetric_error_falls_to_about_a_third() -> None:
 
 
 def test_the_order_that_the_evidence_chooses_leaves_no_more_than_order_five_by_fiat() -> None:
-    """Compare with a fixed order 5. The modelled misfit also helps: without it and at order 5 the residual is
-    largest.
-    """
+    """The modelled misfit does not leave more either; without it, at order 5, the error is largest."""
     five = family_of_order(5)
 
     def by_fiat(one: Night, options: Options) -> float:
@@ -197,7 +195,7 @@ def test_the_predicted_error_is_near_the_true_one() -> None:
 
 
 def test_the_field_lies_inside_its_stated_uncertainty() -> None:
-    """Check random points after the rigid motion that no artefact observes: squares near 1, few beyond two sigma."""
+    """At random points, after the rigid motion that no artefact can determine: squares near 1, few beyond two sigma."""
     points = np.random.default_rng(77).uniform(LOW, HIGH, (1500, 3))
     squares, beyond = [], []
     for one in nights():
@@ -212,7 +210,7 @@ def test_the_field_lies_inside_its_stated_uncertainty() -> None:
 
 
 def aligned(points: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """Return the residual after the best small rigid motion, by plain least squares."""
+    """Return the field without the best small rigid motion, by least squares."""
     arms = (points - points.mean(axis=0)) / 1000.0
     motions = np.zeros((len(points), 3, 6))
     motions[:, :, :3] = np.eye(3)
@@ -228,7 +226,7 @@ def test_residuals_agree_with_the_stated_noise() -> None:
 
 
 def test_the_table_does_to_the_machine_what_was_predicted() -> None:
-    """Add the table, read trilinearly, to the commanded position of the true machine."""
+    """The table is added to the commanded position, with trilinear interpolation, on the true machine."""
     one = night("joined_rails", SEEDS[0])
     model = one.estimate.model
     nodes = regular_nodes(RANGES, (100.0, 100.0, 100.0))

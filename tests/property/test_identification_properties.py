@@ -1,4 +1,4 @@
-"""Properties of any sphere, any table anchor and any placement of the artefact."""
+"""Properties that hold for any sphere, any table anchor and any placement of the artefact."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ AT_NODES = np.stack(np.meshgrid(*NODES, indexing="ij"), axis=-1).reshape(-1, 3)
 def test_another_anchor_is_another_rigid_motion_of_the_compensated_machine(
     seed: int, first: Anchor, second: Anchor
 ) -> None:
-    """Compare the largest machines of the family with both tables active: 1e-9 mm apart from a rigid motion."""
+    """For the largest machines of the family, with both tables active: 1e-9 mm apart from a rigid motion."""
     errors = FAMILY.half_widths * np.random.default_rng(seed).choice([-1.0, 1.0], MODEL.size)
     corrections = [
         build_table(MODEL, errors, NODES, TOOL, anchor, AT_NODES).corrections.reshape(-1, 3)
@@ -140,7 +140,7 @@ def test_another_anchor_is_another_rigid_motion_of_the_compensated_machine(
 
 
 def steepest(errors: np.ndarray) -> float:
-    """Return the largest slope of the deviation field, by differences over 1 mm on a fine grid."""
+    """Return the largest slope of the deviation field, from differences over 1 mm on a fine grid."""
     fine = evaluation_grid(RANGES, (41, 19, 21))
     here = exact_deviation(MODEL, fine, TOOL, errors)
     slopes = [exact_deviation(MODEL, fine + step, TOOL, errors) - here for step in np.eye(3)]

@@ -1,6 +1,6 @@
-"""A machine that the identification cannot represent, and the ball centres that it would give.
+"""Machine that the identification cannot represent, and the ball centres that it would measure.
 
-Richer than the model that is identified: Legendre orders up to 7, a gravity deflection field, an artefact that differs
+It is richer than the identified model: Legendre orders up to 7, a gravity deflection field, an artefact that differs
 from its certificate within the stated uncertainty, a temperature that drifts, touch noise.
 """
 
@@ -42,7 +42,7 @@ MARGIN_MM = np.array([5.0, 40.0, 5.0])
 
 @dataclass(frozen=True)
 class HiddenMachine:
-    """`deviation(axis_positions)` is the truth in mm; `artefact` the balls as they really stand."""
+    """Hidden machine: `deviation(axis_positions)` is the truth in mm, `artefact` the true balls."""
 
     description: MachineDescription
     model: ErrorModel
@@ -55,7 +55,7 @@ class HiddenMachine:
         return errors + self.description.deflection.at(axis_positions)
 
     def found_at(self, tool_points: np.ndarray) -> np.ndarray:
-        """Axis positions that bring the real tool point to `tool_points`: fixed point of p - t - d(X)."""
+        """Return axis positions that bring the real tool point to `tool_points`: fixed point of p - t - d(X)."""
         axis_positions = tool_points - self.offset
         for _ in range(4):
             axis_positions = tool_points - self.offset - self.deviation(axis_positions)
@@ -73,7 +73,7 @@ def hidden_machine(rng: np.random.Generator) -> HiddenMachine:
 
 
 def measured_rows(machine: HiddenMachine, positions: tuple[Position, ...], rng: np.random.Generator) -> list[dict]:
-    """Rows of a ball file, as text; balls outside the travel are left out."""
+    """Return the rows of a ball file as text; balls outside the axis travel are left out."""
     stations = max(position.station for position in positions)
     ranges = machine.description.model.ranges_mm
     y, z = 0.5 * sum(ranges[1]) + machine.offset[1], 0.5 * sum(ranges[2])
@@ -104,7 +104,7 @@ def as_csv(rows: list[dict], columns: list[str] | None = None) -> str:
 
 
 def ball_file(path: Path, seed: int = 7, expression: str = "S3", stations: int = 4) -> HiddenMachine:
-    """Write a ball file and give the machine that it comes from."""
+    """Write a ball file and return the machine that it comes from."""
     rng = np.random.default_rng(seed)
     machine = hidden_machine(rng)
     path.write_text(as_csv(measured_rows(machine, parse_position_set(expression, stations), rng)))

@@ -19,7 +19,7 @@ from twin.formats.estimate_file import StoredEstimate, parse_estimate
 
 @pytest.fixture(scope="module")
 def nights(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Ball files of two nights of one machine and one bar."""
+    """Return ball files of two nights of one machine and one bar."""
     folder, rng = tmp_path_factory.mktemp("nights"), np.random.default_rng(8)
     machine = hidden_machine(rng)
     files = []

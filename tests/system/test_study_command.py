@@ -1,4 +1,4 @@
-"""`volcal study` as people type it: same numbers on one core, on two and on a cluster; clear words for bad input."""
+"""`volcal study` from the command line: the same numbers on one core, two cores and a cluster; clear messages."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def volcal(*arguments: str | Path, **environment: str) -> subprocess.CompletedPr
 
 
 def here(*arguments: str | Path) -> Result:
-    """The same command without the seconds that a process of its own takes to start."""
+    """Run the same command in this process, which saves the start of a separate one."""
     return CliRunner().invoke(main, ["study", *map(str, arguments)])
 
 
@@ -163,7 +163,7 @@ class TestInterrupt:
     def test_the_keyboard_ends_it_with_all_its_processes(self, tmp_path: Path) -> None:
         many = ["monte-carlo", "--machines", "100000", "--stations", "2", "--workers", "2"]
         command = [*VOLCAL, *many, "--out", str(tmp_path)]
-        drawn = {**os.environ, "FORCE_COLOR": "1"}  # the bar as on a terminal, which says when machines are done
+        drawn = {**os.environ, "FORCE_COLOR": "1"}  # progress bar as on a terminal, which shows completed machines
         running = subprocess.Popen(command, stderr=subprocess.PIPE, process_group=0, env=drawn)
         assert running.stderr is not None
         try:
@@ -173,7 +173,7 @@ class TestInterrupt:
                 assert some, read
                 read += some
             os.killpg(running.pid, signal.SIGINT)
-            said = running.communicate(timeout=60)[1].decode()  # to its end: no process that holds it open is left
+            said = running.communicate(timeout=60)[1].decode()  # end of file: no remaining process holds it open
         finally:
             if running.poll() is None:
                 os.killpg(running.pid, signal.SIGKILL)

@@ -17,8 +17,8 @@ class MeasuringCosts:
     """Measuring time of N candidates.
 
     `minutes` (N,): time of each candidate with the mount already at its station; `stations` (N,): its station;
-    `carry_minutes`: time to move the mount to another station; `standing_at`: initial station of the mount, None if
-    unknown.
+    `carry_minutes`: time to move the mount to another station; `standing_at`: initial station of the mount, None if it
+    is at no station.
 
     A set is measured station by station, so each station other than the initial one costs one move.
     """

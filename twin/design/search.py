@@ -1,7 +1,8 @@
 """Greedy search for a position set: add the best position repeatedly, then exchange positions while that helps.
 
-Every gain is computed exactly at every step. Lazy evaluation relies on gains that can only fall and is not used: under
-the trace criterion one position may increase the gain of another, and with `InformationState` it would save little.
+Every gain is computed exactly at every step. Lazy evaluation is not used: it assumes that gains can only fall, but
+under the trace criterion one position may increase the gain of another, and with `InformationState` it would save
+little.
 """
 
 from __future__ import annotations

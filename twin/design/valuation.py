@@ -43,7 +43,7 @@ def valuation(
     grid: ArrayLike,
     tool_offset: ArrayLike,
 ) -> Valuation:
-    """Value planned ball centres, identified with prior, full weights and scales as stated."""
+    """Return the valuation of planned ball centres, identified with prior, full weights and scales as stated."""
     problem = build_problem(family, observations, artefact, options)
     form = Criterion.build(problem.unknowns, grid, tool_offset)
     return Valuation(*(form.expected(covariance) for covariance in _covariances(problem)))

@@ -73,12 +73,12 @@ class MachineDrift:
 
     @property
     def forms(self) -> int:
-        """Number of drifting fields: parameters that drift and the three directions of the tip."""
+        """Number of drift fields: one per drifting parameter and three for the directions of the tip."""
         return len(self.parameter_indices) + 3
 
     @property
     def bending(self) -> list[int]:
-        """Indices of the drifting fields that depend on all regressors."""
+        """Indices of the drift fields that depend on all regressors."""
         return [number for number, name in enumerate(self.names) if not _is_scale(name)]
 
     @property

@@ -44,11 +44,12 @@ Weights = dict[Degrees, float]
 
 @dataclass(frozen=True, eq=False)
 class MisfitModes:
-    """Modes with unit-normal coefficients: field = candidates · `mixing` - model and rigid motion · `removed`.
+    """Modes with unit-normal coefficients: field = candidates · `mixing` - model · `removed` - rigid motions · `rigid`.
 
-    `degrees`: Legendre degrees in x, y, z of each candidate (c); `mixing` (3, c, q) in mm; `removed` (p, q); `rigid`
-    (6, q); `sizes`: number of modes of each kind, in consecutive blocks; `left_out` (kinds,): variance per direction,
-    mean over the workspace, that the modes of a kind leave out. Modes and remainder together have a prior rms of 1.
+    `degrees`: Legendre degrees in x, y, z of each candidate (c); `mixing` (3, c, q) in mm; `removed` (p, q) and `rigid`
+    (6, q): part of each mode that the model or a rigid motion represents; `sizes`: number of modes of each kind, in
+    consecutive blocks; `left_out` (kinds,): variance per direction, mean over the workspace, that the modes of a kind
+    leave out. Modes and remainder together have a prior rms of 1.
     """
 
     model: ErrorModel

@@ -74,7 +74,7 @@ def residual_covariance(estimate: FieldKnowledge, points: ArrayLike, tool_offset
 
 
 def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple[Array, Array]:
-    """Return the mean squares (p + q, p + q) in mm² of the field's columns over axis positions (n, 3).
+    """Return the quadratic forms (p + q, p + q) in mm² of the mean square field over axis positions (n, 3).
 
     The first form is raw, the second after the best rigid motion.
     """

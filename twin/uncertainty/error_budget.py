@@ -47,8 +47,8 @@ covers the model's own parameters, as far as the position set does not determine
 class ErrorBudget:
     """Error budget of a procedure.
 
-    `moments`: for each influence the second moments (u, u) of the remaining parameters of the joint model of `field`;
-    `bias` (u,): parameter error that compensation adds to the deflection.
+    `moments`: for each influence the second moments (u, u) of the residual parameters of the joint model of `field`;
+    `bias` (u,): parameter error that the deflection causes, the same for all machines.
     """
 
     field: FieldForm

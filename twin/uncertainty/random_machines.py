@@ -43,7 +43,8 @@ DEFLECTION_FORMS = ("none", "beams", *_DRAWN)
 
 @dataclass(frozen=True, eq=False)
 class RandomMachine:
-    """A random machine and the conditions of its measurement; `noise` is the ratio of true to stated touch noise."""
+    """A random machine and the truth assumptions of its measurement; `noise` is the ratio of true to stated touch
+    noise."""
 
     form: str
     truth: TrueMachine

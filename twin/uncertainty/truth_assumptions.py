@@ -43,10 +43,11 @@ class TruthAssumptions:
 
     @classmethod
     def as_modelled(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Return machines that the model can represent, with no errors besides touch noise and certificate."""
+        """Return the assumptions for machines that the model can represent, with errors of touches and certificate
+        only."""
         return cls(machine.family)
 
     @classmethod
     def of_case(cls, machine: MachineDescription) -> TruthAssumptions:
-        """Return machines of the family with the deflection of the machine file."""
+        """Return the assumptions for machines of the family with the deflection of the machine file."""
         return cls(machine.family, machine.deflection)

@@ -1,4 +1,4 @@
-"""Tasks that worker processes import by name: what a lambda cannot be."""
+"""Tasks that worker processes import by name, since a lambda cannot be pickled."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.errors import SingularSet
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """A task with a large part of its own, whose result depends on the last bit of every number in it."""
+    """Task with a large array of its own, whose result depends on the last bit of every number in it."""
 
     matrix: np.ndarray
     seed: int
@@ -62,7 +62,7 @@ class SlowAgain:
 
 
 def interrupting(number: int) -> int:
-    """Item 3 has the keyboard interrupt the parent, then never ends by itself."""
+    """Let item 3 send the keyboard interrupt to the parent and then run forever."""
     if number == 3:
         os.kill(os.getppid(), signal.SIGINT)
         threading.Event().wait(600.0)

@@ -1,4 +1,4 @@
-"""The coverage study with few machines: wide bounds, but bounds that a misfit left out of account would break."""
+"""Coverage study with few machines: the bounds are wide, but ignoring the misfit would violate them."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_parameters_of_machines_as_modelled_are_held() -> None:
 
 
 def test_without_the_misfit_the_truth_gets_lost() -> None:
-    """The test can fail: what makes the regions hold is the modelled misfit."""
+    """Check that the test can fail: without the modelled misfit the regions do not hold."""
     said = run(case(12, Options(misfit_mm=0.0))).summary[ORDER_OF_FILE]
     assert isinstance(said, dict)
     assert said["field jointly"] < 0.7

@@ -1,4 +1,4 @@
-"""Design on the case study: the criterion is the prediction of an identification, vetting the preflight's verdict."""
+"""Design on the case study: the criterion equals the predicted VCE, and vetting agrees with the preflight."""
 
 from dataclasses import replace
 from functools import cache
@@ -52,7 +52,7 @@ def searching(setting: Setting, offered: CandidatePositions) -> ExchangeSearch:
 
 
 def predicted(positions: tuple[Position, ...]) -> tuple[float, float]:
-    """Predicted VCE of a real identification of what the set would measure."""
+    """Return the predicted VCE of a real identification of the planned measurement."""
     job = case()
     seen = job.procedure.plan(positions).observations
     estimate = identify(job.machine.model, seen, job.artefact, job.machine.family, AS_STATED)

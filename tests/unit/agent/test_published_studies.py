@@ -1,4 +1,4 @@
-"""The published studies: against brute force on the grid, against plain arithmetic, and where nothing is identified."""
+"""Published studies against brute force on the grid and plain arithmetic, including unidentifiable cases."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NANOMETRE_UM = 1e-3
 
 @cache
 def job(stations: int | None = None) -> Job:
-    """The shipped case, which has four stations, or with others."""
+    """Return the shipped case with its four stations, or with other stations."""
     return load_case(CASE_STUDY, stations=stations)
 
 
@@ -56,14 +56,14 @@ def case(stations: int | None = 2, **changes: object) -> StudyCase:
 
 
 def true_field(made: StudyCase, parameters: Array, points: Array) -> Array:
-    """Exact deviation of a machine with deflection (n, 3) mm."""
+    """Return the exact deviation (n, 3) in mm of a machine with deflection."""
     deflection = made.assumptions.deflection
     assert deflection is not None
     return exact_deviation(made.machine.model, points, made.tool_offset, parameters) + deflection.at(points)
 
 
 def less_rigid(made: StudyCase, field_at_grid: Array, grid: Array, field: Array, points: Array) -> Array:
-    """`field` less the rigid motion of `field_at_grid`: three shifts and three turns by plain least squares."""
+    """Return `field` without the rigid motion of `field_at_grid`: three shifts and three rotations by least squares."""
 
     def motions(places: Array) -> Array:
         columns = [np.tile(np.eye(3)[axis], (len(places), 1)) for axis in range(3)]

@@ -1,4 +1,4 @@
-"""The frame of all studies: what they are given, the files they leave, the registry, their simulation."""
+"""Framework of the studies: inputs, output files, registry, simulation."""
 
 from __future__ import annotations
 
@@ -161,8 +161,11 @@ class TestRegistry:
 
 @pytest.mark.timeout(240)
 class TestClosedFormAndSimulation:
-    """The whole study on a small case, machines with deflection: simulation within three standard errors of the closed
-    form, which are small enough to tell it from one that leaves an influence out."""
+    """Whole study on a small case with deflection.
+
+    The simulation lies within three standard errors of the closed form, which is precise enough to detect a missing
+    influence.
+    """
 
     @pytest.mark.parametrize(
         "options",

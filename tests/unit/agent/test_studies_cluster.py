@@ -1,4 +1,4 @@
-"""Work on a Dask cluster of real processes: the numbers of this computer, and clear words for every bad end."""
+"""Work on a Dask cluster of real processes: the same numbers as locally, and a clear message for every failure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HERE = str(Path(__file__).parent)
 
 
 def ignore(_: int) -> None:
-    """Progress that nobody looks at."""
+    """Ignore the progress."""
 
 
 def started(workers: int) -> LocalCluster:
@@ -126,7 +126,7 @@ class TestBadEnds:
         def ready_then_orphaned(
             self: DaskWorkers, pending: set[cluster.Work]
         ) -> tuple[set[cluster.Work], set[cluster.Work]]:
-            """A worker that dies after its result was said to be ready and before it was fetched."""
+            """Report a result as ready, then kill its worker before the result is fetched."""
             ready, rest = waited(self, pending)
             if ready and not killed:
                 killed.append(int((tmp_path / "first").read_text()))

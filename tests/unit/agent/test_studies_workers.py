@@ -1,4 +1,4 @@
-"""Work shared among processes: same numbers however it is shared, and every bad end is a clean one."""
+"""Work shared among processes: the same numbers for every distribution, and a clean end after every failure."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from drivers.errors import ConfigurationError, InputError, VolcalError
 
 
 def ignore(_: int) -> None:
-    """Progress that nobody looks at."""
+    """Ignore the progress."""
 
 
 def sums() -> study_tasks.Sums:
-    """Its matrix is laid out as none comes out of a pickle."""
+    """Return a task whose matrix has a memory layout that unpickling never produces."""
     whole = np.random.default_rng(3).standard_normal((120, 120))
     return study_tasks.Sums(whole.T[::2, ::2], seed=11)
 

@@ -1,4 +1,4 @@
-"""The study of contributions: its table adds up, its simulations stand beside it, its files are complete."""
+"""Uncertainty study: its table adds up, its simulations agree, and its files are complete."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_squares_of_the_contributions_add_up(kind: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in (*INFLUENCES, TOGETHER) if name != "mount"])
 def test_each_simulation_agrees_with_its_closed_form(name: str) -> None:
-    """A single influence of one unknown has a skew square: forty of them know their own spread badly."""
+    """The square of a single influence with one unknown is skewed, so the spread of forty samples is poorly known."""
     row = table()[name]
     for kind in ("raw_um", "aligned_um"):
         off = row[f"simulated_{kind}"] - row[kind]

@@ -1,4 +1,4 @@
-"""Ball centres of an invented machine, for tests of identification."""
+"""Simulated ball centres of an artificial machine, for tests of the identification."""
 
 from __future__ import annotations
 
@@ -55,9 +55,8 @@ def measured(
     tools: tuple[np.ndarray, ...] = (TOOL,),
     temperature_c: float = 20.0,
 ) -> Observations:
-    """Return every reachable ball of the set, once with every tool; `deviation(axis positions, tool)` is the truth in
-    mm.
-    """
+    """Measure every reachable ball of the set once with every tool; `deviation(axis positions, tool)` is the truth in
+    mm."""
     places = station_locations(stations, RANGES[0], 560.0, 900.0, 750.0)
     lower, upper = np.array(RANGES).T
     rows, found = [], []

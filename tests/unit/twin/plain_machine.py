@@ -1,4 +1,4 @@
-"""The machine as a plain loop over points with 4x4 matrices, written only from the documentation."""
+"""Machine as a plain loop over points with 4x4 matrices, written from the documentation only."""
 
 import math
 
@@ -54,7 +54,7 @@ def axis_matrix(axis, position, ranges, parameters, workpiece_side):
 
 
 def deviations(chain_text, ranges, points, tool, parameters):
-    """Return the deviations; `parameters` by name; the chain as text, from tool to workpiece."""
+    """Return the deviations of a machine; `parameters` by name, the chain as text from tool to workpiece."""
     links = chain_text.split("-")[1:-1]
     bed = links.index("bed")
     result = []
