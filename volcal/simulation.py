@@ -52,5 +52,5 @@ def simulate(
     chosen = setup.position_set(positions) if isinstance(positions, str) else tuple(positions)
     planned = setup.procedure.plan(chosen)
     drawn = draw_random_machine(setup.machine, setup.tool_offset_mm, deflection, rng)
-    measured = drawn.measured(planned.observations, setup.artefact, rng)
+    measured = drawn.measure(planned.observations, setup.artefact, rng)
     return Simulation(BallFile(measured, planned.positions), drawn.truth)

@@ -23,7 +23,7 @@ from agent.probing.run_plan import MeasuringOrder, measure_positions, position_k
 from twin.arrays import Array
 from twin.artefact.position_set import Position
 from twin.collision.geometry import Point
-from twin.design.procedure import FEWEST_BALLS
+from twin.design.procedure import MIN_BALLS
 from twin.units import S_PER_MIN
 
 T = TypeVar("T")
@@ -136,7 +136,7 @@ def _there_and_back(job: Job, position: Position, parked: Point) -> Plan[None]:
 def _one_more(job: Job, position: Position, here: Array, pilot: ShortestPilot) -> Plan[None]:
     nominal = job.layout.nominal(position)
     mask = job.layout.reachable(position, nominal)
-    if mask.sum() < FEWEST_BALLS:
+    if mask.sum() < MIN_BALLS:
         return
     key = f"{PREFIX}/{position_key(position)}"
     task = PositionTask(key, 0, position.station, position.azimuth_deg, position.elevation_deg, nominal, mask)

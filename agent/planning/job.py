@@ -28,7 +28,7 @@ from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import Position, parse_position_set
 from twin.artefact.touch_pattern import centre_covariance
 from twin.collision.measuring_layout import MeasuringLayout
-from twin.design.procedure import FEWEST_BALLS, Procedure
+from twin.design.procedure import MIN_BALLS, Procedure
 from twin.machine.machine_description import MachineDescription
 
 
@@ -198,7 +198,7 @@ def _refuse_overlap(positions: Sequence[Position], held_out: Sequence[Position])
 
 
 def _refuse_nothing_reachable(job: Job) -> None:
-    if all(_reached(job, position) < FEWEST_BALLS for position in job.positions):
+    if all(_reached(job, position) < MIN_BALLS for position in job.positions):
         raise ConfigurationError(
             "no position has three balls within the travel",
             key="stations.places_mm",
@@ -210,7 +210,7 @@ def _refuse_unreachable_entry(job: Job) -> None:
     """A named set leaves out what a machine cannot reach, and counts it; a list of one's own means every entry."""
     for number, position in enumerate(job.positions, start=1):
         reached = _reached(job, position)
-        if reached < FEWEST_BALLS:
+        if reached < MIN_BALLS:
             raise ConfigurationError(
                 f"position {number} (station {position.station}, azimuth {position.azimuth_deg:g}°, elevation "
                 f"{position.elevation_deg:g}°) has {reached} balls within reach, three are needed",

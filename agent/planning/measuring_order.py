@@ -21,7 +21,7 @@ from twin.artefact.position_set import Position
 from twin.collision.geometry import point
 from twin.collision.measuring_layout import MeasuringLayout
 from twin.collision.travelling_salesman import shortest_tour
-from twin.design.procedure import FEWEST_BALLS
+from twin.design.procedure import MIN_BALLS
 
 MOST_PERMUTED = 7
 """More stations than this are measured as they are listed."""
@@ -116,7 +116,7 @@ class Ordering:
     def _ends(self, position: Position) -> tuple[int, ...]:
         """Both end balls; none where too few are within reach."""
         reached = self.layout.reachable(position, self.layout.nominal(position)).nonzero()[0].tolist()
-        return (reached[0], reached[-1]) if len(reached) >= FEWEST_BALLS else ()
+        return (reached[0], reached[-1]) if len(reached) >= MIN_BALLS else ()
 
     @staticmethod
     def _stand(traffic: Traffic, position: Position) -> Stand:

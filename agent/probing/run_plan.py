@@ -21,7 +21,7 @@ from agent.probing.station_change import change_station
 from twin.artefact.mount_pose_estimate import MountPoseEstimate
 from twin.artefact.position_set import Position
 from twin.collision.measuring_layout import MeasuringLayout
-from twin.design.procedure import FEWEST_BALLS
+from twin.design.procedure import MIN_BALLS
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def measure_positions(
         mask = layout.reachable(position, predicted)
         unreachable += int(mask.size - mask.sum())
         key = f"{order.prefix}/{position_key(position)}"
-        if mask.sum() < FEWEST_BALLS:
+        if mask.sum() < MIN_BALLS:
             left_out.append(position_key(position))
             yield Record(f"{key}/left-out", "event", {"reachable_balls": int(mask.sum())})
             continue

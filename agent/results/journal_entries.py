@@ -28,7 +28,7 @@ from drivers.errors import ConfigurationError
 from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import checksum, format_table
-from twin.design.procedure import FEWEST_BALLS
+from twin.design.procedure import MIN_BALLS
 
 INPUTS, PROBE, IDENTIFIED, HELD_OUT, OUTCOME = "inputs", "probe", "identified", "held-out", "outcome"
 """Kinds of decision in the journal."""
@@ -96,7 +96,7 @@ def _at(ball: MeasuredBall, position: Position) -> bool:
 
 
 def _left_um(job: Job, balls: Sequence[MeasuredBall]) -> float | None:
-    if len(balls) < FEWEST_BALLS:
+    if len(balls) < MIN_BALLS:
         return None
     displayed = observations_of(balls, job.tool_offset_mm, no_correction)
     return 1e3 * held_out_residuals(displayed, displayed.axis_positions + job.tool_offset_mm, job.artefact).rms_mm

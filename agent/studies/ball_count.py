@@ -22,9 +22,9 @@ from twin.machine.volumetric import VolumetricRms
 NAME = "ball-count"
 COUNTS = tuple(range(3, 16))
 CHECKED = (3, 7, 11, 15)
-ENOUGH = 0.95
+SUFFICIENT_SHARE = 0.95
 PUBLISHED_BALLS = 7
-ACROSS = "balls over the same length"
+AXIS_LABEL = "balls over the same length"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,10 @@ class Curve:
 
     @property
     def fewest(self) -> int | None:
-        """Smallest number of balls that reaches the share `ENOUGH` of the gain, or None."""
-        return next((n for n, share in zip(COUNTS, self.shares, strict=True) if share and share >= ENOUGH), None)
+        """Smallest number of balls that reaches the share `SUFFICIENT_SHARE` of the gain, or None."""
+        return next(
+            (n for n, share in zip(COUNTS, self.shares, strict=True) if share and share >= SUFFICIENT_SHARE), None
+        )
 
 
 def run(case: StudyCase) -> StudyResult:
@@ -117,7 +119,7 @@ def _draw(figure: Figure, curves: Sequence[Curve], before: VolumetricRms) -> Non
     for series, curve in enumerate(curves):
         panel.draw_curve(COUNTS, curve.verdicts, series)
     panel.draw_before(before)
-    panel.label("Volumetric error left", ACROSS)
+    panel.label("Volumetric error left", AXIS_LABEL)
     panel.set_abscissa(COUNTS[0] - 0.5, COUNTS[-1] + 0.5, COUNTS)
     _draw_shares(figure.add_subplot(slots[1]), curves)
     draw_legend(figure, [curve.variant.title for curve in curves], before)
@@ -125,13 +127,13 @@ def _draw(figure: Figure, curves: Sequence[Curve], before: VolumetricRms) -> Non
 
 def _draw_shares(axes: Axes, curves: Sequence[Curve]) -> None:
     """Draw the variants that gain anything, and the published number of balls."""
-    axes.axhline(100.0 * ENOUGH, color=QUIET, linestyle=":")
+    axes.axhline(100.0 * SUFFICIENT_SHARE, color=QUIET, linestyle=":")
     axes.axvline(PUBLISHED_BALLS, color=INK, linestyle="--", linewidth=1.0)
     for series, curve in enumerate(curves):
         shares = [(n, 100.0 * share) for n, share in zip(COUNTS, curve.shares, strict=True) if share is not None]
         if shares:
             axes.plot(*zip(*shares, strict=True), color=SERIES[series], marker=MARKERS[series], markersize=3.5)
-    axes.set_title(f"Share of the gain; published: {PUBLISHED_BALLS} balls give {100 * ENOUGH:g} %")
-    axes.set_xlabel(ACROSS)
+    axes.set_title(f"Share of the gain; published: {PUBLISHED_BALLS} balls give {100 * SUFFICIENT_SHARE:g} %")
+    axes.set_xlabel(AXIS_LABEL)
     axes.set_xticks(COUNTS)
     axes.set_ylabel("share of the largest gain / %")

@@ -21,10 +21,10 @@ from twin.errors import TwinError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_LONGEST_NAME = 60
+_MAX_NAME_LENGTH = 60
 
-_CHUNKS_A_WORKER = 8  # enough that all workers finish at about the same time
-_LARGEST = 32  # items, so that progress is visible; sending a task of 100 kB costs less than one item
+_CHUNKS_PER_WORKER = 8  # enough that all workers finish at about the same time
+_MAX_ITEMS = 32  # items, so that progress is visible; sending a task of 100 kB costs less than one item
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Chunk(Generic[Item]):
             try:
                 results.append(task(item))
             except Exception as error:
-                raise _named(error, _name(number, item)) from error
+                raise _as_volcal_error(error, _item_name(number, item)) from error
         return results
 
 
 def split_into_chunks(items: Sequence[Item], workers: int) -> list[Chunk[Item]]:
     """Split the items into chunks of equal size, except for the last one, for the given number of workers."""
-    size = max(1, min(_LARGEST, -(-len(items) // (_CHUNKS_A_WORKER * workers))))
+    size = max(1, min(_MAX_ITEMS, -(-len(items) // (_CHUNKS_PER_WORKER * workers))))
     return [Chunk(start, items[start : start + size]) for start in range(0, len(items), size)]
 
 
@@ -88,7 +88,7 @@ def _unpickled(task: bytes) -> Callable[[Any], Any]:
     return unpickled
 
 
-def _named(error: Exception, item: str) -> VolcalError:
+def _as_volcal_error(error: Exception, item: str) -> VolcalError:
     if isinstance(error, VolcalError):
         return error.at(item=item)
     if isinstance(error, TwinError):
@@ -96,6 +96,6 @@ def _named(error: Exception, item: str) -> VolcalError:
     return VolcalError(f"the computation failed: {type(error).__name__}: {error}", item=item)
 
 
-def _name(number: int, item: object) -> str:
+def _item_name(number: int, item: object) -> str:
     text = repr(item)
-    return str(number) if text == str(number) or len(text) > _LONGEST_NAME else f"{number}: {text}"
+    return str(number) if text == str(number) or len(text) > _MAX_NAME_LENGTH else f"{number}: {text}"

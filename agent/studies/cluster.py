@@ -37,7 +37,7 @@ CLOSE_S = 5.0
 SCHEMES = ("tcp", "tls")
 
 _HEADER = struct.Struct("<Q")  # number of message bytes that follow
-_LONGEST_GREETING = 1 << 20
+_MAX_GREETING_BYTES = 1 << 20
 
 
 class DaskWorkers:
@@ -48,7 +48,7 @@ class DaskWorkers:
     """
 
     def __init__(self, address: str) -> None:
-        self._address = _checked(address)
+        self._address = _checked_address(address)
         self._client: Client | None = None
 
     def __enter__(self) -> Self:
@@ -56,7 +56,7 @@ class DaskWorkers:
         for name in ("distributed", "distributed.client"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
-            _greet(self._address)
+            _check_greeting(self._address)
             self._client = _client(self._address)
         except OSError as error:
             hint = "is `dask scheduler` running there, and may this computer reach it?"
@@ -74,7 +74,7 @@ class DaskWorkers:
         chunks = split_into_chunks(items, self._threads(client))
         futures = [client.submit(run_chunk_on_cluster, pickled, chunk, software, pure=False) for chunk in chunks]
         try:
-            found = self._gathered(client, futures, done)
+            found = self._collect(client, futures, done)
         except BaseException:
             if client.status == "running":
                 client.cancel(futures)  # type: ignore[no-untyped-call]
@@ -94,7 +94,7 @@ class DaskWorkers:
             raise LinkTimeout("the Dask scheduler has no worker", hint=hint, link=self._address) from None
         return max(1, sum(self._workers(client).values()))
 
-    def _gathered(self, client: Client, futures: Sequence[Work], done: OnItemsDone) -> list[list[Any]]:
+    def _collect(self, client: Client, futures: Sequence[Work], done: OnItemsDone) -> list[list[Any]]:
         """Collect the results as they arrive and return them in the order of the futures."""
         number = {future.key: place for place, future in enumerate(futures)}
         found: list[list[Any]] = [[] for _ in futures]
@@ -116,7 +116,7 @@ class DaskWorkers:
         except TimeoutError:
             return set(), pending
         except CancelledError as error:
-            raise self._lost() from error
+            raise self._connection_lost() from error
         return ready, rest
 
     def _result(self, client: Client, future: Work) -> list[Any]:
@@ -134,9 +134,9 @@ class DaskWorkers:
                 timeout.update(bool(self._workers(client)))
         finally:
             coming.cancel()  # no effect if it has finished
-        return self._taken(coming)
+        return self._unwrap(coming)
 
-    def _taken(self, ended: ConcurrentFuture[list[Any]]) -> list[Any]:
+    def _unwrap(self, ended: ConcurrentFuture[list[Any]]) -> list[Any]:
         try:
             return ended.result()
         except VolcalError:
@@ -145,7 +145,7 @@ class DaskWorkers:
             hint = "check the memory of the workers"
             raise RunError("workers of the cluster died repeatedly", hint=hint, link=self._address) from error
         except (CancelledError, OSError) as error:
-            raise self._lost() from error
+            raise self._connection_lost() from error
         except (ImportError, RuntimeError, AttributeError, pickle.UnpicklingError) as error:
             hint = "install the same volcal[cluster] on scheduler and workers"
             message = f"the cluster cannot run the task: {' '.join(str(error).split())}"
@@ -155,14 +155,14 @@ class DaskWorkers:
         """Ask the scheduler for the threads of each worker; the response also shows that the scheduler is alive."""
         scheduler = client.scheduler
         if scheduler is None or client.status != "running":
-            raise self._lost()
+            raise self._connection_lost()
         try:
             threads: dict[str, int] = client.sync(scheduler.ncores, callback_timeout=SIGN_OF_LIFE_S)  # type: ignore[no-untyped-call]
         except (OSError, TimeoutError) as error:
-            raise self._lost() from error
+            raise self._connection_lost() from error
         return threads
 
-    def _lost(self) -> LinkLost:
+    def _connection_lost(self) -> LinkLost:
         hint = "start the study again; the same seed gives the same numbers"
         return LinkLost("the connection to the Dask scheduler was lost during the work", hint=hint, link=self._address)
 
@@ -182,7 +182,7 @@ class _WorkerTimeout:
             raise LinkTimeout("the Dask scheduler has no workers left", hint=hint, link=self._address)
 
 
-def _greet(address: str) -> None:
+def _check_greeting(address: str) -> None:
     """Check that a Dask scheduler greets; the client would wait forever for a greeting from whatever accepts its
     connection."""
     parts = urlsplit(address)
@@ -190,7 +190,7 @@ def _greet(address: str) -> None:
         return
     with socket.create_connection((str(parts.hostname), int(parts.port or 0)), timeout=CONNECT_S) as connection:
         header = connection.recv(_HEADER.size, socket.MSG_WAITALL)
-    if len(header) < _HEADER.size or _HEADER.unpack(header)[0] > _LONGEST_GREETING:
+    if len(header) < _HEADER.size or _HEADER.unpack(header)[0] > _MAX_GREETING_BYTES:
         raise ConnectionError("the response is not a greeting of a Dask scheduler")
 
 
@@ -198,7 +198,7 @@ def _client(address: str) -> Client:
     return Client(address, timeout=CONNECT_S, name="volcal")  # type: ignore[no-untyped-call]
 
 
-def _checked(address: str) -> str:
+def _checked_address(address: str) -> str:
     hint = "give it as tcp://HOST:PORT"
     try:
         parts = urlsplit(address)

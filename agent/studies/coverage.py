@@ -45,8 +45,8 @@ PARAMETERS = "parameters"
 _CANDIDATES = (5, 7, 9)
 _POINTS, _JOINT = 100, 12
 _GRID = (16, 8, 8)
-_BETTER_KNOWN = 0.5  # uncertainty relative to the prior below which a parameter counts as measured
-_CHECKED = 5  # number of richer machines per machine as modelled
+_MEASURED_SHARE = 0.5  # uncertainty relative to the prior below which a parameter counts as measured
+_MACHINES_PER_CHECK = 5  # number of richer machines per machine as modelled
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +78,14 @@ class CoverageTask:
         number, form = item
         rng = generator(self.seed, number)
         random_machine = draw_random_machine(self.machine, self.tool_offset, form, rng)
-        both = self._joined(random_machine, rng)
+        both = self._measure_both(random_machine, rng)
         seen = both.where(np.arange(both.size) < self.planned.size)
         again = both.where(np.arange(both.size) >= self.planned.size)
         low, high = np.array(self.machine.model.ranges_mm).T
         points = rng.uniform(low, high, (_POINTS, 3))
         return [self._compared(random_machine, *found, again, points) for found in self._estimates(seen, form)]
 
-    def _joined(self, random_machine: RandomMachine, rng: np.random.Generator) -> Observations:
+    def _measure_both(self, random_machine: RandomMachine, rng: np.random.Generator) -> Observations:
         """Measure set and held-out positions with the same artefact under the same conditions."""
         parts = (self.planned, self.held_out)
         further = replace(self.held_out, position=self.held_out.position + self.planned.position.max() + 1)
@@ -93,7 +93,7 @@ class CoverageTask:
             name: np.concatenate([getattr(part, name) for part in (self.planned, further)])
             for name in ("position", "ball", "tool", "axis_positions", "covariance", "temperature_c", "elevation_rad")
         }
-        return random_machine.measured(Observations(**rows, tool_offsets=parts[0].tool_offsets), self.artefact, rng)
+        return random_machine.measure(Observations(**rows, tool_offsets=parts[0].tool_offsets), self.artefact, rng)
 
     def _estimates(self, seen: Observations, form: str) -> Iterator[tuple[str, MachineDescription, Estimate]]:
         own = self.machine
@@ -126,7 +126,7 @@ class CoverageTask:
             "VCE": np.array([vce.level]),
         }
         if random_machine.form == AS_MODELLED:
-            levels[PARAMETERS] = parameter_levels(estimate, truth.parameters, _BETTER_KNOWN)
+            levels[PARAMETERS] = parameter_levels(estimate, truth.parameters, _MEASURED_SHARE)
         order = max(estimate.model.highest_order)
         return ComparedEstimate(random_machine.form, chosen, order, levels, ve.true_mm, vce.true_mm, vce.expected_mm)
 
@@ -134,7 +134,7 @@ class CoverageTask:
 def run(case: StudyCase) -> StudyResult:
     """Compute the coverage over `case.machines` machines with alternating forms, and over some that are as modelled."""
     machines = [(number, DEFLECTION_FORMS[number % len(DEFLECTION_FORMS)]) for number in range(case.machines)]
-    machines += [(case.machines + extra, AS_MODELLED) for extra in range(max(case.machines // _CHECKED, 2))]
+    machines += [(case.machines + extra, AS_MODELLED) for extra in range(max(case.machines // _MACHINES_PER_CHECK, 2))]
     found = case.map(_comparison(case), machines)
     every = [one for estimates in found for one in estimates]
     table = CoverageTable(every, generator(case.seed, len(machines)))
@@ -174,8 +174,10 @@ class CoverageTable:
         forms = DEFLECTION_FORMS if form is None else (form,)
         return [one for one in self.compared if one.chosen == chosen and one.form in forms]
 
-    def share(self, of: Sequence[ComparedEstimate], region: str, nominal: float = NOMINAL) -> ObservedCoverage:
-        return observed_coverage([one.levels[region] for one in of], nominal, self.rng)
+    def coverage(
+        self, comparisons: Sequence[ComparedEstimate], region: str, nominal: float = NOMINAL
+    ) -> ObservedCoverage:
+        return observed_coverage([one.levels[region] for one in comparisons], nominal, self.rng)
 
     @property
     def order_choices(self) -> tuple[str, ...]:
@@ -239,7 +241,7 @@ def _summary(table: CoverageTable) -> dict[str, object]:
 
 
 def _shares(table: CoverageTable, of: Sequence[ComparedEstimate]) -> dict[str, ObservedCoverage]:
-    return {region: table.share(of, region) for region in of[0].levels}
+    return {region: table.coverage(of, region) for region in of[0].levels}
 
 
 def _pairs(table: CoverageTable, of: Sequence[ComparedEstimate]) -> dict[str, list[float]]:
@@ -271,9 +273,9 @@ def _panels(table: CoverageTable) -> list[Panel]:
         groups = {form: table.select(choice, form) for form in DEFLECTION_FORMS if table.select(choice, form)} | {
             "all": table.select(choice)
         }
-        shares = {region: [table.share(of, region) for of in groups.values()] for region in REGIONS}
+        shares = {region: [table.coverage(of, region) for of in groups.values()] for region in REGIONS}
         curves = {
-            region: np.array([table.share(table.select(choice), region, level).observed for level in LEVELS])
+            region: np.array([table.coverage(table.select(choice), region, level).observed for level in LEVELS])
             for region in REGIONS
         }
         panels.append(Panel(choice, tuple(groups), shares, curves))

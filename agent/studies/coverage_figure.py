@@ -16,7 +16,7 @@ from twin.uncertainty.coverage import ObservedCoverage
 
 LEVELS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99])
 BAND = (93.0, 97.0)
-_APART = 0.13  # horizontal distance between the regions of one form
+_REGION_OFFSET = 0.13  # horizontal distance between the regions of one form
 _LOWEST = 70.0
 
 
@@ -48,7 +48,7 @@ def _by_form(axes: Axes, panel: Panel) -> None:
     axes.axhline(95.0, color=QUIET, linewidth=0.8)
     middle = 0.5 * (len(panel.shares) - 1)
     for number, (region, shares) in enumerate(panel.shares.items()):
-        places = np.arange(len(shares)) + _APART * (number - middle)
+        places = np.arange(len(shares)) + _REGION_OFFSET * (number - middle)
         axes.errorbar(
             places,
             [100.0 * share.observed for share in shares],

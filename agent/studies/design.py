@@ -130,7 +130,7 @@ class SetEvaluator:
 
     @property
     def before_um(self) -> float:
-        return self.field.before().aligned_um
+        return self.field.uncompensated().aligned_um
 
     def evaluate_named(self, variant: Variant, name: str, positions: Sequence[Position]) -> EvaluatedSet:
         minutes = machine_minutes(_job(variant), positions).total

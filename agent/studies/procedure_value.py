@@ -18,7 +18,7 @@ from twin.machine.volumetric import VolumetricRms, evaluation_grid
 from twin.uncertainty.error_budget import ErrorBudget, error_budget_of_form
 from twin.uncertainty.residual_field_form import FieldForm
 
-FEWEST_MACHINES = 2
+MIN_MACHINES = 2
 """Minimum number of machines for a standard error."""
 
 
@@ -75,7 +75,7 @@ class ProcedureEvaluator:
     @property
     def before(self) -> VolumetricRms:
         """Root of the expected mean square VE."""
-        return self.field.before()
+        return self.field.uncompensated()
 
     def budget(self, trial: ProcedureVariant, variant: IdentificationVariant) -> ErrorBudget | None:
         """Return the closed-form error budget, or None if `identify` would refuse the set."""
@@ -107,7 +107,7 @@ class ProcedureEvaluator:
             for variant in range(len(variants))
             if rows[row][variant].expected is not None
         ]
-        share = max(self.case.machines // max(len(simulated), 1), FEWEST_MACHINES)
+        share = max(self.case.machines // max(len(simulated), 1), MIN_MACHINES)
         for (row, variant), spread in zip(pairs, self._spreads(trials, variants, pairs, share), strict=True):
             rows[row][variant] = rows[row][variant].with_simulation(spread)
         return [tuple(row) for row in rows]
@@ -128,7 +128,7 @@ class ProcedureEvaluator:
             return []
         tasks = tuple(self.procedure(trials[row], variants[variant]) for row, variant in pairs)
         items = [(task, machine) for task in range(len(tasks)) for machine in range(share)]
-        found = self.case.map(_Several(tasks), items, "simulated machines")
+        found = self.case.map(_ProcedureOnMachine(tasks), items, "simulated machines")
         return [self._spread(found[start : start + share]) for start in range(0, len(found), share)]
 
     def _spread(self, found: Sequence[SimulatedMachine | None]) -> ErrorSample | None:
@@ -164,7 +164,7 @@ def simulate_if_identified(procedure: ProcedureTask, machine: int) -> SimulatedM
 
 
 @dataclass(frozen=True, eq=False)
-class _Several:
+class _ProcedureOnMachine:
     """Task that runs one of several procedures on a machine, given the indices of both."""
 
     procedures: tuple[ProcedureTask, ...]

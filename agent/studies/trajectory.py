@@ -25,7 +25,7 @@ NAME = "trajectory"
 COUNTS = (3, 5, 11)
 POINTS = 151
 COVERAGE_FACTOR = 2.0
-STROKES = (":", "--", "-")
+LINE_STYLES = (":", "--", "-")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +108,12 @@ def _columns() -> tuple[str, ...]:
 def _rows(followed: TrajectoryResult) -> list[list[Cell]]:
     parts = [followed.machine_um]
     for count in COUNTS:
-        parts += [held.get(count, _nothing(followed)) for held in (followed.models_um, followed.sigma_um)]
+        parts += [held.get(count, _missing_values(followed)) for held in (followed.models_um, followed.sigma_um)]
     table = np.column_stack([followed.z_mm, *parts])
     return [[None if np.isnan(value) else value for value in row] for row in table.tolist()]
 
 
-def _nothing(followed: TrajectoryResult) -> Array:
+def _missing_values(followed: TrajectoryResult) -> Array:
     return np.full_like(followed.machine_um, np.nan)
 
 
@@ -143,7 +143,9 @@ def _draw_direction(panel: Axes, followed: TrajectoryResult, axis: int) -> None:
     panel.plot(z_mm, followed.machine_um[:, axis], color=INK, linewidth=2.6, label="machine M")
     for series, (count, model) in enumerate(followed.models_um.items()):
         left = f", {followed.residual_um(count):.1f} µm rms left here"
-        panel.plot(z_mm, model[:, axis], STROKES[series], color=SERIES[series], label=f"model C, {count} balls{left}")
+        panel.plot(
+            z_mm, model[:, axis], LINE_STYLES[series], color=SERIES[series], label=f"model C, {count} balls{left}"
+        )
     if COUNTS[-1] in followed.models_um:
         middle, reach = (
             followed.models_um[COUNTS[-1]][:, axis],

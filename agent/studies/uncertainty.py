@@ -189,7 +189,7 @@ def _figures(budget: ErrorBudget, together: ErrorSample) -> dict[str, object]:
     (low, high), median = budget.distribution.limits(), budget.distribution.median
     inside = (together.aligned_mm >= low.aligned_mm) & (together.aligned_mm <= high.aligned_mm)
     return {
-        "ve_expected_aligned_um": budget.before.aligned_um,
+        "ve_expected_aligned_um": budget.uncompensated.aligned_um,
         "vce_expected_raw_um": expected.raw_um,
         "vce_expected_aligned_um": expected.aligned_um,
         "vce_simulated_raw_um": spread.raw_um,

@@ -26,7 +26,7 @@ GRID_DEG = 15.0
 RANDOM_SETS = 60
 SMALLEST, LARGEST = 2, 24
 NAMED = ("S1", "S2", "S3", "S1+S3", "S1+S2+S3")
-MACHINES_SHARE, FEWEST_MACHINES = 20, 4
+MACHINES_SHARE, MIN_MACHINES = 20, 4
 """Divisor of the case's number of machines, and minimum: every set is simulated on the same reduced number of
 machines."""
 COLUMNS = (
@@ -67,7 +67,7 @@ class SimulatedSet:
 
 def run(case: StudyCase) -> StudyResult:
     """Compare valuation and simulation for `RANDOM_SETS` random sets and the named ones."""
-    machines = max(FEWEST_MACHINES, case.machines // MACHINES_SHARE)
+    machines = max(MIN_MACHINES, case.machines // MACHINES_SHARE)
     sets = [(name, tuple(case.positions(name))) for name in NAMED]
     sets += [(f"random {number + 1}", chosen) for number, chosen in enumerate(random_sets(case, RANDOM_SETS))]
     planned = [case.procedure.plan(positions) for _, positions in sets]
@@ -76,7 +76,7 @@ def run(case: StudyCase) -> StudyResult:
     grid = evaluation_grid(case.machine.model.ranges_mm)
     form = FieldForm.build(case.machine.model, case.assumptions, grid, case.tool_offset)
     tried = [
-        _tried(case, name, one.positions, ErrorSample.compensated(form, found))
+        _evaluate_set(case, name, one.positions, ErrorSample.compensated(form, found))
         for (name, _), one, found in zip(sets, planned, simulated, strict=True)
     ]
     before = ErrorSample.uncompensated(form, simulated[0]).expected.aligned_um
@@ -112,7 +112,7 @@ def _within_reach(case: StudyCase) -> list[Position]:
     return reached
 
 
-def _tried(case: StudyCase, name: str, positions: Sequence[Position], left: ErrorSample) -> SimulatedSet:
+def _evaluate_set(case: StudyCase, name: str, positions: Sequence[Position], left: ErrorSample) -> SimulatedSet:
     worth = valuation_of(case.job, positions)
     return SimulatedSet(
         name=name,

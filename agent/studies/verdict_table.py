@@ -21,7 +21,7 @@ COLUMNS = (
 """Columns of a verdict. `vce_…` is the closed form; an empty cell means not identified or not simulated."""
 
 
-FEWEST_MACHINES = 30
+MIN_MACHINES = 30
 """Number of machines below which the standard error is itself too uncertain."""
 
 
@@ -46,7 +46,7 @@ def worst_deviation(rows: Sequence[Sequence[Verdict]]) -> float | None:
         abs(verdict.simulated.aligned_mm - verdict.expected.aligned_mm) / verdict.standard_error.aligned_mm
         for verdict in (verdict for row in rows for verdict in row)
         if verdict.expected is not None and verdict.simulated is not None and verdict.standard_error is not None
-        if verdict.machines >= FEWEST_MACHINES
+        if verdict.machines >= MIN_MACHINES
     ]
     return max(distances, default=None)
 

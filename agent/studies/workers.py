@@ -80,7 +80,7 @@ class LocalWorkers:
     def map(self, task: Callable[[Item], Result], items: Sequence[Item], done: OnItemsDone) -> list[Result]:
         pickled = pickle.dumps(task)
         if self.processes == 1 or len(items) < 2:
-            return _here(pickled, items, done)
+            return _run_in_process(pickled, items, done)
         chunks = split_into_chunks(items, self.processes)
         try:
             return self._in_processes(pickled, chunks, done)
@@ -130,7 +130,7 @@ class LocalWorkers:
         self._pool = None
 
 
-def _here(task: bytes, items: Sequence[Item], done: OnItemsDone) -> list[Result]:
+def _run_in_process(task: bytes, items: Sequence[Item], done: OnItemsDone) -> list[Result]:
     """Run in this process, from the same pickled task as elsewhere, since unpickling may change an array's memory
     layout."""
     found: list[Result] = []

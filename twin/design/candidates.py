@@ -23,7 +23,7 @@ from twin.machine.volumetric import VolumetricRms
 
 Indices = NDArray[np.intp]
 
-_SEEN = 1e-13  # of the largest information of a position: below it the prior is far more informative
+_MIN_INFORMATION = 1e-13  # of the largest information of a position: below it the prior is far more informative
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,5 +116,5 @@ def _factors(problem: IdentificationProblem) -> Array:
     rows = CentreEquations.build(problem, unit_weights=False).projected(size)
     rows = problem.layout.pad(rows).reshape(problem.layout.positions, -1, size)
     strengths, directions = np.linalg.eigh(rows @ rows.transpose(0, 2, 1))
-    used = (strengths > _SEEN * strengths.max()).any(axis=0)
+    used = (strengths > _MIN_INFORMATION * strengths.max()).any(axis=0)
     return np.asarray(directions[:, :, used].transpose(0, 2, 1) @ rows)

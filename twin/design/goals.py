@@ -12,7 +12,7 @@ import numpy as np
 from twin.design.search import ExchangeSearch, FeasibleMask, Mask, Selection
 from twin.errors import DataError
 
-FEWEST_POSITIONS = 2
+MIN_POSITIONS = 2
 """Minimum number of positions; with fewer, machine and artefact errors cannot be separated, whatever the prior."""
 
 
@@ -23,7 +23,7 @@ class PositionCountGoal:
     count: int
 
     def __post_init__(self) -> None:
-        if self.count < FEWEST_POSITIONS:
+        if self.count < MIN_POSITIONS:
             raise DataError(
                 f"{self.count} position(s) cannot separate machine errors from artefact errors",
                 hint="request at least two positions",
@@ -34,8 +34,8 @@ class PositionCountGoal:
         """Return the indices of the chosen candidates. Raise DataError if there are not enough candidates."""
         if self.count > search.candidates.count:
             raise _too_few(search.candidates.count, self.count)
-        room = _up_to(self.count, search.candidates.count)
-        grown = _last(search, Selection.of(search.candidates), room, per_minute=False)
+        room = _count_limit(self.count, search.candidates.count)
+        grown = _last_selection(search, Selection.of(search.candidates), room, per_minute=False)
         if len(grown.chosen) < self.count:
             raise _too_few(len(grown.chosen), self.count)
         return search.exchange(grown, room).chosen
@@ -64,7 +64,7 @@ class TimeSlotGoal:
                 return np.asarray(shortest <= self.minutes)
             return np.asarray(search.costs.total(chosen) + search.costs.marginal(chosen) <= self.minutes)
 
-        return _settled(search, room).chosen
+        return _best_selection(search, room).chosen
 
 
 @dataclass(frozen=True)
@@ -82,42 +82,42 @@ class TargetErrorGoal:
         if self.vce_mm < floor:
             raise _unattainable(self.vce_mm, floor, candidates.count)
         start = best = Selection.of(candidates)
-        for best in search.grow(start, _up_to(candidates.count, candidates.count), per_minute=True):
-            if best.value <= wanted and len(best.chosen) >= FEWEST_POSITIONS:
-                return _thinned(search, best, wanted).chosen
+        for best in search.grow(start, _count_limit(candidates.count, candidates.count), per_minute=True):
+            if best.value <= wanted and len(best.chosen) >= MIN_POSITIONS:
+                return _thin_out(search, best, wanted).chosen
         raise _unattainable(self.vce_mm, candidates.vce(best.chosen).aligned_mm, len(best.chosen))
 
 
 Goal = PositionCountGoal | TimeSlotGoal | TargetErrorGoal
 
 
-def _up_to(count: int, candidates: int) -> FeasibleMask:
+def _count_limit(count: int, candidates: int) -> FeasibleMask:
     return lambda chosen: np.full(candidates, len(chosen) < count)
 
 
-def _last(search: ExchangeSearch, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Selection:
+def _last_selection(search: ExchangeSearch, selection: Selection, room: FeasibleMask, *, per_minute: bool) -> Selection:
     """Return the last selection grown, or the given one if nothing can be added."""
     return deque(chain([selection], search.grow(selection, room, per_minute=per_minute)), maxlen=1).pop()
 
 
-def _settled(search: ExchangeSearch, room: FeasibleMask) -> Selection:
+def _best_selection(search: ExchangeSearch, room: FeasibleMask) -> Selection:
     """Return the better of two greedy selections, by gain per minute and by gain, each exchanged and filled up."""
     start = Selection.of(search.candidates)
-    grown = [_last(search, start, room, per_minute=per_minute) for per_minute in (True, False)]
-    return min((_filled(search, selection, room) for selection in grown), key=lambda one: one.value)
+    grown = [_last_selection(search, start, room, per_minute=per_minute) for per_minute in (True, False)]
+    return min((_exchange_and_fill(search, selection, room) for selection in grown), key=lambda one: one.value)
 
 
-def _filled(search: ExchangeSearch, selection: Selection, room: FeasibleMask) -> Selection:
+def _exchange_and_fill(search: ExchangeSearch, selection: Selection, room: FeasibleMask) -> Selection:
     """Alternate exchanging and filling up the freed time until neither changes the selection."""
     while True:
         exchanged = search.exchange(selection, room)
-        filled = _last(search, exchanged, room, per_minute=False)
+        filled = _last_selection(search, exchanged, room, per_minute=False)
         if len(filled.chosen) == len(exchanged.chosen):
             return filled
         selection = filled
 
 
-def _thinned(search: ExchangeSearch, selection: Selection, wanted: float) -> Selection:
+def _thin_out(search: ExchangeSearch, selection: Selection, wanted: float) -> Selection:
     """Alternate exchanging and removing positions that the target does not need, until none can be removed."""
     while True:
         minutes = search.costs.total(selection.chosen)
@@ -126,14 +126,14 @@ def _thinned(search: ExchangeSearch, selection: Selection, wanted: float) -> Sel
             return np.asarray(search.costs.total(chosen) + search.costs.marginal(chosen) <= minutes)
 
         selection = search.exchange(selection, room)
-        spared = _spared(selection, wanted)
+        spared = _remove_spare_positions(selection, wanted)
         if len(spared.chosen) == len(selection.chosen):
             return selection
         selection = spared
 
 
-def _spared(selection: Selection, wanted: float) -> Selection:
-    while len(selection.chosen) > FEWEST_POSITIONS:
+def _remove_spare_positions(selection: Selection, wanted: float) -> Selection:
+    while len(selection.chosen) > MIN_POSITIONS:
         order, losses = selection.by_rising_loss()
         if selection.value + losses[0] > wanted:
             break

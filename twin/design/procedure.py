@@ -18,7 +18,7 @@ from twin.errors import DataError
 
 IndexArray = NDArray[np.intp]
 
-FEWEST_BALLS = 3
+MIN_BALLS = 3
 """Minimum number of balls per position; fewer give no information, since the pose has six unknowns."""
 
 
@@ -91,7 +91,7 @@ class Procedure:
         for position in positions:
             balls, places = self.balls_of(position)
             unreachable += self.layout(position.tool).artefact_at(position.station).count - len(balls)
-            if len(balls) < FEWEST_BALLS:
+            if len(balls) < MIN_BALLS:
                 left_out.append(position)
                 continue
             used.append(position)

@@ -22,9 +22,9 @@ Mask = NDArray[np.bool_]
 FeasibleMask = Callable[[Sequence[int]], Mask]
 """Function from the chosen indices to the mask (N,) of candidates that may still be added."""
 
-_BETTER = 1e-9  # relative decrease of the value below which an exchange is not made
-_MOST_ROUNDS = 10
-_LOOKED_AT = 200  # up to this number all candidates take part in an exchange
+_MIN_DECREASE = 1e-9  # relative decrease of the value below which an exchange is not made
+_MAX_ROUNDS = 10
+_ALL_CANDIDATES = 200  # up to this number all candidates take part in an exchange
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +96,11 @@ class ExchangeSearch:
 
         Positions are tried in the order of rising loss; each round considers only the most promising candidates.
         """
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             before = selection.value
             chosen = self._round(selection, room)
             selection = Selection.of(self.candidates, chosen)
-            if selection.value > before * (1.0 - max(self.min_improvement, _BETTER)):
+            if selection.value > before * (1.0 - max(self.min_improvement, _MIN_DECREASE)):
                 break
         return selection
 
@@ -109,19 +109,19 @@ class ExchangeSearch:
         place = {int(index): here for here, index in enumerate(kept)}
         near = Selection(tuple(place[index] for index in selection.chosen), selection.information.restricted_to(kept))
         for index in near.by_rising_loss()[0]:
-            near = self._given_way(near, index, room, kept)
+            near = self._exchange_one(near, index, room, kept)
         return tuple(int(kept[index]) for index in near.chosen)
 
     def _promising(self, selection: Selection) -> Indices:
         """Return, in candidate order, the chosen positions and the half of the others with the largest gains."""
         gains = np.where(selection.free, selection.information.gains(), np.inf)
-        count = max(len(gains) // 2, min(len(gains), _LOOKED_AT)) + len(selection.chosen)
+        count = max(len(gains) // 2, min(len(gains), _ALL_CANDIDATES)) + len(selection.chosen)
         return np.sort(np.argsort(-gains, kind="stable")[:count])
 
-    def _given_way(self, selection: Selection, index: int, room: FeasibleMask, kept: Indices) -> Selection:
+    def _exchange_one(self, selection: Selection, index: int, room: FeasibleMask, kept: Indices) -> Selection:
         """Exchange one position; `kept` (n,) maps the selection's indices to candidates."""
         rest = selection.with_removed(index)
-        needed = rest.value - selection.value * (1.0 - _BETTER)
+        needed = rest.value - selection.value * (1.0 - _MIN_DECREASE)
         allowed = room([int(kept[other]) for other in rest.chosen])[kept] & selection.free
         best = self._best(rest.information.gains(), allowed, needed, kept)
         return selection if best is None else rest.with_added(best)

@@ -7,8 +7,8 @@ from twin.identification.observability import join_names
 from twin.machine.kinematic_chain import AXES
 from twin.units import UM_PER_MM
 
-_MOST_NAMES = 6
-_NOTHING_UM = 0.005
+_MAX_NAMES = 6
+_NEGLIGIBLE_UM = 0.005
 
 
 def describe_trial(trial: SetUpTrial) -> str:
@@ -30,7 +30,7 @@ def describe_gain(gain: TrialGain) -> str:
     """
     before, after = gain.before, gain.after
     parts = [_parameters(gain), f"unseen {_change(before.unseen_mm, after.unseen_mm)}"]
-    if UM_PER_MM * before.blind_mm > _NOTHING_UM:
+    if UM_PER_MM * before.blind_mm > _NEGLIGIBLE_UM:
         parts.append(f"blind {_change(before.blind_mm, after.blind_mm)}")
     return "; ".join((*parts, _positions(gain.positions)))
 
@@ -43,9 +43,9 @@ def _parameters(gain: TrialGain) -> str:
     if gain.rank == 0:
         return "no parameter more"
     count = "1 more parameter" if gain.rank == 1 else f"{gain.rank} more parameters"
-    if not gain.shown:
+    if not gain.revealed:
         return count
-    names = join_names(gain.shown) if len(gain.shown) <= _MOST_NAMES else f"{len(gain.shown)} errors"
+    names = join_names(gain.revealed) if len(gain.revealed) <= _MAX_NAMES else f"{len(gain.revealed)} errors"
     return f"{count}, {names} no longer hidden"
 
 

@@ -71,10 +71,10 @@ class TrialGain:
         return self.after.rank - self.before.rank
 
     @property
-    def shown(self) -> tuple[str, ...]:
+    def revealed(self) -> tuple[str, ...]:
         """Names of errors (motions, squareness, cross-effect) that were in a null direction only before the trial."""
-        hidden = _hidden(self.after)
-        return tuple(name for name in _hidden(self.before) if name not in hidden)
+        hidden = _hidden_errors(self.after)
+        return tuple(name for name in _hidden_errors(self.before) if name not in hidden)
 
     @property
     def unseen_removed_mm(self) -> float:
@@ -86,9 +86,9 @@ def other_tools(set_up: SetUp) -> tuple[TrialTool, ...]:
     """Return probe lengths and lateral styli worth trying, without existing tools and probes shorter than stem and
     body."""
     axis = set_up.tool_axis
-    lengths = [_other(set_up, axis, by_mm, lateral=False) for by_mm in LENGTHS_MM]
+    lengths = [_trial_tool(set_up, axis, by_mm, lateral=False) for by_mm in LENGTHS_MM]
     across = [k for k in range(3) if k != axis]
-    lateral = [_other(set_up, k, by_mm, lateral=True) for k in across for by_mm in ACROSS_MM]
+    lateral = [_trial_tool(set_up, k, by_mm, lateral=True) for k in across for by_mm in ACROSS_MM]
     probe = set_up.procedure.layout().probe
     there = set_up.procedure.tool_offsets
     return tuple(
@@ -117,7 +117,7 @@ def possible_trials(set_up: SetUp) -> Iterator[SetUpTrial]:
     for tool in other_tools(set_up):
         yield SetUpTrial(set_up.with_tool(tool.name, tool.offset), tool=tool)
     for name in POSITION_SETS:
-        further = _further(set_up, name)
+        further = _new_positions(set_up, name)
         if further:
             yield SetUpTrial(set_up.with_positions(further), added=name)
     yield SetUpTrial(set_up.with_positions(set_up.positions))
@@ -138,20 +138,20 @@ def trial_gains(set_up: SetUp, before: Identifiability, views: Sequence[Evaluate
     return tuple(sorted(found, key=lambda gain: -gain.unseen_removed_mm))
 
 
-def _hidden(seen: Identifiability) -> tuple[str, ...]:
+def _hidden_errors(seen: Identifiability) -> tuple[str, ...]:
     """Return the errors that take part in a null direction, in model order: EBY for EBY[1], EBY[2], …"""
     names = {name for direction in seen.null_directions for name in direction.loadings}
     return tuple(dict.fromkeys(p.error for p in seen.model.parameters if p.name in names))
 
 
-def _other(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> TrialTool:
+def _trial_tool(set_up: SetUp, axis: int, by_mm: float, lateral: bool) -> TrialTool:
     offset = set_up.procedure.layout().tool_offset_mm.copy()
     backwards = not lateral and offset[axis] < 0.0
     offset[axis] += -by_mm if backwards else by_mm
     return TrialTool(offset, by_mm, axis, lateral)
 
 
-def _further(set_up: SetUp, name: str) -> tuple[Position, ...]:
+def _new_positions(set_up: SetUp, name: str) -> tuple[Position, ...]:
     """Return positions of a named set, at the set-up's stations, that the first tool does not measure yet."""
     there = {(p.station, p.azimuth_deg, p.elevation_deg) for p in set_up.first_positions()}
     stations = sorted({station for station, _, _ in there})

@@ -63,7 +63,7 @@ def parse_balls(
     numbers = [row.parse_int("position", 0) for row in rows]
     tool = [_tool(row, names) for row in rows]
     ball = [row.parse_int("ball", 0) for row in rows]
-    _refuse_duplicates(rows, numbers, tool, ball)
+    _check_duplicates(rows, numbers, tool, ball)
     positions = _positions(rows, numbers)
     place = {number: index for index, number in enumerate(positions)}
     sigma_mm = np.array([1e-3 * _sigma_um(row, default_sigma_um) for row in rows])
@@ -111,7 +111,7 @@ def _sigma_um(row: CsvRow, empty: float) -> float:
     return sigma
 
 
-def _refuse_duplicates(rows: list[CsvRow], numbers: list[int], tool: list[int], ball: list[int]) -> None:
+def _check_duplicates(rows: list[CsvRow], numbers: list[int], tool: list[int], ball: list[int]) -> None:
     seen: dict[tuple[int, int, int], int] = {}
     for row, key in zip(rows, zip(numbers, tool, ball, strict=True), strict=True):
         first = seen.setdefault(key, row.number)

@@ -100,7 +100,7 @@ def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> Ma
         _check_interval(axis.range_mm, f"axes.{letter}.range_mm", source)
         _check_interval(axis.travel_mm or axis.range_mm, f"axes.{letter}.travel_mm", source)
     try:
-        return _described(section, source, axes, read_text)
+        return _build_description(section, source, axes, read_text)
     except FormatError:
         raise
     except TwinError as error:
@@ -108,7 +108,7 @@ def parse_machine(text: str, source: str, read_text: Callable[[str], str]) -> Ma
         raise FormatError(error.message, hint=error.hint, file=source, **error.where) from None
 
 
-def _described(
+def _build_description(
     section: MachineSection, source: str, axes: Sequence[AxisSection], read_text: Callable[[str], str]
 ) -> MachineDescription:
     ranges = _triple_of_pairs([axis.range_mm for axis in axes])

@@ -18,7 +18,7 @@ COLUMNS = ("station", "azimuth_deg", "elevation_deg")
 TOOL = "tool"
 
 
-class _Listed(StrictModel):
+class _PositionRow(StrictModel):
     station: int
     azimuth_deg: float
     elevation_deg: float
@@ -26,7 +26,7 @@ class _Listed(StrictModel):
 
 
 class _PositionDocument(StrictModel):
-    positions: list[_Listed]
+    positions: list[_PositionRow]
 
 
 def parse_positions(text: str, source: str) -> tuple[Position, ...]:
@@ -35,7 +35,7 @@ def parse_positions(text: str, source: str) -> tuple[Position, ...]:
     Raise FormatError naming `source` and key, or row (the header is row 1) and column.
     """
     positions = _from_toml(text, source) if source.endswith(".toml") else _from_csv(text, source)
-    _refuse_none_or_twice(positions, source)
+    _check_listed(positions, source)
     return tuple(positions)
 
 
@@ -97,7 +97,7 @@ def _number(cells: dict[str, str], column: str, source: str, row: int) -> float:
     return value
 
 
-def _refuse_none_or_twice(positions: list[Position], source: str) -> None:
+def _check_listed(positions: list[Position], source: str) -> None:
     if not positions:
         raise FormatError("no position is listed", hint="Write one line per position", file=source)
     seen: dict[Position, int] = {}

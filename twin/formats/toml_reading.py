@@ -55,7 +55,7 @@ def validate_document(document: dict[str, Any], source: str, kind: type[Section]
     try:
         return kind.model_validate(document)
     except ValidationError as error:
-        raise _explained(error, source, kind) from None
+        raise _as_format_error(error, source, kind) from None
 
 
 def with_current_keys(document: Mapping[str, Any], kind: type[BaseModel]) -> dict[str, Any]:
@@ -81,21 +81,21 @@ def key_path(location: Sequence[str | int]) -> str:
     return text
 
 
-def _explained(error: ValidationError, source: str, kind: type[BaseModel]) -> FormatError:
+def _as_format_error(error: ValidationError, source: str, kind: type[BaseModel]) -> FormatError:
     problems = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
-    start = _place(problems[0]["loc"])
-    same = [problem for problem in problems if _place(problem["loc"]).startswith(start)]
+    start = _location(problems[0]["loc"])
+    same = [problem for problem in problems if _location(problem["loc"]).startswith(start)]
     worst = max(same, key=lambda problem: len(_without_union_labels(problem["loc"])))
-    place = _place(worst["loc"])
-    message, hint = _in_words(worst["type"], worst["msg"], worst.get("input"), worst["loc"], kind)
-    others = {_place(problem["loc"]) for problem in problems}
+    place = _location(worst["loc"])
+    message, hint = _describe(worst["type"], worst["msg"], worst.get("input"), worst["loc"], kind)
+    others = {_location(problem["loc"]) for problem in problems}
     others = {other for other in others if not (place.startswith(other) or other.startswith(place))}
     if others:
         message = f"{message}; also wrong in this file: {', '.join(sorted(others))}"
     return FormatError(message, hint=hint, file=source, key=place)
 
 
-def _in_words(
+def _describe(
     problem: str, text: str, value: object, place: Sequence[str | int], kind: type[BaseModel]
 ) -> tuple[str, str]:
     location = _without_union_labels(place)
@@ -109,17 +109,17 @@ def _in_words(
                 f"Write '{section.former_keys[name]}' instead; its meaning is the same",
             )
         close = difflib.get_close_matches(name, known, n=1)
-        return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _listing(known)
+        return f"unknown key '{name}'", f"Did you mean '{close[0]}'?" if close else _known_keys_hint(known)
     if problem == "missing":
         if location and isinstance(location[-1], int):
             return f"the list is too short: value number {location[-1] + 1} is missing", ""
-        return f"key '{name}' is missing", _listing(known)
+        return f"key '{name}' is missing", _known_keys_hint(known)
     if problem == "value_error":
         return text.removeprefix("Value error, "), ""
     return f"{text[:1].lower()}{text[1:]}, found {value!r:.80}", ""
 
 
-def _listing(known: list[str]) -> str:
+def _known_keys_hint(known: list[str]) -> str:
     return f"Known keys here: {', '.join(known)}" if known else ""
 
 
@@ -144,7 +144,7 @@ def _model_inside(annotation: object) -> type[BaseModel] | None:
     return next((found for part in get_args(annotation) if (found := _model_inside(part))), None)
 
 
-def _place(location: Sequence[str | int]) -> str:
+def _location(location: Sequence[str | int]) -> str:
     return key_path(_without_union_labels(location)) or "(whole file)"
 
 

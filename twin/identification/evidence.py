@@ -57,7 +57,7 @@ MISFIT = ScalePrior(3.0, 0.1, 10.0)
 SCALE_PRIORS = (NOISE, PRIOR, *(MISFIT for _ in MISFIT_KINDS))
 """Priors in the order of `Scales.values`."""
 _NAMES = ("touch noise", "family prior", *MISFIT_KINDS)
-_AT_BOUND = 1e-3  # distance of a log scale from its bound below which it counts as reached
+_BOUND_TOLERANCE = 1e-3  # distance of a log scale from its bound below which it counts as reached
 Logs = np.ndarray[tuple[int], np.dtype[np.float64]]
 
 _ACCURACY = 1e-3  # gradient per equation: log scales are accurate to about 0.01, far below their uncertainty
@@ -92,7 +92,7 @@ def scales_at_bounds(scales: Scales) -> tuple[str, ...]:
     found = []
     for name, value, prior in zip(_NAMES, scales.values, SCALE_PRIORS, strict=True):
         for bound in (prior.low, prior.high):
-            if abs(math.log(value / bound)) < _AT_BOUND:
+            if abs(math.log(value / bound)) < _BOUND_TOLERANCE:
                 found.append(f"{name}: {bound:g} times as stated, the bound of its scale")
     return tuple(found)
 

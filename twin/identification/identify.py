@@ -24,8 +24,8 @@ from twin.identification.solution import Solution, average_over_scales, solve
 from twin.machine.error_model import ErrorModel
 from twin.machine.machine_population import Family
 
-_MOST_REJECTED = 0.2
-_FEWEST_BALLS = 3
+_MAX_REJECTED_SHARE = 0.2
+_MIN_BALLS = 3
 
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
@@ -88,9 +88,9 @@ def _check_set(observations: Observations) -> None:
             "from artefact errors",
             hint="measure the artefact in at least two positions, preferably those of S3",
         )
-    if len(np.unique(observations.ball)) < _FEWEST_BALLS:
+    if len(np.unique(observations.ball)) < _MIN_BALLS:
         raise SingularSet(
-            f"fewer than {_FEWEST_BALLS} different balls were measured",
+            f"fewer than {_MIN_BALLS} different balls were measured",
             hint="use an artefact with more balls or measure more of them",
         )
 
@@ -121,7 +121,7 @@ def _without_outliers(whole: IdentificationProblem, options: Options) -> _RowSel
 
 def _check_rejected_share(accepted: Mask) -> None:
     rejected = int((~accepted).sum())
-    if rejected > _MOST_REJECTED * accepted.size:
+    if rejected > _MAX_REJECTED_SHARE * accepted.size:
         raise DataError(
             f"{rejected} of {accepted.size} ball centres contradict the rest",
             hint="check the artefact file, ball numbers, tool offset and units before measuring again",
@@ -218,13 +218,13 @@ def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution:
     if isinstance(solution.equations, DistanceEquations):
         poses = rigid_poses(selection.problem.layout, local[accepted], left[accepted])
     if not accepted.all():
-        poses = _spread(poses, whole, accepted)
+        poses = _poses_of_all(poses, whole, accepted)
     residuals = np.empty_like(left)
     residuals[whole.layout.order] = left - poses.place(whole.layout, local)
     return residuals
 
 
-def _spread(poses: Poses, whole: IdentificationProblem, accepted: Mask) -> Poses:
+def _poses_of_all(poses: Poses, whole: IdentificationProblem, accepted: Mask) -> Poses:
     """Return poses of all positions; a position without accepted rows takes the pose of a neighbour."""
     position = whole.observations.position
     place = np.searchsorted(np.unique(position[accepted]), np.unique(position))

@@ -33,8 +33,8 @@ _MIXED_DEGREE = 6
 _ORDERS_BEYOND = 8
 _MIXED_DECAY = 0.75  # prior standard deviation per degree
 _WAVE_DECAY = 0.85  # prior standard deviation per order; rail waves decay more slowly than the series
-_LEVER = 0.4  # amplitude of a wave with a lever relative to one without
-_MOST_MODES = (24, 12, 12, 12)  # by kind; the remainder is small enough to be treated as uncorrelated
+_LEVER_AMPLITUDE = 0.4  # amplitude of a wave with a lever relative to one without
+_MAX_MODES = (24, 12, 12, 12)  # by kind; the remainder is small enough to be treated as uncorrelated
 _CHUNK = 1000  # points whose basis is held in memory at a time
 _DEPENDENT = 1e-10  # of the largest eigenvalue: combinations of parameters that do not change the field
 
@@ -87,8 +87,8 @@ def misfit_modes(model: ErrorModel, tool_offset: tuple[float, float, float]) -> 
     deviations = np.array([weight for kind in kinds for weight in kind.values()])
     represented = _Represented.build(model, offset, degrees)
     parts, at = [], 0
-    for kind, share, most in zip(kinds, MISFIT_KINDS.values(), _MOST_MODES, strict=True):
-        parts.append(_condensed(represented, slice(at, at + len(kind)), deviations, share, most))
+    for kind, share, most in zip(kinds, MISFIT_KINDS.values(), _MAX_MODES, strict=True):
+        parts.append(_condense(represented, slice(at, at + len(kind)), deviations, share, most))
         at += len(kind)
     mixing = np.concatenate([part.mixing for part in parts], axis=2)
     removed = represented.share(mixing)
@@ -148,14 +148,14 @@ class _Represented:
 
 
 @dataclass(frozen=True, eq=False)
-class _Condensed:
+class _KindModes:
     """Leading modes of one kind: `mixing` (3, c, q) of all candidates, and the variance that they leave out."""
 
     mixing: Array
     left_out: float
 
 
-def _condensed(represented: _Represented, chosen: slice, deviations: Array, share: float, most: int) -> _Condensed:
+def _condense(represented: _Represented, chosen: slice, deviations: Array, share: float, most: int) -> _KindModes:
     own = deviations[chosen]
     rising, vectors = np.linalg.eigh(represented.left(chosen, own))
     values, vectors = rising[::-1], vectors[:, ::-1]
@@ -163,7 +163,7 @@ def _condensed(represented: _Represented, chosen: slice, deviations: Array, shar
     size = np.sqrt(share / values.sum())
     mixing = np.zeros((3, len(deviations), most))
     mixing[:, chosen] = size * vectors[:, :most].reshape(3, len(own), most) * own[:, None]
-    return _Condensed(mixing, float(size**2 * values[most:].sum()) / 3.0)
+    return _KindModes(mixing, float(size**2 * values[most:].sum()) / 3.0)
 
 
 def _kinds(model: ErrorModel) -> Sequence[Weights]:
@@ -190,7 +190,7 @@ def _waves(axis: int, highest: int) -> Weights:
             degree = [0, 0, 0]
             degree[lever] = 1
             degree[axis] = highest + 1 + beyond
-            found[degree[0], degree[1], degree[2]] = _WAVE_DECAY**beyond * (1.0 if lever == axis else _LEVER)
+            found[degree[0], degree[1], degree[2]] = _WAVE_DECAY**beyond * (1.0 if lever == axis else _LEVER_AMPLITUDE)
     return found
 
 

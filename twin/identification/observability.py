@@ -19,10 +19,10 @@ from twin.machine.kinematic_chain import AXES
 from twin.machine.rigid_motion import rigid_fields
 from twin.machine.volumetric import evaluation_grid
 
-_NULL = 1e-10  # of the largest eigenvalue: rounding of the normal equations stays below
-_PART = 1e-4  # of the largest loading
+_NULL_EIGENVALUE = 1e-10  # of the largest eigenvalue: rounding of the normal equations stays below
+_MIN_LOADING = 1e-4  # of the largest loading
 _FIELD_NULL = 1e-9
-_MANY_PARTNERS = 4
+_MAX_PARTNERS = 4
 FIXED = "because the family holds it at its prior value"
 
 
@@ -64,7 +64,7 @@ def observability(
 ) -> Observability:
     """Return rank and named null space of an information matrix (p, p) in units of `scale` (p,)."""
     values, vectors = np.linalg.eigh(information)
-    open_ = values <= _NULL * max(float(values[-1]), 1e-300)
+    open_ = values <= _NULL_EIGENVALUE * max(float(values[-1]), 1e-300)
     used = values[~open_]
     conditioning = float(np.sqrt(used[-1] / used[0])) if used.size else float("inf")
     directions = _directions(model, vectors[:, open_], scale, tool_offsets, observer)
@@ -75,7 +75,7 @@ def null_space(information: Array) -> Array:
     """Return an orthonormal basis (p, r) of the null space of an information matrix (p, p) in unit-prior
     coordinates."""
     values, vectors = np.linalg.eigh(information)
-    return np.asarray(vectors[:, values <= _NULL * max(float(values[-1]), 1e-300)])
+    return np.asarray(vectors[:, values <= _NULL_EIGENVALUE * max(float(values[-1]), 1e-300)])
 
 
 def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bool) -> Array:
@@ -132,8 +132,8 @@ def _directions(
 def _parts(direction: Array, pivot: int) -> list[int]:
     """Return the pivot and the other parameters involved, in model order, or by falling size if there are many."""
     size = np.abs(direction)
-    others = [int(part) for part in np.flatnonzero(size > _PART * size.max()) if part != pivot]
-    if len(others) > _MANY_PARTNERS:
+    others = [int(part) for part in np.flatnonzero(size > _MIN_LOADING * size.max()) if part != pivot]
+    if len(others) > _MAX_PARTNERS:
         others.sort(key=lambda part: -size[part])
     return [pivot, *others]
 
@@ -168,8 +168,8 @@ def _circumstance(tool_offsets: Array, observer: str, changes: bool) -> str:
 def _text(names: list[str], circumstance: str) -> str:
     if len(names) == 1:
         return f"{names[0]}: not seen {circumstance}"
-    if len(names) > 1 + _MANY_PARTNERS:
-        leading = ", ".join(names[1 : 1 + _MANY_PARTNERS])
+    if len(names) > 1 + _MAX_PARTNERS:
+        leading = ", ".join(names[1 : 1 + _MAX_PARTNERS])
         return f"{names[0]} mixed with {len(names) - 1} others, most of all {leading}: not told apart {circumstance}"
     return f"{names[0]} merges with {join_names(names[1:])}: not told apart {circumstance}"
 

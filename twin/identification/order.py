@@ -56,7 +56,7 @@ def identify_by_evidence(
         order: log_evidence_and_scales(build_problem(family_of(order), seen, artefact, judged), judged)
         for order in sorted(candidates)
     }
-    table = _judged(evidence)
+    table = _compare(evidence)
     chosen = next(entry.order for entry in table if entry.chosen)
     return replace(
         identify_accepted(family_of(chosen), observations, artefact, options, accepted),
@@ -64,7 +64,7 @@ def identify_by_evidence(
     )
 
 
-def _judged(evidence: dict[int, tuple[float, Scales]]) -> tuple[OrderEvidence, ...]:
+def _compare(evidence: dict[int, tuple[float, Scales]]) -> tuple[OrderEvidence, ...]:
     best = max(log for log, _ in evidence.values())
     chosen = max(order for order, (log, _) in evidence.items() if log > best - _VERY_STRONG)
     return tuple(OrderEvidence(order, log - best, scales, order == chosen) for order, (log, scales) in evidence.items())

@@ -18,8 +18,8 @@ from twin.identification.centres import CentreEquations
 from twin.identification.solution import Solution
 
 _MEDIAN_OF_CHI2_3 = 2.365974
-_QUIETEST = 0.3  # lower bound of the scale, relative to the stated noise
-_COMPARABLE = 0.05  # of the worst: a gross error distorts the fit, so smaller ones are tested after its removal
+_MIN_NOISE = 0.3  # lower bound of the scale, relative to the stated noise
+_COMPARABLE_SHARE = 0.05  # of the worst: a gross error distorts the fit, so smaller ones are tested after its removal
 _RIDGE = 1e-6  # keeps the covariance invertible for a component that the fit absorbs entirely
 
 Rows = np.ndarray[Any, np.dtype[np.int64]]
@@ -29,7 +29,7 @@ def contradicting_rows(solution: Solution, false_alarm: float) -> Rows:
     """Return the sorted rows to reject now: in each position at most the worst row beyond the limit."""
     square = studentised_squares(solution)
     limit = 3.0 * float(fdtri(3.0, solution.degrees_of_freedom, 1.0 - false_alarm / len(square)))
-    limit = max(limit, _COMPARABLE * float(square.max()))
+    limit = max(limit, _COMPARABLE_SHARE * float(square.max()))
     layout = solution.equations.problem.layout
     worst = layout.pad(square).argmax(axis=1) + np.concatenate(([0], np.cumsum(layout.counts)[:-1]))
     return np.asarray(worst[square[worst] > limit])
@@ -52,5 +52,5 @@ def studentised_squares(solution: Solution) -> Array:
     residuals = layout.unpad(equations.remaining(solution.sides, solution.poses).reshape(layout.positions, -1, 3))
     solved = np.linalg.solve(covariance, residuals[:, :, None])[:, :, 0]
     square = np.einsum("ni,ni->n", residuals, solved)
-    scale = max(float(np.median(square)) / _MEDIAN_OF_CHI2_3, (_QUIETEST / solution.scales.noise) ** 2)
+    scale = max(float(np.median(square)) / _MEDIAN_OF_CHI2_3, (_MIN_NOISE / solution.scales.noise) ** 2)
     return np.asarray(square / scale)

@@ -10,9 +10,9 @@ import numpy as np
 
 from twin.arrays import Array
 
-_NO_ROLL = 1e-9  # second over first singular value of the moments: off-axis below 3e-5 of the length
-_WELL_SEEN = 1e-5  # ratio of eigenvalues of the 6x6 normal equations above which Cholesky loses at most 5 digits
-_UNSEEN = 1e-10  # relative eigenvalue of the 6x6 normal equations below which an increment is undetermined
+_COLLINEAR = 1e-9  # second over first singular value of the moments: off-axis below 3e-5 of the length
+_WELL_CONDITIONED = 1e-5  # ratio of eigenvalues of the 6x6 normal equations above which Cholesky loses at most 5 digits
+_UNDETERMINED = 1e-10  # relative eigenvalue of the 6x6 normal equations below which an increment is undetermined
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def rigid_poses(layout: RowLayout, local: Array, found: Array) -> Poses:
     left, weights, right = np.linalg.svd(offset.transpose(0, 2, 1) @ found_offset)
     handedness = np.sign(np.linalg.det(left @ right))
     rotation = _recompose(left, right, handedness)
-    for k in np.flatnonzero(weights[:, 1] <= _NO_ROLL * weights[:, 0]):
+    for k in np.flatnonzero(weights[:, 1] <= _COLLINEAR * weights[:, 0]):
         rotation[k] = _upright_frame(right[k, 0]) @ _upright_frame(left[k, :, 0]).T
     return Poses(rotation, found_middle - (rotation @ middle[:, :, None])[:, :, 0])
 
@@ -164,7 +164,7 @@ class PoseProjector:
         if back is not None:
             return cls(white @ back, back, 6 * layout.positions)
         values, vectors = np.linalg.eigh(gram)
-        seen = values > _UNSEEN * values[:, -1:]
+        seen = values > _UNDETERMINED * values[:, -1:]
         inverse_root = np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
         back = vectors * inverse_root[:, None, :]
         return cls(white @ back, back, int(seen.sum()))
@@ -198,7 +198,7 @@ def _inverse_root(gram: Array) -> Array | None:
     except np.linalg.LinAlgError:
         return None
     smallest = 1.0 / np.einsum("kij,kij->k", back, back)  # a lower bound of the smallest eigenvalue
-    return back if bool((smallest > _WELL_SEEN * np.einsum("kii->k", gram)).all()) else None
+    return back if bool((smallest > _WELL_CONDITIONED * np.einsum("kii->k", gram)).all()) else None
 
 
 def _recompose(left: Array, right: Array, handedness: Array) -> Array:

@@ -120,7 +120,7 @@ class IdentificationProblem:
             arms=PoseArms.of(layout, local),
             nuisance=nuisance,
             poses=poses,
-            design=_laid_out(layout, self.layout.unpad(self.design)[accepted]),
+            design=_lay_out(layout, self.layout.unpad(self.design)[accepted]),
         )
 
 
@@ -199,7 +199,7 @@ def _rows_by_tool(tools: np.ndarray[Any, Any]) -> list[tuple[int, slice | np.nda
     return [(int(tool), np.flatnonzero(tools == tool)) for tool in np.unique(tools)]
 
 
-def _laid_out(layout: RowLayout, rows: Array) -> Array:
+def _lay_out(layout: RowLayout, rows: Array) -> Array:
     """Lay sorted rows (n, ...) out as (K, width, ...); an empty slot repeats another row of its position."""
     laid = rows if layout.full else rows.take(layout.source, axis=0)
     return laid.reshape(layout.positions, layout.width, *rows.shape[1:])

@@ -19,7 +19,7 @@ from twin.identification.poses import Poses
 from twin.identification.problem import IdentificationProblem, Sides
 from twin.identification.unknowns import UnknownBlocks
 
-_MAX_STEPS = 8
+_MAX_ITERATIONS = 8
 _CONVERGED = 1e-3  # of a prior standard deviation; each step is less than 1e-3 of the previous one
 
 Equations = CentreEquations | DistanceEquations
@@ -54,7 +54,7 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
     Raise SingularSet if the prior is off and the set leaves part of the field open.
     """
     if options.weights == "unit":
-        return _solve_plain(problem, options, formulation)
+        return _solve_unit_weights(problem, options, formulation)
     equations = _equations(problem, formulation, unit_weights=False)
     precision = _precision(problem, equations.matrix, options)
     start, poses, _ = _normal(equations, np.zeros(problem.blocks.size), problem.poses)
@@ -62,7 +62,7 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
     if options.estimate_scales:
         scales = most_likely_scales(start, precision, scales)
     posterior = Posterior.of(equations.matrix, precision, scales)
-    gain = _Gain(posterior, scales.noise**2, precision.information_vector)
+    gain = _NormalSolver(posterior, scales.noise**2, precision.information_vector)
     z, normal, poses, sides = _iterate(equations, gain, start, poses)
     covariance = posterior.covariance
     taken = float(np.vdot(covariance, equations.matrix)) / scales.noise**2
@@ -119,7 +119,7 @@ def _start_scales(options: Options) -> Scales:
 
 
 @dataclass(frozen=True, eq=False)
-class _Gain:
+class _NormalSolver:
     """Map from the right side of normal equations to z."""
 
     posterior: Posterior
@@ -131,7 +131,7 @@ class _Gain:
 
 
 def _iterate(
-    equations: Equations, gain: _Gain, normal: NormalEquations, poses: Poses
+    equations: Equations, gain: _NormalSolver, normal: NormalEquations, poses: Poses
 ) -> tuple[Array, NormalEquations, Poses, Sides]:
     """Iterate Gauss-Newton with exact residuals and one factorisation; the field is linear to nanometres, so two steps
     suffice.
@@ -140,7 +140,7 @@ def _iterate(
     second-order effect below 1e-9 mm.
     """
     z = gain.of(normal)
-    for _ in range(_MAX_STEPS):
+    for _ in range(_MAX_ITERATIONS):
         normal, poses, sides = _normal(equations, z, poses)
         previous, z = z, gain.of(normal)
         if float(np.abs(z - previous).max()) < _CONVERGED:
@@ -157,11 +157,11 @@ def _precision(problem: IdentificationProblem, matrix: Array, options: Options) 
         return PriorPrecision(problem.blocks, problem.known)
     block = problem.blocks.parameters
     if options.formulation == "centres" and options.weights == "full":
-        _refuse_open_field(problem, matrix[block, block])
+        _check_field_determined(problem, matrix[block, block])
     return PriorPrecision(problem.blocks, JointPrior.at_zero(problem.blocks, _null_projector(matrix[block, block])))
 
 
-def _refuse_open_field(problem: IdentificationProblem, information: Array) -> None:
+def _check_field_determined(problem: IdentificationProblem, information: Array) -> None:
     tools = problem.observations.used_tool_offsets
     seen = observability(problem.unknowns.model, information, problem.unknowns.scale, tools)
     unseen = [direction for direction in seen.null_directions if direction.changes_field]
@@ -172,7 +172,7 @@ def _refuse_open_field(problem: IdentificationProblem, information: Array) -> No
         )
 
 
-def _solve_plain(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
+def _solve_unit_weights(problem: IdentificationProblem, options: Options, formulation: Formulation) -> Solution:
     """Solve with the published weighting: all equations equal, no nuisance unknowns.
 
     The covariance is that of this estimator under the full model (sandwich), so that its accuracy is still stated
@@ -187,7 +187,7 @@ def _solve_plain(problem: IdentificationProblem, options: Options, formulation: 
     )
     posterior = Posterior.of(information, precision, Scales())
     z, poses = np.zeros(size), problem.poses
-    for _ in range(_MAX_STEPS):
+    for _ in range(_MAX_ITERATIONS):
         normal, poses, _ = _normal(equations, z, poses)
         previous = z[block]
         z = np.zeros(size)

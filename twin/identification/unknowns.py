@@ -14,7 +14,7 @@ from twin.identification.drift import MachineDrift
 from twin.identification.misfit import MisfitModes
 from twin.machine.error_model import ErrorModel
 
-_SAME = 1e-9  # of the largest variance: tolerance for two covariances of the same certificate
+_COVARIANCE_TOLERANCE = 1e-9  # of the largest variance: tolerance for two covariances of the same certificate
 
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -89,7 +89,7 @@ class ArtefactErrors:
         difference = np.abs(self.certificate @ self.certificate.T - artefact.covariance).max()
         return bool(
             doubt == (artefact.cte_per_k, artefact.cte_standard_uncertainty_per_k)
-            and difference <= _SAME * np.abs(artefact.covariance).max()
+            and difference <= _COVARIANCE_TOLERANCE * np.abs(artefact.covariance).max()
         )
 
 

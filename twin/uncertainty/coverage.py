@@ -27,7 +27,7 @@ from twin.machine.true_machine import TrueMachine
 from twin.machine.volumetric import volumetric_error
 from twin.uncertainty.volumetric_distribution import volumetric_distributions
 
-_OPEN = 1e-9  # of the largest variance: directions below were removed with the rigid motion
+_MIN_VARIANCE = 1e-9  # of the largest variance: directions below were removed with the rigid motion
 _RESAMPLES = 2000
 
 
@@ -100,7 +100,7 @@ def two_sided_level(standardised: Array) -> Array:
 def joint_level(error: Array, covariance: Array) -> float:
     """Return the level of the ellipsoid that just reaches `error` (n,); directions without variance are ignored."""
     values, vectors = np.linalg.eigh(covariance)
-    used = values > _OPEN * values[-1]
+    used = values > _MIN_VARIANCE * values[-1]
     square = float(np.sum((vectors.T @ error)[used] ** 2 / values[used]))
     return float(chdtr(float(used.sum()), square))
 

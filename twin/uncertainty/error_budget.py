@@ -70,9 +70,9 @@ class ErrorBudget:
         return _root(sum(part.raw_mm**2 for part in parts), sum(part.aligned_mm**2 for part in parts))
 
     @cached_property
-    def before(self) -> VolumetricRms:
+    def uncompensated(self) -> VolumetricRms:
         """Root of the expected mean square VE over machines."""
-        return self.field.before()
+        return self.field.uncompensated()
 
     @cached_property
     def total(self) -> Array:
@@ -143,11 +143,11 @@ def error_budget_of_form(
     # Response K f of the estimate to a field f of one standard deviation; the residual error is -K f, and its second
     # moment K f fᵀ Kᵀ. For a true machine parameter the residual is the parameter itself less the response.
     moments = {name: _moments(field, -answers[name]) for name in (CTE, TEMPERATURE, DRIFT)}
-    machines = _machines_left(field, answers["machines"])
+    machines = _machine_residuals(field, answers["machines"])
     none = np.zeros((field.size, field.size))
     certificate = _moments(field, estimator.certificate) if assumptions.certificate else none
     moments |= {
-        TOUCH_NOISE: _embedded(field, estimator.noise) if assumptions.touch_noise else none,
+        TOUCH_NOISE: _embed(field, estimator.noise) if assumptions.touch_noise else none,
         CERTIFICATE: certificate,
         MOUNT: none,
         MISFIT: machines[:, field.unmodelled] @ machines[:, field.unmodelled].T,
@@ -161,24 +161,26 @@ def error_budget_of_form(
 def _influences(problem: IdentificationProblem, field: FieldForm, artefact: Artefact) -> dict[str, Array]:
     """Return the fields (n, 3, x) in mm at the rows, one column per standard deviation (the deflection as it is)."""
     seen, assumptions = problem.observations, field.assumptions
-    stretched = problem.layout.unpad(problem.layout.pad(artefact.balls[seen.ball]) @ _turned(problem))[:, :, None]
+    stretched = problem.layout.unpad(problem.layout.pad(artefact.balls[seen.ball]) @ _transposed_rotations(problem))[
+        :, :, None
+    ]
     warmer_k = assumptions.artefact_temperature_c - artefact.reference_temperature_c
     doubt = artefact.cte_standard_uncertainty_per_k * warmer_k if assumptions.cte else 0.0
     return {
-        "machines": _machines(field, seen),
-        "deflection": _deflection(assumptions, seen),
+        "machines": _machine_fields(field, seen),
+        "deflection": _deflection_field(assumptions, seen),
         CTE: stretched * doubt,
         TEMPERATURE: stretched * (artefact.cte_per_k * assumptions.thermometer_uncertainty_k),
-        DRIFT: _drift(problem, assumptions.drift_mm),
+        DRIFT: _drift_fields(problem, assumptions.drift_mm),
     }
 
 
-def _turned(problem: IdentificationProblem) -> Array:
+def _transposed_rotations(problem: IdentificationProblem) -> Array:
     """Return the transposed rotations (K, 3, 3), to multiply artefact points (K, width, 3) from the right."""
     return problem.poses.rotation.transpose(0, 2, 1)
 
 
-def _machines(field: FieldForm, seen: Observations) -> Array:
+def _machine_fields(field: FieldForm, seen: Observations) -> Array:
     """Return the fields (n, 3, t) of one standard deviation of each parameter of the true family."""
     family = field.assumptions.family
     scale = family.prior_standard_deviation
@@ -190,13 +192,13 @@ def _machines(field: FieldForm, seen: Observations) -> Array:
     return fields
 
 
-def _deflection(assumptions: TruthAssumptions, seen: Observations) -> Array:
+def _deflection_field(assumptions: TruthAssumptions, seen: Observations) -> Array:
     if assumptions.deflection is None:
         return np.zeros((seen.size, 3, 0))
     return clamped_deflection(assumptions.deflection, seen.axis_positions)[:, :, None]
 
 
-def _drift(problem: IdentificationProblem, drift_mm: float) -> Array:
+def _drift_fields(problem: IdentificationProblem, drift_mm: float) -> Array:
     """Return the drift fields (n, 3, 3K): an independent drift in each position, linear over its balls in row order."""
     layout = problem.layout
     if drift_mm == 0.0:
@@ -208,7 +210,7 @@ def _drift(problem: IdentificationProblem, drift_mm: float) -> Array:
     return fields.reshape(len(share), 3, -1)
 
 
-def _machines_left(field: FieldForm, answers: Array) -> Array:
+def _machine_residuals(field: FieldForm, answers: Array) -> Array:
     """Return the residual (u, t), true less identified, of one standard deviation of each true parameter."""
     left = np.zeros((field.size, len(field.true_indices)))
     left[field.true_indices, np.arange(len(field.true_indices))] = field.assumptions.family.prior_standard_deviation
@@ -217,10 +219,10 @@ def _machines_left(field: FieldForm, answers: Array) -> Array:
 
 
 def _moments(field: FieldForm, columns: Array) -> Array:
-    return _embedded(field, columns @ columns.T)
+    return _embed(field, columns @ columns.T)
 
 
-def _embedded(field: FieldForm, covariance: Array) -> Array:
+def _embed(field: FieldForm, covariance: Array) -> Array:
     """Embed second moments (p, p) of the identified parameters into those of the joint model (u, u)."""
     moments = np.zeros((field.size, field.size))
     moments[np.ix_(field.model_indices, field.model_indices)] = covariance

@@ -46,7 +46,7 @@ class LinearEstimator:
                 hint="leave out the earlier estimate",
             )
         plain, blocks = options.weights == "unit", problem.blocks
-        equations = _equations(_with(problem, influences), options)
+        equations = _equations(_with_influences(problem, influences), options)
         used = blocks.parameters.stop if plain else blocks.size
         matrix = equations.matrix
         posterior = _posterior(matrix[:used, :used], blocks, options)
@@ -63,7 +63,7 @@ class LinearEstimator:
         )
 
 
-def _with(problem: IdentificationProblem, influences: Array) -> IdentificationProblem:
+def _with_influences(problem: IdentificationProblem, influences: Array) -> IdentificationProblem:
     """Return the problem with the influences as further design columns, so that its normal matrix contains their
     products."""
     laid = problem.layout.pad(influences)

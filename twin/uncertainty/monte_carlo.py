@@ -48,10 +48,10 @@ def simulated_observations(
     `artefact` is the artefact as certified. Every random influence is drawn even if it is switched off, so that
     switching one off does not change the others.
     """
-    real, shift_k = _real_artefact(artefact, assumptions, rng)
-    change = _moved_balls(planned, artefact, real, assumptions.artefact_temperature_c)
-    found = _found(planned, truth, planned.axis_positions + change)
-    found += _drift(planned.position, assumptions.drift_mm, rng)
+    real, shift_k = _draw_artefact(artefact, assumptions, rng)
+    change = _ball_displacements(planned, artefact, real, assumptions.artefact_temperature_c)
+    found = _measured_positions(planned, truth, planned.axis_positions + change)
+    found += _draw_drift(planned.position, assumptions.drift_mm, rng)
     touches = _touch_noise(planned.covariance, rng)
     if assumptions.touch_noise:
         found += touches
@@ -61,12 +61,12 @@ def simulated_observations(
 
 def uncompensated_errors(form: FieldForm, truths: Array) -> tuple[Array, Array]:
     """Return the VE of machines with parameters (m, t) of the true family, raw and aligned (m,) in mm."""
-    return form.form.values(_spread(form, truths, form.true_indices))
+    return form.form.values(_embed(form, truths, form.true_indices))
 
 
 def compensated_errors(form: FieldForm, truths: Array, estimates: Array) -> tuple[Array, Array]:
     """Return the VCE of machines (m, t) compensated by estimates (m, p), raw and aligned (m,) in mm."""
-    return form.form.values(_spread(form, truths, form.true_indices) - _spread(form, estimates, form.model_indices))
+    return form.form.values(_embed(form, truths, form.true_indices) - _embed(form, estimates, form.model_indices))
 
 
 def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> VolumetricRms:
@@ -75,14 +75,14 @@ def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> Volumet
     return VolumetricRms(float(raw[0]), float(aligned[0]))
 
 
-def _spread(form: FieldForm, parameters: Array, places: IndexArray) -> Array:
+def _embed(form: FieldForm, parameters: Array, places: IndexArray) -> Array:
     """Embed parameters (m, ...) at `places` into vectors (m, u) of the joint model."""
     vectors = np.zeros((len(parameters), form.size))
     vectors[:, places] = parameters
     return vectors
 
 
-def _real_artefact(
+def _draw_artefact(
     artefact: Artefact, assumptions: TruthAssumptions, rng: np.random.Generator
 ) -> tuple[Artefact, float]:
     """Draw the true artefact and the error of its thermometer (K, positive if it reads too high)."""
@@ -97,7 +97,7 @@ def _real_artefact(
     return real, float(shift_k)
 
 
-def _moved_balls(planned: Observations, stated: Artefact, real: Artefact, temperature_c: float) -> Array:
+def _ball_displacements(planned: Observations, stated: Artefact, real: Artefact, temperature_c: float) -> Array:
     """Return the displacement (n, 3) in mm, machine axes, of the true balls from their planned points."""
     local = np.empty((planned.size, 3))
     for elevation in np.unique(planned.elevation_rad):
@@ -116,8 +116,8 @@ def _orientation(planned: Observations, stated: Artefact) -> Array:
     zero, one = np.zeros_like(sine), np.ones_like(sine)
     raised = _matrices((cosine, zero, -sine), (zero, one, zero), (sine, zero, cosine))
     points = planned.axis_positions + planned.tool_offsets[planned.tool]
-    found = _about_middle(points, planned.position)
-    laid = _about_middle(np.einsum("nij,nj->ni", raised, stated.balls[planned.ball]), planned.position)
+    found = _about_centroid(points, planned.position)
+    laid = _about_centroid(np.einsum("nij,nj->ni", raised, stated.balls[planned.ball]), planned.position)
     group = np.unique(planned.position, return_inverse=True)[1]
     across = np.bincount(group, laid[:, 0] * found[:, 1] - laid[:, 1] * found[:, 0])
     along = np.bincount(group, laid[:, 0] * found[:, 0] + laid[:, 1] * found[:, 1])
@@ -130,14 +130,14 @@ def _matrices(*rows: tuple[Array, Array, Array]) -> Array:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def _about_middle(points: Array, position: IndexArray) -> Array:
+def _about_centroid(points: Array, position: IndexArray) -> Array:
     """Return points (n, 3) less the mean of the points of the same position."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]
     sums = np.column_stack([np.bincount(group, points[:, axis]) for axis in range(3)])
     return np.asarray(points - (sums / counts[:, None])[group])
 
 
-def _found(planned: Observations, truth: TrueMachine, wanted: Array) -> Array:
+def _measured_positions(planned: Observations, truth: TrueMachine, wanted: Array) -> Array:
     """Solve X + d(X) = wanted for the axis positions X (n, 3) at which the tool point reaches `wanted`."""
     found = wanted.copy()
     for tool in np.unique(planned.tool):
@@ -150,7 +150,7 @@ def _found(planned: Observations, truth: TrueMachine, wanted: Array) -> Array:
     return found
 
 
-def _drift(position: IndexArray, drift_mm: float, rng: np.random.Generator) -> Array:
+def _draw_drift(position: IndexArray, drift_mm: float, rng: np.random.Generator) -> Array:
     """Return the drift (n, 3) in mm: in each position linear from zero at its first ball to a random vector at its
     last."""
     group, counts = np.unique(position, return_inverse=True, return_counts=True)[1:]

@@ -25,16 +25,16 @@ from scipy.optimize import brentq
 from twin.arrays import Array, as_vector
 from twin.errors import DataError
 
-_DROPPED = 1e-12  # of the largest λ: smaller terms are replaced by their mean
+_MIN_WEIGHT = 1e-12  # of the largest λ: smaller terms are replaced by their mean
 _STEP = 0.15  # integration step in widths of the saddle: error below 1e-15
-_ENDED = 1e-17  # of the value at the saddle point: the sum ends below it
+_NEGLIGIBLE = 1e-17  # of the value at the saddle point: the sum ends below it
 _BLOCK = 64  # points of the path at a time
-_MOST_BLOCKS = 60
-_RISING = 1e-6  # rise of the exponent that disqualifies a path; rounding stays below
-_IMPOSSIBLE = 1e-9  # negative eigenvalue, relative to the largest, that rounding cannot explain
+_MAX_BLOCKS = 60
+_MAX_RISE = 1e-6  # rise of the exponent that disqualifies a path; rounding stays below
+_NEGATIVE_TOLERANCE = 1e-9  # negative eigenvalue, relative to the largest, that rounding cannot explain
 _BENDS = (0.05, 0.02, 0.005, 0.001)  # curvatures of the path in widths of the saddle; the first usable one is taken
-_COUNTS = -37.0  # exponent relative to the saddle below which a term is negligible
-_TURNING = 0.7  # largest phase change in rad from one term to the next
+_MIN_EXPONENT = -37.0  # exponent relative to the saddle below which a term is negligible
+_MAX_PHASE_STEP = 0.7  # largest phase change in rad from one term to the next
 _HINT = "use the covariance of an estimate exactly as it was written"
 
 Complex = np.ndarray[Any, np.dtype[np.complex128]]
@@ -93,9 +93,9 @@ class QuadraticDistribution:
         slope = as_vector(linear, size, "linear part")
         values, vectors = np.linalg.eigh(factor.T @ matrix @ factor)
         top = float(values[-1])
-        if top <= 0.0 or values[0] < -_IMPOSSIBLE * top:
+        if top <= 0.0 or values[0] < -_NEGATIVE_TOLERANCE * top:
             raise DataError("the quadratic form is not a mean square", hint="it must be positive semi-definite")
-        kept = values > _DROPPED * top
+        kept = values > _MIN_WEIGHT * top
         weights, dropped = values[kept], float(values[~kept].sum()) + constant
         # With x = m + L V g the form is Σ λ g² + 2 gᵀVᵀLᵀ(A m + b) + const; completing the squares gives δ and c₀.
         found = []
@@ -178,18 +178,18 @@ class QuadraticDistribution:
         """
         total, lowest = -0.5, 0.0  # the trapezoidal rule counts the first point half
         top = float(self._exponent(np.array([path.saddle + 0j]), above, sign)[0].real)
-        for block in range(_MOST_BLOCKS):
+        for block in range(_MAX_BLOCKS):
             v = path.step * (_BLOCK * block + np.arange(_BLOCK))
             s = np.asarray(path.saddle + 1j * v + path.bend * v**2, dtype=np.complex128)
             exponent = self._exponent(s, above, sign) - top
             falling = np.minimum.accumulate(np.append(lowest, exponent.real))
-            turned = np.abs(np.diff(exponent.imag))[exponent.real[1:] > _COUNTS]
-            if (exponent.real > falling[1:] + _RISING).any() or (turned > _TURNING).any():
+            turned = np.abs(np.diff(exponent.imag))[exponent.real[1:] > _MIN_EXPONENT]
+            if (exponent.real > falling[1:] + _MAX_RISE).any() or (turned > _MAX_PHASE_STEP).any():
                 return None
             terms = np.exp(exponent) * (1.0 - 2j * path.bend * v)  # ds = i (1 - 2 i bend v) dv
             total += float(terms.real.sum())
             lowest = float(falling[-1])
-            if float(np.abs(terms[-1])) < _ENDED:
+            if float(np.abs(terms[-1])) < _NEGLIGIBLE:
                 return total
         return None
 
@@ -243,10 +243,10 @@ def covariance_factor(covariance: ArrayLike) -> Array:
     scale = np.where(variance > 0.0, np.sqrt(variance), 1.0)
     correlation = matrix / np.multiply.outer(scale, scale)
     off = np.abs(correlation - correlation.T).max(axis=1)
-    if off.max() > _IMPOSSIBLE:
+    if off.max() > _NEGATIVE_TOLERANCE:
         raise DataError("the covariance is not symmetric", row=int(np.argmax(off)), hint=_HINT)
     values, vectors = np.linalg.eigh(correlation)
-    if values[0] < -_IMPOSSIBLE * values[-1]:
+    if values[0] < -_NEGATIVE_TOLERANCE * values[-1]:
         raise DataError(
             "the covariance is not positive semi-definite: in some direction its variance is negative", hint=_HINT
         )

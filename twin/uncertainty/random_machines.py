@@ -24,20 +24,20 @@ AS_MODELLED = "as modelled"
 """Form of machines drawn from the family itself, with all conditions as stated: a check of the parameter regions."""
 
 _AMPLITUDE = (0.7, 1.3)  # factor on all parameters of a machine, relative to its family
-_BEAMS = (0.5, 1.5)  # factor on the deflection of the machine file
-_NOISE = (0.7, 1.5)  # ratio of true to stated touch noise
+_BEAM_AMPLITUDE = (0.5, 1.5)  # factor on the deflection of the machine file
+_NOISE_RATIO = (0.7, 1.5)  # ratio of true to stated touch noise
 _TEMPERATURE_C = (17.0, 23.0)
 THERMOMETER_UNCERTAINTY_K = 0.1
 _DRIFT_MM = 0.5e-3
 
 MakeDeflection = Callable[[Ranges, np.random.Generator], DeflectionGrid]
-_DRAWN: Mapping[str, MakeDeflection] = {
+_DRAW_FUNCTIONS: Mapping[str, MakeDeflection] = {
     "rails": deflection_forms.rail_deflection,
     "smooth": deflection_forms.smooth_random_deflection,
     "portal": deflection_forms.portal_deflection,
     "thermal": deflection_forms.thermal_deflection,
 }
-DEFLECTION_FORMS = ("none", "beams", *_DRAWN)
+DEFLECTION_FORMS = ("none", "beams", *_DRAW_FUNCTIONS)
 """Forms of deflection; `beams` is the deflection of the machine file with a random amplitude."""
 
 
@@ -51,7 +51,7 @@ class RandomMachine:
     assumptions: TruthAssumptions
     noise: float
 
-    def measured(self, planned: Observations, artefacts: Artefact, rng: np.random.Generator) -> Observations:
+    def measure(self, planned: Observations, artefacts: Artefact, rng: np.random.Generator) -> Observations:
         """Simulate the measurement of `planned`; the result carries the stated covariance, not the true one."""
         true = replace(planned, covariance=self.noise**2 * planned.covariance)
         seen = simulated_observations(true, artefacts, self.truth, self.assumptions, rng)
@@ -76,13 +76,13 @@ def draw_random_machine(
         thermometer_uncertainty_k=THERMOMETER_UNCERTAINTY_K,
         drift_mm=_DRIFT_MM,
     )
-    return RandomMachine(form, truth, assumptions, float(np.exp(rng.uniform(*np.log(_NOISE)))))
+    return RandomMachine(form, truth, assumptions, float(np.exp(rng.uniform(*np.log(_NOISE_RATIO)))))
 
 
 def _deflection(description: MachineDescription, form: str, rng: np.random.Generator) -> DeflectionGrid | None:
-    if form in _DRAWN:
-        return _DRAWN[form](description.limits, rng)
+    if form in _DRAW_FUNCTIONS:
+        return _DRAW_FUNCTIONS[form](description.limits, rng)
     grid = description.deflection
     if form == "none" or grid is None:
         return None
-    return replace(grid, values=rng.uniform(*_BEAMS) * grid.values)
+    return replace(grid, values=rng.uniform(*_BEAM_AMPLITUDE) * grid.values)

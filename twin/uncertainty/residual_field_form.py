@@ -119,7 +119,7 @@ class FieldForm:
         variances[self.true_indices] = self.assumptions.family.prior_standard_deviation**2
         return np.diag(variances)
 
-    def before(self) -> VolumetricRms:
+    def uncompensated(self) -> VolumetricRms:
         """Return the root of the expected mean square of the true machines' deviation."""
         return self.form.expected(self.family_moments)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.design.goals import FEWEST_POSITIONS
+from twin.design.goals import MIN_POSITIONS
 from twin.design.search import ExchangeSearch, Selection
 
 FURTHEST = 24
@@ -38,7 +38,7 @@ def front_of(search: ExchangeSearch, chosen: Sequence[int], minutes: float) -> t
     points = [
         (len(one.chosen), search.costs.total(one.chosen), 1e3 * float(np.sqrt(one.value)), False)
         for one in grown
-        if len(one.chosen) >= FEWEST_POSITIONS
+        if len(one.chosen) >= MIN_POSITIONS
     ]
     points.append((len(chosen), minutes, candidates.vce(chosen).aligned_um, True))
     points.sort(key=lambda point: (point[1], point[2]))

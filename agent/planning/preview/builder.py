@@ -16,7 +16,7 @@ from agent.probing.run_plan import position_key
 from twin.artefact.position_set import Position
 from twin.collision.bodies import TABLE
 from twin.collision.geometry import Box, point
-from twin.design.procedure import FEWEST_BALLS
+from twin.design.procedure import MIN_BALLS
 
 MARGIN_MM = 200.0
 """By so much the drawn part of the table is larger than what stands on it."""
@@ -82,8 +82,8 @@ def _unvisited(placings: Sequence[Placing], walked: Sequence[Visit], refused: Pl
     for number, placing in enumerate(placings):
         if number in seen:
             continue
-        if placing.reachable < FEWEST_BALLS:
-            note = f"left out: {placing.reachable} of its balls can be reached, {FEWEST_BALLS} are needed"
+        if placing.reachable < MIN_BALLS:
+            note = f"left out: {placing.reachable} of its balls can be reached, {MIN_BALLS} are needed"
         else:
             note = "not reached: the preflight was refused before" if refused else "not part of the plan"
         visits.append(Visit("", number, end, end, note))

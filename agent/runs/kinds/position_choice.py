@@ -16,7 +16,7 @@ from drivers.errors import ConfigurationError
 from twin.artefact.position_set import Position
 from twin.design.candidates import build_candidates, orientation_grid
 from twin.design.measuring_cost import MeasuringCosts
-from twin.design.procedure import FEWEST_BALLS
+from twin.design.procedure import MIN_BALLS
 from twin.design.search import ExchangeSearch, Selection
 from twin.identification import CarriedOverPrior, Options
 from twin.machine.volumetric import evaluation_grid
@@ -130,4 +130,4 @@ class Chooser:
     def _usable(self, position: Position) -> bool:
         layout = self.job.layout
         reached = int(layout.reachable(position, layout.nominal(position)).sum())
-        return reached >= FEWEST_BALLS and not self.vetting.hit(position)
+        return reached >= MIN_BALLS and not self.vetting.hit(position)

@@ -218,7 +218,7 @@ def test_before_is_the_mean_square_of_the_family() -> None:
         parameters = TRUE_FAMILY.draw(rng, 1)[0]
         field = exact_deviation(TRUE_FAMILY.model, GRID, TOOL, parameters) + DEFLECTION.at(GRID)
         squares.append((mean_square(field), mean_square(without_rigid_motion(field))))
-    before = closed(CENTRES, EVERYTHING).before
+    before = closed(CENTRES, EVERYTHING).uncompensated
     for found, wanted in zip(np.transpose(squares), (before.raw_mm**2, before.aligned_mm**2), strict=True):
         assert found.mean() == pytest.approx(wanted, abs=3.0 * found.std() / 20.0)
 
