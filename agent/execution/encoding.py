@@ -15,7 +15,7 @@ from drivers.roles import Miss, Orientation, TableImage, Touch
 
 
 def encode_step(step: Step) -> str:
-    """The step's fields but for its key."""
+    """Return the step's fields without its key."""
     return to_json({f.name: getattr(step, f.name) for f in fields(step) if f.name != "key"})
 
 
@@ -24,7 +24,8 @@ def encode_result(result: object) -> str | None:
 
 
 def decode_result(kind: str, text: str | None) -> Any:
-    """What `encode_result` wrote for a step of that `kind`. A table is only known by its digest: ``{"crc32": …}``."""
+    """Return the result that `encode_result` wrote for a step of that `kind`; of a table only its digest,
+    ``{"crc32": …}``."""
     value: Any = None if text is None else json.loads(text)
     if kind == TouchTowards.__name__:
         return Touch(_triple(value["touch"])) if "touch" in value else Miss(_triple(value["miss"]))
@@ -38,12 +39,12 @@ def to_json(value: object) -> str:
 
 
 def table_digest(table: TableImage) -> int:
-    """CRC-32 over the counts, big-endian, x slowest, dx dy dz innermost: the same bytes the link carries."""
+    """Return the CRC-32 of the counts, big-endian, x slowest, dx dy dz innermost: the bytes that the link carries."""
     return zlib.crc32(table.counts.astype(">i4").tobytes())
 
 
 def table_from(origin_mm: str, step_mm: str, resolution_mm: float, shape: str, counts: bytes) -> TableImage:
-    """A table from the columns of the journal's `tables`."""
+    """Return a table from the columns of the journal's `tables`."""
     values = np.frombuffer(counts, ">i4").astype(np.int32).reshape(*json.loads(shape), 3)
     return TableImage(_triple(json.loads(origin_mm)), _triple(json.loads(step_mm)), resolution_mm, values)
 

@@ -1,4 +1,4 @@
-"""What a finished run says of the time model: predicted and observed seconds of each step, and latencies from them."""
+"""Time model against a finished run: predicted and observed seconds of each step, and latencies fitted to them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _Angles: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class ObservedStep:
-    """`motion_s`: what the motion law says of it; `observed_s`: what the run took."""
+    """`motion_s`: pure motion by the motion law; `observed_s`: time taken by the run."""
 
     kind: str
     motion_s: float
@@ -32,8 +32,8 @@ class ObservedStep:
 
 @dataclass(frozen=True)
 class KindOfStep:
-    """All steps of one kind. Seconds; latencies beyond the motion of each (of an AskOperator all of it), as set and as
-    suggested; `rest_s`: rms of what the suggested one leaves of a step."""
+    """All steps of one kind, in seconds. Latencies are the time beyond the motion of each step (the whole time of an
+    AskOperator), as set and as suggested; `rest_s`: rms of the residuals with the suggested latency."""
 
     kind: str
     count: int
@@ -45,17 +45,19 @@ class KindOfStep:
 
 
 def observed_steps(steps: Iterable[StepRow], model: TimeModel) -> list[ObservedStep]:
-    """Replay a run's motions from where the axes and the mount stood; what begins from nobody knows where, and what
-    did not end, says nothing."""
+    """Return the timed steps of a run, replayed from the known positions of the axes and the mount.
+
+    A step that starts from an unknown position, or that did not end, is left out.
+    """
     replay = _Replay(model)
     return [observed for step in steps if (observed := replay.observed(step)) is not None]
 
 
 def refit(model: TimeModel, observed: Sequence[ObservedStep]) -> TimeModel:
-    """The same motion with the latencies that fit best, kind by kind; kinds that were not observed keep theirs.
+    """Fit the latency of each kind of step with unchanged motion; kinds that were not observed keep theirs.
 
-    With motion known, what is left of a step is its latency, and the least-squares estimate of a constant is the mean;
-    a mean below zero (the machine is faster than its file says) counts as none.
+    With the motion known, the rest of a step is its latency, and the least-squares estimate of a constant is the mean;
+    a mean below zero (the machine is faster than its file states) is set to zero.
     """
     return replace(
         model,
@@ -72,7 +74,7 @@ def _fitted(kind: str, given_s: float, observed: Sequence[ObservedStep]) -> floa
 
 
 def kinds_of_steps(model: TimeModel, observed: Sequence[ObservedStep]) -> list[KindOfStep]:
-    """Prediction by `model` against what was observed, for every kind that was."""
+    """Compare the prediction by `model` with the observation, for every observed kind."""
     given, fitted = _latencies(model), _latencies(refit(model, observed))
     table = []
     for kind in KINDS:
@@ -83,7 +85,7 @@ def kinds_of_steps(model: TimeModel, observed: Sequence[ObservedStep]) -> list[K
 
 
 def suggested_settings(model: TimeModel) -> dict[str, float]:
-    """The keys of the settings' `timing` that are not the mount's motion."""
+    """Return the keys of the settings' `timing` other than those of the mount's motion."""
     return {
         "command_latency_s": round(model.command_latency_s, 4),
         "touch_latency_s": round(model.touch_latency_s, 4),
@@ -115,7 +117,7 @@ def _summary(kind: str, steps: Sequence[ObservedStep], latency_s: float, suggest
 
 
 class _Replay:
-    """Where axes and mount stand while a run's steps pass by; None before it is known."""
+    """Positions of axes and mount during the steps of a run; None while unknown."""
 
     def __init__(self, model: TimeModel) -> None:
         self._model = model
@@ -130,7 +132,7 @@ class _Replay:
         return None if motion_s is None else ObservedStep(step.kind, motion_s, step.finished_s - step.begun_s)
 
     def _motion_s(self, step: StepRow) -> float | None:
-        """Seconds of pure motion, where it can be told; what is known afterwards is kept."""
+        """Return seconds of pure motion if it is known, and remember the position reached."""
         match step.kind:
             case "ReadPosition":
                 self._at_mm = _triple(step.result)

@@ -1,7 +1,7 @@
-"""Which events a report tells, and in what words.
+"""Selection and wording of the events in a report.
 
-What happens at every position as it should (the first ball found again within its limit) is counted in one line;
-everything that asked for a decision is told as it was.
+Regular events of every position (the first ball found again within its limit) are counted in one line; every event that
+required a decision is listed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from agent.reports.page import EventLine
 def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
     kept = [note for note in record.events if not _routine(note)]
     drifts = [note for note in record.events if _drift_um(note) is not None]
-    lines = [EventLine(note.at, note.kind, _told(note)) for note in kept]
+    lines = [EventLine(note.at, note.kind, _line(note)) for note in kept]
     if drifts:
         largest = max(_drift_um(note) or 0.0 for note in drifts)
         text = f"the first ball was found again in {len(drifts)} positions, at most {largest:.1f} µm away"
@@ -28,7 +28,7 @@ def shown_events(record: RunRecord) -> tuple[EventLine, ...]:
 
 
 def drifts_um(record: RunRecord) -> tuple[float, ...]:
-    """By how much the first ball of each position had moved at its end, in the order measured."""
+    """Return the displacement of the first ball of each position at its end in µm, in the order measured."""
     found = (_drift_um(note) for note in record.events)
     return tuple(one for one in found if one is not None)
 
@@ -46,8 +46,8 @@ def _drift_um(note: EventRow) -> float | None:
     return None if values is None or "limit_um" not in note.record else float(np.linalg.norm(values))
 
 
-def _told(note: EventRow) -> str:
-    """A change of state by its name, everything else in words."""
+def _line(note: EventRow) -> str:
+    """Return a change of state by its name, everything else in words."""
     if note.kind == "state":
         reason = note.record.get("reason")
         return f"{note.record['state']}: {reason}" if reason else str(note.record["state"])

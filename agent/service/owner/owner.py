@@ -28,7 +28,7 @@ from agent.service.owner.questions import Questions
 from agent.service.owner.run_hooks import RunHooksFactory, night_slot
 from agent.service.owner.run_mailbox import RunMailbox
 from agent.service.owner.unattended import minutes_until_end, require_permission, require_warm
-from agent.service.state.status_board import Standing
+from agent.service.state.status_board import IdleStatus
 from agent.settings.load import naming
 from agent.settings.schema import Settings
 from drivers.errors import PermissionMissing, UserError, VolcalError
@@ -49,7 +49,7 @@ class Owner:
         self._running: RunMailbox | None = None
         self._closing = False
         self._reconciled = False
-        self._board.stands(self._standing())
+        self._board.show_idle(self._idle_status())
         left = parts.journal_state.unacknowledged_end()
         if left is not None:
             self._board.show_unacknowledged_end(left.state, left.run_id, left.kind, left.alarm)
@@ -250,9 +250,9 @@ class Owner:
                 self._parts.reports.wanted(run_id)
 
     def _conclude(self, state: RunState, error: BaseException | None) -> None:
-        standing = self._standing()
+        idle = self._idle_status()
         with self._changed:
-            self._board.stands(standing)
+            self._board.show_idle(idle)
             self._parts.scenes.forget()
             if error is not None:
                 self._board.alarm(alarm_of(error))
@@ -264,12 +264,12 @@ class Owner:
 
     # ------------------------------------------------------------------
 
-    def _standing(self) -> Standing:
+    def _idle_status(self) -> IdleStatus:
         try:
-            return self._parts.journal_state.standing(self.settings, self._parts.config.parent)
+            return self._parts.journal_state.idle_status(self.settings, self._parts.config.parent)
         except Exception:  # these figures are for display only: the machine must be free again without them
             log.exception("the state in which the machine was left is not known")
-            return Standing()
+            return IdleStatus()
 
     def _require(self, what: str, why: str) -> None:
         status = self._board.status()

@@ -18,7 +18,7 @@ from agent.runs.reference_state import ACTIVATING_DECISIONS, accepted_for
 from agent.runs.unfinished_run import unfinished_run
 from agent.service.allowed_requests import STICKY
 from agent.service.control import Alarm
-from agent.service.state.status_board import Standing
+from agent.service.state.status_board import IdleStatus
 from agent.settings.schema import Settings
 from drivers.errors import VolcalError
 
@@ -72,15 +72,15 @@ class JournalState:
         finally:
             journal.close()
 
-    def standing(self, settings: Settings, base: Path) -> Standing:
+    def idle_status(self, settings: Settings, base: Path) -> IdleStatus:
         """Return the known state, empty if there is none. A journal that cannot be read is logged, not raised."""
         try:
             active_bank, unfinished = self._active_bank(), unfinished_run(self.directory)
             before_um, now_um = _volumetric_errors(settings, base)
         except VolcalError as error:
             log.warning("the state in which the machine was left is not known", error=str(error))
-            return Standing()
-        return Standing(
+            return IdleStatus()
+        return IdleStatus(
             ve_before_um=before_um,
             ve_now_um=now_um,
             active_bank=active_bank,

@@ -26,8 +26,8 @@ log = structlog.get_logger()
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What the journal knows of the machine between runs. µm, aligned, of the last accepted night."""
+class IdleStatus:
+    """State of the machine between runs, by the journal. µm, aligned, of the last accepted night."""
 
     ve_before_um: float | None = None
     ve_now_um: float | None = None
@@ -63,8 +63,8 @@ class Board:
         """Another machine file, of the runs to come."""
         self._change(machine=machine)
 
-    def stands(self, standing: Standing) -> None:
-        self._change(**vars(standing))
+    def show_idle(self, idle: IdleStatus) -> None:
+        self._change(**vars(idle))
 
     def show_unacknowledged_end(self, state: RunState, run_id: str, kind: str, alarm: Alarm) -> None:
         """Enter the unacknowledged end of a run from before the service started."""

@@ -1,0 +1,155 @@
+"""The reader of the journal: rows of runs, whole or interrupted, of this version and an older one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from journal_surgery import make_version_1
+
+from agent.errors import JournalFailed
+from agent.execution.journal import Journal
+from agent.execution.journal_copy import copy_journal
+from agent.execution.journal_reader import JournalReader, has_journal, open_journal
+from agent.execution.journal_schema import FILE_NAME
+from agent.execution.run_record import read_record
+from agent.execution.states import RunState
+from agent.execution.steps import MoveTo, ReadTemperatures, Record, TouchTowards
+from agent.runs.unfinished_run import unfinished_run
+from drivers.clock import VirtualClock
+from drivers.errors import InputError
+from drivers.roles import TableImage, Touch
+
+FIRST, SECOND = "20261101T020000Z-0000", "20261102T020000Z-0000"
+TABLE = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.arange(24, dtype=np.int32).reshape(2, 2, 2, 3))
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> Path:
+    """A complete run with a table, and one that was interrupted in its second step."""
+    journal = Journal(tmp_path)
+    clock = VirtualClock()
+    first = journal.start_run(FIRST, "calibrate", {"secret": "hidden", "tool": "probe"}, "1.0", clock)
+    touch = TouchTowards("ball-00/touch-0", (1.0, 2.0, 3.0), 5.0)
+    clock.sleep(60.0)
+    first.begin(touch)
+    clock.sleep(30.0)
+    first.finish(touch, Touch((1.0, 2.0, 2.5)), begun=True)
+    first.aside().begin(MoveTo("recover/withdraw", (0.0, 0.0, 0.0)))
+    clock.sleep(90.0)
+    first.finish(ReadTemperatures("t"), {"artefact": 20.25}, begun=False)
+    first.finish(Record("ball-00/centre", "ball", {"ball": 0}), None, begun=False)
+    first.table("backup", 1, TABLE)
+    first.table("staged", 2, None)
+    first.aside().decision("restore/activated", {"bank": 1})
+    first.decision("accepted", {"crc32": 7})
+    first.state(RunState.COMPLETE, final=True)
+    second = journal.start_run(SECOND, "verify", {"tool": "side"}, "1.0", clock)
+    second.state(RunState.MEASURING)
+    second.begin(MoveTo("station-1/park", (0.0, 0.0, 0.0)))
+    journal.close()
+    return tmp_path
+
+
+def test_runs_are_listed_and_paged(state: Path) -> None:
+    with open_journal(state) as reader:
+        assert reader.run_ids() == (FIRST, SECOND)
+        (latest,) = reader.run_counts(limit=1)
+        (earlier,) = reader.run_counts(limit=5, before_run=latest.run.run)
+        last = reader.last_run()
+        assert reader.run("none") is None
+        with pytest.raises(InputError, match=f"no run none.*the last ones are: {SECOND}, {FIRST}"):
+            reader.require_run("none")
+    assert latest.run == last
+    assert (latest.run.run_id, latest.balls, latest.touches) == (SECOND, 0, 0)
+    assert (earlier.run.run_id, earlier.balls, earlier.touches, earlier.run.state) == (FIRST, 1, 1, "complete")
+
+
+def test_a_step_that_did_not_end_has_no_result(state: Path) -> None:
+    with open_journal(state) as reader:
+        (step,) = reader.steps(2)
+        touch, _, _ = reader.steps(1)
+        assert [one.key for one in reader.steps(1, procedure_only=True)] == ["ball-00/touch-0", "t"]
+        assert reader.steps(1, "MoveTo")[0].key == "recover/withdraw"
+        assert (reader.last_step_key(2), reader.count_steps(1), reader.last_ordinal(1)) == ("station-1/park", 3, 4)
+    assert (step.finished_s, step.result, step.detail["target_mm"]) == (None, None, [0.0, 0.0, 0.0])
+    assert (touch.begun_s, touch.finished_s, touch.result) == (60.0, 90.0, {"touch": [1.0, 2.0, 2.5]})
+
+
+def test_temperatures_are_minutes_after_the_first_step(state: Path) -> None:
+    with open_journal(state) as reader:
+        (reading,) = reader.temperatures(1)
+        assert reader.time_span_s(1) == (60.0, 180.0)
+        assert reader.time_span_s(3) is None
+    assert (reading.minutes, reading.record) == (2.0, {"artefact": 20.25})
+
+
+def test_events_and_decisions_by_kind_and_number(state: Path) -> None:
+    with open_journal(state) as reader:
+        (event,) = reader.events(2, ("state", "fault"))
+        assert reader.events(2, after=event.number) == ()
+        assert reader.events(2, ("fault",)) == ()
+        assert reader.last_event_number(2, "state") == event.number
+        assert reader.last_event_number(2, "fault") == 0
+        assert [one.kind for one in reader.decisions(1)] == ["restore/activated", "accepted"]
+        assert [one.kind for one in reader.decisions(1, procedure_only=True)] == ["accepted"]
+        accepted = reader.last_decision("accepted")
+        assert reader.last_decision("accepted", before_run=1) is None
+        assert reader.has_decision(1, {"accepted", "table-restored"})
+        assert not reader.has_decision(2, {"accepted"})
+    assert event.record == {"state": "measuring", "reason": ""}
+    assert accepted is not None
+    assert (accepted.run_id, accepted.record) == (FIRST, {"crc32": 7})
+
+
+def test_the_active_table_is_a_staged_one_only_if_it_was_accepted(state: Path) -> None:
+    with open_journal(state) as reader:
+        backup, staged = reader.tables(1)
+        assert reader.last_active_table({"accepted"}) == staged
+        assert reader.last_active_table({"table-restored"}) == backup
+        assert reader.last_backup() == backup
+        assert reader.last_backup(2) is None
+        assert reader.last_table(1, "restored") is None
+        assert reader.image(staged) is None
+        image = reader.image(backup)
+    assert image is not None
+    assert image.same_as(TABLE)
+
+
+def test_a_journal_of_version_1_is_read_as_it_is(state: Path) -> None:
+    make_version_1(state)
+    before = (state / FILE_NAME).read_bytes()
+    record = read_record(state, FIRST)
+    assert (record.balls, record.touches, len(record.tables), record.minutes) == (1, 1, 2, 2.0)
+    unfinished = unfinished_run(state)
+    assert unfinished is not None
+    assert "older version" in unfinished.refusal
+    assert (state / FILE_NAME).read_bytes() == before
+
+
+def test_reading_creates_nothing_and_fails_as_the_caller_wants(tmp_path: Path) -> None:
+    assert not has_journal(tmp_path)
+    for failure in (InputError, JournalFailed):
+        with pytest.raises(failure, match="cannot be read"), open_journal(tmp_path, failure) as reader:
+            reader.run_ids()
+    assert not has_journal(tmp_path)
+    (tmp_path / FILE_NAME).write_bytes(b"no database" * 100)
+    with pytest.raises(JournalFailed, match="not a database"), open_journal(tmp_path, JournalFailed) as reader:
+        reader.run_ids()
+
+
+def test_any_connection_will_do(state: Path) -> None:
+    journal = Journal(state)
+    assert JournalReader(journal._connection).run_ids() == (FIRST, SECOND)
+    journal.close()
+
+
+def test_a_copy_has_the_edited_settings_alone(state: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    target = tmp_path_factory.mktemp("copy")
+    path = copy_journal(state, target, lambda settings: {**settings, "secret": "removed"})
+    with open_journal(target) as reader, open_journal(state) as original:
+        assert reader.settings_text(1) == '{"secret": "removed", "tool": "probe"}'
+        assert original.settings_text(1) == '{"secret":"hidden","tool":"probe"}'
+        assert reader.steps(1) == original.steps(1)
+    assert b"hidden" not in path.read_bytes()
