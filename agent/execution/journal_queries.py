@@ -21,7 +21,12 @@ LAST_WORKING_RUN = RUN + (
     "WHERE run IN (SELECT run FROM steps UNION SELECT run FROM origins WHERE begun_s IS NOT NULL) "
     "ORDER BY run DESC LIMIT 1"
 )
+ORIGIN = "SELECT run, run_id, settings, record, begun_s, begun_at FROM runs JOIN origins USING (run) WHERE run = :run"
 STEP = "SELECT ordinal, key, kind, detail, begun, finished, result, error FROM steps "
+TEMPERATURE = (
+    "SELECT (finished - (SELECT min(begun) FROM steps WHERE run = :run)) / 60.0, record "
+    "FROM temperatures JOIN steps USING (run, ordinal) WHERE run = :run ORDER BY ordinal"
+)
 DECISION = "SELECT run, run_id, decisions.rowid, at, decisions.kind, record FROM decisions JOIN runs USING (run) "
 TABLE = (
     "SELECT run, run_id, tables.rowid, at, role, bank, crc32, origin_mm, step_mm, resolution_mm, shape "

@@ -112,12 +112,7 @@ class JournalReader:
         return self._one("SELECT 1 FROM sqlite_master WHERE name = 'origins'") is not None
 
     def origin(self, run: int) -> OriginRow | None:
-        return self._first(
-            OriginRow,
-            "SELECT run, run_id, settings, record, begun_s, begun_at FROM runs JOIN origins USING (run) "
-            "WHERE run = :run",
-            run=run,
-        )
+        return self._first(OriginRow, queries.ORIGIN, run=run)
 
     def steps(self, run: int, kind: str | None = None, *, procedure_only: bool = False) -> tuple[StepRow, ...]:
         """Return the steps of a run in order. `procedure_only` leaves out withdrawals and returns, here as below."""
@@ -161,12 +156,7 @@ class JournalReader:
         return int(self._value("SELECT count(*) FROM balls WHERE run = :run", run=run))
 
     def temperatures(self, run: int) -> tuple[TemperatureRow, ...]:
-        return self._rows(
-            TemperatureRow,
-            "SELECT (finished - (SELECT min(begun) FROM steps WHERE run = :run)) / 60.0, record "
-            "FROM temperatures JOIN steps USING (run, ordinal) WHERE run = :run ORDER BY ordinal",
-            run=run,
-        )
+        return self._rows(TemperatureRow, queries.TEMPERATURE, run=run)
 
     def events(
         self,
