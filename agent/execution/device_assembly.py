@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.execution.rig import Rig, in_role
-from agent.settings.schema import ClockSettings, Settings
+from agent.settings.schema import ClockSettings, Settings, StationSettings
 from drivers.clock import INTERRUPT_SLICE_S, Clock, LockstepClock, RealClock, ScaledClock
 from drivers.errors import ConfigurationError
 from drivers.registry import DeviceContext, create_device
@@ -89,8 +89,8 @@ def assemble(settings: Settings, clock: Clock, base: Path) -> Rig:
 def _mounts(devices: Mapping[str, Device], settings: Settings) -> dict[int, RotaryMount]:
     named = settings.roles.mount
     if isinstance(named, str):
-        return {n: mount_at_station(devices, named, n, "roles.mount") for n in stations_of(settings)}
-    return {n: mount_at_station(devices, named[n], n, f"roles.mount.{n}") for n in stations_of(settings)}
+        return {n: mount_at_station(devices, named, n, "roles.mount") for n in stations_of(settings.stations)}
+    return {n: mount_at_station(devices, named[n], n, f"roles.mount.{n}") for n in stations_of(settings.stations)}
 
 
 def mount_at_station(devices: Mapping[str, Device], name: str, station: int, key: str) -> RotaryMount:
@@ -98,8 +98,9 @@ def mount_at_station(devices: Mapping[str, Device], name: str, station: int, key
     return mount.mount_at(station) if isinstance(mount, MultiStationMount) else mount
 
 
-def stations_of(settings: Settings) -> range:
-    return range(1, len(settings.stations.places_mm) + 1)
+def stations_of(stations: StationSettings) -> range:
+    """Return the numbers of the stations, from 1."""
+    return range(1, len(stations.places_mm) + 1)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""From settings and the files they name to everything a run needs to know. Reads files, touches no device."""
+"""Job of a run, from the settings and the files they name. Reads files, touches no device."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ class Job:
 
     @property
     def procedure(self) -> Procedure:
-        """The same as the mathematics sees it: no devices, no order."""
+        """Procedure as the mathematics sees it: no devices, no order."""
         probing = self.rules.probing
         covariance = centre_covariance(probing.directions, probing.touch_sigma_mm)
         return Procedure({self.settings.tool: self.layout}, covariance)
 
     @cached_property
     def measuring(self) -> MeasuringOrder:
-        """The set, and at the verified stations the held-out positions as they are before."""
+        """Order of the set, with the held-out positions at the verified stations, before the new table is active."""
         both = (*self.positions, *self.held_out)
         carried = self.rules.change.moves_artefact
         standing_at = self.settings.stations.standing_at if carried else None
@@ -77,26 +77,26 @@ class Job:
 
     @property
     def closing(self) -> ClosingRules:
-        """When the first position is measured again at the end: one of the set, never a held-out one."""
+        """Rules for measuring the first position again at the end: one of the set, never a held-out one."""
         chosen = self.settings.temperature
         return ClosingRules(
             chosen.repeat_after_change_k, chosen.declared_change_k, chosen.repeat_positions, self.positions
         )
 
     def preparing(self) -> Plan[Prepared]:
-        """The probe check and the qualification before everything else."""
+        """Return the plan of probe check and qualification, which come before everything else."""
         return prepare_probe(self.measuring, self.layout, self.rules, self.preparation)
 
     def verifying(self, standing_at: int | None) -> MeasuringOrder:
-        """The held-out positions again, beginning where the artefact stands."""
+        """Return the order of the held-out positions measured again, starting at the artefact's station."""
         order = sorted(self.verified_stations, key=lambda s: (s != standing_at, -s))
         if not self.settings.procedure.optimise_order:
             return MeasuringOrder("verify", by_station(self.held_out, order), standing_at)
         return MeasuringOrder("verify", self._ordering.positions(self.held_out, order), standing_at)
 
     def balls_of(self, measured: Measured, *, held_out: bool, again: bool = False) -> list[MeasuredBall]:
-        """The balls of the held-out positions, or of all others, numbered as `artefact` has them; `again`: with those
-        that were found again at the end of their positions."""
+        """Return the balls of the held-out positions, or of all others, numbered as in `artefact`; `again`: with those
+        that were measured again at the end of their positions."""
         kept_out = {(p.station, p.azimuth_deg, p.elevation_deg) for p in self.held_out}
         return [
             replace(ball, ball=ball.ball + self.layout.first_ball(ball.station))
@@ -113,7 +113,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     """
     check_stations(settings)
     machine = load_machine(settings.machine)
-    artefacts = load_artefacts(settings)
+    artefacts = load_artefacts(settings.artefact, settings.stations)
     if settings.tool not in machine.tools:
         raise ConfigurationError(
             f"the machine has no tool {settings.tool!r}",
@@ -121,7 +121,9 @@ def prepare_job(settings: Settings, base: Path) -> Job:
             hint=f"tools of {settings.machine.name}: {', '.join(sorted(machine.tools))}",
         )
     stations = tuple(settings.procedure.stations or range(1, len(settings.stations.places_mm) + 1))
-    positions = _positions(settings, stations, base)
+    positions = _positions(
+        settings.procedure.position_set, stations, len(settings.stations.places_mm), base, settings.tool
+    )
     verified = tuple(settings.verification.stations or stations)
     held_out = tuple(
         Position(station, azimuth, elevation)
@@ -130,7 +132,7 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     )
     _refuse_overlap(positions, held_out)
     used = tuple(dict.fromkeys((*stations, *(p.station for p in positions), *verified)))
-    probing = probing_of(settings, artefacts.kind)
+    probing = probing_of(settings.procedure, settings.probe.tip_radius_mm, artefacts.kind)
     job = Job(
         settings=settings,
         machine=machine,
@@ -143,10 +145,10 @@ def prepare_job(settings: Settings, base: Path) -> Job:
         preparation=preparation_of(settings, machine, artefacts, probing),
         rules=PositionRules(
             probing,
-            course_of(settings, machine),
-            drift_limits_of(settings),
-            settling_of(settings),
-            station_change(settings),
+            course_of(settings.stations, settings.procedure, settings.timing, machine),
+            drift_limits_of(settings.procedure, settings.temperature),
+            settling_of(settings.temperature),
+            station_change(settings.roles, settings.stations),
         ),
         gate_limits=settings.gates,
     )
@@ -156,29 +158,28 @@ def prepare_job(settings: Settings, base: Path) -> Job:
     return job
 
 
-def _positions(settings: Settings, stations: Sequence[int], base: Path) -> tuple[Position, ...]:
-    """Named sets, or a file of positions."""
-    name = settings.procedure.position_set
+def _positions(name: str, stations: Sequence[int], station_count: int, base: Path, tool: str) -> tuple[Position, ...]:
+    """Return the positions of the named sets, or of a position file."""
     if name.endswith(POSITION_FILES):
         listed = load_positions(base / name)
-        unknown = sorted({p.station for p in listed} - set(range(1, len(settings.stations.places_mm) + 1)))
+        unknown = sorted({p.station for p in listed} - set(range(1, station_count + 1)))
         if unknown:
             raise ConfigurationError(
                 f"the position file names station {unknown[0]}, which has no place",
                 file=name,
                 key="stations.places_mm",
             )
-        return tuple(_with_tool_of_run(p, number, settings) for number, p in enumerate(listed, start=1))
+        return tuple(_with_tool_of_run(p, number, name, tool) for number, p in enumerate(listed, start=1))
     with translated(ConfigurationError, key="procedure.position_set"):
-        everywhere = parse_position_set(name, len(settings.stations.places_mm))
+        everywhere = parse_position_set(name, station_count)
     return tuple(p for p in everywhere if p.station in stations)
 
 
-def _with_tool_of_run(position: Position, number: int, settings: Settings) -> Position:
-    if position.tool not in (None, settings.tool):
+def _with_tool_of_run(position: Position, number: int, file: str, tool: str) -> Position:
+    if position.tool not in (None, tool):
         raise ConfigurationError(
-            f"position {number} is to be measured with tool '{position.tool}', the run has '{settings.tool}'",
-            file=settings.procedure.position_set,
+            f"position {number} is to be measured with tool '{position.tool}', the run has '{tool}'",
+            file=file,
             key="tool",
             hint="a run has one tool: make one file for each, and fuse the runs' estimates",
         )
@@ -207,7 +208,10 @@ def _refuse_nothing_reachable(job: Job) -> None:
 
 
 def _refuse_unreachable_entry(job: Job) -> None:
-    """A named set leaves out what a machine cannot reach, and counts it; a list of one's own means every entry."""
+    """Raise ConfigurationError if an entry of a position file is out of reach.
+
+    A named set leaves such positions out and counts them; a position file means every entry.
+    """
     for number, position in enumerate(job.positions, start=1):
         reached = _reached(job, position)
         if reached < MIN_BALLS:

@@ -14,7 +14,7 @@ from agent.execution.steps import Plan, Point, Step
 from agent.planning.cycle_time import TimedStep
 from agent.planning.job import Job
 from agent.planning.preflight_rig import assemble_preflight_rig
-from agent.planning.safety_rules import lawful
+from agent.planning.safety_rules import checked_plan
 from agent.planning.time_model import TimeModel, time_model
 from agent.probing.repeated_positions import measure_closed
 from agent.probing.run_plan import Measured, measure_positions
@@ -66,7 +66,9 @@ def run_preflight(
     times = _Times(clock, time_model(job.machine, job.settings.timing), watch)
     rig.open()
     try:
-        measured, verified = Engine(rig.actions(), observer=times.note).run(lawful(plan, job.settings))
+        engine, carried = Engine(rig.actions(), observer=times.note), not job.rules.change.own_mounts
+        checked = checked_plan(plan, job.settings.procedure, job.settings.stations, carried=carried)
+        measured, verified = engine.run(checked)
     except (Aborted, Interrupted) as end:  # at no step of the machine's
         raise type(end)(end.message, hint=end.hint) from end
     except (DeviceError, MeasurementFault) as error:

@@ -38,7 +38,9 @@ def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None
         devices=devices,
         machine=in_role(devices, "preflight", Machine, "preflight.driver"),
         probe=in_role(devices, "preflight", Probe, "preflight.driver"),
-        mounts={n: mount_at_station(devices, "preflight", n, "preflight.driver") for n in stations_of(settings)},
+        mounts={
+            n: mount_at_station(devices, "preflight", n, "preflight.driver") for n in stations_of(settings.stations)
+        },
         store=in_role(devices, "preflight", CompensationStore, "preflight.driver"),
         thermometer=in_role(devices, "preflight", Thermometer, "preflight.driver"),
         operator=in_role(devices, "preflight", Operator, "preflight.driver"),

@@ -1,4 +1,4 @@
-"""The procedure as the settings have it: how balls are touched, what is looked at before, where it is safe to be."""
+"""Rules of the procedure from the settings: probing, checks before a run, layout and safe paths."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.planning.stations import Artefacts, bodies_around
+from agent.planning.stations import Artefacts, bodies_around, station_change
 from agent.planning.time_model import time_model
 from agent.probing.paths.free_paths import Roads
 from agent.probing.paths.retreat import Course
@@ -15,7 +15,7 @@ from agent.probing.probe_check import ProbeCheck
 from agent.probing.probing_parameters import BallLimits, FindFirst, Probing, Search
 from agent.probing.qualification import QualificationRules
 from agent.probing.reversal import ReversalCheck
-from agent.settings.schema import Settings
+from agent.settings.schema import ProcedureSettings, QualificationSettings, Settings, StationSettings, TimingSettings
 from drivers.errors import ConfigurationError
 from twin.artefact.artefact import Artefact
 from twin.artefact.touch_pattern import QUALIFYING_RINGS, approach_directions, ring_directions
@@ -26,14 +26,13 @@ from twin.machine.machine_description import MachineDescription
 from twin.units import MM_PER_UM
 
 
-def probing_of(settings: Settings, artefact: Artefact) -> Probing:
-    """By the same vectors on every ball."""
-    chosen = settings.procedure
+def probing_of(chosen: ProcedureSettings, tip_radius_mm: float, artefact: Artefact) -> Probing:
+    """Return the rules of probing, with the same approach vectors on every ball."""
     return Probing(
         directions=approach_directions(chosen.touches_per_ball, STYLUS_AXIS),
         stylus_axis=STYLUS_AXIS,
         ball_radius_mm=artefact.ball_radius_mm,
-        tip_radius_mm=settings.probe.tip_radius_mm,
+        tip_radius_mm=tip_radius_mm,
         narrow=Search(chosen.approach_mm, chosen.search_mm),
         wide=Search(chosen.wide_approach_mm, chosen.wide_search_mm),
         feed_mm_per_s=chosen.touch_feed_mm_per_min / 60.0,
@@ -58,8 +57,8 @@ def probing_of(settings: Settings, artefact: Artefact) -> Probing:
 def preparation_of(
     settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing
 ) -> Preparation:
-    """Raises ConfigurationError for a datum ball that the artefact does not have."""
-    _refuse_unknown_datum(settings, artefacts.kind)
+    """Return the checks before a run. Raises ConfigurationError for a datum ball that the artefact does not have."""
+    _refuse_unknown_datum(settings.qualification, artefacts.kind)
     check, qualifying, turning = settings.probe_check, settings.qualification, settings.reversal
     dense = replace(probing, directions=ring_directions(QUALIFYING_RINGS, STYLUS_AXIS))
     limit_mm = qualifying.limit_um * MM_PER_UM
@@ -76,8 +75,8 @@ def preparation_of(
     )
 
 
-def _refuse_unknown_datum(settings: Settings, artefact: Artefact) -> None:
-    ball = settings.qualification.ball
+def _refuse_unknown_datum(qualification: QualificationSettings, artefact: Artefact) -> None:
+    ball = qualification.ball
     if ball is not None and ball >= artefact.count:
         raise ConfigurationError(
             f"the artefact has no ball {ball}",
@@ -89,7 +88,7 @@ def _refuse_unknown_datum(settings: Settings, artefact: Artefact) -> None:
 def layout_of(
     settings: Settings, machine: MachineDescription, artefacts: Artefacts, probing: Probing
 ) -> MeasuringLayout:
-    """What the pattern of `probing` needs of the travel is taken off it."""
+    """Return the measuring layout; its limits are the travel less the room that the pattern of `probing` needs."""
     travel = np.array(machine.limits)
     below, above = probing.room_mm
     return MeasuringLayout(
@@ -105,16 +104,20 @@ def layout_of(
         directions=probing.directions,
         overtravel_mm=probing.fastest_mm_per_s**2 / (2.0 * min(machine.acceleration_mm_per_s2)),
         own_artefacts=artefacts.own,
-        neighbours=bodies_around(settings, artefacts),
+        neighbours=bodies_around(
+            settings.mount, settings.stations, station_change(settings.roles, settings.stations), artefacts
+        ),
     )
 
 
-def course_of(settings: Settings, machine: MachineDescription) -> Course:
-    """Park to the side that the travel allows, the farther from the middle the station the more so."""
+def course_of(
+    stations: StationSettings, procedure: ProcedureSettings, timing: TimingSettings, machine: MachineDescription
+) -> Course:
+    """Return the paths between balls and stations, with a park location beside each station within the travel."""
     (x_low, x_high), (y_low, _), _ = machine.limits
     park = {}
-    for number, (x, _, _) in enumerate(settings.stations.places_mm, start=1):
-        away = settings.stations.park_distance_mm
+    for number, (x, _, _) in enumerate(stations.places_mm, start=1):
+        away = stations.park_distance_mm
         target = x + away if x + away <= x_high else x - away
         if not x_low <= target <= x_high:
             raise ConfigurationError(
@@ -122,13 +125,13 @@ def course_of(settings: Settings, machine: MachineDescription) -> Course:
                 key="stations.park_distance_mm",
             )
         park[number] = target
-    roads = roads_of(settings, machine) if settings.procedure.paths == "shortest" else None
+    roads = roads_of(procedure, timing, machine) if procedure.paths == "shortest" else None
     return Course(retreat_axis=1, retreat_mm=y_low, station_axis=0, park_mm=park, roads=roads)
 
 
-def roads_of(settings: Settings, machine: MachineDescription) -> Roads:
-    """By the same dynamics and latencies that machine time is reckoned with."""
-    chosen, times = settings.procedure, time_model(machine, settings.timing)
+def roads_of(chosen: ProcedureSettings, timing: TimingSettings, machine: MachineDescription) -> Roads:
+    """Return the rules of free paths, with the dynamics and latencies from which machine time is computed."""
+    times = time_model(machine, timing)
     travel = np.array(machine.limits)
     return Roads(
         stylus_axis=STYLUS_AXIS,

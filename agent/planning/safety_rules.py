@@ -1,4 +1,4 @@
-"""What no plan that measures may do, whatever a simulated machine would let pass; asked of each step in the dry run."""
+"""Rules that no measuring plan may break, whatever a simulated machine would permit; the preflight checks each step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from agent.errors import PlanRefused
 from agent.execution import steps as s
-from agent.settings.schema import Settings
+from agent.settings.schema import ProcedureSettings, StationSettings
 from drivers.roles import OperatorTask
 
 T = TypeVar("T")
@@ -17,9 +17,15 @@ T = TypeVar("T")
 SECONDS_A_MINUTE = 60.0
 
 
-def lawful(plan: s.Plan[T], settings: Settings) -> s.Plan[T]:
-    """The same plan; PlanRefused, naming the step, where one of its steps breaks a rule."""
-    rules = _Rules(settings, stands_at=settings.stations.standing_at)
+def checked_plan(
+    plan: s.Plan[T], procedure: ProcedureSettings, stations: StationSettings, *, carried: bool
+) -> s.Plan[T]:
+    """Return the same plan with each step checked. Raises PlanRefused, naming the step, if a step breaks a rule.
+
+    `carried`: one mount and its artefact are carried from station to station.
+    """
+    fastest = max(procedure.touch_feed_mm_per_min, procedure.first_touch_feed_mm_per_min) / SECONDS_A_MINUTE
+    rules = _Rules(fastest, len(stations.places_mm), carried, stations.standing_at)
     result: Any = None
     try:
         while True:
@@ -39,9 +45,11 @@ def lawful(plan: s.Plan[T], settings: Settings) -> s.Plan[T]:
 
 @dataclass
 class _Rules:
-    """What the steps so far have made known. `stands_at`: where the one artefact stands; None: nobody has said."""
+    """State of a plan after the steps so far. `stands_at`: station of the carried artefact; None: not known."""
 
-    settings: Settings
+    fastest_mm_per_s: float
+    station_count: int
+    carried: bool
     stands_at: int | None
     _keys: set[str] = field(default_factory=set)
     _permitted: bool = False
@@ -49,7 +57,7 @@ class _Rules:
 
     def broken_by(self, step: s.Step) -> Iterator[str]:
         if step.key in self._keys:
-            yield "two steps have the same key, so a run could not be gone on with"
+            yield "two steps have the same key, so a run could not be resumed"
         self._keys.add(step.key)
         match step:
             case s.MoveTo():
@@ -72,25 +80,24 @@ class _Rules:
     def _moved(self, step: s.MoveTo) -> Iterator[str]:
         yield from self._without_permission("moves")
         if not step.guarded:
-            yield "an unguarded move: what the probe meets on its way must stop it"
+            yield "an unguarded move: a collision on its path would not stop it"
         if step.feed_mm_per_s is not None and not 0.0 < step.feed_mm_per_s < math.inf:
             yield f"a feed of {step.feed_mm_per_s} mm/s"
 
     def _touched(self, step: s.TouchTowards) -> Iterator[str]:
         yield from self._without_permission("touches")
         if not self._probe_seen:
-            yield "touches before the probe has been looked at"
-        chosen = self.settings.procedure
-        fastest = max(chosen.touch_feed_mm_per_min, chosen.first_touch_feed_mm_per_min) / SECONDS_A_MINUTE
+            yield "touches before the probe has been checked"
+        fastest = self.fastest_mm_per_s
         if not 0.0 < step.feed_mm_per_s <= fastest * (1.0 + 1e-9):
             yield f"a touch at {step.feed_mm_per_s} mm/s, the settings allow up to {fastest:g} mm/s"
 
     def _turned(self, station: int) -> Iterator[str]:
         yield from self._without_permission("turns the mount")
-        count = len(self.settings.stations.places_mm)
+        count = self.station_count
         if not 1 <= station <= count:
             yield f"the mount at station {station}, there are {count}"
-        elif isinstance(self.settings.roles.mount, str) and self.stands_at not in (None, station):
+        elif self.carried and self.stands_at not in (None, station):
             yield f"the mount at station {station}, but the artefact stands at station {self.stands_at}"
 
     def _without_permission(self, what: str) -> Iterator[str]:

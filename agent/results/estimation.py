@@ -99,7 +99,7 @@ def find_machine(job: Job, balls: Sequence[MeasuredBall], correction: Correction
     """`find` for a run: `correction` is what the table that acted while measuring added. Raises TwinError."""
     settings = job.settings
     observations, order = observed(job, balls, correction), settings.identification.order
-    options = options_of(settings, observations)
+    options = options_of(settings.identification, settings.temperature, observations)
     return find(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
 
 

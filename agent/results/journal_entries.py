@@ -23,7 +23,6 @@ from agent.results.facts import ArtefactFacts, TableFacts
 from agent.results.observations import no_correction, observations_of
 from agent.results.probe_facts import probe_facts
 from agent.results.run_outcome import Outcome
-from agent.settings.schema import Settings
 from drivers.errors import ConfigurationError
 from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.position_set import Position
@@ -44,7 +43,10 @@ def inputs_of(job: Job) -> dict[str, Any]:
         "tools_mm": {name: offset.tolist() for name, offset in job.machine.tools.items()},
         "artefact": asdict(ArtefactFacts.of(job.artefact)),
         "held_out": [[p.station, p.azimuth_deg, p.elevation_deg] for p in job.held_out],
-        "files": [{"name": path.name, "sha256": sha256_of(path)} for path in input_files(job.settings)],
+        "files": [
+            {"name": path.name, "sha256": sha256_of(path)}
+            for path in input_files(job.settings.machine, job.settings.artefact)
+        ],
     }
 
 
@@ -107,9 +109,9 @@ def record_outcome(journal: RunJournal, outcome: Outcome) -> None:
     journal.decision(OUTCOME, {name: value for name, value in outcome.as_json().items() if name != "report"})
 
 
-def input_files(settings: Settings) -> Iterator[Path]:
-    """Machine and artefact file, and those that they name."""
-    for path in (settings.machine, settings.artefact):
+def input_files(machine: Path, artefact: Path) -> Iterator[Path]:
+    """Yield the machine file, the artefact file, and the files that they name."""
+    for path in (machine, artefact):
         yield path
         document = tomllib.loads(read_text(path, error=ConfigurationError))
         sections = [document, *(section for section in document.values() if isinstance(section, dict))]

@@ -84,7 +84,7 @@ def read_origin(reader: JournalReader, run: int) -> Origin:
 
 def digests(settings: Settings, base: Path) -> dict[str, str]:
     """Return path → SHA-256 of machine, artefact, the files they name, and the position file."""
-    paths = list(input_files(settings))
+    paths = list(input_files(settings.machine, settings.artefact))
     if settings.procedure.position_set.endswith(POSITION_FILES):
         paths.append(base / settings.procedure.position_set)
     return {str(path): sha256_of(path) for path in paths}

@@ -177,7 +177,10 @@ def _vce_without_drift(run: WarmingRun, *, told: bool) -> float:
         elevation_rad=np.radians([record["elevation_deg"] for record in kept]),
         tool_offsets=job.tool_offset_mm.reshape(1, 3),
     )
-    options, order = options_of(settings, observations), settings.identification.order
+    options, order = (
+        options_of(settings.identification, settings.temperature, observations),
+        settings.identification.order,
+    )
     finding = find(job.machine, job.artefact, settings.tool, observations, options, settings.table, order)
     return true_vce_with_table(run.world, image_of(finding.table, run.world.controller.store_limits))
 

@@ -17,7 +17,7 @@ from agent.probing.run_plan import Measured
 from agent.results.estimation import Finding, find
 from agent.results.gates import Gate, change_gate, estimate_gates, shape_gates
 from agent.results.run_outcome import Decision, NightReport, Proof
-from agent.results.thermal_drift import balls_for_estimate, going_on, observed
+from agent.results.thermal_drift import balls_for_estimate, fusion_options, observed
 from agent.runs.calibration import CalibrationRun
 from agent.runs.change_since_reference import change_since
 from agent.runs.consent import Consent
@@ -228,7 +228,7 @@ class NightlyRun(CalibrationRun):
         chosen = job.settings
         with translated(MeasurementFault):
             observations = observed(job, balls, self._correction)
-            options = going_on(chosen, observations, judge.known)
+            options = fusion_options(chosen.temperature, observations, judge.known)
             order = chosen.identification.order
             finding = find(job.machine, job.artefact, chosen.tool, observations, options, chosen.table, order)
         self._keep_estimate(finding, balls)
