@@ -1,28 +1,21 @@
-"""Files in and out: clear words for what cannot be read, durable and complete for what is written.
+"""Reading and writing of files: plain errors for a file that cannot be read, complete and durable files on writing.
 
-`twin.formats` turns text into values; here is the only place where the agent reads and writes such text, and
-where the mathematics' errors become errors of the one tree with the same message, places and hint.
+`twin.formats` turns text into values. The agent reads and writes such text only here, and errors of the mathematics
+become errors of the application here, with the same message, locations and hint.
 """
 
 from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from drivers.errors import ConfigurationError, InputError, UserError, VolcalError
+from drivers.errors import InputError, UserError, VolcalError
 from drivers.tables.files import sync_directory
-from twin.artefact.artefact import Artefact
-from twin.artefact.position_set import Position
 from twin.errors import TwinError
-from twin.formats.artefact_file import parse_artefact
-from twin.formats.ball_file import BallFile, parse_balls
-from twin.formats.machine_file import parse_machine
-from twin.formats.position_set_file import parse_positions
-from twin.machine.machine_description import MachineDescription
 
 FILE_MODE = 0o644
 """Results are read by other people and programs; `mkstemp` alone would keep them to the owner."""
@@ -51,39 +44,6 @@ def translated(error: type[VolcalError] = InputError, **where: str | int) -> Ite
         yield
     except TwinError as cause:
         raise error(cause.message, hint=cause.hint, **cause.where).at(**where) from cause
-
-
-def load_machine(path: Path) -> MachineDescription:
-    """The machine file and the deflection grid that it names (relative to the machine file)."""
-    text = read_text(path, error=ConfigurationError)
-
-    with translated(ConfigurationError, file=str(path)):
-        return parse_machine(text, str(path), _neighbours(path))
-
-
-def load_artefact(path: Path) -> Artefact:
-    """The artefact file and the covariance file that it may name (relative to the artefact file)."""
-    text = read_text(path, error=ConfigurationError)
-    with translated(ConfigurationError, file=str(path)):
-        return parse_artefact(text, str(path), _neighbours(path))
-
-
-def load_positions(path: Path) -> tuple[Position, ...]:
-    text = read_text(path)
-    with translated(InputError, file=str(path)):
-        return parse_positions(text, str(path))
-
-
-def load_balls(path: Path, machine: MachineDescription) -> BallFile:
-    """Ball centres of a CSV file; the tools they name are those of `machine`."""
-    text = read_text(path)
-    with translated(InputError, file=str(path)):
-        return parse_balls(text, str(path), machine.tools)
-
-
-def _neighbours(path: Path) -> Callable[[str], str]:
-    """Reads files that are named relative to `path`."""
-    return lambda name: read_text(path.parent / name, error=ConfigurationError)
 
 
 def write_atomically(path: Path, text: str) -> None:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from rich.table import Table
@@ -17,14 +18,15 @@ from agent.errors import MeasurementFault
 from agent.files import write_all_atomically, write_atomically
 from agent.history.database_url import place_of
 from agent.history.export import as_csv, as_json, run_document
-from agent.history.overview import alarms_of, chosen, foremost, trends_of
 from agent.history.schema import StoredRun
 from agent.history.store import HistoryStore
 from agent.history.sync import sync
-from agent.history.trends import AlarmKind, Trend
 from agent.settings.load import naming, read_settings
 from agent.settings.schema import Settings
 from drivers.errors import InputError
+
+if TYPE_CHECKING:
+    from agent.history.trends import Trend
 
 RUN_COLUMNS = ("run", "kind", "state", "min", "VE bare", "VE active", "held out", "night")
 _machine = click.option("--machine", metavar="NAME", help="Another machine in the same database.")
@@ -69,6 +71,10 @@ def trend_command(
 
     The exit code is 4 if a tolerance has been reached or will be soon.
     """
+    # The mathematics of trends is slow to import, and the list of runs does not need it.
+    from agent.history.overview import alarms_of, chosen, foremost, trends_of  # noqa: PLC0415
+    from agent.history.trends import AlarmKind  # noqa: PLC0415
+
     with _opened(config) as (settings, store):
         trends = trends_of(store.runs(machine or store.place.machine), settings.history)
     if not trends:

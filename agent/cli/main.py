@@ -31,20 +31,26 @@ LONGEST_HELP = 200
 
 class OwnCommand(NamedTuple):
     """Import path of a command, and the first sentence of its help: repeated here so that the list of all commands
-    imports none of them."""
+    imports none of them.
+
+    `logs`: whether anything that the command calls writes logs; the others do not wait for the logging library.
+    """
 
     import_path: str
     help: str
+    logs: bool = True
 
 
 OWN_COMMANDS = {
     "abort": OwnCommand(
         "agent.cli.service_commands.requests:abort_command",
         "Stop the run, withdraw the probe and restore the previous table.",
+        logs=False,
     ),
     "answer": OwnCommand(
         "agent.cli.service_commands.requests:answer_command",
         "Answer the open question of the run; `volcal status` shows it with its number.",
+        logs=False,
     ),
     "calibrate": OwnCommand(
         "agent.cli.calibrate:calibrate_command",
@@ -66,9 +72,13 @@ OWN_COMMANDS = {
         "agent.cli.gcode:gcode_group", "Correct part programs for controllers that have no compensation table."
     ),
     "hold": OwnCommand(
-        "agent.cli.service_commands.requests:hold_command", "Stop the axes where they are until `volcal resume`."
+        "agent.cli.service_commands.requests:hold_command",
+        "Stop the axes where they are until `volcal resume`.",
+        logs=False,
     ),
-    "history": OwnCommand("agent.cli.history:history_group", "List every run of this machine and its trends."),
+    "history": OwnCommand(
+        "agent.cli.history:history_group", "List every run of this machine and its trends.", logs=False
+    ),
     "identify": OwnCommand("agent.cli.identify:identify", "Identify a machine from measured ball centres."),
     "nightly": OwnCommand(
         "agent.cli.nightly:nightly_command",
@@ -93,6 +103,7 @@ OWN_COMMANDS = {
     "reset": OwnCommand(
         "agent.cli.service_commands.requests:reset_command",
         "Acknowledge a fault or an abort, so that the next run can start.",
+        logs=False,
     ),
     "resume": OwnCommand(
         "agent.cli.resume:resume_command",
@@ -106,6 +117,7 @@ OWN_COMMANDS = {
     "status": OwnCommand(
         "agent.cli.service_commands.status:status_command",
         "Show what the service is doing and which requests it accepts.",
+        logs=False,
     ),
     "timing": OwnCommand(
         "agent.cli.timing:timing_command",
@@ -141,9 +153,12 @@ class LazyGroup(VolcalGroup):
 @click.group(cls=LazyGroup)
 @click.version_option(package_name="volcal")
 @click.option("--verbose", "-v", is_flag=True, help="Log the traffic of the links.")
-def main(verbose: bool) -> None:
+@click.pass_context
+def main(ctx: click.Context, verbose: bool) -> None:
     """On-machine volumetric calibration of machine tools with a ball artefact."""
-    configure_logging(logging.DEBUG if verbose else logging.WARNING)
+    own = OWN_COMMANDS.get(ctx.invoked_subcommand or "")
+    if own is None or own.logs:
+        configure_logging(logging.DEBUG if verbose else logging.WARNING)
 
 
 def configure_logging(level: int) -> None:

@@ -13,7 +13,8 @@ from rich.table import Table
 from agent.cli.errors import reported
 from agent.cli.printing import results_console
 from agent.execution.run_record import RunSteps, read_steps
-from agent.files import load_machine, translated
+from agent.files import translated
+from agent.model_files import load_machine
 from agent.planning.latency_fit import (
     KindOfStep,
     ObservedStep,

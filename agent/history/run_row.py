@@ -11,7 +11,7 @@ from typing import Any
 
 from agent.execution.encoding import to_json
 from agent.execution.run_record import RunRecord
-from agent.results.journal_entries import IDENTIFIED, INPUTS, OUTCOME
+from agent.results.decision_kinds import IDENTIFIED, INPUTS, OUTCOME
 from twin.units import MICRO_UNITS
 
 KEPT_DECISIONS = frozenset(

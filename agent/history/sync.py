@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from pathlib import Path
 
-import structlog
-
 from agent.execution.run_record import read_record, run_ids
-from agent.history.database_url import place_of
 from agent.history.run_row import fed_run
 from agent.history.store import HistoryStore
-from agent.settings.schema import Settings
-from drivers.errors import VolcalError
-
-log = structlog.get_logger()
 
 
 def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
@@ -33,16 +25,3 @@ def sync(directory: Path, store: HistoryStore) -> tuple[str, ...]:
             store.put(fed)
             written.append(run_id)
     return tuple(written)
-
-
-def feed(settings: Settings, run_id: str) -> str:
-    """After a run: feed history, this run and whatever is missing. The complaint where that failed, else empty; a run
-    is never disturbed by it."""
-    try:
-        with closing(HistoryStore(place_of(settings))) as store:
-            written = sync(settings.state_directory, store)
-    except VolcalError as error:
-        log.warning("history not fed", run=run_id, reason=str(error))
-        return f"history was not fed: {error}"
-    log.info("history fed", run=run_id, runs=len(written))
-    return ""

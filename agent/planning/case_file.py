@@ -6,7 +6,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from agent.files import load_artefact, load_machine
+from agent.model_files import load_artefact, load_machine
 from agent.planning.job import Job, prepare_job
 from agent.settings.load import load_settings, naming
 from agent.settings.schema import Settings

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from agent.files import load_positions, translated
+from agent.files import translated
+from agent.model_files import load_positions
 from agent.planning.case_file import load_case
 from agent.planning.job import Job
 from agent.probing.run_plan import position_key

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from agent.execution.steps import Plan
-from agent.files import load_machine, load_positions, translated
+from agent.files import translated
+from agent.model_files import load_machine, load_positions
 from agent.planning.measuring_order import Ordering
 from agent.planning.procedure_rules import course_of, layout_of, preparation_of, probing_of
 from agent.planning.stations import check_stations, load_artefacts, station_change

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.files import load_artefact, translated
+from agent.files import translated
+from agent.model_files import load_artefact
 from agent.probing.station_change import Carried, StationChange
 from agent.settings.schema import DeviceSettings, RoleSettings, Settings, StationSettings
 from drivers.errors import ConfigurationError

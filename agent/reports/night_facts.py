@@ -8,7 +8,7 @@ from typing import Any
 from agent.execution.run_record import RunRecord
 from agent.reports.page import NightFacts
 from agent.reports.page.number_format import fixed
-from agent.results.journal_entries import OUTCOME
+from agent.results.decision_kinds import OUTCOME
 from agent.results.run_outcome import Decision
 
 GOOD = (Decision.WITHIN, Decision.FUSED, Decision.WRITTEN, Decision.FULL_DONE)

@@ -29,9 +29,9 @@ from agent.reports.page import (
 )
 from agent.reports.page.texts import ENGLISH, Texts
 from agent.reports.shown_events import drifts_um, shown_events
+from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from agent.results.facts import ArtefactFacts, ProbeFacts, ProbeRing, Quantity, TableFacts, VolumetricSummary
 from agent.results.gates import Gate
-from agent.results.journal_entries import HELD_OUT, IDENTIFIED, INPUTS, OUTCOME, PROBE
 from drivers.errors import InputError
 from twin.artefact.observations import Observations
 from twin.artefact.position_set import Position

@@ -18,6 +18,7 @@ from agent.files import read_text
 from agent.planning.job import Job
 from agent.probing.position import MeasuredBall
 from agent.probing.preparation import Prepared
+from agent.results.decision_kinds import HELD_OUT, IDENTIFIED, OUTCOME, PROBE
 from agent.results.estimation import Finding, order_text
 from agent.results.facts import ArtefactFacts, TableFacts
 from agent.results.observations import no_correction, observations_of
@@ -28,9 +29,6 @@ from twin.artefact.held_out_check import held_out_residuals
 from twin.artefact.position_set import Position
 from twin.compensation.table_file import checksum, format_table
 from twin.design.procedure import MIN_BALLS
-
-INPUTS, PROBE, IDENTIFIED, HELD_OUT, OUTCOME = "inputs", "probe", "identified", "held-out", "outcome"
-"""Kinds of decision in the journal."""
 
 _NAMED_FILES = ("grid", "covariance_file")
 """Keys by which a machine or an artefact file names another one."""

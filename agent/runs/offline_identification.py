@@ -9,15 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.files import (
-    check_folder,
-    load_artefact,
-    load_balls,
-    load_machine,
-    read_text,
-    translated,
-    write_all_atomically,
-)
+from agent.files import check_folder, read_text, translated, write_all_atomically
+from agent.model_files import load_artefact, load_balls, load_machine
 from agent.reports.page import Header, Identified, ReportData, name_of_positions
 from agent.results.estimation import Finding, find, order_text, scale_warnings
 from agent.results.facts import ArtefactFacts, TableFacts, triple

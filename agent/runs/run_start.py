@@ -10,7 +10,8 @@ from agent.errors import PlanRefused
 from agent.execution.journal import Journal, RunJournal
 from agent.execution.rig import Rig
 from agent.planning.job import Job
-from agent.results.journal_entries import INPUTS, inputs_of
+from agent.results.decision_kinds import INPUTS
+from agent.results.journal_entries import inputs_of
 from agent.runs.planned_run import Kind, StartConditions
 from agent.runs.reconcile import has_compensation_record, reconcile
 from agent.runs.reconcile_result import CompensationState

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from agent.figures.study_style import Draw
-from agent.files import load_positions
+from agent.model_files import load_positions
 from agent.planning.job import Job
 from agent.settings.load import POSITION_FILES
 from agent.studies import STUDIES

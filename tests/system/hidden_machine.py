@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.files import load_artefact, load_machine
+from agent.model_files import load_artefact, load_machine
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import (
     MountGeometry,

@@ -29,8 +29,9 @@ from agent.execution.journal_copy import copy_journal
 from agent.execution.run_record import run_ids
 from agent.execution.states import RunState
 from agent.history.database_url import Place
+from agent.history.feed import feed
 from agent.history.store import HistoryStore
-from agent.history.sync import feed, sync
+from agent.history.sync import sync
 from agent.planning.job import prepare_job
 from agent.settings.schema import Settings
 from drivers.errors import LinkLost

@@ -10,7 +10,7 @@ import structlog
 from fastapi import FastAPI
 
 from agent.execution.run_lock import Ownership, ownership
-from agent.files import load_machine
+from agent.model_files import load_machine
 from agent.service.control import Control
 from agent.service.daemon.endpoints import opened
 from agent.service.daemon.extensions import further_doors, http_extensions

@@ -11,7 +11,7 @@ import structlog
 
 from agent.errors import Busy, PlanRefused
 from agent.execution.states import RunState
-from agent.files import load_machine
+from agent.model_files import load_machine
 from agent.planning.job import Job, prepare_job
 from agent.runs.kinds.restoration import ROLES, Restoration, stored_table
 from agent.runs.planned_run import Kind

@@ -46,6 +46,19 @@ def test_the_list_of_commands_imports_none_of_them() -> None:
     assert [name for name in loaded if name.startswith("agent.cli.")] == ["agent.cli.errors", "agent.cli.main"]
 
 
+def test_the_list_of_runs_waits_for_no_mathematics() -> None:
+    loaded = loaded_by("import agent.cli.history")
+    assert "sqlalchemy" in loaded
+    unwanted = ("scipy", "matplotlib", "structlog", "fastapi", "agent.planning", "twin.identification")
+    assert [name for name in unwanted if name in loaded] == []
+
+
+@pytest.mark.parametrize("name", [name for name, command in OWN_COMMANDS.items() if not command.logs])
+def test_commands_that_say_so_load_nothing_that_logs(name: str) -> None:
+    module = OWN_COMMANDS[name].import_path.partition(":")[0]
+    assert "structlog" not in loaded_by(f"import {module}")
+
+
 def test_help_of_another_package_s_command_is_declared(monkeypatch: pytest.MonkeyPatch) -> None:
     """The declared line is shown; a command without one is still listed, and neither is imported."""
     declared = {

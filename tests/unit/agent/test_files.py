@@ -7,15 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.files import (
-    load_artefact,
-    load_machine,
-    load_positions,
-    read_text,
-    translated,
-    write_all_atomically,
-    write_atomically,
-)
+from agent.files import read_text, translated, write_all_atomically, write_atomically
+from agent.model_files import load_artefact, load_machine, load_positions
 from drivers.errors import ConfigurationError, InputError
 from twin.errors import FormatError
 

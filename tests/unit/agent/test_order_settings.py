@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from agent.files import load_machine
+from agent.model_files import load_machine
 from agent.results.estimation import estimate_machine, order_text, scale_warnings
 from agent.settings.schema import IdentificationSettings
 from twin.artefact.artefact import ball_bar

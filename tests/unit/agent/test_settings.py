@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from agent.cli.main import main
-from agent.files import load_artefact, load_machine
+from agent.model_files import load_artefact, load_machine
 from agent.planning.job import prepare_job
 from agent.settings.load import load_settings
 from agent.settings.schema import Settings, parse_settings

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.files import load_machine
+from agent.model_files import load_machine
 from twin.compensation.controllers.export_format import ExportSource, TableEstimate
 from twin.compensation.table import Anchor, build_table, regular_nodes
 from twin.machine.error_model import ErrorModel

@@ -1,0 +1,51 @@
+"""Files of the mathematics: machine, artefact, positions and ball centres, read into values of the twin.
+
+Apart from `agent.files`, so that a command that needs none of them does not wait for the mathematics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from agent.files import read_text, translated
+from drivers.errors import ConfigurationError, InputError
+from twin.artefact.artefact import Artefact
+from twin.artefact.position_set import Position
+from twin.formats.artefact_file import parse_artefact
+from twin.formats.ball_file import BallFile, parse_balls
+from twin.formats.machine_file import parse_machine
+from twin.formats.position_set_file import parse_positions
+from twin.machine.machine_description import MachineDescription
+
+
+def load_machine(path: Path) -> MachineDescription:
+    """Return the machine of a machine file, with the deflection grid that it names (relative to the machine file)."""
+    text = read_text(path, error=ConfigurationError)
+    with translated(ConfigurationError, file=str(path)):
+        return parse_machine(text, str(path), _neighbours(path))
+
+
+def load_artefact(path: Path) -> Artefact:
+    """Return the artefact of an artefact file, with the covariance file that it may name (relative to that file)."""
+    text = read_text(path, error=ConfigurationError)
+    with translated(ConfigurationError, file=str(path)):
+        return parse_artefact(text, str(path), _neighbours(path))
+
+
+def load_positions(path: Path) -> tuple[Position, ...]:
+    text = read_text(path)
+    with translated(InputError, file=str(path)):
+        return parse_positions(text, str(path))
+
+
+def load_balls(path: Path, machine: MachineDescription) -> BallFile:
+    """Return the ball centres of a CSV file; the tools that it names are those of `machine`."""
+    text = read_text(path)
+    with translated(InputError, file=str(path)):
+        return parse_balls(text, str(path), machine.tools)
+
+
+def _neighbours(path: Path) -> Callable[[str], str]:
+    """Return a reader of files that are named relative to `path`."""
+    return lambda name: read_text(path.parent / name, error=ConfigurationError)
