@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "linuxcnc"))
 
-from compensation_rig import Controller, built, machine, running, smooth_table, trilinear
+from compensation_rig import Controller, compile_components, machine, running, smooth_table, trilinear
 
 from drivers.clock import RealClock
 from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, create_store
@@ -83,7 +83,7 @@ def measure(way: str, controller: Controller, store: LinuxCncStore) -> None:
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        build = built(Path(folder) / "build")
+        build = compile_components(Path(folder) / "build")
         for way in COMPONENT:
             work = machine(Path(folder) / way, build, way)
             settings = CompensationSettings.model_validate({"way": way, "directory": work / "tables"})

@@ -94,9 +94,9 @@ class Drive:
                 hint="choose a position set within the limits of the mount, or correct them in its settings",
                 **self.node.where,
             )
-        own = self._soft_limits
-        if own is not None and not own.contains(self._scale.counts(angle_deg)):
-            lower, upper = sorted((self._scale.angle_deg(own.lower), self._scale.angle_deg(own.upper)))
+        soft_limits = self._soft_limits
+        if soft_limits is not None and not soft_limits.contains(self._scale.counts(angle_deg)):
+            lower, upper = sorted((self._scale.angle_deg(soft_limits.lower), self._scale.angle_deg(soft_limits.upper)))
             raise CommandRejected(
                 f"{self.node.axis} {angle_deg:g} degrees is outside the drive's own software limits"
                 f" {lower:g} ... {upper:g} (0x607D)",
@@ -240,13 +240,13 @@ class Drive:
 
     def check_in_motion(self) -> None:
         """Check the node as `check` does, and raise MotionFault for an emergency that is not tolerated."""
-        self._require_calm(self.check())
+        self._require_no_emergency(self.check())
 
-    def _require_calm(self, codes: list[int]) -> None:
-        grave = [code for code in codes if code not in self._tolerated]
-        if grave:
+    def _require_no_emergency(self, codes: list[int]) -> None:
+        serious = [code for code in codes if code not in self._tolerated]
+        if serious:
             raise MotionFault(
-                f"emergency message of the drive: {', '.join(emergency_text(code) for code in grave)}",
+                f"emergency message of the drive: {', '.join(emergency_text(code) for code in serious)}",
                 hint="remove the cause; if the code is only a warning, add it to tolerated_emergencies",
                 **self.node.where,
             )
@@ -257,7 +257,7 @@ class Drive:
         state = self.state_of(status)
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
             raise self._fault("the drive went into fault")
-        self._require_calm(codes)
+        self._require_no_emergency(codes)
         if state is not DriveState.OPERATION_ENABLED:
             action = "made a quick stop" if state is DriveState.QUICK_STOP_ACTIVE else "left operation enabled"
             raise MotionFault(
@@ -269,7 +269,7 @@ class Drive:
         if status & states.FOLLOWING_ERROR:
             raise self._homing_error() if homing else self._fault("following error (statusword bit 13)")
         if status & states.INTERNAL_LIMIT and not homing:
-            self._judge_limit()
+            self._handle_internal_limit()
         return status
 
     def _homing_error(self) -> MotionFault:
@@ -281,7 +281,7 @@ class Drive:
             **self.node.where,
         )
 
-    def _judge_limit(self) -> None:
+    def _handle_internal_limit(self) -> None:
         """Handle an active internal limit (bit 11): raise MotionFault if a limit blocks the turn, otherwise log it.
 
         The bit may also mean that the current is limited, which does not end the turn.

@@ -25,7 +25,7 @@ class HomingSettings(_Strict):
     timeout_s: float = Field(default=120.0, gt=0.0, le=3600.0)
 
 
-Compared = Literal["encoder", "gear", "feed", "polarity"]
+ComparedFactor = Literal["encoder", "gear", "feed", "polarity"]
 
 
 class UnitSettings(_Strict):
@@ -37,7 +37,7 @@ class UnitSettings(_Strict):
     feed_per_revolution: int | None = Field(
         default=None, gt=0, description="position units per turn of the mount, 0x6092:01 / 0x6092:02"
     )
-    compare: tuple[Compared, ...] | None = Field(
+    compare: tuple[ComparedFactor, ...] | None = Field(
         default=None,
         description="factors to compare; default: encoder and polarity, with feed units also gear and feed",
     )
@@ -49,7 +49,7 @@ class UnitSettings(_Strict):
     write: bool = Field(default=False, description="write differing values when the mount opens, instead of refusing")
 
     @property
-    def compared(self) -> tuple[Compared, ...]:
+    def compared(self) -> tuple[ComparedFactor, ...]:
         if self.compare is not None:
             return self.compare
         return ("encoder", "polarity") if self.position == "increments" else ("encoder", "gear", "feed", "polarity")

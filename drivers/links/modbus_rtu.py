@@ -97,14 +97,14 @@ class RtuTransport:
         port = self._serial
         if port is None:
             raise LinkLost("the serial port is not open", hint="open the device first", **self._where)
-        started_s, owed_s = self._clock.now(), self.wire_time_s(request)
+        started_s, duration_s = self._clock.now(), self.wire_time_s(request)
         try:
             self._clear_line(port)
             self._needs_clearing = True
             answer = self._transact(port, build_frame(self._unit, request), request)
             self._needs_clearing = False
         except LinkTimeout:
-            owed_s += self._timeout_s
+            duration_s += self._timeout_s
             raise
         except serial.SerialTimeoutException as error:
             raise LinkTimeout(
@@ -116,7 +116,7 @@ class RtuTransport:
                 f"serial port lost: {error}", hint="check that the adapter is plugged in", **self._where
             ) from error
         finally:
-            self._pass_time(started_s + owed_s)
+            self._pass_time(started_s + duration_s)
         return answer
 
     def _clear_line(self, port: serial.Serial) -> None:
@@ -147,13 +147,13 @@ class RtuTransport:
     def _read_frame(self, port: serial.Serial, sent: bytes, deadline_s: float) -> bytes:
         """Read one complete answer. The caller checks frames with a valid CRC but another length or function."""
         data = b""
-        while (wanted := _length(data, sent[1])) is None or len(data) < wanted:
-            more = self._read_some(port, deadline_s - wall_seconds(), (wanted or ADDRESS_AND_CRC) - len(data))
+        while (expected := _length(data, sent[1])) is None or len(data) < expected:
+            more = self._read_some(port, deadline_s - wall_seconds(), (expected or ADDRESS_AND_CRC) - len(data))
             if not more:
                 self._require_no_echo(data, sent)
-                raise self._incomplete(data, wanted)
+                raise self._incomplete(data, expected)
             data += more
-            if wanted is None and len(data) >= ADDRESS_AND_CRC and _length(data, sent[1]) is None:
+            if expected is None and len(data) >= ADDRESS_AND_CRC and _length(data, sent[1]) is None:
                 data += self._read_until_quiet(port)
                 break
         if has_valid_crc(data) and data != sent:
@@ -167,20 +167,20 @@ class RtuTransport:
         )
 
     def _read_echo(self, port: serial.Serial, frame: bytes, deadline_s: float) -> None:
-        heard = b""
-        while len(heard) < len(frame):
-            more = self._read_some(port, deadline_s - wall_seconds(), len(frame) - len(heard))
+        echo = b""
+        while len(echo) < len(frame):
+            more = self._read_some(port, deadline_s - wall_seconds(), len(frame) - len(echo))
             if not more:
                 break
-            heard += more
-        if heard == frame:
+            echo += more
+        if echo == frame:
             return
-        if not heard:
+        if not echo:
             raise LinkTimeout(
                 "neither echo nor answer", hint="set serial.echo = false if the adapter does not echo", **self._where
             )
         raise DamagedFrame(
-            f"the request was echoed as {_hex(heard)}",
+            f"the request was echoed as {_hex(echo)}",
             hint="check for another sender on the line, or set serial.echo = false if the adapter does not echo",
             **self._where,
         )
@@ -198,14 +198,14 @@ class RtuTransport:
             data += more
         return data
 
-    def _incomplete(self, data: bytes, wanted: int | None) -> LinkTimeout | DamagedFrame:
+    def _incomplete(self, data: bytes, expected: int | None) -> LinkTimeout | DamagedFrame:
         if not data:
             return LinkTimeout(
                 f"no answer within {self._timeout_s:g} s",
                 hint=f"check unit id, cable, and baud rate, parity and stop bits ({self._line.mode}) at both ends",
                 **self._where,
             )
-        of = f" of {wanted}" if wanted is not None else ""
+        of = f" of {expected}" if expected is not None else ""
         return DamagedFrame(
             f"answer cut short after {len(data)}{of} bytes: {_hex(data)}",
             hint="check the cable; a controller that pauses within a frame violates the standard",

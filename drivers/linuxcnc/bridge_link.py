@@ -71,9 +71,9 @@ class BridgeLink:
                 self.close()
                 raise
             if self.hello.get("protocol") != PROTOCOL:
-                spoken = self.hello.get("protocol")
+                protocol = self.hello.get("protocol")
                 self.close()
-                raise ProtocolError(f"the bridge speaks protocol {spoken}, not {PROTOCOL}", **self.where)
+                raise ProtocolError(f"the bridge speaks protocol {protocol}, not {PROTOCOL}", **self.where)
 
     def close(self) -> None:
         """End the bridge, which stops a motion that it started; idempotent."""

@@ -10,7 +10,7 @@ from drivers.errors import ConfigurationError, LinkLost
 from drivers.linuxcnc.bridge_link import BridgeLink
 from drivers.linuxcnc.compensation import LinuxCncStore, create_store
 from drivers.linuxcnc.diagnosis import diagnose
-from drivers.linuxcnc.motion import LinuxCncMotion, MotionKind
+from drivers.linuxcnc.motion import LinuxCncMotion, MdiMotionKind
 from drivers.linuxcnc.probing import LinuxCncProbing
 from drivers.linuxcnc.session import LinuxCncSession
 from drivers.linuxcnc.settings import LinuxCncSettings
@@ -91,7 +91,7 @@ class LinuxCnc:
         return np.array(self._session.read_snapshot().position)
 
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
-        kind = MotionKind.GUARDED if guarded else MotionKind.POSITIONING
+        kind = MdiMotionKind.GUARDED if guarded else MdiMotionKind.POSITIONING
         self._open.motion.run(kind, [float(value) for value in target_mm], feed_mm_per_s)
 
     def trace(self, tag: int) -> None:

@@ -153,7 +153,7 @@ def _ini(session: LinuxCncSession) -> Iterator[DiagnosticFinding]:
 
 def _homing(values: dict[str, str | None]) -> Iterator[DiagnosticFinding]:
     """Report joints without home switch and absolute encoder, which take any position as home."""
-    blind = [
+    unreferenced = [
         place.removesuffix("HOME_SEARCH_VEL")
         for place, speed in values.items()
         if place.endswith("HOME_SEARCH_VEL")
@@ -161,11 +161,10 @@ def _homing(values: dict[str, str | None]) -> Iterator[DiagnosticFinding]:
         and values[place.replace("HOME_SEARCH_VEL", "HOME_ABSOLUTE_ENCODER")] not in ("1", "2")
     ]
     text = "joints home by a switch or an absolute encoder"
-    if blind:
-        text = (
-            f"{', '.join(blind)} neither HOME_SEARCH_VEL nor HOME_ABSOLUTE_ENCODER: homing takes any position as zero"
-        )
-    yield DiagnosticFinding("homing", ok=not blind, text=text)
+    if unreferenced:
+        joints = ", ".join(unreferenced)
+        text = f"{joints} without HOME_SEARCH_VEL and HOME_ABSOLUTE_ENCODER: homing takes any position as zero"
+    yield DiagnosticFinding("homing", ok=not unreferenced, text=text)
 
 
 def _temperatures(session: LinuxCncSession) -> DiagnosticFinding:

@@ -26,7 +26,7 @@ from drivers.straight_move import move_duration_s
 DURATION_FACTOR = 1.5
 """Allowed multiple of the predicted duration of a motion; the margin is added."""
 LIMIT_TOLERANCE_MM = 1e-6
-REACHED_MM = 1e-4
+REACHED_TOLERANCE_MM = 1e-4
 """Largest distance in mm from the target at the end of a motion.
 
 LinuxCNC ends a motion exactly at its target; the decimals of the MDI text, and inches, are coarser.
@@ -35,21 +35,22 @@ REST_POLL_S = 0.01
 PREFIX = "G21 G90 G94 G40"
 OWN_CODES = (20.0, 21.0, 90.0, 91.0, 93.0, 94.0, 95.0)
 """Modal codes that the prefix changes and that are restored later. Radius compensation remains off."""
-TRIPPED = "robe tripped"
-LEAST_OVERRIDE = 0.01
+TRIP_MESSAGE_PART = "robe tripped"
+"""Part of LinuxCNC's messages about a trip in a move, without the first letter, whose case varies."""
+MIN_OVERRIDE = 0.01
 FREE_WITHIN_MM = 2.0
 """Path in mm for freeing the probe; less than the overtravel of any probe."""
 FREEING_MM_PER_S = 2.0
 
 
-class MotionKind(Enum):
+class MdiMotionKind(Enum):
     POSITIONING = "positioning move"
     GUARDED = "guarded move"
     TOUCH = "touch"
 
 
 @dataclass(frozen=True)
-class MotionResult:
+class LinuxCncMotionResult:
     """Start position of a motion, and the snapshot that showed its end."""
 
     start: Triple
@@ -68,7 +69,7 @@ class LinuxCncMotion:
         self.tag = 0
         """Tag of the step to which the motions belong; appended to the MDI line as a comment."""
 
-    def run(self, kind: MotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> MotionResult:
+    def run(self, kind: MdiMotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> LinuxCncMotionResult:
         """Move to the target, or for a touch until the trip or the target; raise for any other outcome."""
         target = self._validated_target(kind, target_mm, feed_mm_per_s)
         self._await_rest()
@@ -76,10 +77,10 @@ class LinuxCncMotion:
         self._require_ready(kind, before)
         before = self._ensure_probe_free(kind, before, target)
         if math.dist(before.position, target) < LIMIT_TOLERANCE_MM:
-            return MotionResult(before.position, replace(before, tripped=False))
+            return LinuxCncMotionResult(before.position, replace(before, tripped=False))
         self._modal_before = self._modal_before or before.modal
         ended = self._execute(kind, before, target, feed_mm_per_s)
-        return MotionResult(before.position, ended)
+        return LinuxCncMotionResult(before.position, ended)
 
     def stop(self) -> None:
         """Abort the motion. Does not wait for standstill, because callers may be unable to sleep."""
@@ -112,7 +113,7 @@ class LinuxCncMotion:
 
     # ------------------------------------------------------------------ before
 
-    def _validated_target(self, kind: MotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
+    def _validated_target(self, kind: MdiMotionKind, target_mm: Sequence[float], feed_mm_per_s: float | None) -> Triple:
         x, y, z = (float(value) for value in target_mm)
         feed_ok = feed_mm_per_s is None or (math.isfinite(feed_mm_per_s) and feed_mm_per_s > 0.0)
         if not all(map(math.isfinite, (x, y, z))) or not feed_ok:
@@ -133,7 +134,7 @@ class LinuxCncMotion:
             session.clock.sleep(REST_POLL_S)
         self._braking = False
 
-    def _require_ready(self, kind: MotionKind, before: Snapshot) -> None:
+    def _require_ready(self, kind: MdiMotionKind, before: Snapshot) -> None:
         session = self._session
         missing = [name for name, given in session.permissions(before).items() if not given]
         if Permission.REFERENCED in missing:
@@ -159,16 +160,16 @@ class LinuxCncMotion:
         if snapshot.state is not MotionState.IDLE:
             raise self._rejected(f"LinuxCNC is {snapshot.state.value}", hint="end the program or the hold first")
 
-    def _ensure_probe_free(self, kind: MotionKind, before: Snapshot, target: Triple) -> Snapshot:
+    def _ensure_probe_free(self, kind: MdiMotionKind, before: Snapshot, target: Triple) -> Snapshot:
         """Return a snapshot from which the motion may start with respect to the probe; free the probe if needed.
 
         LinuxCNC evaluates only the edge of the probe signal, so a deflected probe does not guard a motion. It may be
         moved back against its approach direction. If that is unknown, it is first moved a short distance, after which
         it must be free.
         """
-        if kind is MotionKind.POSITIONING or not before.deflected:
+        if kind is MdiMotionKind.POSITIONING or not before.deflected:
             return before
-        if kind is MotionKind.TOUCH:
+        if kind is MdiMotionKind.TOUCH:
             raise self._rejected("the probe is deflected before the touch", hint="withdraw it first")
         path = np.subtract(target, before.position)
         if self._approach_direction is None:
@@ -187,7 +188,7 @@ class LinuxCncMotion:
             return before
         x, y, z = (np.array(before.position) + path * min(1.0, FREE_WITHIN_MM / length)).tolist()
         self._modal_before = self._modal_before or before.modal
-        ended = self._execute(MotionKind.POSITIONING, before, (x, y, z), FREEING_MM_PER_S)
+        ended = self._execute(MdiMotionKind.POSITIONING, before, (x, y, z), FREEING_MM_PER_S)
         if ended.deflected:
             raise GuardTripped(
                 f"the probe is still deflected after {FREE_WITHIN_MM:g} mm of this move",
@@ -196,20 +197,20 @@ class LinuxCncMotion:
             )
         return ended
 
-    def _line(self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> str:
+    def _line(self, kind: MdiMotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> str:
         """Return the MDI line. Targets are machine positions by G53; G38 does not support G53, so for a touch the
         active offsets are subtracted."""
-        if kind is MotionKind.TOUCH:
+        if kind is MdiMotionKind.TOUCH:
             target = _difference(target, before.program_offset)
         words = " ".join(f"{axis}{value:.7f}" for axis, value in zip(XYZ, target, strict=True))
-        word = "G38.3" if kind is MotionKind.TOUCH else ("G53 G0" if feed_mm_per_s is None else "G53 G1")
+        word = "G38.3" if kind is MdiMotionKind.TOUCH else ("G53 G0" if feed_mm_per_s is None else "G53 G1")
         feed = "" if feed_mm_per_s is None else f" F{60.0 * feed_mm_per_s:.6f}"
         comment = f" (volcal {self.tag})" if self.tag else ""
         return f"{PREFIX} {word} {words}{feed}{comment}"
 
     # ------------------------------------------------------------------ during
 
-    def _execute(self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> Snapshot:
+    def _execute(self, kind: MdiMotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None) -> Snapshot:
         """Carry out the motion and return the snapshot at its successful end."""
         if not before.deflected:
             self._approach_direction = _difference(target, before.position)
@@ -227,7 +228,7 @@ class LinuxCncMotion:
         return ended
 
     def _wait(
-        self, kind: MotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
+        self, kind: MdiMotionKind, before: Snapshot, target: Triple, feed_mm_per_s: float | None
     ) -> tuple[Snapshot, tuple[str, ...]]:
         """Wait for the end of a motion; return the snapshot with the axes at rest, and LinuxCNC's messages.
 
@@ -273,11 +274,11 @@ class LinuxCncMotion:
             rapid_mm_per_s=self._limits.rapid_mm_per_s,
             acceleration_mm_per_s2=self._limits.acceleration_mm_per_s2,
         )
-        return DURATION_FACTOR * predicted_s / max(min(override, 1.0), LEAST_OVERRIDE) + (
+        return DURATION_FACTOR * predicted_s / max(min(override, 1.0), MIN_OVERRIDE) + (
             self._session.settings.motion_margin_s
         )
 
-    def _require_still_permitted(self, kind: MotionKind, snapshot: Snapshot) -> None:
+    def _require_still_permitted(self, kind: MdiMotionKind, snapshot: Snapshot) -> None:
         given = self._session.permissions(snapshot)
         missing = [name.value for name, present in given.items() if not present]
         if missing:
@@ -303,7 +304,7 @@ class LinuxCncMotion:
 
     # ------------------------------------------------------------------ after
 
-    def _require_success(self, kind: MotionKind, ended: Snapshot, target: Triple, messages: tuple[str, ...]) -> None:
+    def _require_success(self, kind: MdiMotionKind, ended: Snapshot, target: Triple, messages: tuple[str, ...]) -> None:
         where = self._session.where
         text = "; ".join(messages)
         if ended.task_state != ON:
@@ -314,26 +315,26 @@ class LinuxCncMotion:
             )
         if ended.abandoned:
             raise MotionFault(f"the bridge stopped a {kind.value}: no status query came in time", **where)
-        if kind is MotionKind.TOUCH and ended.tripped:
+        if kind is MdiMotionKind.TOUCH and ended.tripped:
             return
-        if TRIPPED in text:
+        if TRIP_MESSAGE_PART in text:
             raise self._guard_tripped(kind, ended)
         if ended.outcome == "error":
             raise self._rejected(
                 f"LinuxCNC refused a {kind.value}: {text or 'it gives no reason'}",
                 hint="" if text else "motion may not have answered its task in time; see [EMCMOT]COMM_TIMEOUT",
             )
-        if math.dist(ended.position, target) > REACHED_MM:
+        if math.dist(ended.position, target) > REACHED_TOLERANCE_MM:
             raise MotionFault(
                 f"{kind.value} was stopped at the machine{': ' if text else ''}{text}",
                 hint="start the run again",
                 **where,
             )
 
-    def _guard_tripped(self, kind: MotionKind, ended: Snapshot) -> MotionFault:
+    def _guard_tripped(self, kind: MdiMotionKind, ended: Snapshot) -> MotionFault:
         """Return the error for a trip in a move. LinuxCNC has stopped and is ready again, so no reset is needed."""
         x, y, z = ended.position
-        fault = GuardTripped if kind is MotionKind.GUARDED else MotionFault
+        fault = GuardTripped if kind is MdiMotionKind.GUARDED else MotionFault
         return fault(
             f"the probe tripped in a move that was not a touch, near X {x:.3f} Y {y:.3f} Z {z:.3f}",
             hint="check for an obstacle, and that mount and artefact are where the plan expects them",

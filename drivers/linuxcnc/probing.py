@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.errors import PermissionMissing, ProtocolError
-from drivers.linuxcnc.motion import LinuxCncMotion, MotionKind, MotionResult
+from drivers.linuxcnc.motion import LinuxCncMotion, LinuxCncMotionResult, MdiMotionKind
 from drivers.linuxcnc.session import LinuxCncSession
 from drivers.linuxcnc.snapshot import Snapshot
 from drivers.roles import Miss, ProbeStatus, Touch, Vector
@@ -31,7 +31,7 @@ class LinuxCncProbing:
     def touch_towards(self, target_mm: Vector, feed_mm_per_s: float) -> Touch | Miss:
         self._require_usable()
         target = tuple(float(value) for value in target_mm)
-        ended = self._motion.run(MotionKind.TOUCH, target, feed_mm_per_s)
+        ended = self._motion.run(MdiMotionKind.TOUCH, target, feed_mm_per_s)
         if not ended.snapshot.tripped:
             return Miss(ended.snapshot.position)
         latched = np.array(ended.snapshot.probed)
@@ -45,7 +45,7 @@ class LinuxCncProbing:
         x, y, z = (latched - self._overshoot(ended, target, feed_mm_per_s)).tolist()
         return Touch((x, y, z))
 
-    def _overshoot(self, ended: MotionResult, target: Sequence[float], feed_mm_per_s: float) -> Vector:
+    def _overshoot(self, ended: LinuxCncMotionResult, target: Sequence[float], feed_mm_per_s: float) -> Vector:
         """Return the travel of the axes from the trip to the latch, shape (3,), mm.
 
         LinuxCNC latches in the servo cycle that sees the pin, on average half a cycle after the trip, plus the delay of
@@ -55,12 +55,12 @@ class LinuxCncProbing:
         properties, settings = self._session.properties, self._session.settings
         path = np.subtract(target, ended.start)
         direction = path / np.linalg.norm(path)
-        gone_mm = math.dist(ended.snapshot.probed, ended.start)
+        travelled_mm = math.dist(ended.snapshot.probed, ended.start)
         shares = np.abs(direction).tolist()
         speed = min(
             feed_mm_per_s * ended.snapshot.feed_override,
             limit_along_direction(shares, properties.limits.rapid_mm_per_s),
-            math.sqrt(2.0 * limit_along_direction(shares, properties.limits.acceleration_mm_per_s2) * gone_mm),
+            math.sqrt(2.0 * limit_along_direction(shares, properties.limits.acceleration_mm_per_s2) * travelled_mm),
         )
         late_s = settings.latch_cycles * properties.servo_period_s + settings.probe_delay_s
         return np.asarray(direction * speed * late_s)
@@ -74,5 +74,5 @@ class LinuxCncProbing:
 
     def _loaded(self, snapshot: Snapshot) -> bool:
         """Return True if the probe is loaded, or if no tool number is configured for it."""
-        wanted = self._session.settings.probe_tool
-        return wanted is None or snapshot.tool == wanted
+        expected = self._session.settings.probe_tool
+        return expected is None or snapshot.tool == expected

@@ -49,14 +49,14 @@ class BankReader:
         may briefly report that there is no such block.
         """
         blocks, clock = self._session.settings.blocks, self._session.clock
-        wanted = bank.to_bytes(2, "big") + number.to_bytes(2, "big")
+        selector = bank.to_bytes(2, "big") + number.to_bytes(2, "big")
         deadline = Deadline.after(clock, self._session.settings.table_within_s)
         seen_by_then = Deadline.after(clock, self._session.settings.acknowledge_within_s)
         while True:
             window = self._session.link.exchange(
-                blocks.read_selector, wanted, blocks.read_window, READ_WINDOW_REGISTERS, idempotent=True
+                blocks.read_selector, selector, blocks.read_window, READ_WINDOW_REGISTERS, idempotent=True
             )
-            if window[:4] == wanted:
+            if window[:4] == selector:
                 return window[4:]
             if int.from_bytes(window[2:4], "big") == NO_BLOCK and seen_by_then.expired:
                 raise self._protocol_error(f"the controller has no block {number} of bank {bank}")

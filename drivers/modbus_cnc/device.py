@@ -30,11 +30,11 @@ from drivers.roles import (
     Vector,
 )
 
-SHORTEST_TRAVEL_MM, LONGEST_TRAVEL_MM = 1.0, 1e6
-SLOWEST = 0.1
+MIN_TRAVEL_MM, MAX_TRAVEL_MM = 1.0, 1e6
+MIN_DYNAMICS = 0.1
 """Lowest plausible speed in mm/s and acceleration in mm/s²."""
 
-FINEST_MM = 1e-9
+MIN_RESOLUTION_MM = 1e-9
 """Smallest plausible resolution in mm.
 
 These bounds detect a float64 in the wrong word or byte order: it then is below 1e-300 or huge.
@@ -143,9 +143,9 @@ class ModbusCnc:
         numbers = (*limits.lower, *limits.upper, *limits.rapid, *limits.acceleration)
         sound = (
             all(map(math.isfinite, (*numbers, limits.resolution, limits.max_correction)))
-            and all(SHORTEST_TRAVEL_MM <= travel <= LONGEST_TRAVEL_MM for travel in travels)
-            and min(*limits.rapid, *limits.acceleration) >= SLOWEST
-            and (limits.banks == 0 or limits.resolution >= FINEST_MM)
+            and all(MIN_TRAVEL_MM <= travel <= MAX_TRAVEL_MM for travel in travels)
+            and min(*limits.rapid, *limits.acceleration) >= MIN_DYNAMICS
+            and (limits.banks == 0 or limits.resolution >= MIN_RESOLUTION_MM)
             and limits.activation in ACTIVATIONS
         )
         if not sound:

@@ -28,14 +28,14 @@ from drivers.roles import AxisLimits, MotionState
 from drivers.straight_move import move_duration_s
 
 COARSEST_FINE_POLL_S = 0.1
-JUST_AFTER_S = 0.001
+END_MARGIN_S = 0.001
 """Time in s after the predicted end at which to poll: a poll exactly at the end would be too early half the time."""
 
 DURATION_FACTOR = 1.5
 """Allowed multiple of the predicted duration of a motion (feed override, look-ahead); the margin is added."""
 
 
-class MotionResult(NamedTuple):
+class ModbusMotionResult(NamedTuple):
     """Start position of a motion, and the status image that shows its outcome."""
 
     start: Triple
@@ -55,7 +55,7 @@ class ModbusMotion:
         self.tag = 0
         """Tag of the step to which the motions belong; sent in the CRC field, which motions do not use."""
 
-    def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> MotionResult:
+    def run(self, code: CommandCode, target_mm: Sequence[float], feed_mm_per_s: float | None) -> ModbusMotionResult:
         """Carry out a motion and return if it ends in position, tripped or missed; raise for any other outcome."""
         session = self._session
         target = self._validated_target(code, target_mm, feed_mm_per_s)
@@ -71,7 +71,7 @@ class ModbusMotion:
         if status.motion_sequence != sequence:
             raise self._protocol_error(f"started motion {sequence}, but motion {status.motion_sequence} ended")
         self._require_success(code, status)
-        return MotionResult(accepted.position, status)
+        return ModbusMotionResult(accepted.position, status)
 
     def stop(self) -> None:
         """Send STOP. Does not wait for standstill, because callers may be unable to sleep."""
@@ -107,7 +107,7 @@ class ModbusMotion:
         slice_s = self._slice_s(
             settings.touch_poll_interval_s if code is CommandCode.TOUCH else settings.poll_interval_s
         )
-        end_s = clock.now() + predicted_s + JUST_AFTER_S
+        end_s = clock.now() + predicted_s + END_MARGIN_S
         allowed_s = DURATION_FACTOR * predicted_s + settings.motion_margin_s
         deadline = Deadline.after(clock, allowed_s)
         held_deadline: Deadline | None = None

@@ -60,7 +60,7 @@ class BlockAddresses(BaseModel):
         return tuple(ranges[name] for name in ("command", "descriptor", "data_window", "read_selector"))
 
     @model_validator(mode="after")
-    def _apart(self) -> Self:
+    def _require_disjoint_blocks(self) -> Self:
         ordered = sorted(self.ranges().items(), key=lambda item: item[1].start)
         for (name, block), (other, following) in pairwise(ordered):
             if block.stop > following.start:

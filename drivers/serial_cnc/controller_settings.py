@@ -130,11 +130,11 @@ class ControllerSettings:
 
     def _reports(self) -> DiagnosticFinding:
         mask = int(self.values[REPORT_MASK])
-        lacking = [name for bit, name in HAL_FIELDS.items() if self.hal and not mask & bit]
-        if lacking:
-            wanted = mask | sum(HAL_FIELDS)
+        missing_fields = [name for bit, name in HAL_FIELDS.items() if self.hal and not mask & bit]
+        if missing_fields:
+            required_mask = mask | sum(HAL_FIELDS)
             return DiagnosticFinding(
-                "reports", ok=False, text=f"$10={mask} leaves out {', '.join(lacking)}; set $10={wanted}"
+                "reports", ok=False, text=f"$10={mask} leaves out {', '.join(missing_fields)}; set $10={required_mask}"
             )
         return DiagnosticFinding("reports", ok=bool(mask & 1), text=f"$10={mask}, $13={self.values[REPORT_INCHES]:g}")
 

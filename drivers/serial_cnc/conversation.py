@@ -162,14 +162,14 @@ class Conversation:
 
     def send(self, line: str) -> SentLine:
         """Send a line without waiting for its answer. Waits while the controller's receive buffer has no room."""
-        ticket = SentLine(line)
+        sent = SentLine(line)
         deadline_s = wall_seconds() + self.settings.answer_within_s
         while self._pending and self._buffered(line) >= self.settings.receive_buffer:
             if not self._read_one(deadline_s):
                 raise LinkTimeout("the controller accepts no further line: its buffer is full", **self.where)
-        self._pending.append(ticket)
+        self._pending.append(sent)
         self.line.write(line.encode("ascii") + b"\n")
-        return ticket
+        return sent
 
     def ask(self, line: str) -> list[MessageLine | SettingLine]:
         """Send a line that is answered at once, and return the lines received before its ``ok``.
@@ -177,29 +177,29 @@ class Conversation:
         Raises CommandRejected for an ``error``.
         """
         self._messages.clear()
-        ticket = self.send(line)
-        self.await_answer(ticket)
-        self.require_accepted(ticket)
+        sent = self.send(line)
+        self.await_answer(sent)
+        self.require_accepted(sent)
         return list(self._messages)
 
-    def await_answer(self, ticket: SentLine) -> None:
+    def await_answer(self, sent: SentLine) -> None:
         deadline_s = wall_seconds() + self.settings.answer_within_s
         restarts = self.restarts
-        while not ticket.answered:
+        while not sent.answered:
             if self.restarts != restarts:
-                raise ProtocolError(f"the controller has restarted instead of answering {ticket.line!r}", **self.where)
+                raise ProtocolError(f"the controller has restarted instead of answering {sent.line!r}", **self.where)
             if not self._read_one(deadline_s):
                 raise LinkTimeout(
-                    f"no answer to {ticket.line!r} within {self.settings.answer_within_s:g} s", **self.where
+                    f"no answer to {sent.line!r} within {self.settings.answer_within_s:g} s", **self.where
                 )
 
-    def require_accepted(self, ticket: SentLine) -> None:
-        error = ticket.answer.error if ticket.answer is not None else None
+    def require_accepted(self, sent: SentLine) -> None:
+        error = sent.answer.error if sent.answer is not None else None
         if error is None:
             return
         hint = "clear the alarm: home the machine, or $X if its position is certain" if error in LOCKED_ERRORS else ""
         raise CommandRejected(
-            f"the controller refused {ticket.line!r}: {error_text(error)}", hint=hint, error=error, **self.where
+            f"the controller refused {sent.line!r}: {error_text(error)}", hint=hint, error=error, **self.where
         )
 
     def realtime(self, character: bytes) -> None:
@@ -228,7 +228,7 @@ class Conversation:
     # ------------------------------------------------------------------ receiving
 
     def _buffered(self, line: str) -> int:
-        return sum(len(ticket.line) + 1 for ticket in self._pending) + len(line) + 1
+        return sum(len(sent.line) + 1 for sent in self._pending) + len(line) + 1
 
     def _read_for(self, wall_s: float, reports: int) -> None:
         deadline_s = wall_seconds() + wall_s

@@ -88,18 +88,18 @@ class SerialMotion:
         unexpected_restarts = self._tracker.unexpected_restarts
         self._tracker.own_motion = True
         try:
-            ticket = conversation.send(order.line)
+            sent = conversation.send(order.line)
             if order.barrier:
-                self._await_planned(ticket)
-                ticket = conversation.send(BARRIER)
-            status = self._await_end(ticket, order, start_mm, unexpected_restarts)
+                self._await_planned(sent)
+                sent = conversation.send(BARRIER)
+            status = self._await_end(sent, order, start_mm, unexpected_restarts)
         except BaseException as error:
             if not isinstance(error, CommandRejected):
                 self._stop_because_of(error)
             raise
         finally:
             self._tracker.own_motion = False
-        conversation.require_accepted(ticket)
+        conversation.require_accepted(sent)
         return status
 
     def require_at(self, goal_mm: Vector, status: TrackedStatus, what: str) -> None:
@@ -111,19 +111,19 @@ class SerialMotion:
                 **self.where,
             )
 
-    def _await_planned(self, ticket: SentLine) -> None:
+    def _await_planned(self, sent: SentLine) -> None:
         """Wait for the immediate ``ok``. If an alarm comes instead, the next status report gives its cause."""
         try:
-            self._conversation.await_answer(ticket)
+            self._conversation.await_answer(sent)
         except (LinkTimeout, ProtocolError):
             if self._conversation.alarm is None:
                 raise
             self._require_sound(self._tracker.read_status(), "move")
             raise
-        self._conversation.require_accepted(ticket)
+        self._conversation.require_accepted(sent)
 
     def _await_end(
-        self, ticket: SentLine, order: MotionOrder, start_mm: Vector, unexpected_restarts: int
+        self, sent: SentLine, order: MotionOrder, start_mm: Vector, unexpected_restarts: int
     ) -> TrackedStatus:
         status = self._tracker.read_status()
         predicted_s = DurationPrediction(self._frames.limits).of(
@@ -137,7 +137,7 @@ class SerialMotion:
             self._require_sound(status, order.what)
             if self._control.stopping:
                 raise MotionFault(f"the {order.what} was stopped", hint="start the run again", **self.where)
-            if ticket.answered:
+            if sent.answered:
                 return status
             if status.state is MotionState.HELD:
                 held = held or Deadline.after(self._clock, self._settings.held_at_most_s)
@@ -149,7 +149,7 @@ class SerialMotion:
                     f"the end of a {order.what}", hint="check the controller", **self.where
                 )
                 idle = idle + 1 if status.state is MotionState.IDLE and schedule.past_predicted_end else 0
-                self._require_answer(idle, ticket)
+                self._require_answer(idle, sent)
             self._clock.sleep(schedule.pause_s())
             status = self._tracker.read_status()
 
@@ -185,10 +185,10 @@ class SerialMotion:
                 **self.where,
             )
 
-    def _require_answer(self, idle: int, ticket: SentLine) -> None:
+    def _require_answer(self, idle: int, sent: SentLine) -> None:
         if idle >= ANSWER_LOST_AFTER:
             raise ProtocolError(
-                f"the axes are at rest, but no answer to {ticket.line!r} has come",
+                f"the axes are at rest, but no answer to {sent.line!r} has come",
                 hint="it was lost on the line: check cable, shield and baud",
                 **self.where,
             )

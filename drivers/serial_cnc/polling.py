@@ -12,7 +12,7 @@ from drivers.straight_move import move_duration_s
 DURATION_FACTOR = 1.5
 """Allowed multiple of the predicted duration of a motion (look-ahead, junctions); the margin is added."""
 COARSEST_FINE_S = 0.1
-JUST_AFTER_S = 0.001
+END_MARGIN_S = 0.001
 """Time in s after the predicted end at which to query: a query exactly at the end would be too early half the time."""
 
 
@@ -39,7 +39,7 @@ class PollSchedule:
         self._clock = clock
         self._slice_s = slice_s
         self._allowed_s = DURATION_FACTOR * predicted_s + settings.motion_margin_s
-        self._end_s = clock.now() + predicted_s + JUST_AFTER_S
+        self._end_s = clock.now() + predicted_s + END_MARGIN_S
         self._fine_s = settings.fine_poll_interval_s
         self.deadline = Deadline.after(clock, self._allowed_s)
 

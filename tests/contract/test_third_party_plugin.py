@@ -28,12 +28,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Directory into which the example is installed, without a package index or a download."""
     if int(version("setuptools").split(".")[0]) < 77:
         pytest.skip(f"{NOT_HERE}: the example plugin, built and installed: setuptools 77 or later is missing")
-    place = tmp_path_factory.mktemp("third-party")
-    source = shutil.copytree(EXAMPLE, place / "source")
+    folder = tmp_path_factory.mktemp("third-party")
+    source = shutil.copytree(EXAMPLE, folder / "source")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"]
-    command += ["--no-deps", "--no-build-isolation", "--target", str(place / "site"), str(source)]
+    command += ["--no-deps", "--no-build-isolation", "--target", str(folder / "site"), str(source)]
     subprocess.run(command, check=True, timeout=60, capture_output=True)
-    return place / "site"
+    return folder / "site"
 
 
 def run(installed: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -52,8 +52,8 @@ def run(installed: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[
 def controller(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Simulated controller from the example's own tests."""
     monkeypatch.syspath_prepend(str(EXAMPLE / "tests"))
-    with closing(importlib.import_module("acme_controller").AcmeController()) as made:
-        yield made
+    with closing(importlib.import_module("acme_controller").AcmeController()) as controller:
+        yield controller
 
 
 @pytest.fixture
@@ -77,9 +77,9 @@ def settings(tmp_path: Path, controller: Any) -> Path:
 
 
 def test_it_is_found_configured_and_diagnosed(installed: Path, settings: Path, tmp_path: Path) -> None:
-    ended = run(installed, "agent.cli.main", "doctor", "--config", str(settings), "--json", cwd=tmp_path)
-    assert "Traceback" not in ended.stderr
-    lines = {line["subject"]: line for line in json.loads(ended.stdout)["acme"]}
+    completed = run(installed, "agent.cli.main", "doctor", "--config", str(settings), "--json", cwd=tmp_path)
+    assert "Traceback" not in completed.stderr
+    lines = {line["subject"]: line for line in json.loads(completed.stdout)["acme"]}
     assert all(line["ok"] for line in lines.values()), lines
     assert lines["link"]["text"].startswith("acme 127.0.0.1:")
     assert lines["permissions"]["text"] == "0 missing"
@@ -90,21 +90,21 @@ def test_a_wrong_option_is_reported_with_its_key(installed: Path, settings: Path
         settings.read_text(encoding="utf-8").replace("[devices.acme.options]\n", "[devices.acme.options]\nprot = 1\n"),
         encoding="utf-8",
     )
-    ended = run(installed, "agent.cli.main", "doctor", "--config", str(settings), cwd=tmp_path)
-    said = " ".join((ended.stdout + ended.stderr).split())
-    assert ended.returncode == 2
-    assert "devices.acme.options.prot" in said
-    assert "options of driver acme-cnc: host, port, timeout_s" in said
+    completed = run(installed, "agent.cli.main", "doctor", "--config", str(settings), cwd=tmp_path)
+    output = " ".join((completed.stdout + completed.stderr).split())
+    assert completed.returncode == 2
+    assert "devices.acme.options.prot" in output
+    assert "options of driver acme-cnc: host, port, timeout_s" in output
 
 
 def test_without_the_package_the_driver_is_unknown(settings: Path, tmp_path: Path) -> None:
-    ended = run(tmp_path / "nothing", "agent.cli.main", "doctor", "--config", str(settings), cwd=tmp_path)
-    assert ended.returncode == 2
-    assert "unknown driver 'acme-cnc'" in " ".join((ended.stdout + ended.stderr).split())
+    completed = run(tmp_path / "nothing", "agent.cli.main", "doctor", "--config", str(settings), cwd=tmp_path)
+    assert completed.returncode == 2
+    assert "unknown driver 'acme-cnc'" in " ".join((completed.stdout + completed.stderr).split())
 
 
 def test_it_fulfils_the_contract(installed: Path, tmp_path: Path) -> None:
     tests = shutil.copytree(EXAMPLE / "tests", tmp_path / "tests")
-    ended = run(installed, "pytest", "-q", "-p", "no:cacheprovider", str(tests), cwd=tmp_path)
-    assert ended.returncode == 0, ended.stdout[-3000:]
-    assert "16 passed" in ended.stdout
+    completed = run(installed, "pytest", "-q", "-p", "no:cacheprovider", str(tests), cwd=tmp_path)
+    assert completed.returncode == 0, completed.stdout[-3000:]
+    assert "16 passed" in completed.stdout

@@ -54,9 +54,9 @@ def both(request: pytest.FixtureRequest) -> Iterator[Both]:
 
 def mount(ready: dict[str, Any], number: str, clock: Clock) -> CanopenMount:
     options = {**ready["can"], **drives(ready["can_mounts"][number])}
-    made = create_device("canopen-mount", options, DeviceContext(f"mount-{number}", clock, Path()))
-    assert isinstance(made, CanopenMount)
-    return made
+    device = create_device("canopen-mount", options, DeviceContext(f"mount-{number}", clock, Path()))
+    assert isinstance(device, CanopenMount)
+    return device
 
 
 def test_the_ready_line_lists_the_nodes_of_each_mount(both: Both) -> None:
@@ -80,8 +80,8 @@ def test_each_mount_turns_independently(both: Both) -> None:
     assert (turned.azimuth_deg, turned.elevation_deg) == pytest.approx((-30.0, 20.0), abs=0.01)
     assert both.true_deg(2) == pytest.approx((-30.0, 20.0), abs=0.01)
     assert both.true_deg(1) == pytest.approx((0.0, 90.0))
-    still = first.orientation()
-    assert (still.azimuth_deg, still.elevation_deg) == pytest.approx((0.0, 90.0), abs=0.01)
+    unmoved = first.orientation()
+    assert (unmoved.azimuth_deg, unmoved.elevation_deg) == pytest.approx((0.0, 90.0), abs=0.01)
 
 
 def test_stopping_one_does_not_affect_the_other(both: Both) -> None:
@@ -102,9 +102,9 @@ def test_diagnosis_covers_both_drives_of_each_mount(both: Both) -> None:
 
 
 def test_a_node_that_another_mount_has_is_refused_when_it_opens(both: Both) -> None:
-    again = mount(both.ready, "2", both.clock)
+    duplicate = mount(both.ready, "2", both.clock)
     with pytest.raises(ConfigurationError, match="two devices claim CANopen node 3"):
-        again.open()
+        duplicate.open()
     assert both.mounts[1].orientation().elevation_deg == pytest.approx(90.0, abs=0.01)
 
 

@@ -109,18 +109,18 @@ class Inside:
         self.command.jog(linuxcnc.JOG_INCREMENT, joint_mode, axis, speed, distance)
 
     def messages(self):
-        said = []
+        messages = []
         while (message := self.errors.poll()) is not None:
-            said.append(message[1])
-        return said
+            messages.append(message[1])
+        return messages
 
     def positions(self):
         self.status.poll()
         return {"position": self.status.position[:3], "actual": self.status.actual_position[:3]}
 
     def run(self, *words):
-        done = subprocess.run(list(words), capture_output=True, text=True, check=False)
-        return [done.returncode, done.stdout + done.stderr]
+        completed = subprocess.run(list(words), capture_output=True, text=True, check=False)
+        return [completed.returncode, completed.stdout + completed.stderr]
 
     def start_sampling(self, count, path):
         """Sample `count` servo periods from now into `path`, one row per period."""

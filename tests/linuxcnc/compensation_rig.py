@@ -119,13 +119,13 @@ net {offset} axis.{letter}.eoffset => sampler.0.pin.{eoffset}
 UPPER_MM = (800.0, 400.0, 320.0)
 
 
-def built(folder: Path) -> Path:
+def compile_components(folder: Path) -> Path:
     """Compile the modules and the loader from source, as a user would, and return `folder`."""
     subprocess.run(["make", "-s", "-C", str(COMPONENTS), f"OUT={folder}"], check=True, capture_output=True, timeout=60)
     return folder
 
 
-def why_not() -> str:
+def unavailable_reason() -> str:
     """Return why LinuxCNC cannot run here; an empty string if it can."""
     for program in ("linuxcnc", "halcompile"):
         if shutil.which(program) is None:

@@ -8,12 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from needing import needs_linuxcnc
+from requirements import requires_linuxcnc
 
 from campaigns.linuxcnc import EXIT_NOT_RUN, run_calibration, short_trial
 
 
-@needs_linuxcnc
+@requires_linuxcnc
 @pytest.mark.timeout(400)
 def test_stock_linuxcnc_is_calibrated_end_to_end(tmp_path: Path) -> None:
     result = run_calibration(short_trial(tmp_path / "work", speed=15.0))

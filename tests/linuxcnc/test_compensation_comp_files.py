@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compensation_rig import Controller, built, machine, smooth_table, trilinear, why_not
-from needing import needing
+from compensation_rig import Controller, compile_components, machine, smooth_table, trilinear, unavailable_reason
+from requirements import skip_if_missing
 
 from drivers.clock import RealClock
 from drivers.errors import ChecksumMismatch, StoreError
 from drivers.linuxcnc.compensation import CompensationSettings, LinuxCncStore, create_store
 from drivers.roles import Activation, CompensationStore, TableImage
 
-pytestmark = needing(why_not())
+pytestmark = skip_if_missing(unavailable_reason())
 
 WHOLE = smooth_table(3)
 ACCEPTED_UM = 100.0
@@ -63,7 +63,9 @@ class Rig:
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     work = machine(
-        tmp_path_factory.mktemp("machine") / "work", built(tmp_path_factory.mktemp("components")), "comp-files"
+        tmp_path_factory.mktemp("machine") / "work",
+        compile_components(tmp_path_factory.mktemp("components")),
+        "comp-files",
     )
     made = Rig(work)
     yield made

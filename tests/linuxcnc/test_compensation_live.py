@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compensation_rig import Controller, built, machine, smooth_table, trilinear, why_not
-from needing import needing
+from compensation_rig import Controller, compile_components, machine, smooth_table, trilinear, unavailable_reason
+from requirements import skip_if_missing
 
 from drivers.clock import RealClock
 from drivers.errors import ChecksumMismatch, StoreError
@@ -22,12 +22,12 @@ MOTION_MM = {"external-offsets": 8e-5, "kinematics": 4e-6}
 JUMP_MM_PER_S = 0.5
 PLACE = (93.0, 64.0, 53.0)
 
-pytestmark = needing(why_not())
+pytestmark = skip_if_missing(unavailable_reason())
 
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built(tmp_path_factory.mktemp("components"))
+    return compile_components(tmp_path_factory.mktemp("components"))
 
 
 def store_in(work: Path, controller: Controller, way: str) -> LinuxCncStore:

@@ -14,14 +14,14 @@ from compensation_rig import COMPONENTS, trilinear
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from needing import needing
+from requirements import skip_if_missing
 
 from drivers.roles import TableImage
 from drivers.tables.text import format_table
 
 HEADERS = Path("/usr/include/linuxcnc/rtapi.h")
 MISSING = "" if HEADERS.exists() and shutil.which("gcc") else "linuxcnc-uspace-dev OR gcc IS NOT INSTALLED"
-pytestmark = needing(MISSING)
+pytestmark = skip_if_missing(MISSING)
 
 OK, MALFORMED, CRC_DIFFERS, BEYOND_LIMITS = 0, 4, 5, 6
 ENTRIES = """
@@ -53,7 +53,7 @@ def read(library: ctypes.CDLL, text: str) -> int:
     return int(library.read_table(data, ctypes.c_size_t(len(data))))
 
 
-def looked_up(library: ctypes.CDLL, position: np.ndarray) -> list[float]:
+def look_up_correction(library: ctypes.CDLL, position: np.ndarray) -> list[float]:
     correction = (ctypes.c_double * 3)()
     library.look_up((ctypes.c_double * 3)(*position), correction)
     return list(correction)
@@ -75,7 +75,7 @@ def test_lookup_is_trilinear_and_constant_beyond(library: ctypes.CDLL, table: Ta
     assert read(library, format_table(table)) == OK
     last = np.array(table.shape) - 1
     for place in [*map(np.array, places), np.array(table.origin_mm) + last * table.step_mm]:
-        assert looked_up(library, place) == pytest.approx(trilinear(table, place[None])[0], abs=1e-12)
+        assert look_up_correction(library, place) == pytest.approx(trilinear(table, place[None])[0], abs=1e-12)
 
 
 @given(tables(), st.data())

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live import REACH_MM, SPEED, Live
-from needing import needs_linuxcnc
+from requirements import requires_linuxcnc
 
 from drivers.clock import ScaledClock
 from drivers.contract.motion_contract import MachineContract, ProbeContract
@@ -22,7 +22,7 @@ OPTIONS = {
 }
 
 pytestmark = [
-    needs_linuxcnc,
+    requires_linuxcnc,
     pytest.mark.timeout(120),
 ]
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from live import REACH_MM, SPEED, Live
-from needing import needs_linuxcnc
+from requirements import requires_linuxcnc
 
 from drivers.clock import Deadline, RealClock
 from drivers.errors import (
@@ -42,7 +42,7 @@ CYCLE_MM = FEED * 1e-3
 AWAY = np.array([3000.0, 100.0, 200.0])
 
 pytestmark = [
-    needs_linuxcnc,
+    requires_linuxcnc,
     pytest.mark.timeout(120),
 ]
 

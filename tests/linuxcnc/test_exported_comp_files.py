@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compensation_rig import built, machine, running, why_not
-from needing import needing
+from compensation_rig import compile_components, machine, running, unavailable_reason
+from requirements import skip_if_missing
 
 from twin.compensation.controllers import linuxcnc_comp
 from twin.compensation.controllers.export_format import ExportSource
@@ -19,7 +19,7 @@ from twin.machine.kinematic_chain import parse_chain
 from twin.machine.machine_population import family_from_amplitudes
 from twin.machine.volumetric import evaluation_grid, volumetric_error
 
-pytestmark = needing(why_not())
+pytestmark = skip_if_missing(unavailable_reason())
 
 RANGES = ((0.0, 800.0), (0.0, 400.0), (0.0, 320.0))
 TOOL = np.array([0.0, 0.0, -150.0])
@@ -51,16 +51,16 @@ def test_a_running_linuxcnc_compensates_the_machines_errors(tmp_path: Path) -> N
     grid = evaluation_grid(((7.0, 793.0), (7.0, 393.0), (7.0, 313.0)), (4, 2, 2))
     added = added_by_linuxcnc(tmp_path, exported.files, grid)
     assert added == pytest.approx(exported.correction(grid), abs=1e-6)
-    bare = volumetric_error(grid + TOOL, deviation(grid)).aligned_um
-    left = volumetric_error(grid + TOOL, added + deviation(grid + added)).aligned_um
-    worse = volumetric_error(grid + TOOL, deviation(grid - added) - added).aligned_um
-    assert left < 0.6 * bare < bare < worse
+    uncorrected = volumetric_error(grid + TOOL, deviation(grid)).aligned_um
+    remaining = volumetric_error(grid + TOOL, added + deviation(grid + added)).aligned_um
+    wrong_sign = volumetric_error(grid + TOOL, deviation(grid - added) - added).aligned_um
+    assert remaining < 0.6 * uncorrected < uncorrected < wrong_sign
 
 
 def added_by_linuxcnc(folder: Path, files: dict[str, str], points: np.ndarray) -> np.ndarray:
     """Return the difference of motors and joints at rest at axis positions (n, 3), shape (n, 3), mm."""
     (folder / "build").mkdir()
-    work = machine(folder / "work", built(folder / "build"), "comp-files")
+    work = machine(folder / "work", compile_components(folder / "build"), "comp-files")
     acting = (work / "tables" / "acting").resolve()
     for letter in "xyz":
         (acting / f"{letter}.comp").write_text(files[f"{letter}.comp"])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from needing import needs_linuxcnc
+from requirements import requires_linuxcnc
 
 from simulators.linuxcnc.memory import TRACE, DeviationGrid, PlantMemory, ProbeBehaviour
 from simulators.linuxcnc.plant import LinuxCncPlant
@@ -40,7 +40,7 @@ int main(int count, char **words) {
 """
 
 
-@needs_linuxcnc
+@requires_linuxcnc
 def test_servo_thread_reads_the_data_written_by_python(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     linear = rng.normal(size=(3, 3)) * 1e-5
@@ -58,7 +58,7 @@ def test_servo_thread_reads_the_data_written_by_python(tmp_path: Path) -> None:
     subprocess.run(["gcc", *flags, "-o", "reader", "reader.c", "-lm"], cwd=tmp_path, check=True, timeout=60)
     places = rng.uniform(origin, origin + step * (np.array(nodes) - 1), (50, 3))
     places[-1] = [-100.0, 30.0, 1000.0]
-    told = subprocess.run(
+    output = subprocess.run(
         [tmp_path / "reader", tmp_path / "plant.bin"],
         input="\n".join(" ".join(map(repr, place)) for place in places.tolist()),
         capture_output=True,
@@ -66,10 +66,10 @@ def test_servo_thread_reads_the_data_written_by_python(tmp_path: Path) -> None:
         check=True,
         timeout=60,
     ).stdout.splitlines()
-    assert [float(word) for word in told[0].split()] == [2.0, 7.0, 0.3, 21.0]
-    assert [float(word) for word in told[1].split()] == [4.0, 5.0, 6.0]
+    assert [float(word) for word in output[0].split()] == [2.0, 7.0, 0.3, 21.0]
+    assert [float(word) for word in output[1].split()] == [4.0, 5.0, 6.0]
     inside = np.clip(places, origin, origin + step * (np.array(nodes) - 1))
-    assert np.loadtxt(told[2:]) == pytest.approx(inside @ linear.T, abs=1e-15)
+    assert np.loadtxt(output[2:]) == pytest.approx(inside @ linear.T, abs=1e-15)
     assert memory.read_trace() == pytest.approx(places)
 
 
@@ -95,8 +95,8 @@ class TestCollisions:
     def test_pressing_beyond_the_overtravel_is_exactly_one_collision(self, plant: LinuxCncPlant) -> None:
         standing = plant.world.table.snapshot(0.0)
         ball = np.array(standing.balls[5])
-        way = [ball - [0.0, distance, 0.0] for distance in (20.0, 9.0, 8.5, 20.0)]
-        assert self.go(plant, *way) == [(TIP, standing.ball_names[5])]
+        path = [ball - [0.0, distance, 0.0] for distance in (20.0, 9.0, 8.5, 20.0)]
+        assert self.go(plant, *path) == [(TIP, standing.ball_names[5])]
 
     def test_ram_through_the_bar_is_a_collision(self, plant: LinuxCncPlant) -> None:
         ball = np.array(plant.world.table.snapshot(0.0).balls[5])

@@ -216,13 +216,13 @@ class Bridge:
         return {}
 
     def _mode(self, request: Fields) -> Fields:
-        wanted = {name: number for number, name in MODES.items()}.get(request["mode"])
-        if wanted is None:
+        mode = {name: number for number, name in MODES.items()}.get(request["mode"])
+        if mode is None:
             raise RefusedError(f"no such mode: {request['mode']!r}")
         self._poll()
         if self._stat.interp_state != linuxcnc.INTERP_IDLE:
             raise RefusedError("LinuxCNC is busy with a program or another command")
-        self._set_mode(wanted)
+        self._set_mode(mode)
         return {}
 
     def _begin(self) -> None:

@@ -20,9 +20,9 @@ from drivers.roles import DiagnosticFinding, StoreLimits, TableImage
 from drivers.tables.files import read_if_exists, sync_directory, write_atomically
 from drivers.tables.text import counts_crc32
 
-ACTING = "acting"
+ACTIVE_LINK = "acting"
 BANK_SIGNAL, CRC_SIGNAL = "volcal-comp-bank", "volcal-comp-crc"
-SETUP = "set up the INI and HAL files as described in docs/explanation/linuxcnc-compensation.md"
+SETUP_HINT = "set up the INI and HAL files as described in docs/explanation/linuxcnc-compensation.md"
 
 
 class CompFileStore:
@@ -82,8 +82,8 @@ class CompFileStore:
         if bank != 0:
             self._verify(bank)
         elif not (self._banks.directory / "bank0").is_dir():
-            raise self._banks.error("the directory bank0 (no compensation) is missing", hint=SETUP)
-        armed = self._banks.directory / f"{ACTING}.part"
+            raise self._banks.error("the directory bank0 (no compensation) is missing", hint=SETUP_HINT)
+        armed = self._banks.directory / f"{ACTIVE_LINK}.part"
         try:
             armed.unlink(missing_ok=True)
             armed.symlink_to(f"bank{bank}")
@@ -131,23 +131,23 @@ class CompFileStore:
 
     @property
     def _link(self) -> Path:
-        return self._banks.directory / ACTING
+        return self._banks.directory / ACTIVE_LINK
 
     def _selected_bank(self) -> int:
         """Return the bank that becomes active at the next start."""
         try:
             name = self._link.readlink().name
         except OSError as error:
-            raise self._banks.error(f"there is no link {self._link}", hint=SETUP) from error
+            raise self._banks.error(f"there is no link {self._link}", hint=SETUP_HINT) from error
         if name not in ("bank0", "bank1", "bank2"):
-            raise self._banks.error(f"the link {self._link} leads to {name}, which is not a bank", hint=SETUP)
+            raise self._banks.error(f"the link {self._link} leads to {name}, which is not a bank", hint=SETUP_HINT)
         return int(name.removeprefix("bank"))
 
     def _signal(self, name: str) -> int:
         try:
             return int(self._pins.get(name))
         except CommandRejected as missing:
-            raise self._banks.error(f"LinuxCNC has no signal {name}", hint=SETUP) from missing
+            raise self._banks.error(f"LinuxCNC has no signal {name}", hint=SETUP_HINT) from missing
 
     def _mismatch(self, text: str) -> ChecksumMismatch:
         return ChecksumMismatch(text, hint="stage the table again", **self._banks.where)

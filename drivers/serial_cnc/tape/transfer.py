@@ -19,11 +19,11 @@ from drivers.serial_cnc.tape.blocks import MARK, Tape, TapeError, differences, p
 from drivers.serial_cnc.tape.characters import Character, DeviceControl, ParityFault, decode, encode, encode_control
 from drivers.serial_cnc.tape.settings import TapeSettings
 
-AT_ONCE = 8
+CHARACTERS_PER_WRITE = 8
 """Characters sent between two checks for DC3, which must stop the sender within ten."""
 BITS_OF_CHARACTER = 11
 POLL_S = 0.02
-SHOWN_DIFFERENCES = 5
+MAX_SHOWN_DIFFERENCES = 5
 
 Announce = Callable[[str], None]
 
@@ -75,7 +75,7 @@ class PunchRead:
         try:
             while sent < len(data):
                 self._obey_flow_control(sent)
-                chunk = data[sent : sent + AT_ONCE]
+                chunk = data[sent : sent + CHARACTERS_PER_WRITE]
                 self._port.write(chunk)
                 sent += len(chunk)
                 self._clock.sleep(len(chunk) * BITS_OF_CHARACTER / self._settings.baud)
@@ -99,8 +99,8 @@ class PunchRead:
             self._refuse(str(error))
         if not different:
             return
-        shown = "; ".join(map(str, different[:SHOWN_DIFFERENCES]))
-        more = f" and {len(different) - SHOWN_DIFFERENCES} more" if len(different) > SHOWN_DIFFERENCES else ""
+        shown = "; ".join(map(str, different[:MAX_SHOWN_DIFFERENCES]))
+        more = f" and {len(different) - MAX_SHOWN_DIFFERENCES} more" if len(different) > MAX_SHOWN_DIFFERENCES else ""
         raise ReadBackMismatch(
             f"{len(different)} values read back differently from what was written: {shown}{more}",
             hint="check that parameter writing is enabled (PWE); restore the backup before using the machine",

@@ -8,9 +8,9 @@ from aloud import NOT_HERE
 from simulators.linuxcnc.namespaces import unavailable_reason
 
 
-def needing(missing: str) -> pytest.MarkDecorator:
+def skip_if_missing(missing: str) -> pytest.MarkDecorator:
     """Return a mark that skips the test, with `missing` as reason, unless `missing` is empty."""
     return pytest.mark.skipif(missing != "", reason=f"{NOT_HERE}: LinuxCNC cannot run: {missing}")
 
 
-needs_linuxcnc = needing(unavailable_reason())
+requires_linuxcnc = skip_if_missing(unavailable_reason())
