@@ -25,7 +25,7 @@ from drivers.roles import (
     Touch,
     Vector,
 )
-from simulators.world.motion_forecast import MotionKind
+from simulators.world.motion_forecast import MoveKind
 from simulators.world.mount import AZIMUTH, ELEVATION, MountPhysics
 from simulators.world.world import World
 
@@ -86,7 +86,7 @@ class SimulatedMachineDevice:
     def move_to(self, target_mm: Vector, *, feed_mm_per_s: float | None, guarded: bool) -> None:
         self._catch_up()
         self._controller.begin_move(target_mm, feed_mm_per_s, guarded)
-        self._await_motion(MotionKind.GUARDED if guarded else MotionKind.POSITIONING)
+        self._await_motion(MoveKind.GUARDED if guarded else MoveKind.POSITIONING)
 
     def hold(self) -> None:
         self._catch_up()
@@ -110,7 +110,7 @@ class SimulatedMachineDevice:
         controller = self._controller
         before = controller.latch.sequence if controller.latch else 0
         controller.begin_touch(target_mm, feed_mm_per_s)
-        self._await_motion(MotionKind.TOUCH)
+        self._await_motion(MoveKind.TOUCH)
         if controller.latch is not None and controller.latch.sequence > before:
             return Touch(_triple(controller.latch.position))
         return Miss(_triple(controller.displayed_position()))
@@ -188,12 +188,12 @@ class SimulatedMachineDevice:
     def _catch_up(self) -> None:
         self.world.advance_to(self._clock.now())
 
-    def _await_motion(self, kind: MotionKind) -> None:
+    def _await_motion(self, kind: MoveKind) -> None:
         self._sleep_until(self._motion_ends_s)
         controller = self._controller
         if controller.motion is MotionState.FAULT:
             fault = controller.fault
-            if kind is MotionKind.GUARDED and not self._crashed():
+            if kind is MoveKind.GUARDED and not self._crashed():
                 controller.reset()
                 raise GuardTripped(fault, hint="check what the probe touched")
             raise MotionFault(fault, hint="move the probe free, then clear the fault at the machine")

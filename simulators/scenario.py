@@ -15,7 +15,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from drivers.errors import ConfigurationError
-from simulators.temperatures import Coordinates, TemperatureSettings
+from simulators.temperatures import Coordinates, ThermalSettings
 from twin.artefact.artefact import Artefact
 from twin.artefact.position_set import MountGeometry
 from twin.collision.bodies import ProbeGeometry
@@ -139,7 +139,7 @@ class ScenarioDocument(StrictModel):
     trigger: TriggerSettings = TriggerSettings()
     axes: AxisBehaviour = AxisBehaviour()
     mount_behaviour: MountBehaviour = MountBehaviour()
-    temperatures: TemperatureSettings = TemperatureSettings()
+    temperatures: ThermalSettings = ThermalSettings()
     store: StoreSettings = StoreSettings()
     ageing: AgeingSettings = AgeingSettings()
 
@@ -227,7 +227,7 @@ def ideal_document(document: ScenarioDocument) -> ScenarioDocument:
             "mount_behaviour": document.mount_behaviour.model_copy(
                 update=dict.fromkeys(("index_error_deg", "wobble_um", "place_error_mm", "place_error_deg"), 0.0)
             ),
-            "temperatures": TemperatureSettings(),
+            "temperatures": ThermalSettings(),
         }
     )
 

@@ -13,7 +13,7 @@ Temperature = Annotated[float, Field(ge=-20.0, le=60.0)]
 Hours = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
-class TemperatureSettings(StrictModel):
+class ThermalSettings(StrictModel):
     """Initial temperatures and their change; without any key nothing warms.
 
     The ambient rises by `ambient_rise_k` as 1 - exp(-t/τ) with `ambient_time_constant_h` (0: at once, as when the doors

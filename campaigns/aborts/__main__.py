@@ -47,7 +47,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summarise(left: Sequence[dict[str, Any]], keys: Sequence[str]) -> dict[str, Any]:
-    """Summarise the results; a run may complete before the interruption is noticed only if no acting step was left."""
+    """Summarise the results.
+
+    A run may complete before its interruption is noticed only if no step with an effect on the machine was left.
+    """
     last_acting = max(place for place, key in enumerate(keys, start=1) if key.endswith("!"))
     failed = [one for one in left if one["failures"] or (one.get("completed") and one["ordinal"] <= last_acting)]
     return {

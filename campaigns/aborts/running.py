@@ -48,7 +48,7 @@ class StepSelection:
 
 
 def uninterrupted_keys() -> list[str]:
-    """Return the keys of all steps of the uninterrupted run; keys of acting steps end with ``!``."""
+    """Return the keys of all steps of the uninterrupted run; those with an effect on the machine end with ``!``."""
     keys: list[str] = []
 
     def noted(_: int, step: s.Step) -> bool:

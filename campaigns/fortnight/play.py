@@ -1,4 +1,4 @@
-"""Sequence of the fortnight from its first evening to its last morning."""
+"""The whole fortnight, from its first evening to its last morning."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ BALLS = (0, 2, 5, 8, 10)
 
 
 class Killed(BaseException):
-    """Simulated death of the process."""
+    """Raised by everything that a killed process would no longer execute."""
 
 
 class KillSwitch:

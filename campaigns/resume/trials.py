@@ -45,7 +45,7 @@ from campaigns.resume.case import (
 
 @dataclass
 class InterruptionRecorder:
-    """Interruption points of the copies, and their results."""
+    """Points at which copies of the run were interrupted, and the results of these copies."""
 
     machine: ResumeMachine
     every: int

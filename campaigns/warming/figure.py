@@ -16,7 +16,7 @@ from campaigns.warming.row import WarmingRow
 
 
 @dataclass(frozen=True)
-class TemperatureTrace:
+class WarmingTrace:
     """Temperatures reported with every ball, over minutes of machine time."""
 
     minutes: tuple[float, ...]
@@ -24,13 +24,13 @@ class TemperatureTrace:
     artefact_c: tuple[float, ...]
 
 
-def draw(rows: Sequence[WarmingRow], trace: TemperatureTrace, path: Path) -> None:
+def draw(rows: Sequence[WarmingRow], trace: WarmingTrace, path: Path) -> None:
     """Write the figure to the PNG file `path`."""
     found = picture(path.stem, lambda figure: _draw(figure, rows, trace), (8.0, 3.6))
     write_all_atomically(path.parent, {path.name: found.png})
 
 
-def _draw(figure: Figure, rows: Sequence[WarmingRow], trace: TemperatureTrace) -> None:
+def _draw(figure: Figure, rows: Sequence[WarmingRow], trace: WarmingTrace) -> None:
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2, 3]})
     left.plot(trace.minutes, trace.machine_c, ".", color=BLUE, markersize=3, label="machine")
     left.plot(trace.minutes, trace.artefact_c, ".", color=ORANGE, markersize=3, label="bar")

@@ -45,19 +45,19 @@ from agent.settings.schema import Settings
 from benchmarks.places import memory_directory, write_csv
 from campaigns.nights.play import build_rig
 from campaigns.nights.season import true_vce_with_table
-from campaigns.warming.figure import TemperatureTrace, draw
+from campaigns.warming.figure import WarmingTrace, draw
 from campaigns.warming.row import WarmingRow
 from drivers.clock import VirtualClock
 from simulators.scenario import ArtefactTruthSettings, Scenario, TruthSettings, read_scenario
-from simulators.temperatures import TemperatureSettings
+from simulators.temperatures import ThermalSettings
 from simulators.world.world import World
 from twin.artefact.observations import Observations
 
 LARGEST_RISE = 1.2
 WARMER_K = 3.0
-STILL = TemperatureSettings(sensor_noise_k=0.01, sensor_offset_k={"artefact": 0.01})
+STILL = ThermalSettings(sensor_noise_k=0.01, sensor_offset_k={"artefact": 0.01})
 SETTLED = STILL.model_copy(update={"artefact_c": 20.0 + WARMER_K, "machine_c": 20.0 + WARMER_K})
-WARMING = TemperatureSettings(
+WARMING = ThermalSettings(
     ambient_rise_k=3.65,
     artefact_time_constant_h=0.35,
     machine_time_constant_h=0.45,
@@ -88,7 +88,7 @@ class WarmingRun:
         return self.world.truth.true_volumetric_error(self.world.controller.active_bank)[1]
 
 
-def compare_runs(seed: int) -> tuple[WarmingRow, TemperatureTrace]:
+def compare_runs(seed: int) -> tuple[WarmingRow, WarmingTrace]:
     """Carry out all runs of one machine. Raises RuntimeError if one of them does not end well."""
     still, settled, warm = (run_calibration(seed, temperatures) for temperatures in (STILL, SETTLED, WARMING))
     world, records = warm.world, warm.records
@@ -115,10 +115,10 @@ def compare_runs(seed: int) -> tuple[WarmingRow, TemperatureTrace]:
         predicted_settled=settled.ended.outcome.predicted_vce_um or np.nan,
         predicted_warm=warm.ended.outcome.predicted_vce_um or np.nan,
     )
-    return row, TemperatureTrace(tuple(r["instant_s"] / 60.0 for r in records), tuple(machine), tuple(artefact))
+    return row, WarmingTrace(tuple(r["instant_s"] / 60.0 for r in records), tuple(machine), tuple(artefact))
 
 
-def run_calibration(seed: int, temperatures: TemperatureSettings) -> WarmingRun:
+def run_calibration(seed: int, temperatures: ThermalSettings) -> WarmingRun:
     """Carry out one calibration, starting with an empty controller."""
     with memory_directory("warming") as directory:
         state = Path(directory) / "state"
@@ -140,7 +140,7 @@ def _settings(state: Path) -> Settings:
     return settings.model_copy(update={"temperature": warmth})
 
 
-def _scenario(seed: int, temperatures: TemperatureSettings) -> Scenario:
+def _scenario(seed: int, temperatures: ThermalSettings) -> Scenario:
     shipped = read_scenario(SHIPPED_CONFIGURATION / "simulators" / "case-study.toml")
     settings = shipped.settings.model_copy(
         update={
@@ -237,7 +237,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     began = perf_counter()
     rows: list[WarmingRow] = []
-    traces: list[TemperatureTrace] = []
+    traces: list[WarmingTrace] = []
     with ProcessPoolExecutor(2) as pool:
         for row, trace in pool.map(compare_runs, range(given.first, given.first + given.seeds)):
             rows.append(row)

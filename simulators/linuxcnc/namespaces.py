@@ -50,10 +50,10 @@ def unavailable_reason() -> str:
     for program, package in (("faketime", "faketime"), ("unshare", "util-linux"), ("ip", "iproute2")):
         if shutil.which(program) is None:
             return f"{program} is not installed (package {package})"
-    tried = subprocess.run(  # noqa: S603
+    result = subprocess.run(  # noqa: S603
         unshare_command(["true"]), capture_output=True, text=True, timeout=10.0, check=False
     )
-    return "" if tried.returncode == 0 else f"namespaces cannot be created: {tried.stderr.strip()}"
+    return "" if result.returncode == 0 else f"namespaces cannot be created: {result.stderr.strip()}"
 
 
 def make_private(work: Path, modules: list[Path]) -> None:
@@ -67,12 +67,12 @@ def make_private(work: Path, modules: list[Path]) -> None:
     _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", "/dev/shm")  # noqa: S108
     _run("mount", "-t", "tmpfs", "tmpfs", "/mnt")
     hidden = [path for path in (PROGRAMS, work) if path.is_relative_to(TMP)]
-    kept = [(path, Path("/mnt", str(number))) for number, path in enumerate(hidden)]
-    for path, aside in kept:
+    preserved = [(path, Path("/mnt", str(number))) for number, path in enumerate(hidden)]
+    for path, aside in preserved:
         aside.mkdir()
         _run("mount", "--bind", str(path), str(aside))
     _run("mount", "-t", "tmpfs", "-o", "mode=1777", "tmpfs", str(TMP))
-    for path, aside in kept:
+    for path, aside in preserved:
         path.mkdir(parents=True, exist_ok=True)
         _run("mount", "--move", str(aside), str(path))
     here = TMP / "modules"

@@ -59,21 +59,21 @@ class LinuxCncPlant:
     def on_advance(self, now_s: float) -> None:
         """Publish the present state and search for collisions on the path taken since the last call."""
         snapshot = self.world.table.snapshot(now_s)
-        way = self.memory.read_trace()
+        trace = self.memory.read_trace()
         if snapshot is not self._shown:
             self._show(snapshot)
             if self._tip is not None:
                 self._look(snapshot, self._tip, self._tip)
-        for start, end in zip(way[:-1].tolist(), way[1:].tolist(), strict=True):
+        for start, end in zip(trace[:-1].tolist(), trace[1:].tolist(), strict=True):
             self._look(snapshot, point(start), point(end))
             self._tip = point(end)
 
     def _show(self, snapshot: WorkpieceSnapshot) -> None:
-        told = self.world.controller.temperatures()
+        temperatures = self.world.controller.temperatures()
         self.memory.show(
             np.array(snapshot.balls).reshape(-1, 3),
             drift_mm=(0.0, 0.0, 0.0),
-            temperatures_c=[told[ARTEFACT], told[MACHINE], told[AMBIENT]],
+            temperatures_c=[temperatures[ARTEFACT], temperatures[MACHINE], temperatures[AMBIENT]],
         )
         self._shown = snapshot
 

@@ -103,13 +103,13 @@ class ContactSolver:
 
         Cached until the pose or the table changes.
         """
-        kept = self._near
-        if kept is None or kept[0] is not snapshot or kept[1] is not self._shift.table:
+        cached = self._near
+        if cached is None or cached[0] is not snapshot or cached[1] is not self._shift.table:
             nominal = np.array(snapshot.balls) - self._tool
             apparent = nominal - self._shift.field_at_many(nominal)
             points = [(x, y, z) for x, y, z in apparent.tolist()]
-            self._near = kept = (snapshot, self._shift.table, points)
-        return kept[2]
+            self._near = cached = (snapshot, self._shift.table, points)
+        return cached[2]
 
 
 def _closing(tip: Point, direction: Point, centre: Point) -> float:

@@ -19,7 +19,7 @@ from simulators.scenario import Scenario
 from simulators.world.contact import ContactSolver
 from simulators.world.field import FieldOfMany, TipShift
 from simulators.world.lost_motion import PlayOperator
-from simulators.world.motion_forecast import MotionCommand, MotionForecast, MotionKind, PathEvents, forecast_motion
+from simulators.world.motion_forecast import MotionCommand, MotionForecast, MoveKind, PathEvents, forecast_motion
 from simulators.world.noise import BY_STEP
 from simulators.world.path_lookahead import PathLookahead
 from simulators.world.tables import TableBanks
@@ -154,14 +154,14 @@ class Controller:
         """Start a straight move, at rapid speed if no feed is given. A guarded move that trips the probe ends in a
         fault.
         """
-        self._begin(MotionKind.GUARDED if guarded else MotionKind.POSITIONING, target, feed_mm_per_s)
+        self._begin(MoveKind.GUARDED if guarded else MoveKind.POSITIONING, target, feed_mm_per_s)
 
     def begin_touch(self, target: ArrayLike, feed_mm_per_s: float) -> None:
         """Start a straight move that stops when the probe trips.
 
         Afterwards either `latch` has a new sequence number or `touch_missed` is set.
         """
-        self._begin(MotionKind.TOUCH, target, feed_mm_per_s)
+        self._begin(MoveKind.TOUCH, target, feed_mm_per_s)
 
     def hold(self) -> None:
         """Brake on the path and store the rest of the command for `resume`."""
@@ -231,7 +231,7 @@ class Controller:
         if instant_s >= forecast.end_s:
             self._arrive(motion)
 
-    def _begin(self, kind: MotionKind, target: ArrayLike, feed_mm_per_s: float | None) -> None:
+    def _begin(self, kind: MoveKind, target: ArrayLike, feed_mm_per_s: float | None) -> None:
         command = self._command(kind, target, feed_mm_per_s)
         snapshot = self._table.snapshot(self.now_s)
         resting = self._contacted_ball(snapshot) if self._deflected else None
@@ -241,14 +241,14 @@ class Controller:
         self._shift.play = self._play.after(self._position, command.target, step)
         events = self._lookahead.events_on(command, snapshot, resting, self._touches if step is None else step)
         law = trapezoid(self.now_s, command.path.length, command.speed, command.acceleration)
-        self._touches += kind is MotionKind.TOUCH
+        self._touches += kind is MoveKind.TOUCH
         self._deflected = resting is not None
         self.touch_missed = False
         self._motion = _Motion(command, law, events, forecast_motion(law, events, command.acceleration))
         self._on_motion()
         self.advance_to(self.now_s)
 
-    def _command(self, kind: MotionKind, target: ArrayLike, feed_mm_per_s: float | None) -> MotionCommand:
+    def _command(self, kind: MoveKind, target: ArrayLike, feed_mm_per_s: float | None) -> MotionCommand:
         self._require_ready(kind)
         goal = point(np.asarray(target, dtype=np.float64).tolist())
         self._require_inside(goal)
@@ -258,13 +258,13 @@ class Controller:
         speed = min(feed_mm_per_s or math.inf, path.limit_along(self._limits.rapid_mm_per_s))
         return MotionCommand(kind, goal, path, speed, path.limit_along(self._limits.acceleration_mm_per_s2))
 
-    def _require_ready(self, kind: MotionKind) -> None:
+    def _require_ready(self, kind: MoveKind) -> None:
         if self.motion is not MotionState.IDLE:
             raise CommandRejected(f"the machine is not ready for a {kind.value}: {self.motion.value} {self.fault}")
         if not all(self.granted.values()):
             missing = [name.value for name, given in self.granted.items() if not given]
             raise CommandRejected(f"no {kind.value} is permitted; missing: {', '.join(missing)}")
-        if kind is not MotionKind.POSITIONING and not (self.probe_loaded and self.probe_healthy):
+        if kind is not MoveKind.POSITIONING and not (self.probe_loaded and self.probe_healthy):
             raise CommandRejected(f"no {kind.value} without a healthy probe in the spindle")
 
     def _require_inside(self, goal: Point) -> None:
@@ -286,7 +286,7 @@ class Controller:
         self._on_motion()
 
     def _tripped(self, motion: _Motion, instant_s: float) -> None:
-        if motion.command.kind is MotionKind.GUARDED:
+        if motion.command.kind is MoveKind.GUARDED:
             motion.ends_in, motion.reason = MotionState.FAULT, motion.reason or "probe tripped in a guarded move"
         elif self.latch is None or self.latch.sequence < self._touches:
             assert motion.events.trip_mm is not None  # noqa: S101  a trip implies it
@@ -301,7 +301,7 @@ class Controller:
         self._position = command.target if complete else command.path.at(forecast.law.end_distance)
         self._motion = None
         self._deflected = forecast.trip_s is not None or (self._deflected and forecast.end_s < forecast.free_s)
-        self.touch_missed = command.kind is MotionKind.TOUCH and complete
+        self.touch_missed = command.kind is MoveKind.TOUCH and complete
         self._state = motion.ends_in
         if forecast.crash is not None:
             self._deflected = True

@@ -10,7 +10,7 @@ from twin.collision.geometry import Point
 from twin.collision.motion_law import MotionLaw, StraightPath
 
 
-class MotionKind(Enum):
+class MoveKind(Enum):
     POSITIONING = "positioning move"
     GUARDED = "guarded move"
     TOUCH = "touch"
@@ -19,7 +19,7 @@ class MotionKind(Enum):
 class MotionCommand(NamedTuple):
     """Motion as commanded. `speed` is along the path in mm/s, already limited to what the axes can do."""
 
-    kind: MotionKind
+    kind: MoveKind
     target: Point
     path: StraightPath
     speed: float

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.errors import CommandRejected
 from simulators.world.contact import ContactSolver
-from simulators.world.motion_forecast import Crash, MotionCommand, MotionKind, PathEvents, earliest, tip_crash
+from simulators.world.motion_forecast import Crash, MotionCommand, MoveKind, PathEvents, earliest, tip_crash
 from simulators.world.trigger import Trigger
 from simulators.world.workpiece import WorkpieceSnapshot
 from twin.collision.geometry import Point, translate_point
@@ -34,7 +34,7 @@ class PathLookahead:
         contact = self._contacts.first(command.path, snapshot, resting)
         if contact is None:
             return PathEvents(None, earliest(pressed, self._swept(command, snapshot, None, resting)), free_mm)
-        if command.kind is MotionKind.POSITIONING:
+        if command.kind is MoveKind.POSITIONING:
             met = tip_crash(snapshot.ball_names[contact.ball], contact.distance)
             swept = self._swept(command, snapshot, contact.distance, resting)
             return PathEvents(None, earliest(pressed, met, swept), free_mm)
@@ -54,11 +54,11 @@ class PathLookahead:
         if resting is None:
             return 0.0, None
         centre = snapshot.balls[resting]
-        if command.kind is MotionKind.TOUCH:
+        if command.kind is MoveKind.TOUCH:
             raise CommandRejected("the probe is deflected before the touch", hint="back off first")
         if not self._contacts.pressing(command.path, centre):
             return self._contacts.leaving(command.path, centre), None
-        if command.kind is MotionKind.GUARDED:
+        if command.kind is MoveKind.GUARDED:
             raise CommandRejected("the probe is deflected and the move would press on", hint="move it free")
         deeper = self._contacts.deeper(command.path, centre, self._trigger.overtravel_mm)
         pressed = None if deeper is None else tip_crash(snapshot.ball_names[resting], deeper)
@@ -67,7 +67,10 @@ class PathLookahead:
     def _swept(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, until_mm: float | None, touched: int | None
     ) -> Crash | None:
-        """Return the first collision other than tip with ball; the stem may touch the ball that the tip touches."""
+        """Return the first collision of any bodies except contact of the tip with a ball.
+
+        The stem may touch the ball that the tip touches, because it deflects with the tip.
+        """
         path = command.path
         length = path.length if until_mm is None else min(until_mm, path.length)
         if length == 0.0:

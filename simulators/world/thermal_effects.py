@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.temperatures import TemperatureSettings
+from simulators.temperatures import ThermalSettings
 from simulators.world.field import ZERO, FieldOfMany
 from simulators.world.noise import generator
 from simulators.world.thermal_state import ThermalState
@@ -27,7 +27,7 @@ class ThermalEffects:
 
     def __init__(
         self,
-        settings: TemperatureSettings,
+        settings: ThermalSettings,
         ranges_mm: Ranges = ((0.0, 1.0), (0.0, 1.0), (0.0, 1.0)),
         tool_offset_mm: Point = ZERO,
         seed: int = 0,
@@ -36,7 +36,7 @@ class ThermalEffects:
         self._ranges_mm = ranges_mm
         self._tool_offset_mm = tool_offset_mm
         self._seed = seed
-        self.warming = ThermalState(settings)
+        self.state = ThermalState(settings)
 
     # ------------------------------------------------------------------ thermometers
 
@@ -44,11 +44,11 @@ class ThermalEffects:
         """Return the temperatures in °C by sensor name, as the sensors read them."""
         s = self._settings
         then_s = max(now_s - s.sensor_lag_s, 0.0)
-        told = {ARTEFACT: self.warming.artefact_c(then_s), MACHINE: self.warming.machine_c(then_s)}
-        told[AMBIENT] = self.warming.ambient_c(then_s)
+        readings = {ARTEFACT: self.state.artefact_c(then_s), MACHINE: self.state.machine_c(then_s)}
+        readings[AMBIENT] = self.state.ambient_c(then_s)
         for number in range(2, s.artefact_sensors + 1):
-            told[f"{ARTEFACT}-{number}"] = told[ARTEFACT]
-        return {name: value + self._error_k(name, now_s) for name, value in told.items()}
+            readings[f"{ARTEFACT}-{number}"] = readings[ARTEFACT]
+        return {name: value + self._error_k(name, now_s) for name, value in readings.items()}
 
     def _error_k(self, name: str, now_s: float) -> float:
         s = self._settings
@@ -62,20 +62,20 @@ class ThermalEffects:
 
     def drift_mm(self, now_s: float) -> Point:
         """Return the (3,) displacement of the tip since the start, in mm."""
-        if self.warming.machine_is_constant:
+        if self.state.machine_is_constant:
             return ZERO
-        warmed = self.warming.machine_change_k(now_s)
+        warmed = self.state.machine_change_k(now_s)
         x, y, z = self._settings.growth_um_per_k
         return x * warmed * 1e-3, y * warmed * 1e-3, z * warmed * 1e-3
 
     def field(self, now_s: float) -> FieldOfMany | None:
         """Return the change of the machine's field since the start, or None if there is none."""
-        if self.warming.machine_is_constant:
+        if self.state.machine_is_constant:
             return None
         s = self._settings
-        warmed = self.warming.machine_change_k(now_s)
+        warmed = self.state.machine_change_k(now_s)
         stretch = 1e-6 * warmed * np.array(s.scale_um_per_m_k)
-        bend_mm = 1e-3 * s.bend_um_per_k * self.warming.column_change_k(now_s)
+        bend_mm = 1e-3 * s.bend_um_per_k * self.state.column_change_k(now_s)
         if bend_mm == 0.0 and not stretch.any():
             return None
         return ThermalField(stretch, bend_mm, self._ranges_mm, self._tool_offset_mm)
@@ -106,7 +106,7 @@ class ThermalField:
         return np.asarray(change)
 
 
-def bow_mm(settings: TemperatureSettings, warming: ThermalState, now_s: float) -> float:
+def bow_mm(settings: ThermalSettings, warming: ThermalState, now_s: float) -> float:
     """Return the bow of the artefact at its middle, in mm."""
     if settings.artefact_bow_um_per_k == 0.0:
         return 0.0

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from simulators.temperatures import TemperatureSettings
+from simulators.temperatures import ThermalSettings
 
 S_PER_H = 3600.0
 _AT_ONCE_H = 1e-9
@@ -16,7 +16,7 @@ _ALIKE = 1e-6  # relative difference of two time constants below which the limit
 class ThermalState:
     """True temperatures, without the errors of the thermometers."""
 
-    def __init__(self, settings: TemperatureSettings) -> None:
+    def __init__(self, settings: ThermalSettings) -> None:
         self._settings = settings
         self.artefact_is_constant = not self._ever_warms(settings.artefact_time_constant_h, settings.artefact_k_per_h)
         self.machine_is_constant = not self._ever_warms(settings.machine_time_constant_h, settings.machine_k_per_h)
@@ -50,8 +50,8 @@ class ThermalState:
         return self._change_k(now_s, lag_h, s.machine_k_per_h)
 
     def artefact_lag_k(self, now_s: float) -> float:
-        """Return how much more the ambient has warmed than the artefact since the start, in K; 0 if
-        it does not follow.
+        """Return by how many K the ambient has warmed more than the artefact since the start; 0 if the artefact does
+        not follow.
         """
         s = self._settings
         if s.artefact_time_constant_h is None:

@@ -59,7 +59,7 @@ class Workpiece:
         self._places = np.array(settings.stations_mm, dtype=np.float64)
         self._behaviour = settings.mount_behaviour
         self._temperatures = settings.temperatures
-        self._warming = ThermalState(settings.temperatures)
+        self._thermal_state = ThermalState(settings.temperatures)
         self._cached: tuple[object, WorkpieceSnapshot] | None = None
         self._cover: SphereCover | None = None
         self._location_mm: Array = self._places[station - 1]
@@ -116,11 +116,11 @@ class Workpiece:
         return azimuth + self._yaw_rad, elevation
 
     def temperature_c(self, now_s: float) -> float:
-        return self._warming.artefact_c(now_s)
+        return self._thermal_state.artefact_c(now_s)
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
         """Return pose, true ball centres (workpiece frame) and collision scene at an instant."""
-        bow = round(bow_mm(self._temperatures, self._warming, now_s), 5)
+        bow = round(bow_mm(self._temperatures, self._thermal_state, now_s), 5)
         key = (*self.mount.angles_deg(now_s), round(self.temperature_c(now_s), 3), bow)
         if self._cached is None or self._cached[0] != key:
             self._cached = (key, self._stand(*key))

@@ -42,21 +42,21 @@ static rtapi_u32 motions, touches, trip_count, overrun_count;
 static int was_moving[3];
 
 EXTRA_SETUP() {
-    struct stat told;
+    struct stat status;
     (void)__comp_inst; (void)prefix; (void)extra_arg;
     int file = open(path, O_RDWR | O_CLOEXEC);
-    if (file < 0 || fstat(file, &told) < 0) {
+    if (file < 0 || fstat(file, &status) < 0) {
         rtapi_print_msg(RTAPI_MSG_ERR, "volcal_plant: %s cannot be read\n", path);
         return -ENOENT;
     }
-    mapped = (size_t)told.st_size;
-    void *where = mmap(NULL, mapped, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+    mapped = (size_t)status.st_size;
+    void *mapping = mmap(NULL, mapped, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
     close(file);
-    if (where == MAP_FAILED) return -ENOMEM;
-    memory = where;
+    if (mapping == MAP_FAILED) return -ENOMEM;
+    memory = mapping;
     if (mapped < sizeof(plant_memory) || memory->magic != PLANT_MAGIC || plant_bytes(memory) > mapped) {
         rtapi_print_msg(RTAPI_MSG_ERR, "volcal_plant: %s holds no plant\n", path);
-        munmap(where, mapped);
+        munmap(mapping, mapped);
         memory = NULL;
         return -EINVAL;
     }
@@ -68,7 +68,7 @@ EXTRA_CLEANUP() {
 }
 
 /* Play operator: the slide lags its drive by at most half the backlash; plus a random error for each motion. */
-static void follow(const double *motor) {
+static void update_lost_motion(const double *motor) {
     for (int a = 0; a < 3; a++) {
         double step = begun ? motor[a] - before[a] : 0.0, half = 0.5 * scene.backlash_mm[a];
         lag[a] = fmin(fmax(lag[a] - step, -half), half);
@@ -91,8 +91,8 @@ static int overlapped(const double *tip, double *depth) {
 }
 
 /* Return the travel of the tip from contact to trip in its direction of motion; the probe points along +Y. */
-static double pretravel(const double *way, double length) {
-    double x = way[0] / length, z = way[2] / length;
+static double pretravel(const double *motion, double length) {
+    double x = motion[0] / length, z = motion[2] / length;
     return scene.pretravel_mm + scene.lobing_mm * hypot(x, z) * cos(3.0 * atan2(z, x)) +
            scene.touch_sigma_mm * plant_normal(scene.seed, 0, touches);
 }
@@ -105,7 +105,7 @@ static double share_inside(const double *tip, int ball) {
 }
 
 /* Trip once for each contact with a ball; the seats close again when the tip is free. */
-static void feel(const double *tip, const double *way, double length) {
+static void update_probe(const double *tip, const double *motion, double length) {
     double depth;
     int ball = overlapped(tip, &depth);
     if (ball < 0) {
@@ -115,25 +115,25 @@ static void feel(const double *tip, const double *way, double length) {
     }
     travelled += length * (ball == touching ? 1.0 : share_inside(tip, ball));
     touching = ball;
-    if (!tripped && length > 0.0 && travelled >= pretravel(way, length)) tripped = 1, trip_count++;
+    if (!tripped && length > 0.0 && travelled >= pretravel(motion, length)) tripped = 1, trip_count++;
     if (!over && depth > scene.overtravel_mm) over = 1, overrun_count++;
 }
 
 FUNCTION(_) {
-    double bare[3], deviation[3], tip[3], way[3];
+    double bare[3], deviation[3], tip[3], motion[3];
     ready = memory && plant_read_scene(memory, &scene);
     if (!ready) return;
     for (int a = 0; a < 3; a++) bare[a] = motor(a);
     int first = !begun;
-    follow(bare);
+    update_lost_motion(bare);
     plant_deviation(memory, bare, deviation);
     for (int a = 0; a < 3; a++) {
         tip[a] = bare[a] + scene.tool_mm[a] + deviation[a] + scene.drift_mm[a] + lag[a] + scatter[a];
-        way[a] = first ? 0.0 : tip[a] - tip_before[a];
+        motion[a] = first ? 0.0 : tip[a] - tip_before[a];
         temperature(a) = scene.temperature_c[a];
         tip_position(a) = tip[a];
     }
-    feel(tip, way, sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]));
+    update_probe(tip, motion, sqrt(motion[0] * motion[0] + motion[1] * motion[1] + motion[2] * motion[2]));
     probe = tripped, trips = trip_count, overrun = overrun_count;
     memcpy(tip_before, tip, sizeof tip);
     plant_trace(memory, tip);

@@ -65,7 +65,7 @@ class DriveConfig:
     factors: FactorGroup | None = None
 
 
-class DriveState(IntEnum):
+class PowerDriveState(IntEnum):
     """Drive states as statusword bits 0-3, 5 and 6 (quick stop bit 5 is active low)."""
 
     NOT_READY = 0x00
@@ -78,7 +78,7 @@ class DriveState(IntEnum):
     FAULT = 0x08
 
 
-POWERED = frozenset({DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUICK_STOP})
+POWERED = frozenset({PowerDriveState.SWITCHED_ON, PowerDriveState.ENABLED, PowerDriveState.QUICK_STOP})
 
 
 class ServoDrive:
@@ -97,7 +97,7 @@ class ServoDrive:
         self.reset()
 
     def reset(self) -> None:
-        self._state = DriveState.SWITCH_ON_DISABLED
+        self._state = PowerDriveState.SWITCH_ON_DISABLED
         self._controlword = 0
         self._mode = 0
         self._error_code = 0
@@ -116,21 +116,21 @@ class ServoDrive:
         self._axes.halt(self._config.axis)
 
     @property
-    def state(self) -> DriveState:
+    def state(self) -> PowerDriveState:
         self._settle()
         return self._state
 
     @property
     def error_register(self) -> int:
         """Error register 0x1001: bit 0 generic, bit 5 device profile."""
-        return 0x21 if self._state in (DriveState.FAULT, DriveState.FAULT_REACTION) else 0x00
+        return 0x21 if self._state in (PowerDriveState.FAULT, PowerDriveState.FAULT_REACTION) else 0x00
 
     def trip(self, code: int, *, persistent: bool = False) -> None:
         """Raise an internal fault: stop the motion and send an EMCY. A persistent fault cannot be reset."""
         self._error_code = code
         self._persistent = persistent
         self._emergencies.append(code)
-        self._state = DriveState.FAULT_REACTION
+        self._state = PowerDriveState.FAULT_REACTION
         self._stop_motion()
 
     def jam(self, *, jammed: bool = True) -> None:
@@ -219,7 +219,9 @@ class ServoDrive:
             word |= 0x0400
         if self._homing_attained if self._mode == HOMING else self._acknowledged:
             word |= 0x1000
-        if self._state is DriveState.ENABLED and (self._deviating or (self._homing_error and self._mode == HOMING)):
+        if self._state is PowerDriveState.ENABLED and (
+            self._deviating or (self._homing_error and self._mode == HOMING)
+        ):
             word |= 0x2000
         if self._switches or self._clipped:
             word |= 0x0800
@@ -229,42 +231,42 @@ class ServoDrive:
         self._settle()
         rising = word & ~self._controlword
         self._controlword = word
-        if self._state in (DriveState.FAULT, DriveState.FAULT_REACTION):
-            if rising & 0x80 and self._state is DriveState.FAULT and not self._persistent:
+        if self._state in (PowerDriveState.FAULT, PowerDriveState.FAULT_REACTION):
+            if rising & 0x80 and self._state is PowerDriveState.FAULT and not self._persistent:
                 self._error_code = 0
                 self._emergencies.append(0)
-                self._state = DriveState.SWITCH_ON_DISABLED
+                self._state = PowerDriveState.SWITCH_ON_DISABLED
             return
         self._command(word)
-        if self._state is DriveState.ENABLED:
+        if self._state is PowerDriveState.ENABLED:
             self._operate(word, rising)
 
     def _command(self, word: int) -> None:
         """Execute the device control commands of the profile, by controlword bits 0-3."""
         state = self._state
         if not word & 0x02:
-            self._power_off(DriveState.SWITCH_ON_DISABLED)
+            self._power_off(PowerDriveState.SWITCH_ON_DISABLED)
         elif not word & 0x04:
             self._quick_stop()
         elif not word & 0x01:
-            if state in (DriveState.SWITCH_ON_DISABLED, DriveState.SWITCHED_ON, DriveState.ENABLED):
-                self._power_off(DriveState.READY)
-        elif state is DriveState.READY or (state is DriveState.ENABLED and not word & 0x08):
-            self._power_off(DriveState.SWITCHED_ON)
-        elif state is DriveState.SWITCHED_ON and word & 0x08:
-            self._state = DriveState.ENABLED
+            if state in (PowerDriveState.SWITCH_ON_DISABLED, PowerDriveState.SWITCHED_ON, PowerDriveState.ENABLED):
+                self._power_off(PowerDriveState.READY)
+        elif state is PowerDriveState.READY or (state is PowerDriveState.ENABLED and not word & 0x08):
+            self._power_off(PowerDriveState.SWITCHED_ON)
+        elif state is PowerDriveState.SWITCHED_ON and word & 0x08:
+            self._state = PowerDriveState.ENABLED
 
-    def _power_off(self, state: DriveState) -> None:
-        if self._state in (DriveState.ENABLED, DriveState.QUICK_STOP):
+    def _power_off(self, state: PowerDriveState) -> None:
+        if self._state in (PowerDriveState.ENABLED, PowerDriveState.QUICK_STOP):
             self._stop_motion()
         self._state = state
 
     def _quick_stop(self) -> None:
-        if self._state is DriveState.ENABLED:
-            self._state = DriveState.QUICK_STOP
+        if self._state is PowerDriveState.ENABLED:
+            self._state = PowerDriveState.QUICK_STOP
             self._stop_motion()
-        elif self._state in (DriveState.READY, DriveState.SWITCHED_ON):
-            self._state = DriveState.SWITCH_ON_DISABLED
+        elif self._state in (PowerDriveState.READY, PowerDriveState.SWITCHED_ON):
+            self._state = PowerDriveState.SWITCH_ON_DISABLED
 
     def _operate(self, word: int, rising: int) -> None:
         """Handle the mode-specific bits 4, 5 and 6 and halt (bit 8)."""
@@ -343,10 +345,10 @@ class ServoDrive:
     def _settle(self) -> None:
         """Execute the state transitions that are due."""
         moving = self._axes.moving(self._config.axis)
-        if self._state is DriveState.FAULT_REACTION and not moving:
-            self._state = DriveState.FAULT
-        if self._state is DriveState.QUICK_STOP and not moving and self.parameters[QUICK_STOP_OPTION] in range(5):
-            self._state = DriveState.SWITCH_ON_DISABLED
+        if self._state is PowerDriveState.FAULT_REACTION and not moving:
+            self._state = PowerDriveState.FAULT
+        if self._state is PowerDriveState.QUICK_STOP and not moving and self.parameters[QUICK_STOP_OPTION] in range(5):
+            self._state = PowerDriveState.SWITCH_ON_DISABLED
         if self._underway and not moving and self._at_goal():
             self._underway = False
             if self._mode == HOMING:

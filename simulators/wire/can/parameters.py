@@ -53,23 +53,23 @@ class FactorGroup:
 
     def entries(self) -> dict[Key, tuple[str, int]]:
         pairs = {0x608F: self.resolution, 0x6091: self.gear, 0x6092: self.feed}
-        kept = {(index, place): ("I", pair[place - 1]) for index, pair in pairs.items() for place in (1, 2)}
+        entries = {(index, place): ("I", pair[place - 1]) for index, pair in pairs.items() for place in (1, 2)}
         codes = dict(zip(((0x60A8, 0), (0x60A9, 0)), (("I", code) for code in self.unit_codes), strict=True))
-        return {**kept, **codes, POLARITY: ("B", self.polarity)}
+        return {**entries, **codes, POLARITY: ("B", self.polarity)}
 
 
 class Parameters:
     """Values by index and sub-index. A drive without a factor group counts increments."""
 
     def __init__(self, factors: FactorGroup | None) -> None:
-        self._kept = {**_ALWAYS, **(factors.entries() if factors is not None else {})}
+        self._defaults = {**_ALWAYS, **(factors.entries() if factors is not None else {})}
         self._has_factors = factors is not None
         self._values: dict[Key, int] = {}
         self.reset()
 
     def reset(self) -> None:
         """Restore the power-on values."""
-        self._values = {key: value for key, (_, value) in self._kept.items()}
+        self._values = {key: value for key, (_, value) in self._defaults.items()}
 
     def __getitem__(self, key: Key) -> int:
         return self._values[key]
@@ -96,9 +96,9 @@ class Parameters:
     def dictionary(self) -> ObjectDictionary:
         entries = {
             key: ObjectEntry(code, partial(self._values_of, key), partial(self._write, key))
-            for key, (code, _) in self._kept.items()
+            for key, (code, _) in self._defaults.items()
         }
-        for index in {index for index, subindex in self._kept if subindex}:
+        for index in {index for index, subindex in self._defaults if subindex}:
             entries[index, 0] = ObjectEntry("B", lambda: 2)
         return entries
 

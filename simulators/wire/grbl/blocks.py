@@ -50,7 +50,7 @@ class BlockError(Exception):
 
 
 @dataclass(frozen=True)
-class ModalState:
+class GrblModalState:
     """Modal state of the parser; lengths in mm. A reset clears the offsets of G92 and G43.1, but not those of G54 to
     G59.
     """
@@ -85,7 +85,7 @@ class WorkOffsets:
 
     systems: dict[int, Triple] = field(default_factory=lambda: dict.fromkeys(range(54, 60), ORIGIN))
 
-    def work_offset(self, modes: ModalState) -> Triple:
+    def work_offset(self, modes: GrblModalState) -> Triple:
         """Return `WCO` in mm: machine = work + WCO."""
         x, y, z = self.systems[modes.coordinates]
         gx, gy, gz = modes.g92_mm
@@ -112,7 +112,7 @@ class BlockParser:
 
     def __init__(self, offsets: WorkOffsets) -> None:
         self.offsets = offsets
-        self.modes = ModalState()
+        self.modes = GrblModalState()
 
     @property
     def work_offset_mm(self) -> Triple:
@@ -161,7 +161,7 @@ class BlockParser:
             raise BlockError(LINE_NUMBER)
         return codes, values
 
-    def _modes(self, codes: dict[str, float], values: dict[str, float]) -> ModalState:
+    def _modes(self, codes: dict[str, float], values: dict[str, float]) -> GrblModalState:
         modes = self.modes
         modes = replace(
             modes,
@@ -182,7 +182,7 @@ class BlockParser:
         self,
         codes: dict[str, float],
         values: dict[str, float],
-        modes: ModalState,
+        modes: GrblModalState,
         machine_mm: Triple,
         block: GcodeBlock,
     ) -> tuple[GcodeBlock, set[str]]:
@@ -201,7 +201,7 @@ class BlockParser:
             raise BlockError(INVALID_TARGET)
         return replace(block, motion=modes.motion, target_mm=target), axis_words
 
-    def _target(self, values: dict[str, float], modes: ModalState, machine_mm: Triple, *, absolute: bool) -> Triple:
+    def _target(self, values: dict[str, float], modes: GrblModalState, machine_mm: Triple, *, absolute: bool) -> Triple:
         offset = self.offsets.work_offset(modes)
         scale = _scale(modes)
         target = list(machine_mm)
@@ -217,8 +217,8 @@ class BlockParser:
         return target[0], target[1], target[2]
 
     def _offset(
-        self, once: float | None, values: dict[str, float], modes: ModalState, machine_mm: Triple
-    ) -> tuple[ModalState, set[str]]:
+        self, once: float | None, values: dict[str, float], modes: GrblModalState, machine_mm: Triple
+    ) -> tuple[GrblModalState, set[str]]:
         scale = _scale(modes)
         given = {letter: values[letter] * scale for letter in AXES if letter in values}
         if once == 92.1:
@@ -237,8 +237,8 @@ class BlockParser:
         return replace(modes, tool_length_mm=given["Z"]), {"Z"}
 
     def _store_system(
-        self, values: dict[str, float], given: dict[str, float], modes: ModalState, machine_mm: Triple
-    ) -> ModalState:
+        self, values: dict[str, float], given: dict[str, float], modes: GrblModalState, machine_mm: Triple
+    ) -> GrblModalState:
         if not {"P", "L"} <= set(values):
             raise BlockError(VALUE_MISSING)
         system = int(values["P"]) + 53 if values["P"] else modes.coordinates
@@ -256,7 +256,7 @@ def _replaced(offset: Triple, given: dict[str, float], value: Callable[[int, flo
     return new[0], new[1], new[2]
 
 
-def _scale(modes: ModalState) -> float:
+def _scale(modes: GrblModalState) -> float:
     return MM_PER_INCH if modes.units == 20 else 1.0
 
 

@@ -259,9 +259,9 @@ class GrblController:
         latches = axes.latches
         self._begin(PlannedMove(target_mm, self._parser.modes.feed_mm_per_min), touching=towards, leaving=not towards)
         yield self._at_rest
-        found = axes.latch_after(latches) if towards else axes.released_at_mm
-        if found is not None:
-            self._probed = (found, True)
+        position = axes.latch_after(latches) if towards else axes.released_at_mm
+        if position is not None:
+            self._probed = (position, True)
         elif motion in NO_ALARM:
             self._probed = (axes.position(), False)
         else:

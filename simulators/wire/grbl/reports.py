@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from simulators.wire.grbl.blocks import MM_PER_INCH, ModalState, Triple, WorkOffsets
+from simulators.wire.grbl.blocks import MM_PER_INCH, GrblModalState, Triple, WorkOffsets
 from simulators.wire.grbl.settings import GrblSettings
 
 WELCOME = "Grbl 1.1h ['$' for help]"
@@ -97,7 +97,7 @@ def probe_message(position_mm: Triple, tripped: bool, *, inches: bool) -> str:
     return f"[PRB:{coordinates(position_mm, inches=inches)}:{int(tripped)}]"
 
 
-def parameters(offsets: WorkOffsets, modes: ModalState, *, inches: bool) -> Iterator[str]:
+def parameters(offsets: WorkOffsets, modes: GrblModalState, *, inches: bool) -> Iterator[str]:
     """Yield the answer to ``$#`` except for its last line, the probe's."""
     for system, offset in sorted(offsets.systems.items()):
         yield f"[G{system}:{coordinates(offset, inches=inches)}]"
@@ -108,7 +108,7 @@ def parameters(offsets: WorkOffsets, modes: ModalState, *, inches: bool) -> Iter
     yield f"[TLO:{length:.{4 if inches else 3}f}]"
 
 
-def parser_state(modes: ModalState) -> str:
+def parser_state(modes: GrblModalState) -> str:
     """Return the answer to ``$G``."""
     feed = modes.feed_mm_per_min / (MM_PER_INCH if modes.units == 20 else 1.0)
     words = [f"G{modes.motion:g}", f"G{modes.coordinates}", f"G{modes.plane:g}", f"G{modes.units:g}"]

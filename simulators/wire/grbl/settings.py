@@ -27,7 +27,7 @@ class SettingRefusedError(Exception):
 
 
 class GrblSettings:
-    """Settings of a machine with these limits, with homing and soft limits, 1000 steps per mm by default."""
+    """Settings with homing and soft limits for axes with the given limits; 1000 steps per mm by default."""
 
     def __init__(self, limits: AxisLimits, steps_per_mm: float = 1000.0) -> None:
         self._values: dict[int, float] = {

@@ -16,9 +16,9 @@ from drivers.roles import MotionState, Permission
 from simulators.wire.modbus.faults import WATCHED_FAULTS, fault_code, outcome_of
 from simulators.wire.modbus.physics import MovingMachine
 from simulators.wire.modbus.register_map import (
-    CommandCode,
     FaultCode,
     LatchResult,
+    ModbusCommandCode,
     ModbusOutcome,
     ModbusState,
     ResultCode,
@@ -49,22 +49,22 @@ STATE_OF: Final = {
 class MotionRequest:
     """Motion command with the fields that it uses."""
 
-    code: CommandCode
+    code: ModbusCommandCode
     target_mm: tuple[float, ...]
     feed_mm_per_s: float
     tag: int = 0
 
     @property
     def rapid(self) -> bool:
-        return self.code in (CommandCode.MOVE_RAPID, CommandCode.GUARDED_RAPID)
+        return self.code in (ModbusCommandCode.MOVE_RAPID, ModbusCommandCode.GUARDED_RAPID)
 
     @property
     def touch(self) -> bool:
-        return self.code is CommandCode.TOUCH
+        return self.code is ModbusCommandCode.TOUCH
 
     @property
     def probing(self) -> bool:
-        return self.code in (CommandCode.GUARDED_RAPID, CommandCode.GUARDED_FEED, CommandCode.TOUCH)
+        return self.code in (ModbusCommandCode.GUARDED_RAPID, ModbusCommandCode.GUARDED_FEED, ModbusCommandCode.TOUCH)
 
 
 class MotionRegisters:

@@ -56,7 +56,7 @@ class ModbusExceptionCode(IntEnum):
     WRONG_COUNT = 3
 
 
-class CommandCode(IntEnum):
+class ModbusCommandCode(IntEnum):
     """Command codes (section 5)."""
 
     MOVE_RAPID = 11
@@ -76,11 +76,11 @@ class CommandCode(IntEnum):
 
 MOTION_COMMANDS: Final = frozenset(
     {
-        CommandCode.MOVE_RAPID,
-        CommandCode.MOVE_FEED,
-        CommandCode.GUARDED_RAPID,
-        CommandCode.GUARDED_FEED,
-        CommandCode.TOUCH,
+        ModbusCommandCode.MOVE_RAPID,
+        ModbusCommandCode.MOVE_FEED,
+        ModbusCommandCode.GUARDED_RAPID,
+        ModbusCommandCode.GUARDED_FEED,
+        ModbusCommandCode.TOUCH,
     }
 )
 

@@ -35,7 +35,7 @@ from simulators.wire.modbus.register_map import (
     STATUS_LAYOUT,
     TEMPERATURE_SLOTS,
     VERSION,
-    CommandCode,
+    ModbusCommandCode,
     ModbusExceptionCode,
     RegisterBlock,
     ResultCode,
@@ -69,15 +69,15 @@ class ControllerRegisters:
         self._handled_sequence = 0
         self._acknowledge = 0
         self._result = ResultCode.NONE_YET
-        self._commands: dict[CommandCode, Callable[[int, int, int], ResultCode]] = {
-            CommandCode.HOLD: lambda _bank, _nonce, _crc: self.motion.hold(),
-            CommandCode.RESUME: lambda _bank, _nonce, _crc: self.motion.resume(),
-            CommandCode.STOP: lambda _bank, _nonce, _crc: self.motion.stop(),
-            CommandCode.RESET: lambda _bank, _nonce, _crc: self._reset(),
-            CommandCode.TABLE_BEGIN: lambda bank, _nonce, _crc: self._begin(bank),
-            CommandCode.TABLE_COMMIT: lambda bank, _nonce, crc: self.tables.commit(bank, crc),
-            CommandCode.TABLE_ARM: lambda bank, _nonce, crc: self.tables.arm(bank, crc),
-            CommandCode.TABLE_ACTIVATE: lambda bank, nonce, _crc: self.tables.activate(bank, nonce),
+        self._commands: dict[ModbusCommandCode, Callable[[int, int, int], ResultCode]] = {
+            ModbusCommandCode.HOLD: lambda _bank, _nonce, _crc: self.motion.hold(),
+            ModbusCommandCode.RESUME: lambda _bank, _nonce, _crc: self.motion.resume(),
+            ModbusCommandCode.STOP: lambda _bank, _nonce, _crc: self.motion.stop(),
+            ModbusCommandCode.RESET: lambda _bank, _nonce, _crc: self._reset(),
+            ModbusCommandCode.TABLE_BEGIN: lambda bank, _nonce, _crc: self._begin(bank),
+            ModbusCommandCode.TABLE_COMMIT: lambda bank, _nonce, crc: self.tables.commit(bank, crc),
+            ModbusCommandCode.TABLE_ARM: lambda bank, _nonce, crc: self.tables.arm(bank, crc),
+            ModbusCommandCode.TABLE_ACTIVATE: lambda bank, nonce, _crc: self.tables.activate(bank, nonce),
         }
 
     def check_read(self, address: int, count: int) -> None:
@@ -126,14 +126,14 @@ class ControllerRegisters:
 
     def _execute(self, code: int, table: tuple[int, int, int], motion: bytes, sequence: int) -> ResultCode:
         try:
-            command = CommandCode(code)
+            command = ModbusCommandCode(code)
         except ValueError:
             return ResultCode.UNKNOWN_COMMAND
         try:
             if command in MOTION_COMMANDS:
                 *target, feed = self._numbers.unpack(motion)
                 return self.motion.start(MotionRequest(command, tuple(target), feed, tag=table[2]), sequence)
-            if command >= CommandCode.TABLE_BEGIN and self.motion.state:
+            if command >= ModbusCommandCode.TABLE_BEGIN and self.motion.state:
                 return ResultCode.NOT_IN_THIS_STATE
             return self._commands[command](*table)
         except DeviceError as error:

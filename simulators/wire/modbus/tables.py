@@ -29,7 +29,7 @@ ARMED_FOR_S: Final = 5.0
 
 
 @dataclass(frozen=True)
-class TableDescriptor:
+class TableGridDescriptor:
     """Grid of one table, as in registers 2100 … 2133."""
 
     bank: int
@@ -40,7 +40,7 @@ class TableDescriptor:
     crc: int
 
     @classmethod
-    def decode(cls, data: bytes, numbers: RegisterNumberFormat) -> TableDescriptor:
+    def decode(cls, data: bytes, numbers: RegisterNumberFormat) -> TableGridDescriptor:
         bank, nx, ny, nz, grid, crc = DESCRIPTOR_LAYOUT.unpack(data)
         x, y, z, dx, dy, dz, resolution = numbers.unpack(grid)
         return cls(bank, (nx, ny, nz), (x, y, z), (dx, dy, dz), resolution, crc)
@@ -74,7 +74,7 @@ class TableDescriptor:
 class _Transfer:
     """Bank between TABLE BEGIN and COMMIT."""
 
-    descriptor: TableDescriptor
+    descriptor: TableGridDescriptor
     stored: bytearray = field(default_factory=bytearray)
 
     def image(self, resolution_mm: float) -> TableImage:
@@ -88,13 +88,13 @@ class CompleteTable:
     """Bank as it is read back: its descriptor and its counts, big-endian, in the order of the register map."""
 
     image: TableImage
-    descriptor: TableDescriptor
+    descriptor: TableGridDescriptor
     counts: bytes
 
     @classmethod
     def of(cls, bank: int, image: TableImage) -> CompleteTable:
         counts = image.counts.astype(">i4").tobytes()
-        descriptor = TableDescriptor(
+        descriptor = TableGridDescriptor(
             bank, image.shape, image.origin_mm, image.step_mm, image.resolution_mm, zlib.crc32(counts)
         )
         return cls(image, descriptor, counts)
@@ -168,7 +168,7 @@ class BankRegisters:
         return table.descriptor.crc if table is not None else 0
 
     def begin(self, bank: int, descriptor_block: bytes) -> ResultCode:
-        descriptor = TableDescriptor.decode(descriptor_block, self._numbers)
+        descriptor = TableGridDescriptor.decode(descriptor_block, self._numbers)
         refusal = self._refusal_to_begin(bank, descriptor)
         if refusal is not None:
             return refusal
@@ -181,7 +181,7 @@ class BankRegisters:
         self._nonce = 0
         return ResultCode.ACCEPTED
 
-    def _refusal_to_begin(self, bank: int, descriptor: TableDescriptor) -> ResultCode | None:
+    def _refusal_to_begin(self, bank: int, descriptor: TableGridDescriptor) -> ResultCode | None:
         if bank not in self.limits.banks or bank == 0:
             return ResultCode.NO_SUCH_BANK
         if bank in (self.active_bank, self.pending_bank):

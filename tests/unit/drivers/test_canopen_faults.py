@@ -17,7 +17,7 @@ from drivers.errors import CommandRejected, DeadlineExpired, DeviceError, LinkLo
 from drivers.links.can_bus import CanNetworks
 from drivers.registry import DeviceContext, check_options
 from drivers.roles import Orientation
-from simulators.wire.can.drive import DriveState
+from simulators.wire.can.drive import PowerDriveState
 
 QUICK_STOPS = tuple((0x600 + node, bytes.fromhex("2B 40 60 00 02 00 00 00")) for node in (5, 6))
 HOMING = {"homing": {"method": 1, "search_speed_deg_per_s": 5.0}}
@@ -197,7 +197,7 @@ def test_swapped_drives_are_detected_by_their_serial_numbers() -> None:
         bench.mount.open()
     assert "swapped" in caught.value.hint
     assert caught.value.where["axis"] == "elevation"
-    assert bench.azimuth.state is DriveState.SWITCH_ON_DISABLED
+    assert bench.azimuth.state is PowerDriveState.SWITCH_ON_DISABLED
 
 
 def test_claims_of_two_mounts_on_one_bus(tmp_path: Path) -> None:
@@ -227,5 +227,5 @@ def test_diagnosis_does_not_switch_off_a_drive_that_another_process_turns() -> N
         looking.open()
         assert all(finding.ok for finding in looking.diagnose())
         looking.close()
-        assert bench.azimuth.state is DriveState.ENABLED
-        assert bench.elevation.state is DriveState.ENABLED
+        assert bench.azimuth.state is PowerDriveState.ENABLED
+        assert bench.elevation.state is PowerDriveState.ENABLED

@@ -23,7 +23,7 @@ from drivers.errors import (
 )
 from drivers.registry import DeviceContext
 from drivers.roles import Orientation, RotaryMount
-from simulators.wire.can.drive import DriveState
+from simulators.wire.can.drive import PowerDriveState
 
 
 def at(clock: VirtualClock, instant_s: float, action: object) -> None:
@@ -102,7 +102,7 @@ def test_opening_moves_nothing_and_starts_heartbeats() -> None:
         bench.mount.open()
         bench.mount.open()
         seen = bench.frames()
-        assert bench.azimuth.state is DriveState.SWITCH_ON_DISABLED
+        assert bench.azimuth.state is PowerDriveState.SWITCH_ON_DISABLED
         assert (0x000, bytes.fromhex("01 05")) in seen
         assert seen.count((0x605, bytes.fromhex("2B 17 10 00 F4 01 00 00"))) == 1
         assert bench.writes(5, 0x6040) == []
@@ -409,8 +409,8 @@ def test_close_switches_the_power_off() -> None:
     with rig() as bench:
         bench.mount.orient_to(1.0, 1.0)
         bench.mount.close()
-        assert bench.azimuth.state is DriveState.SWITCH_ON_DISABLED
-        assert bench.elevation.state is DriveState.SWITCH_ON_DISABLED
+        assert bench.azimuth.state is PowerDriveState.SWITCH_ON_DISABLED
+        assert bench.elevation.state is PowerDriveState.SWITCH_ON_DISABLED
         bench.mount.open()
         assert bench.mount.orient_to(2.0, 2.0) == Orientation(2.0, 2.0)
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from worlds import TOOL, World, case_study
 
-from simulators.temperatures import TemperatureSettings
+from simulators.temperatures import ThermalSettings
 from simulators.world.thermal_effects import ThermalEffects, bowed
 from simulators.world.thermal_state import ThermalState, first_order_response
 
@@ -31,14 +31,14 @@ def test_an_answer_lies_between_nothing_and_all(source: float, follower: float, 
 
 
 def test_nothing_warms_without_any_key() -> None:
-    thermal = ThermalEffects(TemperatureSettings(artefact_c=20.5, machine_c=21.0, ambient_c=20.8), RANGES)
+    thermal = ThermalEffects(ThermalSettings(artefact_c=20.5, machine_c=21.0, ambient_c=20.8), RANGES)
     assert thermal.temperatures_c(7200.0) == {"artefact": 20.5, "machine": 21.0, "ambient": 20.8}
     assert thermal.drift_mm(7200.0) == (0.0, 0.0, 0.0)
     assert thermal.field(7200.0) is None
 
 
 def test_scales_stretch_about_zero_and_the_column_tilts_what_it_carries() -> None:
-    settings = TemperatureSettings(
+    settings = ThermalSettings(
         machine_k_per_h=2.0, scale_um_per_m_k=(8.0, 9.0, 10.0), bend_um_per_k=5.0, growth_um_per_k=(1.0, 0.0, -2.0)
     )
     thermal = ThermalEffects(settings, RANGES, (0.0, 250.0, 0.0))
@@ -52,7 +52,7 @@ def test_scales_stretch_about_zero_and_the_column_tilts_what_it_carries() -> Non
 
 
 def test_thermometers_err_lag_and_scatter_and_several_stand_on_the_bar() -> None:
-    settings = TemperatureSettings(
+    settings = ThermalSettings(
         artefact_k_per_h=6.0, artefact_sensors=2, sensor_offset_k={"artefact-2": 0.4}, sensor_lag_s=60.0
     )
     told = ThermalEffects(settings, RANGES).temperatures_c(3600.0)
@@ -66,7 +66,7 @@ def test_thermometers_err_lag_and_scatter_and_several_stand_on_the_bar() -> None
 
 
 def test_the_bar_follows_the_ambient_and_bows_while_it_is_behind() -> None:
-    settings = TemperatureSettings(ambient_rise_k=3.0, artefact_time_constant_h=0.5)
+    settings = ThermalSettings(ambient_rise_k=3.0, artefact_time_constant_h=0.5)
     warming = ThermalState(settings)
     assert warming.artefact_c(1800.0) == pytest.approx(20.0 + 3.0 * (1.0 - np.exp(-1.0)))
     assert warming.artefact_lag_k(0.001) == pytest.approx(3.0, abs=0.01)
@@ -76,7 +76,7 @@ def test_the_bar_follows_the_ambient_and_bows_while_it_is_behind() -> None:
 
 def test_the_truth_is_that_of_the_machine_as_warm_as_it_is() -> None:
     scenario = case_study()
-    warm = TemperatureSettings(machine_k_per_h=3.0, scale_um_per_m_k=(8.0, 8.0, 8.0))
+    warm = ThermalSettings(machine_k_per_h=3.0, scale_um_per_m_k=(8.0, 8.0, 8.0))
     world = World(
         type(scenario)(scenario.settings.model_copy(update={"temperatures": warm}), scenario.machine, scenario.artefact)
     )
