@@ -190,7 +190,7 @@ class _Ball:
         stylus = self._probing.stylus
         if stylus is None or stylus.pretravel is None:
             return points
-        return stylus.pretravel.corrected(points, self._probing.directions)
+        return stylus.pretravel.correct(points, self._probing.directions)
 
     def _found(self, free: SphereFit, points: Vector) -> BallFound:
         probing, stylus = self._probing, self._probing.stylus

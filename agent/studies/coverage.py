@@ -79,8 +79,8 @@ class CoverageTask:
         rng = generator(self.seed, number)
         random_machine = draw_random_machine(self.machine, self.tool_offset, form, rng)
         both = self._measure_both(random_machine, rng)
-        seen = both.where(np.arange(both.size) < self.planned.size)
-        again = both.where(np.arange(both.size) >= self.planned.size)
+        seen = both.select(np.arange(both.size) < self.planned.size)
+        again = both.select(np.arange(both.size) >= self.planned.size)
         low, high = np.array(self.machine.model.ranges_mm).T
         points = rng.uniform(low, high, (_POINTS, 3))
         return [self._compared(random_machine, *found, again, points) for found in self._estimates(seen, form)]

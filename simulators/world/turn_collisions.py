@@ -90,7 +90,7 @@ def _stays_outside(workpiece: Workpiece, controller: Controller, start_s: float)
     tip, end = _tip(controller, start_s), _tip(controller, math.inf)
     displacement = (end[0] - tip[0], end[1] - tip[1], end[2] - tip[2])
     for body in workpiece.probe_bodies:
-        here = body.shape.moved(tip)
+        here = body.shape.translated(tip)
         if separation(here, reach)[0] <= 0.0 or swept_contact(here, reach, displacement) is not None:
             return False
     return True
@@ -104,6 +104,6 @@ def _tip(controller: Controller, instant_s: float) -> Point:
 def _touching(scene: Scene, tip: Point) -> tuple[str, str] | None:
     """Return the names of the first two bodies that overlap with the tip centre at `tip`, or None."""
     for i, j in scene.near_pairs(tip, tip):
-        if separation(scene.moving[i].shape.moved(tip), scene.obstacles[j].shape)[0] < 0.0:
+        if separation(scene.moving[i].shape.translated(tip), scene.obstacles[j].shape)[0] < 0.0:
             return scene.moving[i].name, scene.obstacles[j].name
     return None

@@ -71,13 +71,13 @@ def test_a_sweep_meets_what_small_steps_meet(moving: Capsule, obstacle, displace
         return  # in contact from the start: only the direction counts, tested separately
     fractions = np.linspace(0.0, 1.0, 500)
     way = np.array(displacement)
-    gaps = np.array([separation(moving.moved(tuple(f * way)), obstacle)[0] for f in fractions])
+    gaps = np.array([separation(moving.translated(tuple(f * way)), obstacle)[0] for f in fractions])
     found = swept_contact(moving, obstacle, displacement)
     small = float(np.linalg.norm(way)) / 499
     if found is None:
         assert gaps.min() > -1e-6
     else:
-        assert separation(moving.moved(tuple(found * way)), obstacle)[0] == pytest.approx(0.0, abs=2e-5)
+        assert separation(moving.translated(tuple(found * way)), obstacle)[0] == pytest.approx(0.0, abs=2e-5)
         assert gaps[fractions < found].min(initial=np.inf) > -1e-5
         assert gaps.min() <= small
 

@@ -104,7 +104,7 @@ def test_the_order_of_the_rows_and_the_frame_of_the_artefact_do_not_matter(seed:
     shuffled = rng.permutation(seen.size)
     turn = Rotation.random(random_state=seed % 1000)
     elsewhere = dataclasses.replace(BAR, balls=turn.apply(BAR.balls) + rng.uniform(-50.0, 50.0, 3))
-    again = identify(MODEL, seen.where(shuffled), elsewhere, FAMILY, PLAIN)
+    again = identify(MODEL, seen.select(shuffled), elsewhere, FAMILY, PLAIN)
     used = scale > 0.0
     assert np.abs((again.parameters - once.parameters)[used] / scale[used]).max() < 1e-4
     assert np.abs(again.residuals_mm - once.residuals_mm[shuffled]).max() < 1e-6

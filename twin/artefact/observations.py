@@ -58,7 +58,7 @@ class Observations:
         """Offsets (U, 3) mm of the tools with which at least one ball was measured."""
         return np.asarray(self.tool_offsets[np.unique(self.tool)])
 
-    def where(self, mask: np.ndarray[Any, Any]) -> Observations:
+    def select(self, mask: np.ndarray[Any, Any]) -> Observations:
         """Return the rows selected by `mask` (n,), bool or index."""
         rows = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "tool_offsets"}
         return Observations(**rows, tool_offsets=self.tool_offsets)

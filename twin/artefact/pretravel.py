@@ -1,9 +1,9 @@
 """Direction-dependent pretravel of a touch-trigger probe: harmonics about the stylus, from one densely touched ball.
 
-A probe on three seats triggers later in some directions than in others (lobing). The part common to all directions acts
-as a smaller stylus radius, the first harmonic acts as a displaced stylus centre. Neither can be separated from the
-ball, and both are common to all balls. The map contains the remainder: it refers every touch to the sphere that was
-fitted through the whole qualification.
+A probe on three seats triggers later in some directions than in others (lobing). The part common to all directions is
+equivalent to a smaller stylus radius, the first harmonic to a displaced stylus centre. Touches of a ball cannot
+distinguish these two from the true radius and centre, and both are common to all balls. The map contains the remainder:
+it refers every touch to the sphere that was fitted through the whole qualification.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class PretravelMap:
         """Return (k,) mm for approach directions (k, 3): distance outside the sphere at which a touch triggers."""
         return np.asarray(_terms(directions, self.stylus_axis) @ self.coefficients_mm)
 
-    def corrected(self, points: Array, directions: Array) -> Array:
+    def correct(self, points: Array, directions: Array) -> Array:
         """Return latched points (k, 3) corrected to those of a probe without lobing."""
         return np.asarray(points + self.offsets_mm(directions)[:, None] * directions)
 

@@ -1,8 +1,9 @@
 """Reversal value of a linear axis from touches of oblique points of one ball, the axis preloaded from either side.
 
-The tip is moved by another axis alone against a point whose normal leans towards the tested axis. Preloaded from the
-other side, the tested axis stands elsewhere by its lost motion, so the ball is met earlier or later by the lost motion
-times the tangent of the slope. Losses of the touch itself (pretravel, play of the moving axis) are the same both times.
+The tip is moved by another axis alone against a point whose normal leans towards the tested axis. If the tested axis is
+preloaded from the other side, it is displaced by its lost motion, so the ball is met earlier or later by the lost
+motion times the tangent of the slope. Losses of the touch itself (pretravel, play of the moving axis) are the same both
+times.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from twin.errors import DataError
 
 AXIS_COUNT = 3
 SLOPE = math.sqrt(0.5)
-"""Component of the normal of touched points at 45°: the full lost motion appears in the moving axis."""
+"""Component of the normals used: at 45° the moving axis shows the full lost motion (tangent 1)."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,8 @@ def fit_lost_motion(
     """Fit the lost motion to all touches of an axis by least squares, with a separate level for each touched point.
 
     `latched_mm`: positions of the moving axis; `upwards`: True if the preloaded axis came from below. The standard
-    uncertainty uses the larger of the observed scatter and `floor_mm`, known of the probe. DataError if every point was
-    touched from one side only.
+    uncertainty uses the larger of the observed repeatability and `floor_mm`, the known repeatability of the probe.
+    DataError if every point was touched from one side only.
     """
     point = np.asarray(points)
     # reading_i = level(point) ± ½ ratio_i · lost motion; the levels are removed by centring per point

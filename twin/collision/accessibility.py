@@ -34,14 +34,14 @@ def measuring_scene(
     location_mm: Array,
     azimuth_rad: float,
     elevation_rad: float,
-    further: Sequence[Body] = (),
+    other_bodies: Sequence[Body] = (),
 ) -> tuple[Array, Scene]:
     """Return nominal ball centres (N, 3) mm in the workpiece frame and the scene of all bodies, for one position.
 
-    `further`: other bodies in the workspace.
+    `other_bodies`: other bodies in the workspace.
     """
     pose = mount_pose(location_mm, geometry, azimuth_rad, elevation_rad)
-    around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, location_mm, pose), *further)
+    around = (*artefact_bodies(artefact, geometry, pose), *mount_bodies(geometry, location_mm, pose), *other_bodies)
     return pose.apply(artefact.balls), Scene(probe.bodies(), around)
 
 

@@ -76,9 +76,9 @@ class Scene:
                 return False
         return True
 
-    def shifted(self, by: Point) -> Scene:
+    def translated(self, by: Point) -> Scene:
         """Return the same scene with all stationary bodies translated by `by`."""
-        return Scene(self.moving, [Body(body.name, body.shape.moved(by)) for body in self.obstacles])
+        return Scene(self.moving, [Body(body.name, body.shape.translated(by)) for body in self.obstacles])
 
     def clearance(self, tip: Point, *, ignored: Collection[tuple[str, str]] = (), at_most: float = math.inf) -> float:
         """Return the smallest distance in mm of any two bodies with the tip centre at `tip`; negative if they overlap.
@@ -89,7 +89,7 @@ class Scene:
         for i, j in self.near_pairs(tip, tip, at_most):
             body, obstacle = self.moving[i], self.obstacles[j]
             if (body.name, obstacle.name) not in ignored:
-                smallest = min(smallest, separation(body.shape.moved(tip), obstacle.shape)[0])
+                smallest = min(smallest, separation(body.shape.translated(tip), obstacle.shape)[0])
         return smallest
 
     def near_pairs(self, start: Point, end: Point, clearance_mm: float = 0.0) -> list[tuple[int, int]]:

@@ -23,7 +23,7 @@ from twin.collision.motion_law import travel_times
 from twin.collision.sphere_prefilter import SceneSpheres, SpherePrefilter
 
 RETRACTS_MM = (0.0, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 65.0, 95.0, 140.0, 200.0, 300.0)
-"""Retract distances of the candidates before the nearer end, in mm."""
+"""Retract distances of the candidates in mm, measured from the end that is nearer to the ram."""
 CORNER_FRACTIONS = (0.0, 0.15, 0.5, 0.85, 1.0)
 """Position of the corner of one-corner candidates as a fraction of the distance between both ends."""
 _SHARES = np.array(CORNER_FRACTIONS)[:, None, None]
@@ -109,31 +109,33 @@ class PrefilteredScene:
         return cls(scene, SceneSpheres.of(scene))
 
 
-def direct_path(scene: Scene, dynamics: AxisDynamics, start: Point, end: Point, apart: Clearances) -> FreePath | None:
+def direct_path(
+    scene: Scene, dynamics: AxisDynamics, start: Point, end: Point, clearances: Clearances
+) -> FreePath | None:
     """Return the straight path if it is free; no other path is faster."""
-    if not scene.is_free(start, end, apart.clearance_mm, apart.reduced_mm):
+    if not scene.is_free(start, end, clearances.clearance_mm, clearances.reduced_mm):
         return None
     return FreePath((), float(dynamics.seconds(np.array([[start, end]]))[0]))
 
 
 def fastest_path(
-    among: PrefilteredScene,
+    prefiltered: PrefilteredScene,
     dynamics: AxisDynamics,
     start: Point,
     end: Point,
     candidates: PathCandidates,
-    apart: Clearances,
+    clearances: Clearances,
 ) -> FreePath | None:
     """Return the fastest free candidate, None if none is free; of equal candidates the earlier one."""
     stops = _stops(start, candidates.corners, end)
     seconds = dynamics.moving_seconds(stops) + dynamics.command_s * (candidates.counts + 1)
-    spheres = SpherePrefilter(among.spheres, apart.clearance_mm, apart.reduced_mm)
+    spheres = SpherePrefilter(prefiltered.spheres, clearances.clearance_mm, clearances.reduced_mm)
     proved: dict[tuple[Point, Point], bool] = {}
 
     def free(leg: tuple[Point, Point]) -> bool:
         if leg not in proved:
             hit = spheres.certainly_hits(*leg)
-            proved[leg] = not hit and among.scene.is_free(*leg, apart.clearance_mm, apart.reduced_mm)
+            proved[leg] = not hit and prefiltered.scene.is_free(*leg, clearances.clearance_mm, clearances.reduced_mm)
         return proved[leg]
 
     # Ascending duration: the first candidate proved free is the fastest.
@@ -149,7 +151,7 @@ def _legs(start: Point, corners: tuple[Point, ...], end: Point) -> list[tuple[Po
     """Return the moves in the direction in which each has to be checked.
 
     Both ends are given and may be closer to a body than the clearance. A move is therefore checked starting from its
-    given end, so that bodies that move apart do not count.
+    given end, so that bodies that move away from each other do not count.
     """
     return [(end, corners[-1]), *pairwise((start, *corners))]
 
@@ -161,25 +163,27 @@ def _stops(start: Point, corners: Array, end: Point) -> Array:
     return stops
 
 
-def retract_candidates(start: Point, end: Point, back: Array, least: float, aside: Array | None = None) -> list[Array]:
+def retract_candidates(
+    start: Point, end: Point, back: Array, limit: float, lateral: Array | None = None
+) -> list[Array]:
     """Return candidates (n, k, 3) for `fastest_path`: one corner, or out, across and in, for each of `RETRACTS_MM`.
 
-    `back` (3,): unit vector along a machine axis in which the probe retracts, at most to the coordinate `least` against
-    it. `aside` (3,): displacement away from the touched surface at the start; it grows by `RETRACT_SLANT` during the
+    `back` (3,): unit vector along a machine axis in which the probe retracts, at most to the coordinate `limit` against
+    it. `lateral` (3,): displacement away from the touched surface at the start; it grows by `RETRACT_SLANT` during the
     retract.
     """
     first, last = np.array(start), np.array(end)
     # Coordinates against `back`; each retract gives a plane in which the probe crosses over.
     begins, ends = float(first @ -back), float(last @ -back)
-    planes = np.array(sorted({max(min(begins, ends) - retract, least) for retract in RETRACTS_MM}))
+    planes = np.array(sorted({max(min(begins, ends) - retract, limit) for retract in RETRACTS_MM}))
     out = first + (begins - planes)[:, None] * back
-    if aside is not None:
-        beside = math.hypot(*aside.tolist())
+    if lateral is not None:
+        beside = math.hypot(*lateral.tolist())
         sideways = np.maximum(1.0, RETRACT_SLANT / beside * (begins - planes))
-        out = out + sideways[:, None] * (aside - (aside @ back) * back)
+        out = out + sideways[:, None] * (lateral - (lateral @ back) * back)
     over = last + (ends - planes)[:, None] * back
     middles = out + _SHARES * (over - out)
     groups = [middles.reshape(-1, 1, 3), np.concatenate([out[:, None], over[:, None]], axis=1)]
-    if aside is not None:
-        groups.append((first + aside)[None, None])
+    if lateral is not None:
+        groups.append((first + lateral)[None, None])
     return groups

@@ -51,7 +51,7 @@ class Capsule:
         (ax, ay, az), (bx, by, bz), r = self.a, self.b, self.radius
         return (ax if ax > bx else bx) + r, (ay if ay > by else by) + r, (az if az > bz else bz) + r
 
-    def moved(self, by: Point) -> Capsule:
+    def translated(self, by: Point) -> Capsule:
         return Capsule(translate_point(self.a, by), translate_point(self.b, by), self.radius)
 
 
@@ -66,7 +66,7 @@ class Box:
         if not all(low <= high for low, high in zip(self.lower, self.upper, strict=True)):
             raise DataError(f"a box needs lower <= upper on every axis, got {self}")
 
-    def moved(self, by: Point) -> Box:
+    def translated(self, by: Point) -> Box:
         return Box(translate_point(self.lower, by), translate_point(self.upper, by))
 
 

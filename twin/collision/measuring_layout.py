@@ -25,9 +25,9 @@ class MeasuringLayout:
     """Locations of an artefact on a machine, for one tool.
 
     `locations_mm`: station number → (3,) mount location in the workpiece frame. `lower_mm`, `upper_mm` (3,): travel
-    reduced by what touching needs. `contact_mm`: ball radius plus tip radius; `approach_mm`: distance outside contact
-    at which a touch begins; `overtravel_mm`: distance beyond contact at which it stops; `directions` (k, 3): touch
-    directions for every ball.
+    limits minus the travel needed for touching. `contact_mm`: ball radius plus tip radius; `approach_mm`: distance
+    outside contact at which a touch begins; `overtravel_mm`: distance beyond contact at which it stops; `directions`
+    (k, 3): touch directions for every ball.
 
     `artefact` defines the ball numbers of observations. If each station has its own artefact, `own_artefacts` contains
     them and `artefact` is their combination in the order of the stations. `neighbours`: station → bodies of other
@@ -65,8 +65,8 @@ class MeasuringLayout:
     def accessible(self, position: Position) -> Mask:
         """Return (N,) bool: balls of `position` at which neither artefact nor mount obstructs the probe."""
         location = self.location(position.station)
-        further = self.neighbours.get(position.station, ())
-        among = position.station if further else 0
+        other_bodies = self.neighbours.get(position.station, ())
+        among = position.station if other_bodies else 0
         key = (position.azimuth_deg, position.elevation_deg, float(location[1]), float(location[2]), among)
         if key not in self._accessible:
             centres, scene = measuring_scene(
@@ -76,7 +76,7 @@ class MeasuringLayout:
                 location_mm=location,
                 azimuth_rad=math.radians(position.azimuth_deg),
                 elevation_rad=math.radians(position.elevation_deg),
-                further=further,
+                other_bodies=other_bodies,
             )
             self._accessible[key] = accessible_balls(
                 centres,
@@ -93,7 +93,7 @@ class MeasuringLayout:
         return self.own_artefacts.get(station, self.artefact)
 
     def first_ball(self, station: int) -> int:
-        """Return the observation number of ball 0 of the artefact at a station."""
+        """Return the ball number, as used in observations, of ball 0 of the artefact at a station."""
         return sum(own.count for number, own in self.own_artefacts.items() if number < station)
 
     def location(self, station: int) -> Array:

@@ -24,8 +24,8 @@ def neighbour_bodies(
     artefact is being measured elsewhere.
     """
     parked = {
-        station: _named(station, _standing(geometry, place, own_artefacts.get(station), parked_deg))
-        for station, place in locations_mm.items()
+        station: _named(station, _parked_bodies(geometry, location, own_artefacts.get(station), parked_deg))
+        for station, location in locations_mm.items()
     }
     return {
         station: tuple(body for other, bodies in parked.items() if other != station for body in bodies)
@@ -33,7 +33,7 @@ def neighbour_bodies(
     }
 
 
-def _standing(
+def _parked_bodies(
     geometry: MountGeometry, location_mm: Array, artefact: Artefact | None, parked_deg: tuple[float, float]
 ) -> tuple[Body, ...]:
     azimuth, elevation = (math.radians(angle) for angle in parked_deg)

@@ -32,7 +32,7 @@ class SceneSpheres:
     """Moving and stationary spheres of a scene."""
 
     moving: tuple[SphereBody, ...]
-    standing: tuple[SphereBody, ...]
+    stationary: tuple[SphereBody, ...]
 
     @classmethod
     def of(cls, scene: Scene) -> SceneSpheres:
@@ -48,14 +48,14 @@ class SpherePrefilter:
     def __init__(self, spheres: SceneSpheres, clearance_mm: float, reduced_mm: Mapping[tuple[str, str], float]) -> None:
         self._reaches = [
             (
-                *(there - here for here, there in zip(moving.centre, standing.centre, strict=True)),
+                *(there - here for here, there in zip(moving.centre, stationary.centre, strict=True)),
                 (
-                    min(clearance_mm, reduced_mm.get((moving.name, standing.name), clearance_mm))
-                    + (moving.radius + standing.radius - CERTAINTY_MARGIN_MM)
+                    min(clearance_mm, reduced_mm.get((moving.name, stationary.name), clearance_mm))
+                    + (moving.radius + stationary.radius - CERTAINTY_MARGIN_MM)
                 ),
             )
             for moving in spheres.moving
-            for standing in spheres.standing
+            for stationary in spheres.stationary
         ]
 
     def certainly_hits(self, start: Point, end: Point) -> bool:

@@ -83,7 +83,7 @@ class TurnSweep:
 def turn_sweep(
     cover: SphereCover,
     probe: ProbeGeometry,
-    standing: Sequence[Shape],
+    stationary: Sequence[Shape],
     start_deg: MountAngles,
     end_deg: MountAngles,
     *,
@@ -91,11 +91,11 @@ def turn_sweep(
 ) -> TurnSweep:
     """Compute the swept depth of a turn between two pairs of azimuth and elevation, in any order and at any speeds.
 
-    `standing`: shapes that do not rotate, relative to the mount location.
+    `stationary`: shapes that do not rotate, relative to the mount location.
     """
     half = math.ceil((cover.reach_mm + probe.ram_half_width_mm + clearance_mm) / CELL_MM) + 4
     front = _front(*_turned(cover, start_deg, end_deg), half)
-    for shape in standing:
+    for shape in stationary:
         _add_box(front, shape, half)
     # Tip, probe body and ram each stay `clearance_mm` behind the front, dilated by their own radius.
     tip = _dilated(front, probe.tip_radius_mm + clearance_mm) - probe.tip_radius_mm

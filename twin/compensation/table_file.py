@@ -60,8 +60,8 @@ def format_table(table: CompensationTable) -> str:
     points = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     lines = [",".join(COLUMNS)]
     for point, correction in zip(points.tolist(), (1e3 * table.corrections.reshape(-1, 3)).tolist(), strict=True):
-        place = ",".join(f"{value:.10g}" for value in point)
-        lines.append(place + "," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in correction))
+        position = ",".join(f"{value:.10g}" for value in point)
+        lines.append(position + "," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in correction))
     return "\n".join(lines) + "\n"
 
 
@@ -125,7 +125,7 @@ def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> A
     for row in read_rows(text, source, COLUMNS):
         if count == len(values):
             raise row.error(f"more lines than the {len(values)} nodes of the grid", "x_mm")
-        _check_place(row, nodes, np.unravel_index(count, shape))
+        _check_node(row, nodes, np.unravel_index(count, shape))
         values[count] = [1e-3 * row.parse_float(name) for name in COLUMNS[3:]]
         count += 1
     if count < len(values):
@@ -133,22 +133,22 @@ def _corrections(text: str, source: str, nodes: tuple[Array, Array, Array]) -> A
     return values.reshape(*shape, 3)
 
 
-def _check_place(row: CsvRow, nodes: tuple[Array, Array, Array], place: tuple[np.intp, ...]) -> None:
+def _check_node(row: CsvRow, nodes: tuple[Array, Array, Array], node: tuple[np.intp, ...]) -> None:
     for axis, column in enumerate(COLUMNS[:3]):
-        expected, found = float(nodes[axis][place[axis]]), row.parse_float(column)
+        expected, found = float(nodes[axis][node[axis]]), row.parse_float(column)
         if abs(found - expected) > 1e-6:
             message = f"{AXES[axis]} is {found:g}, but the grid has {expected:g}"
             raise row.error(message, column, hint="Lines must cover the full grid, x slowest, z fastest")
 
 
 def _mask(
-    places: tuple[int, ...], shape: tuple[int, ...], source: str
+    indices: tuple[int, ...], shape: tuple[int, ...], source: str
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     mask = np.zeros(math.prod(shape), dtype=bool)
-    for place in places:
-        if not 0 <= place < mask.size:
-            raise FormatError(f"node {place} is not in the grid", file=source, key="extrapolated_nodes")
-        mask[place] = True
+    for index in indices:
+        if not 0 <= index < mask.size:
+            raise FormatError(f"node {index} is not in the grid", file=source, key="extrapolated_nodes")
+        mask[index] = True
     return mask.reshape(shape)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from twin.arrays import Array
 from twin.machine.error_model import ErrorModel, Ranges
 from twin.machine.forward_model import deviation_basis
-from twin.machine.legendre import legendre_values, normalised
+from twin.machine.legendre import legendre_values, normalise_positions
 from twin.machine.rigid_motion import rigid_fields
 
 MISFIT_KINDS = {"mixed terms": 1 / 2, "waves along X": 1 / 6, "waves along Y": 1 / 6, "waves along Z": 1 / 6}
@@ -221,7 +221,7 @@ def _candidates(degrees: tuple[Degrees, ...], ranges_mm: Ranges, points: Array) 
     """Return products of Legendre polynomials (n, c)."""
     tables = []
     for axis in range(3):
-        argument = normalised(points[:, axis], ranges_mm[axis])
+        argument = normalise_positions(points[:, axis], ranges_mm[axis])
         tables.append(legendre_values(argument, max(degree[axis] for degree in degrees)))
     columns = np.array(degrees).T
     values: Array = (tables[0][columns[0]] * tables[1][columns[1]] * tables[2][columns[2]]).T

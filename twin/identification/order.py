@@ -51,7 +51,7 @@ def identify_by_evidence(
         raise DataError("there is no order to compare")
     judged = replace(options, formulation="centres", weights="full")
     accepted = accepted_rows(family_of(max(candidates)), observations, artefact, judged)
-    seen = observations.where(accepted)
+    seen = observations.select(accepted)
     evidence = {
         order: log_evidence_and_scales(build_problem(family_of(order), seen, artefact, judged), judged)
         for order in sorted(candidates)

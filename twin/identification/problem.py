@@ -107,7 +107,7 @@ class IdentificationProblem:
         """Return the problem restricted to the rows selected by `accepted` (n,) bool."""
         layout = RowLayout.of(self.observations.position[accepted])
         local = self.local[accepted]
-        seen = self.observations.where(accepted)
+        seen = self.observations.select(accepted)
         nuisance = replace(self.nuisance, strain_rows=self.nuisance.strain_rows[accepted])
         used = np.unique(self.observations.position, return_inverse=True)[1][accepted]
         alive = np.unique(used)
@@ -133,7 +133,7 @@ def build_problem(
     """
     _check_balls(observations, artefact)
     layout = RowLayout.of(observations.position)
-    seen = observations if _is_sorted(layout.order) else observations.where(layout.order)
+    seen = observations if _is_sorted(layout.order) else observations.select(layout.order)
     local = _artefact_points(artefact, seen)
     poses = rigid_poses(layout, local, tool_points(seen))
     unknowns = unknowns_of(family, artefact, seen, options)

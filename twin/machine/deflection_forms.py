@@ -32,14 +32,14 @@ def portal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Deflection
 
 def rail_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     """Draw rails that wave between their screws: per axis and direction one sine with its own pitch and lever arm."""
-    places, shape = _normalised()
+    positions, shape = _normalised()
     field = np.zeros((*shape, 3))
     for axis in range(3):
         for direction in range(3):
             pitch = np.exp(rng.uniform(*np.log(_RAIL_PITCHES)))
             size, phase, arm = rng.uniform((0.2 * _UM, 0.0, -0.6), (1.0 * _UM, 2.0 * np.pi, 0.6))
-            other = places[(axis + rng.integers(1, 3)) % 3]
-            field[..., direction] += size * np.sin(2.0 * np.pi * places[axis] / pitch + phase) * (1.0 + arm * other)
+            other = positions[(axis + rng.integers(1, 3)) % 3]
+            field[..., direction] += size * np.sin(2.0 * np.pi * positions[axis] / pitch + phase) * (1.0 + arm * other)
     return _grid(ranges_mm, field)
 
 
@@ -56,8 +56,8 @@ def thermal_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> Deflectio
 
 def smooth_random_deflection(ranges_mm: Ranges, rng: np.random.Generator) -> DeflectionGrid:
     """Draw an unstructured random field: plane waves of one correlation length (0.2 to 0.8 of the axes)."""
-    places, shape = _normalised()
-    flat = np.stack(places, axis=-1).reshape(-1, 3)
+    positions, shape = _normalised()
+    flat = np.stack(positions, axis=-1).reshape(-1, 3)
     length = np.exp(rng.uniform(*np.log((0.4, 1.6))))
     field = np.zeros((len(flat), 3))
     for direction in range(3):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from twin.arrays import Array, as_points, as_vector
 from twin.machine.error_model import DIRECTIONS, ErrorModel, series_orders
 from twin.machine.kinematic_chain import AXES
-from twin.machine.legendre import legendre_values, normalised
+from twin.machine.legendre import legendre_values, normalise_positions
 
 _X, _Y, _Z = 0, 1, 2
 
@@ -86,7 +86,7 @@ def _effects(arms: tuple[Array, Array, Array]) -> Array:
 def _functions(model: ErrorModel, points: Array) -> Array:
     """Return (n, f): Legendre polynomials of X, of Y, of Z, then -z, z, -y of the squareness, then the cross-effect."""
     columns = [
-        legendre_values(normalised(points[:, axis], model.ranges_mm[axis]), model.highest_order[axis])
+        legendre_values(normalise_positions(points[:, axis], model.ranges_mm[axis]), model.highest_order[axis])
         for axis in range(3)
     ]
     y, z = points[:, _Y], points[:, _Z]

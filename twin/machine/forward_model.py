@@ -24,7 +24,7 @@ from twin.arrays import Array, as_points, as_vector
 from twin.machine.deviation_basis import cross_arguments, deviation_basis, linear_deviation
 from twin.machine.error_model import ERROR_MOTIONS, ErrorModel, series_orders
 from twin.machine.kinematic_chain import AXES
-from twin.machine.legendre import as_power_series
+from twin.machine.legendre import to_power_series
 
 __all__ = ["deviation_basis", "exact_deviation", "linear_deviation"]
 
@@ -99,7 +99,7 @@ def _unpack(model: ErrorModel, values: Array) -> _UnpackedParameters:
     positions = _series_positions(model)
     series = np.zeros((3, 6, max(model.highest_order) + 1))
     series.reshape(-1)[positions] = values[: len(positions)]
-    series = as_power_series(series)
+    series = to_power_series(series)
     travel = ((0.0, 0.0, 0.0), (-math.sin(c), cos_c1, 0.0), z_turned)
     return _UnpackedParameters(series, travel, tuple(model.cross_terms(values).values()))
 

@@ -10,7 +10,7 @@ from numpy.polynomial.legendre import leg2poly
 from twin.arrays import Array
 
 
-def normalised(positions: Array, axis_range: tuple[float, float]) -> Array:
+def normalise_positions(positions: Array, axis_range: tuple[float, float]) -> Array:
     """Map axis positions (n,) in mm linearly so that `axis_range` becomes [-1, 1]; positions outside map beyond it."""
     low, high = axis_range
     return (positions - 0.5 * (low + high)) * (2.0 / (high - low))
@@ -31,7 +31,7 @@ def legendre_values(argument: Array, order: int) -> Array:
     return values
 
 
-def as_power_series(coefficients: Array) -> Array:
+def to_power_series(coefficients: Array) -> Array:
     """Convert Legendre series (m, order + 1) to series in powers of the argument.
 
     Powers cost one product each to evaluate. On [-1, 1] the loss of precision is set by the largest power coefficient

@@ -37,7 +37,9 @@ class JumpQuestions:
 
     @classmethod
     def any_jump(cls, unknowns: Unknowns) -> JumpQuestions:
-        """Return one question per error: has it jumped, each coefficient by the standard deviation of the family?"""
+        """Return one question per error: whether it has jumped, each coefficient by the standard deviation of the
+        family.
+        """
         names = np.array([parameter.error for parameter in unknowns.model.parameters])
         moves = np.eye(len(names), unknowns.blocks.size)
         return cls(moves, np.array([names == error for error in ERRORS], dtype=np.float64))

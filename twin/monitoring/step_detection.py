@@ -84,12 +84,12 @@ class Innovation:
         return self.chi2 / self.rows
 
     @cached_property
-    def mean_after(self) -> Array:
+    def posterior_mean(self) -> Array:
         """Mean (P,) of z given these ball centres too."""
         return np.asarray(self.mean + self.covariance @ self.score)
 
     @cached_property
-    def covariance_after(self) -> Array:
+    def posterior_covariance(self) -> Array:
         """Covariance (P, P) of z given these ball centres too."""
         after = self.covariance - self.covariance @ self.information @ self.covariance
         return np.asarray(0.5 * (after + after.T))
@@ -101,7 +101,7 @@ class Innovation:
         found = [self._suspect(error, jump) for error in ERRORS if self._columns(error).size]
         return tuple(sorted(found, key=lambda one: -one.evidence))
 
-    def jumped(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
+    def find_jumps(self, evidence: float, most: int = 3, jump: float = 1.0) -> tuple[SuspectedJump, ...]:
         """Return the errors that must have jumped, one after the other, each tested with the previous ones set free.
 
         Only errors with at least this much `evidence` are returned, at most `most` of them.
@@ -161,10 +161,10 @@ class Innovation:
 
 
 def innovation(family: Family, observations: Observations, artefact: Artefact, known: CarriedOverPrior) -> Innovation:
-    """Compare `observations` with prior knowledge `known`, which includes the process noise of the time since.
+    """Compare `observations` with prior knowledge `known`.
 
-    The touch noise has the scale stored in `known`. Raises DataError for an artefact, a model or balls that do not
-    match.
+    `known` includes the process noise for the time elapsed since its estimate, and the scale of the touch noise. Raises
+    DataError for an artefact, a model or balls that do not match.
     """
     options = Options(carried_over=known, outliers="none", estimate_scales=False)
     problem = build_problem(family, observations, artefact, options)

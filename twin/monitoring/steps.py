@@ -56,7 +56,7 @@ def _best(t: Array, y: Array, sigmas: Array, steps: Sequence[float]) -> float | 
     for at in sorted(gains, key=lambda at: -gains[at]):
         if gains[at] < penalty:
             return None
-        without = (np.arange(len(t)) != place for place in range(len(t)))
+        without = (np.arange(len(t)) != index for index in range(len(t)))
         if all(_gain(t[kept], y[kept], sigmas[kept], steps, at) >= penalty for kept in without):
             return at
     return None
@@ -92,10 +92,10 @@ def _candidates(t: Array, steps: Sequence[float]) -> list[float]:
     """Return the times that leave at least two values to each level."""
     edges = [0, *(int(np.searchsorted(t, at)) for at in steps), len(t)]
     return [
-        float(t[place])
+        float(t[index])
         for start, end in pairwise(edges)
-        for place in range(start + 2, end - 1)
-        if t[place] > t[place - 1]
+        for index in range(start + 2, end - 1)
+        if t[index] > t[index - 1]
     ]
 
 

@@ -68,7 +68,7 @@ def _closest_pair(job: Job, scene: Scene, number: int, axes_mm: Array) -> tuple[
         tip = point(axes_mm + job.tool_offset_mm - away * np.asarray(direction))
         for i, j in scene.near_pairs(tip, tip, _LOOKED_AT_MM):
             pair = (scene.moving[i].name, scene.obstacles[j].name)
-            distance = separation(scene.moving[i].shape.moved(tip), scene.obstacles[j].shape)[0]
+            distance = separation(scene.moving[i].shape.translated(tip), scene.obstacles[j].shape)[0]
             if pair not in meant and distance < closest:
                 closest, named = distance, pair
     return named

@@ -218,7 +218,7 @@ def _probe(preview: Preview) -> list[Body]:
     """Tip, stem, body and ram where the path touches last, or where it is refused."""
     touched = [point.tip_mm for point in preview.path if point.touch]
     tip = preview.refusal.tip_mm if preview.refusal else touched[-1] if touched else None
-    return [] if tip is None else [Body(body.name, body.shape.moved(tip)) for body in preview.probe]
+    return [] if tip is None else [Body(body.name, body.shape.translated(tip)) for body in preview.probe]
 
 
 def _colour_of(body: Body, preview: Preview) -> str:

@@ -389,11 +389,13 @@ class Traffic:
                 location_mm=np.array([x, stand.depth_mm, stand.height_mm]),
                 azimuth_rad=math.radians(stand.azimuth_deg),
                 elevation_rad=math.radians(stand.elevation_deg),
-                further=self.layout.neighbours.get(stand.among, ()),
+                other_bodies=self.layout.neighbours.get(stand.among, ()),
             )
             back = (-x, -stand.depth_mm, -stand.height_mm)
             self._poses[stand] = _Pose(
-                centres + back, [point(centre) for centre in centres + back], PrefilteredScene.of(scene.shifted(back))
+                centres + back,
+                [point(centre) for centre in centres + back],
+                PrefilteredScene.of(scene.translated(back)),
             )
         return self._poses[stand]
 

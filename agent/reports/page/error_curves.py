@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.arrays import Array
 from twin.machine.error_model import DIRECTIONS, ErrorModel, series_orders
-from twin.machine.legendre import legendre_values, normalised
+from twin.machine.legendre import legendre_values, normalise_positions
 from twin.units import MICRO_UNITS
 
 SAMPLES = 81
@@ -40,7 +40,7 @@ def geometric_error_curves(model: ErrorModel, parameters: Array, covariance: Arr
             error = f"E{direction}{axis}"
             orders = series_orders(error, model.orders[error])
             if len(orders):
-                rows = legendre_values(normalised(place, limits), orders[-1])[orders.start :].T
+                rows = legendre_values(normalise_positions(place, limits), orders[-1])[orders.start :].T
                 block = model.block[error]
                 unit = "rad" if direction in "ABC" else "mm"
                 curves.append(

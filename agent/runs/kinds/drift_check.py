@@ -86,8 +86,8 @@ class Judge:
             found = innovation(self.family, observations, self.job.artefact, self.known)
             found_um, predicted_um = self._held_out(held, correction)
         limits = self.job.settings.nightly
-        jumped = found.jumped(limits.step_evidence)
-        now_um = self.acting.of(found.mean_after, found.covariance_after, self.last.accepted.written).aligned_um
+        jumped = found.find_jumps(limits.step_evidence)
+        now_um = self.acting.of(found.posterior_mean, found.posterior_covariance, self.last.accepted.written).aligned_um
         reason = self._reason(found, jumped, now_um)
         report = NightReport(
             decision=Decision.OUT if reason else Decision.WITHIN,

@@ -26,7 +26,7 @@ def set_up(seed: int) -> tuple[np.ndarray, np.ndarray, tuple[Alternative, ...]]:
 
 
 def dense_log_covariance(design: np.ndarray) -> np.ndarray:
-    """Return the covariance of the log scales from dense measurement covariances and their derivatives."""
+    """Return the covariance of the log scales from the measurement covariance and its derivatives by them."""
     parts = [SCALES.noise**2 * np.eye(ROWS)]
     for block, scale in zip((BLOCKS.parameters, *BLOCKS.kinds), SCALES.values[1:], strict=True):
         parts.append(scale**2 * design[:, block] @ design[:, block].T)

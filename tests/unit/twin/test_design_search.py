@@ -30,7 +30,7 @@ def made_up(seed: int, count: int = 9, rank: int = 2, size: int = 6) -> Candidat
 
 
 def plain_value(candidates: CandidatePositions, chosen) -> float:
-    """Return trace(Q C), with C from inverting the sum of all information."""
+    """Return trace(Q C), where C is the inverse of the summed information of all positions."""
     precision = candidates.precision.copy()
     for index in chosen:
         precision += candidates.factors[index].T @ candidates.factors[index]

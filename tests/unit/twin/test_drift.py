@@ -26,7 +26,7 @@ PLAIN = Options(misfit_mm=0.0, estimate_scales=False, outliers="none")
 def warmed(parameters: np.ndarray, rng: np.random.Generator, kelvin: float = 3.0) -> Observations:
     """Measure the whole set and some positions again at the end, by then on a machine `kelvin` warmer."""
     still = measured("S3", 3, BAR, lambda at, tool: exact_deviation(MODEL, at, tool, parameters), rng)
-    again = still.where(still.position < 3)
+    again = still.select(still.position < 3)
     count = int(still.position.max()) + 1
     rows = {name: np.concatenate((getattr(still, name), getattr(again, name))) for name in ROWS}
     rows["position"] = np.concatenate((still.position, again.position + count))
@@ -56,7 +56,7 @@ def test_the_estimate_is_that_of_the_machine_as_it_stands_at_the_end() -> None:
     rng = np.random.default_rng(1)
     truth = FAMILY.draw(rng, 1)[0]
     seen = warmed(truth, rng)
-    blind = replace(seen.where(np.arange(seen.size)), thermal_regressors=np.zeros((seen.size, 0)))
+    blind = replace(seen.select(np.arange(seen.size)), thermal_regressors=np.zeros((seen.size, 0)))
     options = replace(PLAIN, drift=DriftPrior(), state_regressors=seen.thermal_regressors[-1])
     found = identify(MODEL, seen, BAR, FAMILY, options)
     unaware = identify(MODEL, blind, BAR, FAMILY, PLAIN)

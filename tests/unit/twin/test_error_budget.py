@@ -203,7 +203,7 @@ def test_squares_add_up() -> None:
 
 
 def test_a_fixed_deflection_is_a_bias_and_not_a_spread() -> None:
-    """One noiseless identification determines it to nanometres."""
+    """Compare with a single noiseless identification, to nanometres."""
     assumptions = replace(NOTHING, deflection=DEFLECTION)
     raw, aligned = night(CENTRES, assumptions, np.random.default_rng(0))
     expected = closed(CENTRES, assumptions).expected

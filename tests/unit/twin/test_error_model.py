@@ -5,7 +5,7 @@ from numpy.polynomial import legendre
 from twin.errors import ModelError
 from twin.machine.error_model import CROSS_TERMS, ErrorModel
 from twin.machine.kinematic_chain import parse_chain
-from twin.machine.legendre import as_power_series, legendre_values, normalised
+from twin.machine.legendre import legendre_values, normalise_positions, to_power_series
 
 CHAIN = parse_chain("tool-Y-Z-X-bed-workpiece")
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
@@ -76,12 +76,12 @@ def test_legendre_values_against_numpy_and_by_hand():
     x = np.linspace(-1.0, 1.0, 7)
     np.testing.assert_allclose(legendre_values(x, 9), legendre.legvander(x, 9).T, atol=1e-14)
     np.testing.assert_allclose(legendre_values(np.array([0.5]), 3)[:, 0], [1.0, 0.5, -0.125, -0.4375], atol=1e-15)
-    np.testing.assert_allclose(normalised(np.array([100.0, 200.0, 500.0]), (100.0, 500.0)), [-1.0, -0.5, 1.0])
+    np.testing.assert_allclose(normalise_positions(np.array([100.0, 200.0, 500.0]), (100.0, 500.0)), [-1.0, -0.5, 1.0])
 
 
 def test_power_series_keeps_twelve_digits_at_the_highest_order():
     rng = np.random.default_rng(3)
     coefficients = 0.02 * rng.uniform(-1.0, 1.0, (4, 16))
     x = np.linspace(-1.0, 1.0, 101)
-    powers = as_power_series(coefficients) @ np.vander(x, 16, increasing=True).T
+    powers = to_power_series(coefficients) @ np.vander(x, 16, increasing=True).T
     assert np.abs(powers - legendre.legval(x, coefficients.T)).max() < 1e-12

@@ -96,7 +96,7 @@ def test_without_noise_the_field_comes_back() -> None:
 
 
 def test_covariance_is_the_inverse_of_the_full_normal_matrix() -> None:
-    """Dense reference: invert one matrix with all poses and take the parameter block."""
+    """Compare with plain dense algebra: invert one matrix with all poses and take the block of the parameters."""
     model, family, _, truth = machine(2, 6)
     artefact = bar(5)
     seen = measured("S3", 1, artefact, truth, np.random.default_rng(7))
@@ -215,7 +215,7 @@ class TestOutliers:
         estimate = identify(model, dataclasses.replace(seen, axis_positions=spoilt), artefact, family)
         rows = sorted((int(seen.position[r]), int(seen.ball[r]), 0) for r in (3, 5, 150))
         assert sorted(estimate.rejected) == rows
-        clean = identify(model, seen.where(~np.isin(np.arange(seen.size), (3, 5, 150))), artefact, family)
+        clean = identify(model, seen.select(~np.isin(np.arange(seen.size), (3, 5, 150))), artefact, family)
         scale = family.prior_standard_deviation
         assert estimate.parameters / scale == pytest.approx(clean.parameters / scale, abs=1e-4)
         assert np.linalg.norm(estimate.residuals_mm[150]) == pytest.approx(0.5, abs=0.01)
@@ -245,12 +245,12 @@ class TestTooLittle:
     def test_one_position(self) -> None:
         seen = self.seen("S3", 1)
         with pytest.raises(SingularSet, match="1 position"):
-            identify(self.model, seen.where(seen.position == 2), bar(), self.family)
+            identify(self.model, seen.select(seen.position == 2), bar(), self.family)
 
     def test_two_balls(self) -> None:
         seen = self.seen("S3", 2)
         with pytest.raises(SingularSet, match="fewer than 3 different balls"):
-            identify(self.model, seen.where(seen.ball < 2), bar(), self.family)
+            identify(self.model, seen.select(seen.ball < 2), bar(), self.family)
 
     def test_without_the_prior_the_open_directions_are_named(self) -> None:
         with pytest.raises(SingularSet, match=r"open: .*EXX\[4\].* merges|open: .*not (seen|told apart) by this set"):

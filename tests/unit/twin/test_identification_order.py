@@ -103,14 +103,14 @@ def test_a_family_that_does_not_fall_off_gets_no_higher_order_than_the_machine_h
 
 def test_it_is_the_estimate_of_that_order_and_of_the_balls_kept() -> None:
     seen = seen_of(4, 5, stations=4)
-    shuffled = seen.where(np.random.default_rng(0).permutation(seen.size))
+    shuffled = seen.select(np.random.default_rng(0).permutation(seen.size))
     spoilt = shuffled.axis_positions.copy()
     spoilt[17] += [0.0, 0.05, 0.0]
     given = dataclasses.replace(shuffled, axis_positions=spoilt)
     estimate = identify_by_evidence(family_of, given, ARTEFACT, candidates=(3, 4))
     row = (int(given.position[17]), int(given.ball[17]), 0)
     assert estimate.rejected == (row,)
-    clean = given.where(np.arange(given.size) != 17)
+    clean = given.select(np.arange(given.size) != 17)
     model, family = estimate.model, family_of(estimate.model.highest_order[0])
     alone = identify(model, clean, ARTEFACT, family, Options(outliers="none"))
     scale = family.prior_standard_deviation

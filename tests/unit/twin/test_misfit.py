@@ -8,7 +8,7 @@ from measured_set import RANGES, TOOL, case_study
 
 from twin.identification.misfit import misfit_modes
 from twin.machine.forward_model import deviation_basis
-from twin.machine.legendre import legendre_values, normalised
+from twin.machine.legendre import legendre_values, normalise_positions
 from twin.machine.volumetric import align_rigidly, evaluation_grid, rms
 
 CELLS = (30, 14, 14)
@@ -43,7 +43,7 @@ def test_the_model_cannot_imitate_a_mode() -> None:
 def test_a_wave_above_the_order_of_the_model_is_in_the_modes() -> None:
     grid = evaluation_grid(RANGES, (33, 7, 7))
     wave = np.zeros((len(grid), 3))
-    wave[:, 1] = legendre_values(normalised(grid[:, 0], RANGES[0]), 6)[6]
+    wave[:, 1] = legendre_values(normalise_positions(grid[:, 0], RANGES[0]), 6)[6]
     modes = MODES.at(grid).reshape(-1, MODES.size)
     fitted = modes @ np.linalg.lstsq(modes, wave.reshape(-1), rcond=None)[0]
     assert rms(wave - fitted.reshape(-1, 3)) < 0.1 * rms(wave)

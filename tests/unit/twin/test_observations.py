@@ -29,7 +29,7 @@ def test_good_values_are_kept_and_frozen() -> None:
     assert seen.size == 4
     with pytest.raises(ValueError, match="read-only"):
         seen.axis_positions[0, 0] = 1.0
-    assert seen.where(np.array([True, False, True, False])).ball.tolist() == [0, 0]
+    assert seen.select(np.array([True, False, True, False])).ball.tolist() == [0, 0]
 
 
 def broken(name: str, row: int, value: Any) -> dict[str, Any]:

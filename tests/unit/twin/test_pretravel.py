@@ -40,7 +40,7 @@ def test_a_centre_by_any_pattern_is_that_of_the_qualification_with_the_map(touch
     directions, centre = approach_directions(touches, AXIS), np.array([100.0, -20.0, 7.0])
     points = latched(directions, centre)
     dense = fit_sphere(latched(DENSE, centre), 1e-3)
-    with_map = fit_sphere(a_map().corrected(points, directions), 1e-3, dense.radius, near=centre)
+    with_map = fit_sphere(a_map().correct(points, directions), 1e-3, dense.radius, near=centre)
     assert np.linalg.norm(with_map.centre - dense.centre) < 0.4e-3
     if touches == 5:
         bare = fit_sphere(points, 1e-3)
@@ -49,7 +49,7 @@ def test_a_centre_by_any_pattern_is_that_of_the_qualification_with_the_map(touch
 
 def test_the_map_leaves_centre_and_radius_of_the_qualification_as_they_are() -> None:
     points = latched(DENSE, np.zeros(3))
-    before, after = fit_sphere(points, 1e-3), fit_sphere(a_map().corrected(points, DENSE), 1e-3)
+    before, after = fit_sphere(points, 1e-3), fit_sphere(a_map().correct(points, DENSE), 1e-3)
     assert after.centre == pytest.approx(before.centre, abs=2e-6)
     assert after.radius == pytest.approx(before.radius, abs=2e-6)
     assert after.form < 0.3 * before.form

@@ -304,5 +304,5 @@ class TestWhatIsLeft:
 
     def test_machines_of_other_ranges_are_refused(self) -> None:
         narrow = ErrorModel.uniform(parse_chain(CHAINS[0]), ((0.0, 3000.0), *RANGES[1:]), 5)
-        with pytest.raises(ModelError, match="other axis ranges"):
+        with pytest.raises(ModelError, match="differ in kinematic chain or axis ranges"):
             FieldForm.build(narrow, quiet(), evaluation_grid(RANGES, (3, 3, 3)), TOOL)

@@ -83,8 +83,8 @@ def test_what_is_known_after_is_what_an_identification_knows(first: Estimate) ->
     later = seen("S3", 3)
     found = innovation(FAMILY, later, BAR, known)
     fused = identify(MODEL, later, BAR, FAMILY, Options(carried_over=known, outliers="none", estimate_scales=False))
-    assert found.mean_after == pytest.approx(fused.z, abs=1e-4)
-    assert found.covariance_after == pytest.approx(fused.z_covariance, abs=1e-7)
+    assert found.posterior_mean == pytest.approx(fused.z, abs=1e-4)
+    assert found.posterior_covariance == pytest.approx(fused.z_covariance, abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -95,9 +95,9 @@ def test_a_jump_is_named_with_its_size(first: Estimate, name: str, jump: float, 
     known = first.carried_over(0.02 * SIGMA)
     error = name.split("[", maxsplit=1)[0]
     quiet = innovation(FAMILY, seen("S3", 4), BAR, known)
-    assert quiet.jumped(6.0) == ()
+    assert quiet.find_jumps(6.0) == ()
     found = innovation(FAMILY, seen("S3", 4, {name: jump}), BAR, known)
-    named = found.jumped(6.0)[0]
+    named = found.find_jumps(6.0)[0]
     assert (named.error, named.unit) == (error, unit)
     assert named.coefficients[name] == pytest.approx(jump, rel=0.35)
     assert np.sign(named.change) == np.sign(jump) or error == "EYX"
@@ -109,7 +109,7 @@ def test_a_jump_is_named_with_its_size(first: Estimate, name: str, jump: float, 
 def test_two_jumps_are_named_one_after_the_other(first: Estimate) -> None:
     known = first.carried_over(0.02 * SIGMA)
     found = innovation(FAMILY, seen("S1+S2+S3", 6, {"B0Z": 14e-6, "C0Y": -14e-6}), BAR, known)
-    named = found.jumped(5.0)
+    named = found.find_jumps(5.0)
     assert {one.error for one in named[:2]} == {"B0Z", "C0Y"}
     assert named[0].evidence > named[1].evidence
 
@@ -121,7 +121,7 @@ def test_chi2_of_a_machine_that_has_not_changed_is_one(first: Estimate) -> None:
 
 
 def test_expected_error_with_a_table_is_the_mean_over_drawn_machines(first: Estimate) -> None:
-    """Use a table written for another machine, with plain evaluation of many machines on the grid."""
+    """Compare with a plain evaluation of many drawn machines on the grid; the table was written for another machine."""
     grid = evaluation_grid(MODEL.ranges_mm, (8, 6, 5))
     unknowns, known = first.unknowns, first.carried_over()
     acting = ResidualWithTable.build(unknowns, known.scales, grid, TOOL)

@@ -1,4 +1,4 @@
-"""Orders compared with every permutation, and improvements that larger orders must not miss."""
+"""Tours compared with every permutation, and a check that longer tours cannot be improved by a simple exchange."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -68,9 +68,9 @@ class TestDrift:
         assert drift.slope == pytest.approx(1.0, abs=4e-3)
 
     def test_scatter_decides_where_stated_uncertainty_is_common_to_all(self) -> None:
-        """Check that contributions common to all nights do not scatter a trend.
+        """Check that contributions common to all nights do not enlarge the residuals of a trend.
 
-        Sigmas of 5 µm, scatter of 0.1 µm, slope known to 0.01.
+        Sigmas of 5 µm, residuals of 0.1 µm, slope known to 0.01.
         """
         rng = np.random.default_rng(1)
         nights = np.arange(20.0)

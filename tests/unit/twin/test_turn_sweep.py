@@ -28,7 +28,7 @@ TURNS = [
 
 def still() -> list[Shape]:
     bodies = mount_bodies(MOUNT, PLACE, mount_pose(PLACE, MOUNT, 0.0, 0.0))
-    return [body.shape.moved(point(-PLACE)) for body in bodies if body.name != "shaft"]
+    return [body.shape.translated(point(-PLACE)) for body in bodies if body.name != "shaft"]
 
 
 def sweep_of(turn: tuple[tuple[float, float], tuple[float, float]]) -> TurnSweep:
@@ -57,7 +57,9 @@ def test_the_probe_keeps_its_clearance_whatever_angles_the_mount_goes_through(tu
 
 @pytest.mark.parametrize("turn", TURNS[:2])
 def test_it_is_not_much_larger_than_what_is_swept(turn) -> None:
-    """Check in front of the middle of the bar, where the sweep is broad: within 270 mm of the bodies that pass."""
+    """Check in front of the middle of the bar, where the sweep is broad, that the bound is within 270 mm of
+    the bodies.
+    """
     sweep = sweep_of(turn)
     low, high = np.sort(np.array(turn), axis=0)
     angles = [(a, e) for a in np.linspace(low[0], high[0], 19) for e in np.linspace(low[1], high[1], 19)]

@@ -51,7 +51,9 @@ class ControllerExport:
 
 class FormatWriter(Protocol):
     def __call__(self, source: ExportSource, choices: ExportOptions) -> ControllerExport:
-        """Raises DataError with the reason and a hint if the format cannot represent the table."""
+        """Write the files of the export. Raises DataError with reason and hint if the format cannot represent the
+        table.
+        """
         ...
 
 

@@ -38,14 +38,14 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "the lattice")
     steps = even_steps(table)
     reference = reference_point(table, choices[REFERENCE_MM])
-    places = reference_nodes(table, reference)
+    indices = reference_nodes(table, reference)
     wanted = table.corrections - table.at(reference[None, :])[0]
     unit = smallest_unit([wanted], choices, LARGEST_COUNT, increments=False)
     counts = unit.counts(wanted)
     written = replace(table, corrections=unit.values(counts))
     files = {
         "points.csv": _points(table, choices.sign * counts),
-        "parameters.txt": _parameters(table, places, steps, unit),
+        "parameters.txt": _parameters(table, indices, steps, unit),
     }
     facts: Facts = {"magnification": unit.magnification, "counted_from_mm": format_reference(reference)}
     return ControllerExport(files, written.at, LOSSES, facts)
@@ -55,19 +55,19 @@ def _points(table: CompensationTable, counts: CountArray) -> str:
     """List the points, numbered from 1, X fastest, then Y, then Z."""
     lines = ["number,x_mm,y_mm,z_mm,x_counts,y_counts,z_counts"]
     shape = table.corrections.shape[:3]
-    for number, place in enumerate(np.ndindex(shape[::-1]), start=1):
-        k, j, i = place
+    for number, index in enumerate(np.ndindex(shape[::-1]), start=1):
+        k, j, i = index
         position = ",".join(f"{nodes[at]:.10g}" for nodes, at in zip(table.nodes, (i, j, k), strict=True))
         lines.append(f"{number},{position}," + ",".join(str(value) for value in counts[i, j, k].tolist()))
     return "\n".join(lines) + "\n"
 
 
 def _parameters(
-    table: CompensationTable, places: tuple[int, int, int], steps: tuple[float, float, float], unit: CountUnit
+    table: CompensationTable, indices: tuple[int, int, int], steps: tuple[float, float, float], unit: CountUnit
 ) -> str:
     rows = {
         "points": [len(nodes) for nodes in table.nodes],
-        "reference": [place + 1 for place in places],
+        "reference": [index + 1 for index in indices],
         "magnification": [unit.magnification] * 3,
         "interval": [unit.whole(step, f"the interval of {axis}") for axis, step in zip(AXES, steps, strict=True)],
     }

@@ -42,7 +42,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     require_points(table, (MOST_POINTS, MOST_POINTS, MOST_POINTS), "an axis")
     steps = even_steps(table)
     reference = reference_point(table, choices[REFERENCE_MM])
-    places = reference_nodes(table, reference)
+    indices = reference_nodes(table, reference)
     profiles = list(own_axis_profiles(table, reference))
     unit = smallest_unit([one.values for one in profiles], choices, LARGEST_INCREMENT, increments=True)
     counts = [unit.counts(one.values) for one in profiles]
@@ -50,7 +50,7 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     firsts = np.concatenate(([0], np.cumsum([len(count) for count in counts])))[:3].tolist()
     files = {
         "pitch-error.txt": _data([choices.sign * count for count in counts], firsts),
-        "parameters.txt": _parameters(counts, firsts, places, steps, unit),
+        "parameters.txt": _parameters(counts, firsts, indices, steps, unit),
     }
 
     def correction(axis_positions: Array) -> Array:
@@ -64,21 +64,21 @@ def _data(counts: list[CountArray], firsts: list[int]) -> str:
     lines = ["%"]
     for count, first in zip(counts, firsts, strict=True):
         increments = np.diff(count, prepend=count[:1])
-        lines += [f"N{_DATA_NUMBERS_FROM + first + place}P{value}" for place, value in enumerate(increments.tolist())]
+        lines += [f"N{_DATA_NUMBERS_FROM + first + index}P{value}" for index, value in enumerate(increments.tolist())]
     return "\n".join([*lines, "%"]) + "\n"
 
 
 def _parameters(
     counts: list[CountArray],
     firsts: list[int],
-    places: tuple[int, int, int],
+    indices: tuple[int, int, int],
     steps: tuple[float, float, float],
     unit: CountUnit,
 ) -> str:
     """Return lines `N number A axis P value ...`: 3620 reference, 3621 farthest -, 3622 farthest +, 3623, 3624."""
     rows = {
-        3620: [first + place for first, place in zip(firsts, places, strict=True)],
-        3621: [first + min(place, 1) for first, place in zip(firsts, places, strict=True)],
+        3620: [first + index for first, index in zip(firsts, indices, strict=True)],
+        3621: [first + min(index, 1) for first, index in zip(firsts, indices, strict=True)],
         3622: [first + len(count) - 1 for first, count in zip(firsts, counts, strict=True)],
         3623: [unit.magnification] * 3,
         3624: [unit.whole(step, f"the interval of {axis}") for axis, step in zip(AXES, steps, strict=True)],

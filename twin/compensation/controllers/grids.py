@@ -24,12 +24,12 @@ Shape = tuple[int, int, int]
 def require_small_corrections(table: CompensationTable, largest_mm: float = LARGEST_CORRECTION_MM) -> None:
     """Raise DataError naming the line of the CSV file with the largest correction if that exceeds `largest_mm`."""
     sizes = np.abs(table.corrections).max(axis=-1)
-    place = int(np.argmax(sizes))
-    found = float(sizes.reshape(-1)[place])
+    index = int(np.argmax(sizes))
+    found = float(sizes.reshape(-1)[index])
     if found > largest_mm:
         message = f"a correction of {1e3 * found:.1f} µm is larger than {1e3 * largest_mm:g} µm"
         hint = "Check in the report that the table is plausible before you raise the limit with --largest-um"
-        raise DataError(message, hint=hint, row=place + 1 + _HEADER_LINES)
+        raise DataError(message, hint=hint, row=index + 1 + _HEADER_LINES)
 
 
 def even_steps(table: CompensationTable) -> tuple[float, float, float]:
@@ -40,10 +40,10 @@ def even_steps(table: CompensationTable) -> tuple[float, float, float]:
         step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
         off = np.abs(nodes - (nodes[0] + step * np.arange(len(nodes))))
         if off.max() > _EVEN * step:
-            place = int(np.argmax(off > _EVEN * step))
-            message = f"the node {nodes[place]:g} mm breaks the even spacing that this format needs"
+            index = int(np.argmax(off > _EVEN * step))
+            message = f"the node {nodes[index]:g} mm breaks the even spacing that this format needs"
             hint = "Choose an evenly spaced grid with --points, such as --points 41x14x16"
-            raise DataError(message, hint=hint, axis=axis, row=place * stride + 1 + _HEADER_LINES)
+            raise DataError(message, hint=hint, axis=axis, row=index * stride + 1 + _HEADER_LINES)
         steps.append(step)
     return steps[0], steps[1], steps[2]
 
@@ -73,15 +73,15 @@ def resample_table(table: CompensationTable, points: Shape) -> CompensationTable
             f"a grid of {'x'.join(map(str, points))} points is not a grid", hint="Use at least 2 along each axis"
         )
     x, y, z = (np.linspace(nodes[0], nodes[-1], count) for nodes, count in zip(table.nodes, points, strict=True))
-    places = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+    positions = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
     marks = replace(table, corrections=np.repeat(table.extrapolated[..., None].astype(np.float64), 3, axis=-1))
     return replace(
         table,
         x=x,
         y=y,
         z=z,
-        corrections=table.at(places).reshape(*points, 3),
-        extrapolated=(marks.at(places)[:, 0] > 1e-9).reshape(points),
+        corrections=table.at(positions).reshape(*points, 3),
+        extrapolated=(marks.at(positions)[:, 0] > 1e-9).reshape(points),
     )
 
 
@@ -97,12 +97,12 @@ def reference_point(table: CompensationTable, wanted_mm: tuple[float, float, flo
 
 def reference_nodes(table: CompensationTable, point: Array) -> Shape:
     """Return the indices of the nodes at the reference point; DataError if an axis has none there."""
-    places = []
+    indices = []
     for axis, nodes, value in zip(AXES, table.nodes, point.tolist(), strict=True):
-        place = int(np.argmin(np.abs(nodes - value)))
-        if abs(float(nodes[place]) - value) > _ON_A_NODE_MM:
+        index = int(np.argmin(np.abs(nodes - value)))
+        if abs(float(nodes[index]) - value) > _ON_A_NODE_MM:
             message = f"no point of the grid is at the reference point {value:g} mm"
-            hint = f"The nearest one is at {nodes[place]:g} mm: choose another grid with --points"
+            hint = f"The nearest one is at {nodes[index]:g} mm: choose another grid with --points"
             raise DataError(message, hint=hint, axis=axis)
-        places.append(place)
-    return places[0], places[1], places[2]
+        indices.append(index)
+    return indices[0], indices[1], indices[2]

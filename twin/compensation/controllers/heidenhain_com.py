@@ -63,17 +63,17 @@ def _stem(bank: str, name: str) -> str:
 
 def _com(stem: str, row: tuple[Profile, ...], names: Names, sign: int) -> str:
     lines = [f"BEGIN {stem}.COM MM", _line("NR", "AXISPOS", "BACKLASH", *names)]
-    for place, position in enumerate(row[0].nodes.tolist()):
-        cells = [f"{-sign * float(one.values[place]) + 0.0:+.{_DECIMALS}f}" for one in row]
-        lines.append(_line(str(place), f"{position:+.4f}", "", *cells))
+    for index, position in enumerate(row[0].nodes.tolist()):
+        cells = [f"{-sign * float(one.values[index]) + 0.0:+.{_DECIMALS}f}" for one in row]
+        lines.append(_line(str(index), f"{position:+.4f}", "", *cells))
     return "\n".join([*lines, "[END]"]) + "\n"
 
 
 def _cma(names: Names, active: str) -> str:
     lines = ["BEGIN CONFIG.CMA MM", _line("NR", "ACTIVE", *names)]
-    for place, bank in enumerate(("A", "B")):
+    for index, bank in enumerate(("A", "B")):
         tables = [f"VOLCAL{bank}_{name}" for name in names]
-        lines.append(_line(str(place), "*" if bank == active else "", *tables))
+        lines.append(_line(str(index), "*" if bank == active else "", *tables))
     return "\n".join([*lines, "[END]"]) + "\n"
 
 

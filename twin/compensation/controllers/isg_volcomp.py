@@ -24,7 +24,7 @@ from twin.errors import DataError
 from twin.machine.deviation_basis import cross_arguments
 from twin.machine.error_model import DIRECTIONS, ErrorModel
 from twin.machine.kinematic_chain import AXES
-from twin.machine.legendre import legendre_values, normalised
+from twin.machine.legendre import legendre_values, normalise_positions
 
 MOST_RECORDS = 100_000
 _MM_DECIMALS, _RAD_DECIMALS = 7, 10
@@ -67,7 +67,7 @@ def _motions(identified: TableEstimate, table: CompensationTable) -> Motions:
     model, values = identified.model, identified.parameters
     series = []
     for axis, nodes in enumerate(table.nodes):
-        polynomials = legendre_values(normalised(nodes, model.ranges_mm[axis]), max(model.highest_order))
+        polynomials = legendre_values(normalise_positions(nodes, model.ranges_mm[axis]), max(model.highest_order))
         series.append(model.coefficients(axis, values) @ polynomials)
     x, y, z = series
     a, b, c = model.squareness(values)
@@ -158,8 +158,8 @@ def _block(axis: int, letter: str, series: Array, nodes: Array, sign: int) -> li
     names = [f"E{direction}{letter}" for direction in DIRECTIONS]
     used = [row for row, name in enumerate(names) if name not in _CROSSED]
     lines = [f"// errors of {letter}", " ".join([letter, *(names[row] for row in used)])]
-    for place, position in enumerate(nodes.tolist()):
-        cells = [(_mm if row < 3 else _rad)(sign * float(series[row, place])) for row in used]
+    for index, position in enumerate(nodes.tolist()):
+        cells = [(_mm if row < 3 else _rad)(sign * float(series[row, index])) for row in used]
         lines.append(" ".join([f"{position:.10g}", *cells]))
     return lines
 

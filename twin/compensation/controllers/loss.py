@@ -65,8 +65,8 @@ def largest_correction(table: CompensationTable, correction: Correction) -> tupl
     """
     nodes = np.stack(np.meshgrid(*table.nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     added = correction(nodes)
-    place = int(np.argmax(np.einsum("ij,ij->i", added, added)))
-    return nodes[place], added[place]
+    index = int(np.argmax(np.einsum("ij,ij->i", added, added)))
+    return nodes[index], added[index]
 
 
 def require_same_machine(source: ExportSource, resolution_mm: float = 0.0) -> None:

@@ -22,8 +22,8 @@ def export(source: ExportSource, choices: ExportOptions) -> ControllerExport:
     lines = [",".join(COLUMNS)]
     marks = table.extrapolated.reshape(-1).tolist()
     for point, values, mark in zip(points.tolist(), corrections.tolist(), marks, strict=True):
-        place = ",".join(f"{value:.10g}" for value in point)
-        lines.append(f"{place}," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in values) + f",{int(mark)}")
+        position = ",".join(f"{value:.10g}" for value in point)
+        lines.append(f"{position}," + ",".join(f"{round(value, 4) + 0.0:.4f}" for value in values) + f",{int(mark)}")
     facts = {f"tool_offset_{letter}_mm": float(v) for letter, v in zip("xyz", table.tool_offset, strict=True)}
     return ControllerExport({"compensation.csv": "\n".join(lines) + "\n"}, table.at, ("nothing",), facts)
 

@@ -37,7 +37,9 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Term added to the axis numbered `output`: one profile in mm, or one in mm times a factor of at most 1."""
+    """Correction added to the axis numbered `output`: a profile in mm, or a profile in mm times a second one of at most
+    1.
+    """
 
     output: int
     profile: Profile

@@ -103,7 +103,7 @@ def _table(
     multiplier: int,
     decimals: int,
 ) -> list[str]:
-    values = [f"$AN_CEC[{index},{place}]={value:.{decimals}f}" for place, value in enumerate(profile.values.tolist())]
+    values = [f"$AN_CEC[{index},{node}]={value:.{decimals}f}" for node, value in enumerate(profile.values.tolist())]
     return [
         *values,
         f"$AN_CEC_INPUT_AXIS[{index}]=({names[profile.axis]})",

@@ -57,8 +57,8 @@ def _ini(name: str, profile: Profile, step: float, choices: ExportOptions) -> st
         f"; axis {AXES[profile.axis]}; load with MD32700 $MA_ENC_COMP_ENABLE[{encoder},{name}]=0",
         f"; MD38000 $MA_MM_ENC_COMP_MAX_POINTS[{encoder},{name}] must be at least {len(profile.nodes)}",
     ]
-    for place, value in enumerate((-choices.sign * profile.values + 0.0).tolist()):
-        lines.append(f"$AA_ENC_COMP[{encoder},{place},{name}]={value:.{DECIMALS}f}")
+    for index, value in enumerate((-choices.sign * profile.values + 0.0).tolist()):
+        lines.append(f"$AA_ENC_COMP[{encoder},{index},{name}]={value:.{DECIMALS}f}")
     lines += [
         f"$AA_ENC_COMP_STEP[{encoder},{name}]={number(step)}",
         f"$AA_ENC_COMP_MIN[{encoder},{name}]={number(float(profile.nodes[0]))}",

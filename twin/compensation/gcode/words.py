@@ -30,8 +30,8 @@ _FLOW = "variables, expressions and O-words are computed by the controller"
 class Block:
     """Words of one line.
 
-    `text` is the line without its end. `g` and `m` contain ten times the number: G91.1 is 911. `values`: every other
-    letter, which may occur once; `tokens`: all words in their order; `comments` as written.
+    `text` is the line without its end. `g` and `m` contain ten times the number: G91.1 is 911. `values`: numbers of all
+    other letters, each of which may occur only once; `tokens`: all words in their order; `comments` as written.
     """
 
     line: int

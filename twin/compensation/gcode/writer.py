@@ -23,7 +23,7 @@ from twin.compensation.gcode.words import Block, refusal
 from twin.compensation.table import CompensationTable
 from twin.errors import DataError
 
-_STRETCH_LINES = 4096
+_BATCH_LINES = 4096
 _PART_POINTS = 16384
 _MOST_PIECES = 200_000
 _OUTSIDE_MM = 1e-6
@@ -70,7 +70,7 @@ class ProgramWriter:
     def write_unchanged(self, text: str) -> None:
         """Write a line unchanged."""
         self._items.append(text)
-        if len(self._items) >= _STRETCH_LINES:
+        if len(self._items) >= _BATCH_LINES:
             self._write_batch()
 
     def move(self, move: MoveBlock, end: Triple, frame: Frame, arc: Arc | None) -> None:
@@ -80,7 +80,7 @@ class ProgramWriter:
         self._items.append(move)
         self._ends.append(end)
         self._frames.append(frame)
-        if len(self._items) >= _STRETCH_LINES:
+        if len(self._items) >= _BATCH_LINES:
             self._write_batch()
 
     def flush(self) -> None:
@@ -107,7 +107,7 @@ class ProgramWriter:
                 lines.append(item)
             else:
                 lines.extend(next(texts))
-            if len(lines) >= _STRETCH_LINES:
+            if len(lines) >= _BATCH_LINES:
                 self._put(lines)
         self._put(lines)
         self._items.clear()
@@ -177,8 +177,8 @@ class ProgramWriter:
         if outside.any():
             if self.options.outside == "refuse":
                 row = rows[np.argmax(outside)]
-                move, place = moves[int(row)], int(np.argmax(np.where(rows == row, found.beyond_mm, -np.inf)))
-                raise refusal(move.line, move.text, self._where_outside(points[place]), _OUTSIDE_HINT)
+                move, index = moves[int(row)], int(np.argmax(np.where(rows == row, found.beyond_mm, -np.inf)))
+                raise refusal(move.line, move.text, self._where_outside(points[index]), _OUTSIDE_HINT)
             counts.outside += int(outside.sum())
             counts.outside_mm = max(counts.outside_mm, float(found.beyond_mm.max()))
         counts.points += len(points)

@@ -186,7 +186,7 @@ def fanuc_pitch(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
 
 
 def fanuc_3d(files: Files, reference_mm: Place = (0.0, 0.0, 0.0)) -> Rule:
-    """Apply A-79351E: the eight corners of the cell, weighted by the position within it; numbered X first."""
+    """Apply A-79351E: interpolate from the eight corners of the cell; the points are numbered X first."""
     told = {int(n): int(v) for n, v in re.findall(r"N(\d+)P(-?\d+)", files["parameters.txt"])}
     counts = [told[10803 + axis] for axis in range(3)]
     references = [told[10806 + axis] for axis in range(3)]
@@ -252,7 +252,7 @@ def neutral(files: Files) -> Rule:
 def isg(files: Files) -> Rule:
     """Apply TF5280: blocks between `#`, header with arguments and parameters, linear on the grid.
 
-    The correction is against the tool point of the chain with errors minus that without.
+    The correction is minus the difference of the tool points of the chain with and without errors.
     """
     listed = dict(line.split() for line in files["volcomp.lis"].splitlines() if not line.startswith("#"))
     blocks = [read_block(block) for block in files["volcomp.csv"].split("\n#\n")]

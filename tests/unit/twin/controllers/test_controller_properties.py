@@ -63,7 +63,7 @@ def test_a_controller_adds_what_is_said(name: str, drawn: tuple) -> None:
 @settings(max_examples=12, deadline=None)
 @given(st.sampled_from(CHAINS), st.integers(0, 10**6), st.integers(0, 7))
 def test_error_motions_are_read_back_for_every_chain(chain: str, seed: int, corner: int) -> None:
-    """Compare the kernel's product of transforms with the table: some nanometres apart at the nodes."""
+    """Compare the kernel's product of transforms with the table; they agree to some nanometres at the nodes."""
     rng = np.random.default_rng(seed)
     ranges = ((-300.0, 500.0), (0.0, 400.0), (-600.0, -200.0))
     model = ErrorModel.uniform(parse_chain(chain), ranges, 3, ("b0", "b1", "b2", "c0", "c1"))

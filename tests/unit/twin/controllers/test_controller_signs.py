@@ -21,7 +21,7 @@ SEEDS = (1, 2, 3)
 THINNED = {"fanuc-3d": (21, 14, 16)}
 OWN_AXIS_ONLY = ("linuxcnc-comp", "siemens-lec", "fanuc-pitch")
 REMOVED = {**dict.fromkeys(OWN_AXIS_ONLY, 0.0), "heidenhain-com": 0.3}
-"""Least share of the true VE that must be removed; at least half for the other formats."""
+"""Least share of the true VE that a format must remove; formats not listed must remove at least half."""
 
 
 def exported(name: str, source: ExportSource, *, opposite_sign: bool = False, **choices: object) -> ControllerExport:
