@@ -1,0 +1,336 @@
+"""Ways out of a run: whatever ends it, the machine is stopped and withdrawn, and the bank found is active again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.errors import Aborted, GateRefused, Interrupted, JournalFailed, MeasurementFault, PlanDiverged
+from agent.execution.engine import Engine
+from agent.execution.run_state import RunStateTracker
+from agent.execution.states import RunState
+from agent.execution.steps import (
+    ActivateBank,
+    AwaitActive,
+    CheckPermissions,
+    MoveTo,
+    ReadActiveBank,
+    ReadPosition,
+    ReadTable,
+    Record,
+    ResetFault,
+)
+from agent.execution.supervisor import Supervisor
+from agent.execution.tip_trace import LastMotion
+from agent.probing.paths.retreat import Course
+from agent.runs.guarded_run import GuardedRun
+from agent.runs.run_context import RunContext, RunHooks
+from drivers.clock import VirtualClock
+from drivers.errors import DeadlineExpired, DeviceError, LinkLost, MotionFault, PermissionMissing, VolcalError
+from drivers.roles import Activation, StoreLimits, TableImage
+
+TABLE = TableImage((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1e-4, np.zeros((2, 2, 2, 3), dtype=np.int32))
+FOUND, NEW = 1, 2
+RETREAT_Y_MM = -50.0
+COURSE = Course(1, RETREAT_Y_MM, 0, {})
+JOB = SimpleNamespace(
+    rules=SimpleNamespace(course=COURSE, probing=SimpleNamespace(stylus_axis=(0.0, 1.0, 0.0), retract_mm=10.0))
+)
+
+
+class FakeMachine:
+    """Axes, controller and store behind the engine's actions. `failing`: steps that raise instead."""
+
+    def __init__(self, activation: Activation = Activation.IMMEDIATE) -> None:
+        self.activation = activation
+        self.position = (100.0, 30.0, 200.0)
+        self.active = FOUND
+        self.stopped = self.stood_still = 0
+        self.targets: list[tuple[float, float, float]] = []
+        self.steps: list[str] = []
+        self.failing: dict[type, VolcalError] = {}
+        self.complaints: list[str] = []
+        self.last_motion = LastMotion()
+        self.store = SimpleNamespace(
+            store_limits=lambda: StoreLimits((1, 2), (8, 8, 8), 512, 1e-4, 0.2, self.activation)
+        )
+
+    def actions(self) -> dict[type, Callable[[Any], Any]]:
+        does: dict[type, Callable[[Any], Any]] = {
+            MoveTo: self._move,
+            ReadPosition: lambda _: self.position,
+            CheckPermissions: lambda _: None,
+            ResetFault: lambda _: None,
+            ReadActiveBank: lambda _: self.active,
+            ReadTable: lambda step: TABLE if step.bank else None,
+            ActivateBank: self._activate,
+            AwaitActive: lambda _: None,
+            Record: lambda _: None,
+        }
+        return {kind: self._watched(kind, action) for kind, action in does.items()}
+
+    def _watched(self, kind: type, action: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def act(step: Any) -> Any:
+            self.steps.append(step.key)
+            if kind in self.failing:
+                raise self.failing[kind]
+            return action(step)
+
+        return act
+
+    def _move(self, step: MoveTo) -> None:
+        self.targets.append(step.target_mm)
+        self.position = step.target_mm
+
+    def _activate(self, step: ActivateBank) -> None:
+        self.active = step.bank
+
+    def stop(self) -> list[str]:
+        self.stopped += 1
+        return self.complaints
+
+    def await_standstill(self) -> None:
+        self.stood_still += 1
+        if DeadlineExpired in self.failing:
+            raise self.failing[DeadlineExpired]
+
+
+class FakeJournal:
+    """Remembers states, decisions and tables. `full`: the disk takes nothing more."""
+
+    def __init__(self) -> None:
+        self.full = False
+        self.states: list[tuple[RunState, str]] = []
+        self.decisions: list[str] = []
+        self.tables: list[tuple[str, int]] = []
+
+    def _write(self) -> None:
+        if self.full:
+            raise JournalFailed("the journal cannot be written: no space left")
+
+    def aside(self) -> FakeJournal:
+        return self
+
+    def begin(self, _: object) -> None:
+        self._write()
+
+    def finish(self, _: object, __: object, *, begun: bool) -> None:
+        self._write()
+
+    def fail(self, _: object, __: BaseException) -> None:
+        self._write()
+
+    def state(self, state: RunState, reason: str = "", *, final: bool = False) -> None:
+        self._write()
+        self.states.append((state, reason))
+
+    def decision(self, kind: str, _: object) -> None:
+        self._write()
+        self.decisions.append(kind)
+
+    def table(self, role: str, bank: int, _: object) -> None:
+        self._write()
+        self.tables.append((role, bank))
+
+
+class Run(GuardedRun):
+    """Reads what is active, then does what the test says."""
+
+    def __init__(self, machine: FakeMachine, journal: FakeJournal, work: Callable[[Run], None]) -> None:
+        clock = VirtualClock()
+        self.supervisor = Supervisor(clock)
+        engine = Engine(machine.actions(), journal)
+        tracker = RunStateTracker(journal, lambda _: None)
+        super().__init__(JOB, RunContext(machine, engine, journal, tracker, self.supervisor, clock, RunHooks()))
+        self._then = work
+        tracker.enter(RunState.PREFLIGHT)
+
+    def _work(self) -> None:
+        self._begin()
+        self._then(self)
+
+    def write(self) -> None:
+        """As after staging and activation of a new table."""
+        for state in (RunState.IDENTIFYING, RunState.STAGING, RunState.ACTIVATING):
+            self._tracker.enter(state)
+        self._rig.active = self.progress.active_bank = NEW
+
+
+def raising(error: BaseException, *, written: bool = False) -> Callable[[Run], None]:
+    def work(run: Run) -> None:
+        if written:
+            run.write()
+        raise error
+
+    return work
+
+
+def ended(
+    work: Callable[[Run], None], machine: FakeMachine | None = None, journal: FakeJournal | None = None
+) -> tuple[Run, FakeMachine, FakeJournal]:
+    machine, journal = machine or FakeMachine(), journal or FakeJournal()
+    run = Run(machine, journal, work)
+    run.carry_out()
+    return run, machine, journal
+
+
+def test_a_run_that_ends_well_is_left_alone() -> None:
+    run, machine, journal = ended(lambda _: None)
+    assert run.progress.error is None
+    assert run.progress.found is not None
+    assert (run.progress.found.bank, run.progress.active_bank) == (FOUND, FOUND)
+    assert machine.stopped == 0
+    assert journal.tables == [("backup", FOUND)]
+
+
+def test_a_refusal_of_a_gate_is_an_end_and_no_fault() -> None:
+    refusal = GateRefused("no table was written: gate fit")
+    run, machine, journal = ended(raising(refusal))
+    assert run.progress.error is refusal
+    assert journal.decisions == ["refused"]
+    assert journal.states[-1] == (RunState.REFUSED, str(refusal))
+    assert machine.stopped == 0
+
+
+@pytest.mark.parametrize(
+    ("error", "state"),
+    [
+        (Aborted("aborted: panel"), RunState.ABORTED),
+        (Interrupted("interrupted: SIGTERM"), RunState.FAULTED),
+        (MeasurementFault("ball 3 was not found"), RunState.FAULTED),
+        (MotionFault("following error"), RunState.FAULTED),
+    ],
+)
+def test_the_machine_is_stopped_withdrawn_and_restored(error: VolcalError, state: RunState) -> None:
+    run, machine, journal = ended(raising(error, written=True))
+    assert run.progress.error is error
+    assert (machine.stopped, machine.stood_still) == (1, 1)
+    # 10 mm back along the stylus (+Y) from y = 30, then to the retreat plane at y = -50.
+    assert machine.targets == [(100.0, 20.0, 200.0), (100.0, RETREAT_Y_MM, 200.0)]
+    assert machine.active == run.progress.active_bank == FOUND
+    assert journal.tables == [("backup", FOUND), ("restored", FOUND)]
+    assert [one for one, _ in journal.states[-2:]] == [RunState.ABORTING, state]
+    assert str(error) in journal.states[-1][1]
+
+
+def test_the_fault_of_the_controller_is_cleared_before_the_bank_is_activated() -> None:
+    _, machine, _ = ended(raising(MotionFault("limit switch"), written=True))
+    assert machine.steps.index("restore/reset") < machine.steps.index("restore/activate")
+
+
+def test_without_a_written_table_no_bank_is_touched() -> None:
+    _, machine, journal = ended(raising(MeasurementFault("drift")))
+    assert not any(key.startswith("restore/") for key in machine.steps)
+    assert journal.tables == [("backup", FOUND)]
+
+
+@pytest.mark.parametrize("error", [LinkLost("connection reset"), PlanDiverged("step 5 differs")])
+def test_nothing_moves_without_a_link_or_with_a_plan_that_diverged(error: VolcalError) -> None:
+    _, machine, journal = ended(raising(error, written=True))
+    assert machine.targets == []
+    assert machine.stopped == 1
+    assert machine.active == FOUND
+    assert journal.states[-1][0] is RunState.FAULTED
+
+
+def test_the_way_out_is_not_interrupted_by_another_abort() -> None:
+    def work(run: Run) -> None:
+        run.write()
+        run.supervisor.request_abort("panel")
+        run.supervisor.check()
+
+    run, machine, journal = ended(work)
+    run.supervisor.check()  # the request still stands, but the run is shielded
+    assert isinstance(run.progress.error, Aborted)
+    assert machine.active == FOUND
+    assert journal.states[-1][0] is RunState.ABORTED
+
+
+def test_a_probe_that_cannot_be_withdrawn_does_not_keep_the_bank_from_being_restored() -> None:
+    machine = FakeMachine()
+    machine.failing[CheckPermissions] = PermissionMissing("doors open")
+    machine.complaints = ["axis drive: no answer"]
+    _, _, journal = ended(raising(Aborted("aborted: page"), written=True), machine)
+    assert machine.targets == []
+    assert machine.active == FOUND
+    state, reason = journal.states[-1]
+    assert state is RunState.ABORTED
+    assert reason.startswith("aborted: page; axis drive: no answer; could not withdraw the probe: doors open")
+
+
+def test_axes_that_do_not_stand_still_are_reported() -> None:
+    machine = FakeMachine()
+    machine.failing[DeadlineExpired] = DeadlineExpired("standstill after a stop")
+    _, _, journal = ended(raising(MotionFault("following error"), written=True), machine)
+    assert "could not bring the axes to a standstill: standstill after a stop" in journal.states[-1][1]
+    assert machine.active == FOUND
+
+
+def test_an_abort_whose_table_stays_active_is_a_fault_that_says_so() -> None:
+    machine = FakeMachine()
+    machine.failing[ActivateBank] = DeviceError("bank 1 is locked")
+    run, _, journal = ended(raising(Aborted("aborted: panel"), written=True), machine)
+    assert machine.active == run.progress.active_bank == NEW
+    state, reason = journal.states[-1]
+    assert state is RunState.FAULTED
+    assert "bank 1 could not be made active again: bank 1 is locked" in reason
+
+
+@pytest.mark.parametrize(
+    ("activation", "between"),
+    [
+        (Activation.IMMEDIATE, []),
+        (Activation.RESET, ["restore/reset-to-take-effect", "restore/takes-effect"]),
+        (Activation.POWER_CYCLE, ["restore/takes-effect"]),
+    ],
+)
+def test_a_restored_bank_is_awaited_as_the_controller_takes_it_over(activation: Activation, between: list[str]) -> None:
+    _, machine, _ = ended(raising(MotionFault("limit"), written=True), FakeMachine(activation))
+    first = machine.steps.index("restore/activate")
+    expected = ["restore/activate", *between, "restore/active-bank", "restore/activated"]
+    assert machine.steps[first:] == expected
+
+
+def test_a_full_disk_keeps_neither_the_probe_nor_the_bank() -> None:
+    journal = FakeJournal()
+
+    def work(run: Run) -> None:
+        run.write()
+        journal.full = True
+        raise JournalFailed("the journal cannot be written: no space left")
+
+    run, machine, _ = ended(work, journal=journal)
+    assert isinstance(run.progress.error, JournalFailed)
+    assert machine.position == (100.0, RETREAT_Y_MM, 200.0)
+    assert machine.active == run.progress.active_bank == FOUND
+    assert journal.tables == [("backup", FOUND)]
+
+
+def test_a_disk_that_fills_on_the_way_out_does_not_keep_the_bank() -> None:
+    journal = FakeJournal()
+    machine = FakeMachine()
+    does = machine.stop
+
+    def stop() -> list[str]:
+        journal.full = True
+        return does()
+
+    machine.stop = stop
+    run, _, _ = ended(raising(MotionFault("limit"), written=True), machine, journal)
+    assert machine.active == run.progress.active_bank == FOUND
+
+
+def test_a_defect_is_seen_as_one_after_the_machine_is_as_it_was_found() -> None:
+    machine, journal = FakeMachine(), FakeJournal()
+    run = Run(machine, journal, raising(ZeroDivisionError("division by zero"), written=True))
+    with pytest.raises(ZeroDivisionError):
+        run.carry_out()
+    assert machine.active == FOUND
+    assert machine.position[1] == RETREAT_Y_MM
+    state, reason = journal.states[-1]
+    assert state is RunState.FAULTED
+    assert "defect in the agent: ZeroDivisionError" in reason
