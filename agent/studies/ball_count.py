@@ -31,7 +31,7 @@ AXIS_LABEL = "balls over the same length"
 class Curve:
     """Results of one identification variant: verdict and share of the gain for each of `COUNTS`.
 
-    A share is None if the variant gains nothing with any ball count.
+    A share is None if the bar was not identified, or if no ball count gains anything.
     """
 
     variant: IdentificationVariant

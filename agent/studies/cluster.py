@@ -96,7 +96,7 @@ class DaskWorkers:
 
     def _collect(self, client: Client, futures: Sequence[Work], done: OnItemsDone) -> list[list[Any]]:
         """Collect the results as they arrive and return them in the order of the futures."""
-        number = {future.key: place for place, future in enumerate(futures)}
+        number = {future.key: index for index, future in enumerate(futures)}
         found: list[list[Any]] = [[] for _ in futures]
         pending, finished = set(futures), 0
         timeout = _WorkerTimeout(self._address)

@@ -48,9 +48,9 @@ def _by_form(axes: Axes, panel: Panel) -> None:
     axes.axhline(95.0, color=QUIET, linewidth=0.8)
     middle = 0.5 * (len(panel.shares) - 1)
     for number, (region, shares) in enumerate(panel.shares.items()):
-        places = np.arange(len(shares)) + _REGION_OFFSET * (number - middle)
+        coordinates = np.arange(len(shares)) + _REGION_OFFSET * (number - middle)
         axes.errorbar(
-            places,
+            coordinates,
             [100.0 * share.observed for share in shares],
             [100.0 * share.standard_error for share in shares],
             fmt=MARKERS[number],

@@ -268,18 +268,18 @@ def _draw_sets(axes: Axes, named: Sequence[EvaluatedSet], designs: Sequence[Eval
 
 def _draw_variants(axes: Axes, variants: Sequence[EvaluatedSet]) -> None:
     names = [_variant_name(one) for one in variants]
-    places = list(range(len(variants)))[::-1]
-    axes.barh(places, [one.vce_um for one in variants], color=PURPLE, height=0.6)
-    for place, one in zip(places, variants, strict=True):
+    coordinates = list(range(len(variants)))[::-1]
+    axes.barh(coordinates, [one.vce_um for one in variants], color=PURPLE, height=0.6)
+    for coordinate, one in zip(coordinates, variants, strict=True):
         axes.annotate(
             f"{one.vce_um:.2f} ({one.positions} positions)",
-            (one.vce_um, place),
+            (one.vce_um, coordinate),
             (-4, -3),
             textcoords="offset points",
             ha="right",
             fontsize=8,
         )
-    axes.set_yticks(places, names)
+    axes.set_yticks(coordinates, names)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("expected VCE, rigidly aligned / µm")
     axes.set_title(f"Designs for {VARIANT_SHARE:.0%} of {REFERENCE}'s time")

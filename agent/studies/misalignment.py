@@ -26,9 +26,9 @@ Verdicts = Sequence[tuple[Verdict, ...]]
 def run(case: StudyCase) -> StudyResult:
     """Evaluate the case's bar with other tilts, in S2 and in S2+S3."""
     bar, evaluator, variants = Bar.of(case.artefact), ProcedureEvaluator(case), identification_variants(case.options)
-    places = [(name, tilt) for name in SETS for tilt in TILTS_DEG]
-    trials = [ProcedureVariant.of(case, bar.with_(tilt_deg=tilt), case.positions(name)) for name, tilt in places]
-    checked = [number for number, (_, tilt) in enumerate(places) if tilt in CHECKED_DEG]
+    cases = [(name, tilt) for name in SETS for tilt in TILTS_DEG]
+    trials = [ProcedureVariant.of(case, bar.with_(tilt_deg=tilt), case.positions(name)) for name, tilt in cases]
+    checked = [number for number, (_, tilt) in enumerate(cases) if tilt in CHECKED_DEG]
     rows = evaluator.evaluate(trials, variants, checked)
     by_set = {name: rows[n * len(TILTS_DEG) : (n + 1) * len(TILTS_DEG)] for n, name in enumerate(SETS)}
     return StudyResult(
@@ -37,7 +37,7 @@ def run(case: StudyCase) -> StudyResult:
         columns=("set", "tilt_deg", *COLUMNS),
         rows=[
             (name, tilt, *cells(variant.label, trial, verdict))
-            for (name, tilt), trial, row in zip(places, trials, rows, strict=True)
+            for (name, tilt), trial, row in zip(cases, trials, rows, strict=True)
             for variant, verdict in zip(variants, row, strict=True)
         ],
         summary=_summary(variants, by_set, evaluator.before),
@@ -90,10 +90,10 @@ def _draw(
     figure: Figure, variants: Sequence[IdentificationVariant], by_set: Mapping[str, Verdicts], before: VolumetricRms
 ) -> None:
     slots, every = figure.add_gridspec(1, len(by_set)), [row for rows in by_set.values() for row in rows]
-    for place, (name, rows) in enumerate(by_set.items()):
-        panel = BrokenAxes.add(figure, slots[place], every, before)
-        for number, _ in enumerate(variants):
-            panel.draw_curve(TILTS_DEG, [row[number] for row in rows], number)
+    for number, (name, rows) in enumerate(by_set.items()):
+        panel = BrokenAxes.add(figure, slots[number], every, before)
+        for series, _ in enumerate(variants):
+            panel.draw_curve(TILTS_DEG, [row[series] for row in rows], series)
         panel.draw_before(before)
         panel.label(name, "tilt of the holders θ / °")
         panel.set_abscissa(TILTS_DEG[0] - 1.5, TILTS_DEG[-1] + 1.5, TILTS_DEG)

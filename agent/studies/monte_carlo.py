@@ -217,6 +217,7 @@ def _error_of_root(values_mm: Array) -> float:
     squares = values_mm**2
     if len(squares) < 2:
         return 0.0
+    # standard error of the mean square m, carried through the root: d√m = dm / (2 √m)
     return float(squares.std(ddof=1) / np.sqrt(len(squares)) / (2.0 * np.sqrt(squares.mean())))
 
 

@@ -54,14 +54,18 @@ def _draw_contributions(axes: Axes, found: UncertaintyResult) -> None:
     """Draw the contributions, largest on top and the total at the bottom; their squares add up."""
     ordered = sorted(found.parts, key=lambda part: part.closed.aligned_mm)
     bars = [InfluenceResult("all together", found.budget.expected, found.together), *ordered]
-    places = np.arange(len(bars))
+    coordinates = np.arange(len(bars))
     lengths = np.array([bar.closed.aligned_um for bar in bars])
-    axes.barh(places[:1], lengths[:1], color=INK, height=0.62)
-    axes.barh(places[1:], lengths[1:], color=BLUE, height=0.62, label="closed form")
-    simulated = [(place, bar.simulated) for place, bar in zip(places, bars, strict=True) if bar.simulated is not None]
+    axes.barh(coordinates[:1], lengths[:1], color=INK, height=0.62)
+    axes.barh(coordinates[1:], lengths[1:], color=BLUE, height=0.62, label="closed form")
+    simulated = [
+        (coordinate, bar.simulated)
+        for coordinate, bar in zip(coordinates, bars, strict=True)
+        if bar.simulated is not None
+    ]
     axes.errorbar(
         [spread.expected.aligned_um for _, spread in simulated],
-        [place for place, _ in simulated],
+        [coordinate for coordinate, _ in simulated],
         xerr=[STANDARD_ERRORS * spread.standard_error.aligned_um for _, spread in simulated],
         fmt="D",
         color=ORANGE,
@@ -70,9 +74,9 @@ def _draw_contributions(axes: Axes, found: UncertaintyResult) -> None:
         linewidth=1.0,
         label="simulated alone,\n± 2 standard errors",
     )
-    for place, length in zip(places, lengths, strict=True):
-        axes.annotate(f"{length:.2f}", (length, place), (15.0, 0.0), textcoords="offset points", va="center")
-    axes.set_yticks(places, [bar.name for bar in bars])
+    for coordinate, length in zip(coordinates, lengths, strict=True):
+        axes.annotate(f"{length:.2f}", (length, coordinate), (15.0, 0.0), textcoords="offset points", va="center")
+    axes.set_yticks(coordinates, [bar.name for bar in bars])
     axes.set_xlim(0.0, 1.2 * lengths.max())
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("root mean square VCE, aligned / µm")
@@ -131,10 +135,10 @@ def _draw_motions(panels: tuple[Axes, Axes], budget: ErrorBudget) -> None:
 def _draw_bars(
     axes: Axes, names: list[str], family: Mapping[str, float], left: Mapping[str, float], factor: float
 ) -> None:
-    places = np.arange(len(names))
+    coordinates = np.arange(len(names))
     before = [factor * family[name] for name in names]
     after = [factor * left[name] for name in names]
-    axes.bar(places, before, color=GRID, edgecolor=QUIET, linewidth=0.6, width=0.78, label="family")
-    axes.bar(places, after, color=BLUE, width=0.5, label="after identification")
-    axes.set_xticks(places, names, rotation=60.0)
+    axes.bar(coordinates, before, color=GRID, edgecolor=QUIET, linewidth=0.6, width=0.78, label="family")
+    axes.bar(coordinates, after, color=BLUE, width=0.5, label="after identification")
+    axes.set_xticks(coordinates, names, rotation=60.0)
     axes.grid(visible=False, axis="x")

@@ -27,8 +27,7 @@ RANDOM_SETS = 60
 SMALLEST, LARGEST = 2, 24
 NAMED = ("S1", "S2", "S3", "S1+S3", "S1+S2+S3")
 MACHINES_SHARE, MIN_MACHINES = 20, 4
-"""Divisor of the case's number of machines, and minimum: every set is simulated on the same reduced number of
-machines."""
+"""Each set is simulated on 1/20 of the case's machines, but at least 4, the same machines for every set."""
 COLUMNS = (
     "set",
     "positions",

@@ -68,12 +68,12 @@ class BrokenAxes:
         """Part that bears the title."""
         return self.lower if self.upper is None else self.upper
 
-    def draw_curve(self, places: Sequence[float], verdicts: Sequence[Verdict], series: int) -> None:
+    def draw_curve(self, coordinates: Sequence[float], verdicts: Sequence[Verdict], series: int) -> None:
         """Draw the closed form as a line, with gaps if nothing is identified, and the simulation as open squares."""
         expected = [np.nan if value is None else value for value in map(aligned_um, verdicts)]
         for axes in self.parts:
-            axes.plot(places, expected, color=SERIES[series], marker=MARKERS[series])
-            draw_simulated(axes, places, verdicts, SERIES[series])
+            axes.plot(coordinates, expected, color=SERIES[series], marker=MARKERS[series])
+            draw_simulated(axes, coordinates, verdicts, SERIES[series])
 
     def draw_before(self, before: VolumetricRms) -> None:
         self.lower.axhline(before.aligned_um, color=QUIET, linestyle="--")
@@ -91,13 +91,15 @@ class BrokenAxes:
                 axes.set_xticks(ticks)
 
 
-def draw_simulated(axes: Axes, places: Sequence[float], verdicts: Sequence[Verdict], colour: str) -> None:
+def draw_simulated(axes: Axes, coordinates: Sequence[float], verdicts: Sequence[Verdict], colour: str) -> None:
     """Draw simulated procedures as open squares with two standard errors."""
-    for place, verdict in zip(places, verdicts, strict=True):
+    for coordinate, verdict in zip(coordinates, verdicts, strict=True):
         if verdict.simulated is not None and verdict.standard_error is not None:
             error = TWO_STANDARD_ERRORS * verdict.standard_error.aligned_um
             value = verdict.simulated.aligned_um
-            axes.errorbar([place], [value], [error], color=colour, fmt="s", ms=8, mfc="none", capsize=3, elinewidth=1.0)
+            axes.errorbar(
+                [coordinate], [value], [error], color=colour, fmt="s", ms=8, mfc="none", capsize=3, elinewidth=1.0
+            )
 
 
 def draw_legend(figure: Figure, titles: Sequence[str], before: VolumetricRms) -> None:

@@ -89,13 +89,13 @@ class Procedure:
         left_out: list[Position] = []
         unreachable = 0
         for position in positions:
-            balls, places = self.balls_of(position)
+            balls, nominal_positions = self.balls_of(position)
             unreachable += self.layout(position.tool).artefact_at(position.station).count - len(balls)
             if len(balls) < MIN_BALLS:
                 left_out.append(position)
                 continue
             used.append(position)
-            found.append((balls, places))
+            found.append((balls, nominal_positions))
         if not used:
             raise DataError(
                 f"none of the {len(positions)} positions has three balls within reach",
@@ -113,7 +113,7 @@ class Procedure:
             position=np.repeat(np.arange(len(positions)), counts),
             ball=np.concatenate([balls for balls, _ in found]),
             tool=np.repeat(tools, counts),
-            axis_positions=np.concatenate([places for _, places in found]),
+            axis_positions=np.concatenate([nominal_positions for _, nominal_positions in found]),
             covariance=np.broadcast_to(self.covariance_mm2, (total, 3, 3)),
             temperature_c=np.full(total, self.artefact.reference_temperature_c),
             elevation_rad=np.repeat(elevations, counts),

@@ -62,7 +62,7 @@ class Selection:
         """Return the chosen indices by rising loss, and the increase of the value if each is removed."""
         losses = self.information.losses(np.array(self.chosen, dtype=np.intp))
         order = np.argsort(losses, kind="stable")
-        return [self.chosen[place] for place in order], losses[order]
+        return [self.chosen[rank] for rank in order], losses[order]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +106,8 @@ class ExchangeSearch:
 
     def _round(self, selection: Selection, room: FeasibleMask) -> tuple[int, ...]:
         kept = self._promising(selection)
-        place = {int(index): here for here, index in enumerate(kept)}
-        near = Selection(tuple(place[index] for index in selection.chosen), selection.information.restricted_to(kept))
+        local = {int(index): number for number, index in enumerate(kept)}
+        near = Selection(tuple(local[index] for index in selection.chosen), selection.information.restricted_to(kept))
         for index in near.by_rising_loss()[0]:
             near = self._exchange_one(near, index, room, kept)
         return tuple(int(kept[index]) for index in near.chosen)

@@ -156,4 +156,4 @@ def _new_positions(set_up: SetUp, name: str) -> tuple[Position, ...]:
     there = {(p.station, p.azimuth_deg, p.elevation_deg) for p in set_up.first_positions()}
     stations = sorted({station for station, _, _ in there})
     wanted = [(station, *orientation) for station in stations for orientation in POSITION_SETS[name]]
-    return tuple(Position(*place) for place in wanted if place not in there)
+    return tuple(Position(*key) for key in wanted if key not in there)

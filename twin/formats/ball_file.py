@@ -65,11 +65,11 @@ def parse_balls(
     ball = [row.parse_int("ball", 0) for row in rows]
     _check_duplicates(rows, numbers, tool, ball)
     positions = _positions(rows, numbers)
-    place = {number: index for index, number in enumerate(positions)}
+    index_of = {number: index for index, number in enumerate(positions)}
     sigma_mm = np.array([1e-3 * _sigma_um(row, default_sigma_um) for row in rows])
     elevations = [positions[number].elevation_deg for number in numbers]
     observations = Observations(
-        position=np.array([place[number] for number in numbers]),
+        position=np.array([index_of[number] for number in numbers]),
         ball=np.array(ball),
         tool=np.array(tool),
         axis_positions=np.array([[row.parse_float(name) for name in ("x_mm", "y_mm", "z_mm")] for row in rows]),
@@ -89,8 +89,9 @@ def format_balls(observations: Observations, positions: Sequence[Position], tool
     lines = [",".join(COLUMNS)]
     sigma_um = 1e3 * np.sqrt(np.einsum("nii->n", observations.covariance) / 3.0)
     for row in range(observations.size):
-        place = positions[int(observations.position[row])]
-        head = f"{observations.position[row]},{place.station},{place.azimuth_deg:.10g},{place.elevation_deg:.10g}"
+        placement = positions[int(observations.position[row])]
+        angles = f"{placement.azimuth_deg:.10g},{placement.elevation_deg:.10g}"
+        head = f"{observations.position[row]},{placement.station},{angles}"
         x, y, z = observations.axis_positions[row].tolist()
         measured = f"{x:.7f},{y:.7f},{z:.7f},{sigma_um[row]:.6g},{observations.temperature_c[row]:.10g}"
         lines.append(f"{head},{tool_names[int(observations.tool[row])]},{observations.ball[row]},{measured}")
@@ -125,9 +126,9 @@ def _positions(rows: list[CsvRow], numbers: list[int]) -> dict[int, Position]:
     found: dict[int, tuple[CsvRow, Position]] = {}
     for row, number in zip(rows, numbers, strict=True):
         position = _position(row)
-        first, said = found.setdefault(number, (row, position))
+        first, stated = found.setdefault(number, (row, position))
         for column in ("station", "azimuth_deg", "elevation_deg"):
-            if not math.isclose(getattr(position, column), getattr(said, column), abs_tol=1e-9):
+            if not math.isclose(getattr(position, column), getattr(stated, column), abs_tol=1e-9):
                 message = f"{column} of position {number} differs from that in row {first.number}"
                 raise row.error(message, column, hint="A position is one placement of the artefact")
     return {number: found[number][1] for number in sorted(found)}

@@ -20,12 +20,12 @@ _SAME_NODE_DIGITS = 6  # coordinates equal to a nanometre are the same node: exp
 def parse_deflection(text: str, source: str) -> DeflectionGrid:
     """Return the grid given as CSV text. Raise FormatError naming `source`, row (the header is row 1) and column."""
     table, rows = _numbers(text, source)
-    nodes, places = [], []
+    nodes, node_indices = [], []
     for axis in range(3):
         unique, inverse = np.unique(np.round(table[:, axis], _SAME_NODE_DIGITS), return_inverse=True)
         nodes.append(unique)
-        places.append(inverse.reshape(-1))
-    flat = np.ravel_multi_index(tuple(places), tuple(n.size for n in nodes))
+        node_indices.append(inverse.reshape(-1))
+    flat = np.ravel_multi_index(tuple(node_indices), tuple(n.size for n in nodes))
     _check_complete(flat, nodes, rows, source)
     values = np.empty_like(table[:, 3:])
     values[flat] = 1e-3 * table[:, 3:]
@@ -39,8 +39,8 @@ def format_deflection(grid: DeflectionGrid) -> str:
     """Return a grid as CSV text: x slowest, z fastest, displacements rounded to 0.1 nm."""
     x, y, z = (values.reshape(-1) for values in np.meshgrid(*grid.nodes, indexing="ij"))
     lines = [",".join(COLUMNS)]
-    for place, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):
-        coordinates = [f"{round(float(value), _SAME_NODE_DIGITS):.10g}" for value in place]
+    for point, displacement in zip(zip(x, y, z, strict=True), grid.values.reshape(-1, 3), strict=True):
+        coordinates = [f"{round(float(value), _SAME_NODE_DIGITS):.10g}" for value in point]
         lines.append(",".join(coordinates + [f"{1e3 * float(value) + 0.0:.4f}" for value in displacement]))
     return "\n".join(lines).replace("-0.0000", "0.0000") + "\n"
 
@@ -88,15 +88,15 @@ def _number(cell: str, column: str, row: int, source: str) -> float:
 
 def _check_complete(flat: NDArray[np.intp], nodes: list[Array], rows: list[int], source: str) -> None:
     first_seen: dict[int, int] = {}
-    for place, row in zip(flat.tolist(), rows, strict=True):
-        if place in first_seen:
-            raise FormatError(f"the node of row {first_seen[place]} is repeated", file=source, row=row)
-        first_seen[place] = row
+    for node, row in zip(flat.tolist(), rows, strict=True):
+        if node in first_seen:
+            raise FormatError(f"the node of row {first_seen[node]} is repeated", file=source, row=row)
+        first_seen[node] = row
     shape = tuple(n.size for n in nodes)
     count = math.prod(shape)
     if len(first_seen) == count:
         return
-    missing = next(place for place in range(count) if place not in first_seen)
+    missing = next(node for node in range(count) if node not in first_seen)
     index = np.unravel_index(missing, shape)
     where = ", ".join(f"{axis} {n[k]:g}" for axis, n, k in zip(AXES, nodes, index, strict=True))
     sizes = " x ".join(str(size) for size in shape)

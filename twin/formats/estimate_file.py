@@ -217,13 +217,13 @@ def _check_names(document: EstimateFile, model: ErrorModel, source: str) -> None
     if len(found) != model.size:
         message = f"{len(found)} parameters, but the model has {model.size}"
         raise FormatError(message, file=source, key="parameters")
-    for place, (name, parameter) in enumerate(zip(found, model.parameters, strict=True)):
+    for index, (name, parameter) in enumerate(zip(found, model.parameters, strict=True)):
         if name != parameter.name:
             message = f"parameter '{name}' instead of '{parameter.name}'"
-            raise FormatError(message, file=source, key=f"parameters[{place}].name")
-        if document.parameters[place].unit != parameter.unit:
+            raise FormatError(message, file=source, key=f"parameters[{index}].name")
+        if document.parameters[index].unit != parameter.unit:
             message = f"the unit of {name} must be {parameter.unit}"
-            raise FormatError(message, file=source, key=f"parameters[{place}].unit")
+            raise FormatError(message, file=source, key=f"parameters[{index}].unit")
 
 
 def _covariance(document: EstimateFile, source: str) -> Array:

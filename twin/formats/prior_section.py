@@ -71,7 +71,7 @@ def carried_over_document(unknowns: Unknowns, mean: Array, covariance: Array) ->
         },
         "misfit": None if unknowns.modes is None else _misfit_document(unknowns.modes, unknowns.misfit_mm),
         "mean": mean.tolist(),
-        "covariance": [row[: place + 1] for place, row in enumerate(covariance.tolist())],
+        "covariance": [row[: index + 1] for index, row in enumerate(covariance.tolist())],
     }
 
 
@@ -135,8 +135,8 @@ def read_moments(section: CarriedOverSection, size: int, source: str) -> tuple[A
         message = f"the covariance must have {size} rows of 1 to {size} numbers (its lower triangle)"
         raise FormatError(message, file=source, key=f"{KEY}.covariance")
     covariance = np.zeros((size, size))
-    for place, row in enumerate(section.covariance):
-        covariance[place, : place + 1] = covariance[: place + 1, place] = row
+    for index, row in enumerate(section.covariance):
+        covariance[index, : index + 1] = covariance[: index + 1, index] = row
     return mean, covariance
 
 

@@ -86,19 +86,19 @@ def _as_format_error(error: ValidationError, source: str, kind: type[BaseModel])
     start = _location(problems[0]["loc"])
     same = [problem for problem in problems if _location(problem["loc"]).startswith(start)]
     worst = max(same, key=lambda problem: len(_without_union_labels(problem["loc"])))
-    place = _location(worst["loc"])
+    key = _location(worst["loc"])
     message, hint = _describe(worst["type"], worst["msg"], worst.get("input"), worst["loc"], kind)
     others = {_location(problem["loc"]) for problem in problems}
-    others = {other for other in others if not (place.startswith(other) or other.startswith(place))}
+    others = {other for other in others if not (key.startswith(other) or other.startswith(key))}
     if others:
         message = f"{message}; also wrong in this file: {', '.join(sorted(others))}"
-    return FormatError(message, hint=hint, file=source, key=place)
+    return FormatError(message, hint=hint, file=source, key=key)
 
 
 def _describe(
-    problem: str, text: str, value: object, place: Sequence[str | int], kind: type[BaseModel]
+    problem: str, text: str, value: object, raw_location: Sequence[str | int], kind: type[BaseModel]
 ) -> tuple[str, str]:
-    location = _without_union_labels(place)
+    location = _without_union_labels(raw_location)
     known = _known_keys(kind, location[:-1])
     name = str(location[-1]) if location else ""
     if problem == "extra_forbidden":

@@ -66,6 +66,7 @@ def _log_covariance(precision: PriorPrecision, posterior: Posterior, scales: Sca
     # C D: share of each unknown that comes from the prior; 1 - C D is the share that comes from the measurements
     kept = posterior.covariance @ prior
     measured = np.eye(len(kept)) - kept
+    # traces of V⁻¹∂V V⁻¹∂V' by the posterior: first the noise, then each pair of blocks of the prior
     information = np.zeros((len(SCALE_PRIORS), len(SCALE_PRIORS)))
     information[0, 0] = rows - len(kept) + float(np.vdot(kept.T, kept))
     noise = np.diagonal(kept) - np.einsum("ab,ba->a", kept, kept)

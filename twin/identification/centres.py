@@ -60,11 +60,11 @@ class CentreEquations:
         """Return Aᵀy (P,), |y|² and the best-fitting poses for the exact `sides` at z."""
         layout = self.problem.layout
         left, local = sides
-        white = self._whitened(left - poses.place(layout, local))
+        white = self._whitened(left - poses.to_workpiece(layout, local))
         increments = self.projector.increments(white)
         poses = poses.moved(increments, self.problem.arms)
         if np.abs(increments).max() > _LINEAR_MM:
-            white = self._whitened(left - poses.place(layout, local))
+            white = self._whitened(left - poses.to_workpiece(layout, local))
         # y = W (A z - exact residual): solving A z' = y gives the next iterate z' itself, not its step
         target = self._whitened(self.problem.change(z)) - white if z.any() else -white
         parts = self.projector.parts(target[:, :, None]).reshape(-1)
@@ -75,7 +75,7 @@ class CentreEquations:
     def remaining(self, sides: Sides, poses: Poses) -> Array:
         """Return the whitened residuals (K, 3 width) after removing the effect of pose increments."""
         left, local = sides
-        white = self._whitened(left - poses.place(self.problem.layout, local))
+        white = self._whitened(left - poses.to_workpiece(self.problem.layout, local))
         return self.projector.remove(white[:, :, None])[:, :, 0]
 
     def projected(self, size: int) -> Array:

@@ -66,10 +66,10 @@ class MachineDrift:
         cls, model: ErrorModel, prior: DriftPrior, regressor_count: int, free: np.ndarray[Any, np.dtype[np.bool_]]
     ) -> MachineDrift:
         """Return the drift of a model; `free` (p,) bool marks the parameters that are not held at zero."""
-        drifting = [(place, one) for place, one in enumerate(model.parameters) if _drifts(one) and free[place]]
+        drifting = [(index, one) for index, one in enumerate(model.parameters) if _drifts(one) and free[index]]
         deviations = [_per_k(prior, one) * _lever_mm(model, one) for _, one in drifting]
-        names, places = tuple(one.name for _, one in drifting), tuple(place for place, _ in drifting)
-        return cls(names, places, np.array(deviations), prior.tip_mm_per_k, regressor_count)
+        names, indices = tuple(one.name for _, one in drifting), tuple(index for index, _ in drifting)
+        return cls(names, indices, np.array(deviations), prior.tip_mm_per_k, regressor_count)
 
     @property
     def forms(self) -> int:

@@ -146,8 +146,8 @@ def negative_log_likelihood(normal: NormalEquations, precision: PriorPrecision, 
     noise = 2.0 * (normal.rows - (len(z) - trace) - normal.misfit_square(z) / variance)
     gradient = np.zeros(len(SCALE_PRIORS))
     gradient[0] = noise
-    for place, block in enumerate(scaled_blocks(blocks), start=1):
-        gradient[place] = 2.0 * _log_scale_derivative(block, taken, weighted_z, z)
+    for index, block in enumerate(scaled_blocks(blocks), start=1):
+        gradient[index] = 2.0 * _log_scale_derivative(block, taken, weighted_z, z)
     return value, gradient
 
 

@@ -168,11 +168,12 @@ def _state(whole: IdentificationProblem, options: Options) -> Array | None:
     drift, blocks, scale = whole.unknowns.drift, whole.blocks, whole.unknowns.scale
     if drift is None:
         return None
+    # parameters in the state = parameters at the start + drift until then, in units of the prior
     state = np.eye(blocks.drift.start, blocks.size)
     if options.state_regressors is not None:
-        places = list(drift.parameter_indices)
-        state[places, blocks.drift] = (
-            drift.change_matrix(options.state_regressors)[: len(places)] / scale[places][:, None]
+        indices = list(drift.parameter_indices)
+        state[indices, blocks.drift] = (
+            drift.change_matrix(options.state_regressors)[: len(indices)] / scale[indices][:, None]
         )
     return state
 
@@ -220,13 +221,13 @@ def _residuals(whole: IdentificationProblem, selection: _RowSelection, solution:
     if not accepted.all():
         poses = _poses_of_all(poses, whole, accepted)
     residuals = np.empty_like(left)
-    residuals[whole.layout.order] = left - poses.place(whole.layout, local)
+    residuals[whole.layout.order] = left - poses.to_workpiece(whole.layout, local)
     return residuals
 
 
 def _poses_of_all(poses: Poses, whole: IdentificationProblem, accepted: Mask) -> Poses:
     """Return poses of all positions; a position without accepted rows takes the pose of a neighbour."""
     position = whole.observations.position
-    place = np.searchsorted(np.unique(position[accepted]), np.unique(position))
-    place = np.minimum(place, len(poses.rotation) - 1)
-    return Poses(poses.rotation[place], poses.translation[place])
+    neighbour = np.searchsorted(np.unique(position[accepted]), np.unique(position))
+    neighbour = np.minimum(neighbour, len(poses.rotation) - 1)
+    return Poses(poses.rotation[neighbour], poses.translation[neighbour])

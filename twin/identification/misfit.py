@@ -139,8 +139,8 @@ class _Represented:
         return np.asarray(self.inverse @ contained)
 
     def left(self, chosen: slice, deviations: Array) -> Array:
-        """Return mean products (3c, 3c) of the chosen candidates without the represented part, times deviations
-        (c,)."""
+        """Return the Gram matrix (3c, 3c) of the chosen candidates, times deviations (c,), less the represented
+        part."""
         common = np.concatenate([part[:, chosen] * deviations for part in self.common], axis=1)
         own = np.tile(self.squares[chosen] * deviations**2, 3)
         # residual of a least-squares projection on the known fields G: CᵀC - CᵀG (GᵀG)⁻¹ GᵀC

@@ -92,6 +92,7 @@ def field_form(model: ErrorModel, scale: Array, tool_offsets: Array, aligned: bo
     if aligned:
         points = np.concatenate([grid + offset for offset in offsets])
         motions = rigid_fields(points, points.mean(axis=0), float(np.ptp(points, axis=0).max())).reshape(-1, 6)
+        # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
         shared = motions.T @ flat
         form -= shared.T @ np.linalg.solve(motions.T @ motions, shared)
     return np.asarray(form / len(basis))

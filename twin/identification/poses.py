@@ -80,7 +80,7 @@ class Poses:
     rotation: Array
     translation: Array
 
-    def place(self, layout: RowLayout, local: Array) -> Array:
+    def to_workpiece(self, layout: RowLayout, local: Array) -> Array:
         """Return the workpiece coordinates (n, 3) of artefact points (n, 3), rows sorted by position."""
         turned = layout.pad(local) @ self.rotation.transpose(0, 2, 1)
         turned += self.translation[:, None, :]

@@ -79,6 +79,7 @@ def field_forms(estimate: FieldKnowledge, points: Array, offset: Array) -> tuple
     The first form is raw, the second after the best rigid motion.
     """
     sums = _sums(estimate, points, offset)
+    # remove the best rigid motion G: FᵀF - FᵀG (GᵀG)⁻¹ GᵀF
     rigid = sums.shared.T @ sums.share
     return sums.field / len(points), (sums.field - 0.5 * (rigid + rigid.T)) / len(points)
 

@@ -48,13 +48,13 @@ class CarriedOverPrior:
         if wrong.any():
             row = int(np.argmax(wrong))
             raise DataError("the carried-over covariance is not symmetric", row=row, unknown=self.unknowns.name(row))
-        place = dpotrf(covariance, lower=1)[1]
-        if place:
+        failed = dpotrf(covariance, lower=1)[1]
+        if failed:
             raise DataError(
                 "the carried-over covariance is singular or indefinite",
                 hint="every unknown of an estimate has some uncertainty: use its file exactly as it was written",
-                row=int(place) - 1,
-                unknown=self.unknowns.name(int(place) - 1),
+                row=int(failed) - 1,
+                unknown=self.unknowns.name(int(failed) - 1),
             )
         object.__setattr__(self, "covariance", covariance)
 
@@ -98,6 +98,7 @@ def joint_prior_for(unknowns: Unknowns, carried: CarriedOverPrior) -> JointPrior
     )
     size = unknowns.blocks.size
     taken, precision, information_vector = np.zeros(size, dtype=bool), np.zeros((size, size)), np.zeros(size)
+    # marginal posterior of the shared unknowns as precision C⁻¹ and information vector C⁻¹ m
     inverse = np.linalg.inv(carried.covariance[np.ix_(there, there)])
     inverse = 0.5 * (inverse + inverse.T)
     taken[here] = True
@@ -112,9 +113,9 @@ def _shared(old: Unknowns, new: Unknowns) -> Iterator[tuple[slice, slice]]:
     yield before.parameters, now.parameters
     if old.artefact.certificate is new.artefact.certificate:
         yield before.certificate, now.certificate
-        for place, name in enumerate(new.artefact.strain_names):
+        for index, name in enumerate(new.artefact.strain_names):
             if name in old.artefact.strain_names:
                 at = before.strain.start + old.artefact.strain_names.index(name)
-                yield slice(at, at + 1), slice(now.strain.start + place, now.strain.start + place + 1)
+                yield slice(at, at + 1), slice(now.strain.start + index, now.strain.start + index + 1)
     if old.modes is not None and old.modes is new.modes:
         yield before.misfit, now.misfit

@@ -65,6 +65,7 @@ def solve(problem: IdentificationProblem, options: Options, formulation: Formula
     gain = _NormalSolver(posterior, scales.noise**2, precision.information_vector)
     z, normal, poses, sides = _iterate(equations, gain, start, poses)
     covariance = posterior.covariance
+    # effective number of parameters: trace(C AᵀA) / σ²
     taken = float(np.vdot(covariance, equations.matrix)) / scales.noise**2
     degrees_of_freedom = max(equations.rows - taken, 1.0)
     chi2 = normal.misfit_square(z) / degrees_of_freedom

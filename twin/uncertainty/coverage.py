@@ -154,19 +154,20 @@ def held_out_levels(
     """
     problem = build_problem(family, seen, artefact, options)
     left, local = problem.sides(estimate.z)
-    residuals = left - rigid_poses(problem.layout, local, left).place(problem.layout, local)
+    residuals = left - rigid_poses(problem.layout, local, left).to_workpiece(problem.layout, local)
     return np.array([_held_out_level(estimate, problem, residuals, k) for k in range(problem.layout.positions)])
 
 
-def _held_out_level(estimate: Estimate, problem: IdentificationProblem, residuals: Array, place: int) -> float:
+def _held_out_level(estimate: Estimate, problem: IdentificationProblem, residuals: Array, position: int) -> float:
     layout = problem.layout
-    rows = np.flatnonzero(layout.index == place)
-    design = problem.design[place, : len(rows)].reshape(3 * len(rows), -1)
+    rows = np.flatnonzero(layout.index == position)
+    design = problem.design[position, : len(rows)].reshape(3 * len(rows), -1)
     covariance = design @ estimate.z_covariance @ design.T
     for number, row in enumerate(rows):
         block = slice(3 * number, 3 * number + 3)
         # misfit of short wavelength, not resolved by the modes, is part of the estimated noise scale
         covariance[block, block] += estimate.scales.noise**2 * problem.observations.covariance[row]
+    # project on the complement of the rigid motions, since the pose of the position is unknown
     motions = _motions(problem.observations.axis_positions[rows])
     free = np.linalg.qr(motions, mode="complete")[0][:, 6:]
     return joint_level(free.T @ residuals[rows].reshape(-1), free.T @ covariance @ free)

@@ -75,10 +75,10 @@ def true_vce(estimate: Estimate, truth: TrueMachine, form: FieldForm) -> Volumet
     return VolumetricRms(float(raw[0]), float(aligned[0]))
 
 
-def _embed(form: FieldForm, parameters: Array, places: IndexArray) -> Array:
-    """Embed parameters (m, ...) at `places` into vectors (m, u) of the joint model."""
+def _embed(form: FieldForm, parameters: Array, indices: IndexArray) -> Array:
+    """Embed parameters (m, ...) at `indices` into vectors (m, u) of the joint model."""
     vectors = np.zeros((len(parameters), form.size))
-    vectors[:, places] = parameters
+    vectors[:, indices] = parameters
     return vectors
 
 
@@ -119,6 +119,7 @@ def _orientation(planned: Observations, stated: Artefact) -> Array:
     found = _about_centroid(points, planned.position)
     laid = _about_centroid(np.einsum("nij,nj->ni", raised, stated.balls[planned.ball]), planned.position)
     group = np.unique(planned.position, return_inverse=True)[1]
+    # azimuth of the best fit in the XY plane: tan = Σ (laid × found)_z / Σ laid · found
     across = np.bincount(group, laid[:, 0] * found[:, 1] - laid[:, 1] * found[:, 0])
     along = np.bincount(group, laid[:, 0] * found[:, 0] + laid[:, 1] * found[:, 1])
     azimuth = np.arctan2(across, along)[group]

@@ -36,13 +36,13 @@ def mixture_components(estimate: Estimate) -> tuple[MixtureComponent, ...]:
         return (_as_stated(estimate),)
     unknowns, blocks = estimate.unknowns, estimate.unknowns.blocks
     every = np.arange(blocks.size)
-    places = np.concatenate((every[blocks.parameters], every[blocks.misfit]))
-    units = np.concatenate((unknowns.scale, np.ones(len(places) - len(unknowns.scale))))
+    indices = np.concatenate((every[blocks.parameters], every[blocks.misfit]))
+    units = np.concatenate((unknowns.scale, np.ones(len(indices) - len(unknowns.scale))))
     left_out = np.zeros(4) if unknowns.modes is None else unknowns.misfit_mm**2 * unknowns.modes.left_out
     return tuple(
         MixtureComponent(
-            mean=units * one.z[places],
-            covariance=one.covariance[np.ix_(places, places)] * np.multiply.outer(units, units),
+            mean=units * one.z[indices],
+            covariance=one.covariance[np.ix_(indices, indices)] * np.multiply.outer(units, units),
             unresolved_mm2=float(left_out @ np.square(one.scales.kinds)),
         )
         for one in estimate.alternatives
