@@ -94,7 +94,7 @@ def test_link_that_cannot_be_made_is_one_clear_line(tmp_path: Path) -> None:
 def test_the_zero_of_the_axes_is_the_one_shipped(case: Case) -> None:
     zero = re.search(r"axis_zero_mm = (\[.*?\])", case.settings.read_text())
     assert zero is not None
-    assert case.require_ready["serial"]["axis_zero_mm"] == json.loads(zero[1])
+    assert case.ready["serial"]["axis_zero_mm"] == json.loads(zero[1])
 
 
 def test_doctor_finds_nothing_wrong_and_says_where_the_tables_are(case: Case) -> None:
