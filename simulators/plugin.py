@@ -32,7 +32,7 @@ class SimulatedSettings(BaseModel):
             if inline:
                 raise ValueError(f"key {sorted(inline)[0]!r} belongs in the scenario file {self.scenario}")
             return self
-        self._document = _validated({**inline, "ideal": self.ideal})
+        self._document = _validate_document({**inline, "ideal": self.ideal})
         return self
 
     def world(self, base: Path) -> World:
@@ -45,7 +45,7 @@ class SimulatedSettings(BaseModel):
         return World(scenario)
 
 
-def _validated(inline: dict[str, Any]) -> ScenarioDocument:
+def _validate_document(inline: dict[str, Any]) -> ScenarioDocument:
     """Validate the inline scenario; ValueError gives the key path and message of its first error."""
     try:
         return ScenarioDocument.model_validate(inline)

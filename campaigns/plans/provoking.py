@@ -46,10 +46,10 @@ def compare_judge(seed: int, moves: int) -> JudgeComparison:
             drawn = draw(seed, Path(directory))
         except UserError:
             return JudgeComparison()
-        return JudgeComparison.sum(_moved(drawn, number) for number in range(moves))
+        return JudgeComparison.sum(_compare_move(drawn, number) for number in range(moves))
 
 
-def _moved(drawn: DrawnCase, number: int) -> JudgeComparison:
+def _compare_move(drawn: DrawnCase, number: int) -> JudgeComparison:
     rng = np.random.default_rng([drawn.seed, number, 7])
     limits = np.array(drawn.scenario.machine.limits)
     start, target = (rng.uniform(limits[:, 0], limits[:, 1]) for _ in range(2))

@@ -38,12 +38,12 @@ def build(components: Path, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     for source in OWN_COMPONENTS.iterdir():
         shutil.copy(source, out)
-    _compiled(["halcompile", "--compile", "volcal_plant.comp"], out)
-    _compiled(["make", "--no-print-directory", "-C", str(components), f"OUT={out}"], out)
+    _compile(["halcompile", "--compile", "volcal_plant.comp"], out)
+    _compile(["make", "--no-print-directory", "-C", str(components), f"OUT={out}"], out)
     return sorted(out.glob("*.so"))
 
 
-def _compiled(command: list[str], directory: Path) -> None:
+def _compile(command: list[str], directory: Path) -> None:
     done = subprocess.run(  # noqa: S603  programs of the distribution
         command, cwd=directory, capture_output=True, text=True, timeout=BUILD_WITHIN_S, check=False
     )

@@ -50,7 +50,7 @@ class LinuxCncPlant:
             backlash_mm=_in_mm(settings.axes.backlash_of_axes_um),
             tool_mm=tool,
         )
-        self.memory = PlantMemory(file, _sampled(self.world.truth.machine, scenario), nature)
+        self.memory = PlantMemory(file, _sample_field(self.world.truth.machine, scenario), nature)
         self._shown: WorkpieceSnapshot | None = None
         self._tip: Point | None = None
         self._colliding: set[tuple[str, str]] = set()
@@ -96,7 +96,7 @@ class LinuxCncPlant:
         self._colliding = now
 
 
-def _sampled(machine: TrueMachine, scenario: Scenario) -> DeviationGrid:
+def _sample_field(machine: TrueMachine, scenario: Scenario) -> DeviationGrid:
     """Sample the machine's deviation on a grid fine enough that interpolation is wrong by less than 0.1 µm."""
     low, high = np.array(scenario.machine.limits, dtype=np.float64).T
     cells = np.maximum(np.ceil((high - low) / GRID_STEP_MM), 1).astype(int)

@@ -21,8 +21,8 @@ TICK_S = 0.002
 class TimeServer:
     """Lockstep over TCP.
 
-    Each client's seconds count from the machine time at which it connected, because its clock starts at zero: a second
-    agent after the first one's night does not stand still.
+    A client's clock starts at zero, so its seconds count from the machine time at which it connected. Otherwise time
+    would stand still for a second agent until its clock had passed the end of the first one's night.
     """
 
     def __init__(self, shared: SharedWorld[TimeDriven], address: tuple[str, int]) -> None:

@@ -31,7 +31,7 @@ def apply_ageing(machine: TrueMachine, description: MachineDescription, ageing: 
     model = machine.model
     if model is None:
         return machine
-    change = seasonal_change(model, ageing) + _walked(model, description, machine.tool_offset, ageing)
+    change = seasonal_change(model, ageing) + _random_walk_change(model, description, machine.tool_offset, ageing)
     if ageing.collision_night is not None and ageing.night >= ageing.collision_night:
         change += collision_change(model, ageing.collision)
     return replace(machine, parameters=machine.parameters + change)
@@ -73,7 +73,9 @@ def collision_change(model: ErrorModel, jumps: Mapping[str, float]) -> Array:
     return change
 
 
-def _walked(model: ErrorModel, description: MachineDescription, tool_offset: Array, ageing: AgeingSettings) -> Array:
+def _random_walk_change(
+    model: ErrorModel, description: MachineDescription, tool_offset: Array, ageing: AgeingSettings
+) -> Array:
     """Return the (p,) sum of independent nightly steps; each night's step depends only on the seed and the night."""
     if not (ageing.walk_um and ageing.night):
         return np.zeros(model.size)

@@ -54,7 +54,7 @@ class ContactSolver:
             distance = entry_distance(start, path, apparent, self._reach)
             if distance is not None and (first is None or distance < first.distance):
                 first = Contact(distance, ball)
-        return self._refined(first, path, snapshot) if first and self._shift.has_field else first
+        return self._refine(first, path, snapshot) if first and self._shift.has_field else first
 
     def tip(self, axis_position: Point) -> Point:
         """Return the tip centre in the workpiece frame. The last result is cached, because an axis often rests."""
@@ -91,7 +91,7 @@ class ContactSolver:
         distance = -closing + math.sqrt(max(closing * closing + inside, 0.0))
         return distance if distance <= path.length else math.inf
 
-    def _refined(self, contact: Contact, path: StraightPath, snapshot: WorkpieceSnapshot) -> Contact | None:
+    def _refine(self, contact: Contact, path: StraightPath, snapshot: WorkpieceSnapshot) -> Contact | None:
         # Second iteration: solve again with the deviation at the first solution.
         field = self._shift.field_at(path.at(contact.distance))
         start = translate_point(translate_point(path.start, self._tool), translate_point(self._shift.rigid, field))

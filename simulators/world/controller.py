@@ -227,7 +227,7 @@ class Controller:
             return
         forecast = motion.forecast
         if forecast.trip_s is not None and instant_s >= forecast.trip_s:
-            self._tripped(motion, forecast.trip_s)
+            self._handle_trip(motion, forecast.trip_s)
         if instant_s >= forecast.end_s:
             self._arrive(motion)
 
@@ -285,7 +285,7 @@ class Controller:
         motion.forecast = forecast_motion(motion.law, motion.events, motion.command.acceleration)
         self._on_motion()
 
-    def _tripped(self, motion: _Motion, instant_s: float) -> None:
+    def _handle_trip(self, motion: _Motion, instant_s: float) -> None:
         if motion.command.kind is MoveKind.GUARDED:
             motion.ends_in, motion.reason = MotionState.FAULT, motion.reason or "probe tripped in a guarded move"
         elif self.latch is None or self.latch.sequence < self._touches:

@@ -125,7 +125,9 @@ class MountPhysics:
 
 
 class _MountErrors:
-    """Index error with one and two periods per turn and wobble with one period; repeatable for a given pose."""
+    """Repeatable errors of the mount: index errors with one and two periods per turn, wobble with
+    one period per turn.
+    """
 
     def __init__(self, behaviour: MountBehaviour, seed: int, name: str) -> None:
         rng = generator(seed, name)

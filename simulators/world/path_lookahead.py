@@ -33,16 +33,16 @@ class PathLookahead:
         free_mm, pressed = self._from_rest(command, snapshot, resting)
         contact = self._contacts.first(command.path, snapshot, resting)
         if contact is None:
-            return PathEvents(None, earliest(pressed, self._swept(command, snapshot, None, resting)), free_mm)
+            return PathEvents(None, earliest(pressed, self._first_collision(command, snapshot, None, resting)), free_mm)
         if command.kind is MoveKind.POSITIONING:
             met = tip_crash(snapshot.ball_names[contact.ball], contact.distance)
-            swept = self._swept(command, snapshot, contact.distance, resting)
+            swept = self._first_collision(command, snapshot, contact.distance, resting)
             return PathEvents(None, earliest(pressed, met, swept), free_mm)
         trip_mm = contact.distance + self._trigger.travel_mm(command.path.direction, touch)
         # Braking distance after the trip: v² / (2 a).
         stopped = trip_mm + 0.5 * command.speed**2 / command.acceleration
         spent = tip_crash(snapshot.ball_names[contact.ball], contact.distance + self._trigger.overtravel_mm)
-        swept = self._swept(command, snapshot, stopped, contact.ball)
+        swept = self._first_collision(command, snapshot, stopped, contact.ball)
         return PathEvents(max(trip_mm, 0.0), earliest(spent, swept), free_mm)
 
     def _from_rest(
@@ -64,7 +64,7 @@ class PathLookahead:
         pressed = None if deeper is None else tip_crash(snapshot.ball_names[resting], deeper)
         return self._contacts.leaving(command.path, centre), pressed
 
-    def _swept(
+    def _first_collision(
         self, command: MotionCommand, snapshot: WorkpieceSnapshot, until_mm: float | None, touched: int | None
     ) -> Crash | None:
         """Return the first collision of any bodies except contact of the tip with a ball.

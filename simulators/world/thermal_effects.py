@@ -106,14 +106,14 @@ class ThermalField:
         return np.asarray(change)
 
 
-def bow_mm(settings: ThermalSettings, warming: ThermalState, now_s: float) -> float:
+def artefact_bow_mm(settings: ThermalSettings, warming: ThermalState, now_s: float) -> float:
     """Return the bow of the artefact at its middle, in mm."""
     if settings.artefact_bow_um_per_k == 0.0:
         return 0.0
     return 1e-3 * settings.artefact_bow_um_per_k * warming.artefact_lag_k(now_s)
 
 
-def bowed(balls: Array, bow: float) -> Array:
+def bend_balls(balls: Array, bow: float) -> Array:
     """Return the balls (N, 3) of an artefact along X bent to an arc: ends fixed, middle displaced
     by `bow` mm along Z.
     """

@@ -35,12 +35,12 @@ def is_turn_clear(workpiece: Workpiece, tip: Point, start_s: float, end_s: float
     angles = np.array(
         [workpiece.true_angles_rad(instant) for instant in np.linspace(start_s, end_s, INSTANTS).tolist()]
     )
-    centres, radii = _turned(cover, angles)
+    centres, radii = _rotate_cover(cover, angles)
     centres += workpiece.location_mm - np.array(tip)
     return _least_gap(centres, radii, workpiece.probe_bodies) >= SLACK_MM
 
 
-def _turned(cover: SphereCover, angles_rad: Array) -> tuple[Array, Array]:
+def _rotate_cover(cover: SphereCover, angles_rad: Array) -> tuple[Array, Array]:
     """Return sphere centres (n, m, 3) relative to the mount's location at `angles_rad` (n, 2), and radii (n, m).
 
     The radii are enlarged to contain all positions up to the next sample.

@@ -10,7 +10,7 @@ import numpy as np
 from simulators.scenario import ArtefactTruthSettings, MountBehaviour, Scenario
 from simulators.world.mount import MountPhysics
 from simulators.world.noise import generator
-from simulators.world.thermal_effects import bow_mm, bowed
+from simulators.world.thermal_effects import artefact_bow_mm, bend_balls
 from simulators.world.thermal_state import ThermalState
 from twin.arrays import Array
 from twin.artefact.artefact import Artefact
@@ -120,13 +120,15 @@ class Workpiece:
 
     def snapshot(self, now_s: float) -> WorkpieceSnapshot:
         """Return pose, true ball centres (workpiece frame) and collision scene at an instant."""
-        bow = round(bow_mm(self._temperatures, self._thermal_state, now_s), 5)
+        bow = round(artefact_bow_mm(self._temperatures, self._thermal_state, now_s), 5)
         key = (*self.mount.angles_deg(now_s), round(self.temperature_c(now_s), 3), bow)
         if self._cached is None or self._cached[0] != key:
-            self._cached = (key, self._stand(*key))
+            self._cached = (key, self._compute_snapshot(*key))
         return self._cached[1]
 
-    def _stand(self, azimuth_deg: float, elevation_deg: float, temperature_c: float, bow: float) -> WorkpieceSnapshot:
+    def _compute_snapshot(
+        self, azimuth_deg: float, elevation_deg: float, temperature_c: float, bow: float
+    ) -> WorkpieceSnapshot:
         azimuth, elevation = self.mount.true_angles_rad(azimuth_deg, elevation_deg)
         place = self._location_mm + self.mount.wobble_mm(azimuth_deg)
         pose = mount_pose(place, self._geometry, azimuth + self._yaw_rad, elevation)
@@ -134,7 +136,7 @@ class Workpiece:
         if self._artefact is None:
             bodies = self._renamed(mount)
             return WorkpieceSnapshot(pose, (), (), bodies, Scene(self.probe_bodies, bodies))
-        centres = pose.apply(bowed(self._artefact.at(temperature_c, elevation), bow))
+        centres = pose.apply(bend_balls(self._artefact.at(temperature_c, elevation), bow))
         bodies = self._renamed((*artefact_bodies(self._artefact, self._geometry, pose), *mount))
         names = tuple(f"{ball_name(number)}{self._name_suffix}" for number in range(self._artefact.count))
         scene = Scene(self.probe_bodies, bodies)

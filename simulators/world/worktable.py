@@ -79,10 +79,10 @@ class Worktable:
             return self._pieces[0].snapshot(now_s)
         parts = tuple(piece.snapshot(now_s) for piece in self._pieces)
         if self._cached is None or any(a is not b for a, b in zip(self._cached[0], parts, strict=True)):
-            self._cached = (parts, self._together(parts))
+            self._cached = (parts, self._combine(parts))
         return self._cached[1]
 
-    def _together(self, parts: tuple[WorkpieceSnapshot, ...]) -> WorkpieceSnapshot:
+    def _combine(self, parts: tuple[WorkpieceSnapshot, ...]) -> WorkpieceSnapshot:
         first, *others = parts
         bodies = (*first.bodies, *(body for part in others for body in part.bodies if body.name != TABLE))
         return WorkpieceSnapshot(

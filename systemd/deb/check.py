@@ -50,7 +50,7 @@ def main() -> None:
 
 
 class PackageTrial:
-    """Actions of an administrator, in order; each step records its observations."""
+    """Actions of an administrator, in order; each step stores its observations in `seen`."""
 
     def __init__(self, machine: Container) -> None:
         self.machine = machine

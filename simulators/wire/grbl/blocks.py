@@ -120,7 +120,7 @@ class BlockParser:
 
     def read(self, line: str, machine_mm: Triple) -> GcodeBlock:
         """Parse one line. `machine_mm`: end of the previous line in machine coordinates. Raises BlockError."""
-        codes, values = self._sorted(parse_words(line))
+        codes, values = self._classify_words(parse_words(line))
         modes = self._modes(codes, values)
         once = codes.get("once")
         unused = set(values) - {"N", "F", "S", "T"}
@@ -142,7 +142,7 @@ class BlockParser:
         self.modes = replace(modes, motion=1, distance=90, coordinates=54) if block.program_end else modes
         return block
 
-    def _sorted(self, words: list[tuple[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
+    def _classify_words(self, words: list[tuple[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
         codes: dict[str, float] = {}
         values: dict[str, float] = {}
         for letter, value in words:
@@ -227,9 +227,9 @@ class BlockParser:
             raise BlockError(NO_AXIS_WORDS)
         if once == 92:
             base = self.offsets.work_offset(replace(modes, g92_mm=ORIGIN))
-            return replace(modes, g92_mm=_replaced(modes.g92_mm, given, lambda i, v: machine_mm[i] - base[i] - v)), set(
-                given
-            )
+            return replace(
+                modes, g92_mm=_replace_axes(modes.g92_mm, given, lambda i, v: machine_mm[i] - base[i] - v)
+            ), set(given)
         if once == 10:
             return self._store_system(values, given, modes, machine_mm), set(given) | {"P", "L"}
         if set(given) != {"Z"}:
@@ -245,13 +245,13 @@ class BlockParser:
         if values["L"] not in (2, 20) or system not in self.offsets.systems:
             raise BlockError(UNSUPPORTED_COORDINATES if system not in self.offsets.systems else UNSUPPORTED)
         relative = values["L"] == 20
-        self.offsets.systems[system] = _replaced(
+        self.offsets.systems[system] = _replace_axes(
             self.offsets.systems[system], given, lambda i, v: machine_mm[i] - v if relative else v
         )
         return modes
 
 
-def _replaced(offset: Triple, given: dict[str, float], value: Callable[[int, float], float]) -> Triple:
+def _replace_axes(offset: Triple, given: dict[str, float], value: Callable[[int, float], float]) -> Triple:
     new = [value(i, given[a]) if a in given else offset[i] for i, a in enumerate(AXES)]
     return new[0], new[1], new[2]
 

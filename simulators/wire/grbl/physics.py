@@ -33,13 +33,13 @@ class MachineCoordinates:
         self._settings = settings
 
     def from_axes(self, axis_mm: Vector) -> Triple:
-        x, y, z = (self._stepped(i, float(value) - self._zero[i]) for i, value in enumerate(axis_mm))
+        x, y, z = (self._round_to_steps(i, float(value) - self._zero[i]) for i, value in enumerate(axis_mm))
         return x, y, z
 
     def to_axes(self, machine_mm: Triple) -> Triple:
-        x, y, z = (self._stepped(i, value) + self._zero[i] for i, value in enumerate(machine_mm))
+        x, y, z = (self._round_to_steps(i, value) + self._zero[i] for i, value in enumerate(machine_mm))
         return x, y, z
 
-    def _stepped(self, axis: int, value_mm: float) -> float:
+    def _round_to_steps(self, axis: int, value_mm: float) -> float:
         steps = self._settings[STEPS + axis]
         return round(value_mm * steps) / steps

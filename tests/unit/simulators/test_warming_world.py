@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from worlds import TOOL, World, case_study
 
 from simulators.temperatures import ThermalSettings
-from simulators.world.thermal_effects import ThermalEffects, bowed
+from simulators.world.thermal_effects import ThermalEffects, bend_balls
 from simulators.world.thermal_state import ThermalState, first_order_response
 
 RANGES = ((0.0, 4000.0), (0.0, 1300.0), (0.0, 1500.0))
@@ -71,7 +71,7 @@ def test_the_bar_follows_the_ambient_and_bows_while_it_is_behind() -> None:
     assert warming.artefact_c(1800.0) == pytest.approx(20.0 + 3.0 * (1.0 - np.exp(-1.0)))
     assert warming.artefact_lag_k(0.001) == pytest.approx(3.0, abs=0.01)
     balls = np.array([[-750.0, 0.0, 0.0], [0.0, 0.0, 5.0], [750.0, 1.0, 0.0]])
-    assert bowed(balls, 0.002) - balls == pytest.approx(np.array([[0, 0, 0], [0, 0, 0.002], [0, 0, 0]]))
+    assert bend_balls(balls, 0.002) - balls == pytest.approx(np.array([[0, 0, 0], [0, 0, 0.002], [0, 0, 0]]))
 
 
 def test_the_truth_is_that_of_the_machine_as_warm_as_it_is() -> None:
