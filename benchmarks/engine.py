@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import statistics
 import tempfile
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from agent.execution.engine import Engine
 from agent.execution.journal import Journal
@@ -44,7 +46,7 @@ def commit_us(directory: Path) -> float:
 
 
 def run() -> dict[str, float]:
-    actions = {MoveTo: lambda _: None}
+    actions: dict[type, Callable[[Any], Any]] = {MoveTo: lambda _: None}
     dry = median_step_us(Engine(actions))
     with tempfile.TemporaryDirectory() as folder:
         journal = Journal(Path(folder) / "journal")

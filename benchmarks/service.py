@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "system"))
-from service_process import COMMAND, Service, service, short_settings, wait_for
-from simulated import SCENARIO
+from service_process import Service, service, short_settings
+from simulated import COMMAND, SCENARIO, wait_for
 
 from agent.execution.journal import Journal
 from agent.execution.journal_reader import open_journal

@@ -42,14 +42,14 @@ class SimulatedCalendar:
 
     def install(self) -> None:
         """Use this calendar for all timestamps of this process, and let machine time advance it."""
-        drivers.clock.time = _CivilTime(self)  # type: ignore[attr-defined]
+        vars(drivers.clock)["time"] = _CivilTime(self)
         sleep = LockstepClock.sleep
 
         def counted(clock: LockstepClock, duration_s: float) -> None:
             sleep(clock, duration_s)
             self._machine_s += max(duration_s, 0.0)
 
-        LockstepClock.sleep = counted  # type: ignore[method-assign]
+        LockstepClock.sleep = counted  # type: ignore[method-assign,assignment]
 
 
 class _CivilTime:

@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 from agent.execution.journal_reader import open_journal
 from agent.results.run_outcome import Decision
@@ -220,7 +221,7 @@ class Incidents:
         status = wait_for(lambda: self._in_state(state), f"the state {state}", STATUS_POLL_S)
         evening.claims[f"{state}, alarm {code}"] = [alarm["code"] for alarm in status["alarms"]][:1] == [code]
 
-    def _in_state(self, state: str) -> dict[str, object] | None:
+    def _in_state(self, state: str) -> dict[str, Any] | None:
         status = self._host.status()
         return status if status["state"] == state else None
 
