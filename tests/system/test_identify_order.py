@@ -95,7 +95,7 @@ def another_machine(document: dict) -> dict:
     ("spoil", "words"),
     [
         (singular, ["singular", "unknown EXX[6]"]),
-        (another_machine, ["not of the machine", "axis ranges"]),
+        (another_machine, ["does not belong to the machine", "axis ranges"]),
         (lambda document: {**document, "format": "volcal estimate 1"}, ["format"]),
     ],
 )
