@@ -22,7 +22,7 @@ from drivers.clock import VirtualClock, wall_seconds
 from drivers.errors import ConfigurationError, DeviceError
 
 Procedure = Callable[[Job], Plan[tuple[Measured, Measured]]]
-"""Everything of a run that moves: what is measured, and what is measured to prove it."""
+"""All motion of a run; returns the measurements for the estimate and those that prove it."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class PreflightResult:
 
 
 def unwatched() -> None:
-    """Nobody wants to break off."""
+    """Interrupt nothing: the default for a preflight that nobody watches."""
 
 
 def run_preflight(
@@ -87,7 +87,7 @@ def _what_to_do(job: Job) -> str:
 
 
 class _Times:
-    """Notes when each step is done. The simulated machine's motion has moved the clock; the rest is added here."""
+    """Times of the steps. The simulated machine's motion advances the clock; latencies are added here."""
 
     def __init__(self, clock: VirtualClock, model: TimeModel, watch: Callable[[], None]) -> None:
         self._clock = clock
@@ -107,7 +107,7 @@ class _Times:
 
 
 def _require_proof(verified: Measured) -> None:
-    """Raise ConfigurationError where nothing could be measured with the new table active: it would act unproved."""
+    """Raise ConfigurationError if nothing can be measured with the new table active: it would stay unproved."""
     if not verified.positions:
         raise ConfigurationError(
             "no held-out position has three balls within reach, so a new table could not be proved",
@@ -117,7 +117,7 @@ def _require_proof(verified: Measured) -> None:
 
 
 def whole_procedure(job: Job) -> Plan[tuple[Measured, Measured]]:
-    """Everything that moves: the probe's preparation, the set with the held-out positions, then these again."""
+    """Plan of a calibration: the probe's preparation, the set with the held-out positions, then these again."""
     prepared = yield from job.preparing()
     order = replace(job.measuring, standing_at=prepared.standing_at)
     measured = yield from measure_closed(order, job.layout, prepared.rules, job.closing)

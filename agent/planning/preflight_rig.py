@@ -1,4 +1,4 @@
-"""The rig of the preflight: one simulated device that plays every role."""
+"""Rig of the preflight: one simulated device that plays every role."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def assemble_preflight_rig(job: Job, clock: VirtualClock, start_mm: Point | None
 
 
 def _own_at_stations(job: Job) -> dict[str, object]:
-    """What the simulated machine is told where each station has a mount of its own."""
+    """Return the options of the simulated machine if each station has a mount of its own; otherwise none."""
     change, settings = job.rules.change, job.settings
     if not change.own_mounts:
         return {}

@@ -1,4 +1,4 @@
-"""A calibration from permission to proof: measure, identify, gate, stage, activate, verify, accept or restore."""
+"""Calibration from permission to proof: measure, identify, gate, stage, activate, verify, accept or restore."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from twin.formats.estimate_file import format_estimate
 
 
 class CalibrationRun(GuardedRun):
-    """Carries out one `Job`. `last`: the last accepted night of this machine, against which the change is judged."""
+    """Calibration of one `Job`. `last`: the last accepted night of this machine, against which the change is judged."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class CalibrationRun(GuardedRun):
         self.calibrate(prepared.standing_at)
 
     def calibrate(self, standing_at: int | None) -> None:
-        """From the first position of the set on; the machine is measuring, and what acts has been read."""
+        """Calibrate from the first position of the set on; the state is measuring, the compensation has been read."""
         job, progress = self._job, self.progress
         order = replace(job.measuring, standing_at=standing_at)
         progress.measured = self._engine.run(measure_closed(order, job.layout, self._rules, job.closing))
@@ -78,7 +78,7 @@ class CalibrationRun(GuardedRun):
         return (*gates, change_gate(change.found_um, change.expected_um, self._job.gate_limits))
 
     def _pass_gates(self, gates: Sequence[Gate]) -> None:
-        """Journal every gate; GateRefused where one stays closed. That of the change opens by consent."""
+        """Journal every gate. GateRefused if one stays closed; the gate of the change opens by consent."""
         self.progress.gates += gates
         given = any(granted(gate, self._consent) for gate in gates)
         if given or (self._consent is Consent.ASK and self._engine.run(asked(gates))):
@@ -88,7 +88,7 @@ class CalibrationRun(GuardedRun):
         require(self.progress.gates)
 
     def _write_and_prove(self, finding: Finding, measured: Measured) -> None:
-        """Stage, activate, and measure the held-out positions again; the former bank acts again where they disagree."""
+        """Stage, activate, measure the held-out positions again; if they disagree, the former bank is reactivated."""
         progress, enter = self.progress, self._tracker.enter
         assert progress.found is not None  # noqa: S101  read before anything is measured
         image = image_of(finding.table, self._rig.store.store_limits())
@@ -101,7 +101,7 @@ class CalibrationRun(GuardedRun):
         try:
             self._engine.run(publish.activate("activate", bank, self.activation))
         except NotActiveYet as waiting:
-            # Nothing has gone wrong: the run is gone on with when the controller has done its part.
+            # Not a failure: the run is resumed once the controller has done its part.
             progress.error = waiting
             enter(RunState.WRITTEN, str(waiting))
             return
@@ -129,5 +129,5 @@ class CalibrationRun(GuardedRun):
         return prove(self._job, finding, before, after)
 
     def _accept(self, finding: Finding, image: TableImage) -> None:
-        """From now on this is what the machine is compared with."""
+        """Record the result as the reference with which later runs compare the machine."""
         record_accepted(self._journal, Accepted.of(self._job, finding.estimate.parameters, image))

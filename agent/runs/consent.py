@@ -1,4 +1,4 @@
-"""Consent to a machine that has changed: given with the request, asked for at the machine, or not to be had."""
+"""Consent to a machine that has changed: given with the request, asked for at the machine, or refused."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ class Consent(Enum):
 
 
 def granted(gate: Gate, consent: Consent) -> bool:
-    """Whether a closed gate opens without a question."""
+    """Return True if a closed gate opens without a question."""
     return gate.name == CHANGE and not gate.passed and consent is Consent.GIVEN
 
 
 def asked(gates: Sequence[Gate]) -> Plan[bool]:
-    """Whether the operator consents, where it is the change alone that keeps a gate closed; else nobody is asked. A no
-    ends the run as an abort does."""
+    """Ask the operator for consent if only the gate of the change is closed. True if consent was given.
+
+    In any other case nobody is asked. A no ends the run as an abort does.
+    """
     closed = [gate for gate in gates if not gate.passed]
     if [gate.name for gate in closed] != [CHANGE]:
         return False

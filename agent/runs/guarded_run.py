@@ -1,4 +1,4 @@
-"""A run on a machine that is left as it was found, whatever happens: what every kind of run has in common."""
+"""Guarded run, the base of every kind: whatever happens, the machine is left as it was found."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from drivers.roles import Activation
 
 @dataclass
 class Progress:
-    """What has been reached so far; filled in as the run goes, so that a fault loses nothing.
+    """Results of a run so far, filled in while it runs, so that a fault loses nothing.
 
     `job`: what `measured` was measured for, where it is not the job that the run began with.
     """
@@ -49,7 +49,7 @@ class Progress:
 
 
 class GuardedRun(ABC):
-    """The compensation that was found is restored on every way out but the accepted one, and read back."""
+    """Run that restores the compensation it found, and reads it back, on every exit path but the accepted one."""
 
     def __init__(self, job: Job, context: RunContext) -> None:
         self._job = job
@@ -63,17 +63,17 @@ class GuardedRun(ABC):
 
     @abstractmethod
     def _work(self) -> None:
-        """Everything from permission to a final state. GateRefused where the run itself says no."""
+        """Do everything from permission to a final state. GateRefused if the run itself refuses to continue."""
 
     def carry_out(self) -> Progress:
-        """Run to a final state. Errors of the house end in `progress.error`, never in a traceback."""
+        """Run to a final state. A `VolcalError` ends in `progress.error`, never in a traceback."""
         try:
             self._work_or_refuse()
         except VolcalError as error:
             self.progress.error = error
             self._leave_safely(error)
         except BaseException as defect:
-            # A defect of ours must be seen as one, but never before the machine is as it was found.
+            # A defect of the agent must become visible, but only once the machine is as it was found.
             self._leave_safely(VolcalError(f"defect in the agent: {defect!r}", hint="please report it"))
             raise
         return self.progress
@@ -87,7 +87,7 @@ class GuardedRun(ABC):
             self._tracker.enter(RunState.REFUSED, str(refusal))
 
     def _begin(self) -> publish.FoundState:
-        """Read what acts, completely, before anything moves."""
+        """Read and journal the whole active compensation before anything moves."""
         self._tracker.enter(RunState.MEASURING)
         found = self.progress.found = self._engine.run(publish.read_state("before"))
         self.progress.active_bank = found.bank
@@ -95,23 +95,23 @@ class GuardedRun(ABC):
         return found
 
     def _prepare_probe(self) -> Prepared:
-        """Probe check and qualification; what they tell holds for all that is measured after."""
+        """Check and qualify the probe; the result holds for all later measurements."""
         prepared = self.progress.prepared = self._engine.run(self._job.preparing())
         record_probe(self._journal, prepared)
         return prepared
 
     def too_late(self, following: Step) -> PlanRefused | None:
-        """Asked when a run that broke off is about to move again: why there is no more time for `following`."""
+        """Return why the time left is too short for `following`, the first motion after a resume; None if it is not."""
         return None
 
     @property
     def activation(self) -> Activation:
-        """When an activated bank takes effect."""
+        """Event at which an activated bank takes effect."""
         return self._rig.store.store_limits().activation
 
     @property
     def rules(self) -> PositionRules:
-        """With what is known of the stylus by now."""
+        """Rules of measurement with the current qualification of the stylus."""
         return self._rules
 
     @property
@@ -121,13 +121,13 @@ class GuardedRun(ABC):
 
     @property
     def _correction(self) -> Correction:
-        """What the table that was found adds to displayed axis positions."""
+        """Correction that the table found at the start adds to displayed axis positions."""
         found = self.progress.found
         assert found is not None  # noqa: S101  read before anything is measured
         return no_correction if found.table is None else table_of(found.table, self._job.tool_offset_mm).at
 
     def _leave_safely(self, error: VolcalError) -> None:
-        """Stop, withdraw, restore; whatever cannot be done is said beside the first cause."""
+        """Stop, withdraw, restore; failures of these are reported beside the first cause."""
         aborted = isinstance(error, Aborted)
         self._supervisor.shield()
         self._engine, self._journal = self._engine.aside(), self._journal.aside()
@@ -150,7 +150,7 @@ class GuardedRun(ABC):
         self._engine.run(withdraw(self._job.rules.course, np.asarray(probing.stylus_axis), probing.retract_mm, came))
 
     def _attempt_restore(self) -> list[str]:
-        """Empty where the former bank acts; a journal that fails on the way is done without."""
+        """Activate the former bank; if the journal fails, do so without it. Return complaints, empty on success."""
         found = self.progress.found
         if found is None or self.progress.active_bank == found.bank:
             return []
@@ -172,7 +172,7 @@ class GuardedRun(ABC):
 
 
 def attempt(what: str, action: Callable[[], None]) -> list[str]:
-    """The complaint where `action` fails; the first cause of the way out must not be lost over it."""
+    """Return the complaint if `action` fails, so that the first cause of an exit is not lost; empty on success."""
     try:
         action()
     except VolcalError as failure:

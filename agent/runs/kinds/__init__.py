@@ -1,1 +1,1 @@
-"""Kinds of run beside the full calibration: what a night measures, how it is judged, what it decides."""
+"""Kinds of run: calibration, verification, night and restoration; their measurements, judgement and decisions."""

@@ -1,5 +1,5 @@
-"""What verification and night have in common: the table that acts must be the one last accepted, and the ball centres
-are held against what is known before."""
+"""Check measurement, common to verification and night: the active table must be the one last accepted, and the ball
+centres are compared with what was known before."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from twin.artefact.position_set import Position
 
 
 def require_table_of(last: LastAccepted, found: FoundState) -> None:
-    """GateRefused where another table acts than the one that was last accepted."""
+    """Raise GateRefused if another table is active than the one last accepted."""
     if found.table is None or table_digest(found.table) != last.accepted.crc32:
         raise GateRefused(
-            f"bank {found.bank} acts, and it does not hold the table accepted in run {last.run_id}",
-            hint="make that table active again, or run `volcal calibrate`",
+            f"bank {found.bank} is active, and it does not hold the table accepted in run {last.run_id}",
+            hint="activate that table again, or run `volcal calibrate`",
         )
 
 
@@ -38,11 +38,11 @@ def measure(
     rules: PositionRules,
     standings: Mapping[int, MountPoseEstimate] | None = None,
 ) -> Measured:
-    """Some of a night's positions, their keys beginning with `prefix`."""
+    """Measure some of a night's positions, with keys that begin with `prefix`."""
     return engine.run(measure_positions(plan.order(prefix, positions), job.layout, rules, standings))
 
 
 def judged(judge: Judge, plan: NightPlan, job: Job, measured: Measured, correction: Correction) -> Judgement:
-    """All balls `measured`, held-out ones included, against the last accepted night."""
+    """Judge all balls `measured`, held-out ones included, against the last accepted night."""
     held = job.balls_of(measured, held_out=True)
     return judge.judged(plan.station, [*held, *job.balls_of(measured, held_out=False)], held, correction)

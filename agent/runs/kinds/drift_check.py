@@ -1,4 +1,4 @@
-"""Whether a machine is still what the last accepted night leads one to expect, and what has changed where it is not."""
+"""Comparison of a machine with the prediction of the last accepted night, and diagnosis of a change."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ _LIKELIEST = 5
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """For people and the journal, and what it rests on. The report's reason is empty where all is within limits."""
+    """Judgement of a night. `report` for people and the journal, its reason empty if all is within limits; `found`: the
+    statistics it rests on."""
 
     report: NightReport
     found: Innovation
@@ -42,7 +43,7 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Judges the ball centres of one night; `nights` have passed since the last accepted one."""
+    """Judge of the ball centres of one night, `nights` after the last accepted one."""
 
     job: Job
     last: LastAccepted
@@ -50,7 +51,7 @@ class Judge:
 
     @cached_property
     def known(self) -> CarriedOverPrior:
-        """What is known before tonight."""
+        """Knowledge of the machine before tonight."""
         return known_tonight(self.job, self.last, self.nights)
 
     @cached_property
@@ -65,21 +66,21 @@ class Judge:
 
     @property
     def before_um(self) -> float:
-        """VE with the acting table, as the last accepted night left it."""
+        """VE with the active table, as the last accepted night left it, in µm."""
         known = self.last.known
         return self.acting.of(known.z, known.z_covariance, self.last.accepted.written).aligned_um
 
     def left_um(self, estimate: Estimate, written: Array) -> float:
-        """VE that an estimate expects with these parameters (p,) in the table."""
+        """Return the VE in µm that an estimate expects with these parameters (p,) in the table."""
         return self.acting.of(estimate.z, estimate.z_covariance, written).aligned_um
 
     def judged(
         self, station: int, balls: Sequence[MeasuredBall], held: Sequence[MeasuredBall], correction: Correction
     ) -> Judgement:
-        """`balls`: all that were measured with the acting table, `held`: those of them that are held out; `correction`:
-        what the table adds.
+        """Judge `balls`, all measured with the active table; `held`: the held-out ones of them; `correction`: what the
+        table adds.
 
-        Raises MeasurementFault where too little was found to say anything.
+        Raises MeasurementFault if too few balls were found for a judgement.
         """
         with translated(MeasurementFault):
             observations = observations_of(balls, self.job.tool_offset_mm, correction)
@@ -107,7 +108,7 @@ class Judge:
         return Judgement(report, found)
 
     def _held_out(self, held: Sequence[MeasuredBall], correction: Correction) -> tuple[float, float]:
-        """rms of a held-out ball as the controller displays it, and what was to be expected, µm."""
+        """Return the rms of a held-out ball as the controller displays it and its expected value, in µm."""
         offset, artefact, known = self.job.tool_offset_mm, self.job.artefact, self.known
         displayed, bare = (observations_of(held, offset, shift) for shift in (no_correction, correction))
         result = held_out_residuals(displayed, displayed.axis_positions + offset, artefact)
@@ -119,7 +120,7 @@ class Judge:
         return UM_PER_MM * result.rms_mm, UM_PER_MM * expected.predicted_mm
 
     def _reason(self, found: Innovation, jumped: Sequence[SuspectedJump], now_um: float) -> str:
-        """Why the machine is out of limits; empty where it is not."""
+        """Return why the machine is out of limits; empty if it is within."""
         limits = self.job.settings.nightly
         reasons = []
         if jumped:

@@ -1,4 +1,4 @@
-"""The clock of a run that is gone on with: recorded instants while it is replayed, then on from there."""
+"""Clock of a resumed run: recorded instants during the replay, then running time."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from drivers.clock import Clock
 
 
 class ResumedClock:
-    """Machine seconds of the run, as if it had never been broken off: what was decided by the clock is decided again
-    by the recorded one, and the time lost in between counts."""
+    """Machine seconds of the run as if it had never been interrupted: decisions made by the clock are repeated by the
+    recorded one, and the time lost in between counts."""
 
     def __init__(self, inner: Clock, begun_s: float) -> None:
         self._inner = inner
@@ -21,12 +21,12 @@ class ResumedClock:
         self._inner.sleep(duration_s)
 
     def replayed_to(self, instant_s: float) -> None:
-        """A recorded step was finished then."""
+        """Advance to the instant at which a recorded step finished."""
         if self._recorded_s is not None:
             self._recorded_s = max(self._recorded_s, instant_s)
 
     def run_on(self, at_least_s: float) -> None:
-        """From now on time passes; no earlier than `at_least_s`. Only the first call counts."""
+        """Let time pass from now on, from no earlier than `at_least_s`. Only the first call has an effect."""
         if self._recorded_s is not None:
             self._ahead_s = max(self._recorded_s, at_least_s) - self._inner.now()
             self._recorded_s = None

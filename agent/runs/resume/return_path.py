@@ -32,7 +32,7 @@ from twin.units import UM_PER_MM
 
 @dataclass(frozen=True)
 class ReturnPath:
-    """`prefix` begins every key; `tolerance_mm` of the datum ball."""
+    """Return path of the machine. `prefix` begins every key; `tolerance_mm` of the datum ball."""
 
     prefix: str
     trace: StepTrace
@@ -40,7 +40,7 @@ class ReturnPath:
     tolerance_mm: float
 
     def plan(self, following: Step) -> Plan[None]:
-        """Ends where `following` began. Raises MeasurementFault where the artefact is not where it was."""
+        """Move to where `following` began. Raises MeasurementFault if the artefact is not where it was."""
         trace, rules = self.trace, self.rules
         if not trace.moved:
             return
@@ -55,13 +55,13 @@ class ReturnPath:
             yield from self._arrive(np.array(trace.at_mm))
 
     def _turned_back(self, pose: OrientTo) -> Plan[None]:
-        """A mount without power may have sunk, and the drives may have been in the middle of a turn."""
+        """Turn the mount back: without power it may have sunk, and it may have been in the middle of a turn."""
         here = np.array((yield ReadPosition(f"{self.prefix}/here")))
         yield MoveTo(f"{self.prefix}/park", point(self.rules.course.parked(here, pose.station)))
         yield OrientTo(f"{self.prefix}/orient", pose.station, pose.azimuth_deg, pose.elevation_deg)
 
     def _datum(self, expected: Array) -> Plan[None]:
-        """The last ball centre found in this pose, found again."""
+        """Measure the last ball centre found in this pose again."""
         probing, course = self.rules.probing, self.rules.course
         key = f"{self.prefix}/datum"
         above = course.above(expected, probing)
@@ -80,11 +80,11 @@ class ReturnPath:
     def _moved(self, how: str) -> MeasurementFault:
         return MeasurementFault(
             f"the ball of {self.trace.datum_key} {how}",
-            hint="artefact, mount or machine have moved since the run broke off: start a new run",
+            hint="artefact, mount or machine have moved since the interruption: start a new run",
         )
 
     def _arrive(self, goal: Array) -> Plan[None]:
-        """Across at the retreat plane, then along the stylus; each axis as it came."""
+        """Move across at the retreat plane, then along the stylus; each axis approaches from its former side."""
         course, axes = self.rules.course, self.trace.axes
         along = course.retreat_axis
         across = [axis for axis in range(3) if axis != along]
@@ -98,8 +98,10 @@ class ReturnPath:
             yield from self._down(along, side, goal)
 
     def _down(self, along: int, here: Array, goal: Array) -> Plan[None]:
-        """Only by the way that the run would leave by. On the retreat plane itself nothing needs to be as it was: an
-        axis that goes in from there forgets."""
+        """Move in along the run's own exit path.
+
+        On the retreat plane itself no approach direction matters: moving in from there takes up the play.
+        """
         moves = self.trace.axes[along]
         inwards = np.sign(goal[along] - here[along])
         if inwards == 0.0:
@@ -110,7 +112,7 @@ class ReturnPath:
         yield from self._axis(along, here, moves, goal[along])
 
     def _axis(self, axis: int, here: Array, moves: list[AxisMove], goal: float) -> Plan[None]:
-        """`here` is moved along."""
+        """Repeat the last moves of one axis; `here` is updated."""
         for number, move in enumerate(moves):
             here[axis] = goal if move is moves[-1] else move.end_mm
             yield Retrace(f"{self.prefix}/{'xyz'[axis]}-{number}", point(here), move.key, WITHDRAW_FEED_MM_PER_S)

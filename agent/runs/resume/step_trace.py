@@ -1,4 +1,4 @@
-"""What the recorded steps of a run have left behind: where the machine stood, how it came there, what acted."""
+"""Trace of the recorded steps of a run: position of the machine, its approach, and the active compensation."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from agent.execution.tip_trace import LastMotion
 from drivers.roles import Miss, TableImage, Touch
 
 LONG_MM = 1.0
-"""A way along one axis that surely takes up its play: what it did before has no effect any more."""
+"""Travel of one axis that certainly takes up its play: earlier motion has no effect after it."""
 CLEAR_MM = 1.0
-"""So far from its start, at most, a touch is gone into again on the way back: short of the surface."""
+"""Largest distance from its start to which a touch is repeated on the return: short of the surface."""
 
 
 @dataclass(frozen=True)
 class AxisMove:
-    """One axis went to `end_mm` in step `key`."""
+    """Motion of one axis to `end_mm` in step `key`."""
 
     key: str
     start_mm: float
@@ -44,15 +44,15 @@ class AxisMove:
 
     @property
     def beside_mm(self) -> float:
-        """Where to begin in order to come to the end as this move did; the move has been there."""
+        """Coordinate from which the end is approached as this move did; the move has passed it."""
         return self.end_mm - self.sign * min(2.0 * LONG_MM, abs(self.end_mm - self.start_mm))
 
 
 @dataclass
 class StepTrace:
-    """Follows a run step by step. `at_mm` None: nobody has asked yet; `came` how the tip came
-    there; `pose` the last finished turn of the mount;
-    `datum_mm` the last ball centre found in this pose with the table that acts; `contents` bank → CRC-32."""
+    """State of a run after its steps so far. `at_mm`: axis positions, None until read; `came`: last motion of the tip;
+    `pose`: the last finished turn of the mount; `datum_mm`: the last ball centre found in this pose with the active
+    table; `contents`: bank → CRC-32."""
 
     at_mm: Point | None = None
     axes: tuple[list[AxisMove], list[AxisMove], list[AxisMove]] = field(default_factory=lambda: ([], [], []))
@@ -66,7 +66,7 @@ class StepTrace:
     staged: StageTable | None = None
 
     def see(self, step: Step, result: object) -> None:
-        """Take a finished step in."""
+        """Add a finished step."""
         match step:
             case MoveTo():
                 self.came.begins(step.target_mm, touch=False)
@@ -105,7 +105,7 @@ class StepTrace:
             moves.append(AxisMove(key, before, after))
 
     def _touched(self, step: TouchTowards, result: object) -> None:
-        """The place short of the surface: to stand there is as good as to stand where the touch has ended."""
+        """Add a touch as a motion that ends short of the surface: that position is as good as the end of the touch."""
         if self.at_mm is None or not isinstance(result, (Touch, Miss)):
             return
         self.came.begins(step.target_mm, touch=True)

@@ -1,8 +1,8 @@
-"""Whether the run's thread is alive: what feeds systemd's watchdog.
+"""Health of the run's thread, on which systemd's watchdog depends.
 
-Every wait of a driver and every step gives a beat. Where something can move, silence is a hang after seconds; where
-the thread computes (preflight, identification, the report of a run that has ended) it gives no beats, and is given
-minutes. Between runs there is nothing that could hang.
+Every wait of a driver and every step gives a beat. While something can move, silence is a hang after seconds; while
+the thread computes (preflight, identification, the report of a run that has ended) there are no beats, and silence is a
+hang after minutes. Between runs nothing can hang.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ COMPUTING = frozenset({RunState.PREFLIGHT, RunState.IDENTIFYING})
 
 
 class Health:
-    """`now`: seconds of a clock that runs on whatever the engine does."""
+    """Beats of the run's thread. `now`: seconds of a clock that does not depend on the engine."""
 
     def __init__(self, now: Callable[[], float], *, hang_timeout_s: float, computing_s: float) -> None:
         self._now = now
@@ -26,12 +26,12 @@ class Health:
         self._concludes = False
 
     def begins(self) -> None:
-        """A run, from now on."""
+        """Note the begin of a run."""
         self._concludes = False
         self.beat()
 
     def concludes(self) -> None:
-        """The run is in its last state: nothing moves any more, its results are written."""
+        """Note the run's final state: nothing moves any more, its results are being written."""
         self._concludes = True
         self.beat()
 

@@ -1,4 +1,4 @@
-"""The operator whom a run asks: the question goes to every door, the first answer counts."""
+"""Questions of a run to the operator: each goes to every endpoint, and the first answer counts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ POLL_S = 0.1
 
 
 class Questions:
-    """At most one is open, since there is one run."""
+    """Open question of the run; at most one, since there is one run."""
 
     def __init__(self, changed: Callable[[Question | None, str], None]) -> None:
         self._changed = changed
@@ -38,7 +38,7 @@ class Questions:
         return question
 
     def answer(self, number: int, yes: bool) -> None:
-        """UserError where that is not the open question, or has been answered."""
+        """Answer the open question. UserError if `number` is not the open question, or has been answered."""
         with self._lock:
             question = self._open
             if question is None or question.number != number:
@@ -59,9 +59,9 @@ class Questions:
 
 @dataclass(frozen=True)
 class ServiceOperator:
-    """Plays Operator. It waits on the run's own clock, so that hold and abort are noticed.
+    """Operator at the endpoints. It waits on the run's own clock, so that hold and abort are noticed.
 
-    `attended`: somebody at the machine has consented to the start; nobody else could answer.
+    `attended`: a person at the machine has consented to the start; otherwise nobody could answer.
     """
 
     questions: Questions
@@ -70,7 +70,7 @@ class ServiceOperator:
     attended: bool
 
     def ask(self, request: OperatorRequest) -> bool:
-        """PermissionMissing where nobody is there, or nobody answers in time."""
+        """Return the answer. PermissionMissing if the run is unattended, or nobody answers in time."""
         if not self.attended:
             raise PermissionMissing(
                 f"nobody can be asked: {request.text}",

@@ -1,7 +1,7 @@
-"""What must be so before a run begins that nobody at the machine has consented to: hour, warm-up, permissions.
+"""Conditions for a run to which nobody at the machine has consented: hour, warm-up, permissions.
 
-A timer only asks. What it asks for at the wrong hour, on a machine that has just been switched on, or on one that does
-not permit motion, is refused, and nothing has moved; that is no fault, so the next night is not lost over it.
+A timer only asks. Its request is refused at the wrong hour, on a machine that has just been switched on, or on one that
+does not permit motion. Nothing has moved then, and a refusal is not a fault, so the next night is not lost.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ MINUTES_A_DAY = 1440.0
 
 @dataclass(frozen=True)
 class Circumstances:
-    """`now` in local time; `up_minutes` since the computer at the machine was switched on."""
+    """Circumstances of a request. `now`: local time; `up_minutes` since the computer at the machine was switched on."""
 
     now: datetime
     up_minutes: float
 
 
 def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
-    """GateRefused where the machine has not been on for long enough."""
+    """Raise GateRefused if the machine has not been on for long enough."""
     missing = warm_up_minutes - circumstances.up_minutes
     if missing > 0.0:
         raise GateRefused(
@@ -37,14 +37,14 @@ def require_warm(circumstances: Circumstances, warm_up_minutes: float) -> None:
 
 
 def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> float | None:
-    """Minutes that are left of the permitted hours; None where none are named. GateRefused outside of them."""
+    """Return the minutes left of the permitted hours; None if none are set. GateRefused outside of them."""
     if not hours:
         return None
     now = 60.0 * circumstances.now.hour + circumstances.now.minute + circumstances.now.second / 60.0
     left = [span - since for begins, span in map(_span, hours) if (since := (now - begins) % MINUTES_A_DAY) < span]
     if not left:
         raise GateRefused(
-            f"it is {circumstances.now:%H:%M}, and nothing may begin by itself outside {', '.join(hours)}",
+            f"it is {circumstances.now:%H:%M}, and no run may begin without consent outside {', '.join(hours)}",
             hint="start it by hand with consent, or change the hours",
             key="service.hours",
         )
@@ -52,7 +52,7 @@ def minutes_until_end(circumstances: Circumstances, hours: Sequence[str]) -> flo
 
 
 def require_permission(status: MachineStatus) -> None:
-    """PermissionMissing where the controller does not permit motion."""
+    """Raise PermissionMissing if the controller does not permit motion."""
     if status.state is MotionState.FAULT:
         raise PermissionMissing(f"the machine is in fault: {status.fault}", hint="clear it at the machine")
     if status.missing:
@@ -61,6 +61,6 @@ def require_permission(status: MachineStatus) -> None:
 
 
 def _span(text: str) -> tuple[float, float]:
-    """Begin and length in minutes; equal ends mean the whole day."""
+    """Return begin and length of a span in minutes; equal ends mean the whole day."""
     begins, ends = (60.0 * int(t[:2]) + int(t[3:]) for t in text.split("-"))
     return begins, (ends - begins) % MINUTES_A_DAY or MINUTES_A_DAY
