@@ -1,0 +1,137 @@
+"""Paths of a run: free by dense sampling of all bodies, no slower than needed, and the same at every station."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from agent.probing.paths.approach_points import Spot
+from agent.probing.paths.free_paths import UNCERTAIN_MM, Roads, Stand, Traffic, rounded_up
+from twin.artefact.artefact import ball_bar
+from twin.artefact.position_set import MountGeometry, Position
+from twin.collision.accessibility import measuring_scene
+from twin.collision.bodies import ProbeGeometry
+from twin.collision.collision import Scene
+from twin.collision.free_paths import AxisDynamics
+from twin.collision.geometry import point
+from twin.collision.measuring_layout import MeasuringLayout
+
+BAR = ball_bar("bar", balls=11, length_mm=1500.0, tilt_rad=math.radians(15.0), holder_length_mm=60.0,
+               ball_diameter_mm=25.0)  # fmt: skip
+PROBE, MOUNT = ProbeGeometry(), MountGeometry()
+CONTACT_MM = 12.5 + PROBE.tip_radius_mm
+LOWER, UPPER, TOOL = np.zeros(3), np.array([4000.0, 1300.0, 1500.0]), np.array([0.0, 250.0, 0.0])
+PLACES = {1: np.array([1200.0, 1000.0, 750.0]), 2: np.array([2700.0, 1000.0, 750.0])}
+DYNAMICS = AxisDynamics((333.0, 333.0, 250.0), (500.0, 400.0, 500.0), 0.01)
+CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM = 2.0, 0.5, 4.0
+ORIENTATIONS = [(45.0, 0.0), (-30.0, -30.0), (90.0, 45.0)]
+
+
+def traffic() -> Traffic:
+    layout = MeasuringLayout(BAR, MOUNT, PROBE, PLACES, TOOL, LOWER, UPPER, CONTACT_MM, 5.0)
+    roads = Roads(np.array([0.0, 1.0, 0.0]), LOWER, UPPER, DYNAMICS, CLEARANCE_MM, KNOWN_MM, UNKNOWN_MM)
+    return roads.among(layout)
+
+
+def before_the_ball(ball: int, out_mm: float = CONTACT_MM + 20.0) -> Spot:
+    return Spot(ball, (0.0, 1.0, 0.0), out_mm)
+
+
+def standing_bodies(station: int, azimuth: float, elevation: float) -> Scene:
+    _, scene = measuring_scene(
+        BAR,
+        PROBE,
+        MOUNT,
+        location_mm=PLACES[station],
+        azimuth_rad=math.radians(azimuth),
+        elevation_rad=math.radians(elevation),
+    )
+    return scene
+
+
+def sampled_gap(scene: Scene, stops: list[np.ndarray]) -> float:
+    """Return the smallest gap of any two bodies on the path through tip centres `stops`, every 2 mm, up to 30 mm."""
+    gaps = []
+    for first, last in pairwise(stops):
+        count = max(2, math.ceil(float(np.linalg.norm(last - first)) / 2.0))
+        gaps += [scene.clearance(point(first + s * (last - first)), at_most=30.0) for s in np.linspace(0.0, 1.0, count)]
+    return min(gaps)
+
+
+def test_balls_are_where_the_layout_says() -> None:
+    roads = traffic()
+    stand = roads.standing(2, 45.0, 30.0)
+    assert stand == Stand(45.0, 30.0, 1000.0, 750.0)
+    expected = roads.layout.nominal(Position(2, 45.0, 30.0))
+    assert roads.nominal(stand, 2) == pytest.approx(expected, abs=1e-9)
+    centre = expected[3] + TOOL
+    spot = np.array(roads.at(stand, before_the_ball(3, 40.0))) + PLACES[2]
+    assert spot == pytest.approx(centre - (0.0, 40.0, 0.0), abs=1e-9)
+    assert roads.axes_at(2, point(spot - PLACES[2])) == pytest.approx(spot - TOOL, abs=1e-9)
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), ORIENTATIONS)
+@pytest.mark.parametrize(("first", "last"), [(0, 10), (2, 3), (9, 4)])
+def test_a_path_between_balls_is_free_and_inside_the_travel(
+    azimuth: float, elevation: float, first: int, last: int
+) -> None:
+    roads = traffic()
+    stand = roads.standing(1, azimuth, elevation)
+    start, end = before_the_ball(first), before_the_ball(last)
+    path = roads.between(stand, start, end, KNOWN_MM, float(PLACES[1][0]))
+    assert path is not None
+    stops = [np.array(stop) + PLACES[1] for stop in (roads.at(stand, start), *path.corners, roads.at(stand, end))]
+    bodies = standing_bodies(1, azimuth, elevation)
+    assert sampled_gap(bodies, stops) >= CLEARANCE_MM - 0.1
+    if (first, last) == (0, 10) and azimuth > 0.0:
+        assert sampled_gap(bodies, [stops[0], stops[-1]]) < 0.0  # the straight line would hit something
+    axes = np.array(stops[1:-1]).reshape(-1, 3) - TOOL
+    assert ((axes >= LOWER) & (axes <= UPPER)).all()
+    assert path.seconds == pytest.approx(float(DYNAMICS.seconds(np.array([stops]))[0]))
+    assert path.seconds >= float(roads.straight_seconds(stand, [start], [end])[0, 0]) - 1e-9
+
+
+def test_a_path_is_sought_once_and_serves_every_station() -> None:
+    roads = traffic()
+    start, end = before_the_ball(2), before_the_ball(7)
+    one, other = (
+        roads.between(roads.standing(station, 45.0, 0.0), start, end, KNOWN_MM, float(PLACES[station][0]))
+        for station in PLACES
+    )
+    assert one is not None
+    assert one is other
+
+
+def test_a_path_keeps_more_room_if_the_artefact_may_be_further_off() -> None:
+    roads = traffic()
+    stand = roads.standing(1, 45.0, 0.0)
+    start, end = before_the_ball(0, CONTACT_MM + 30.0), before_the_ball(5, CONTACT_MM + 30.0)
+    path = roads.between(stand, start, end, 8.0, float(PLACES[1][0]))
+    assert path is not None
+    stops = [np.array(stop) + PLACES[1] for stop in (roads.at(stand, start), *path.corners, roads.at(stand, end))]
+    assert sampled_gap(standing_bodies(1, 45.0, 0.0), stops) >= CLEARANCE_MM + 8.0 - 0.1
+
+
+def test_the_tip_waits_clear_of_the_artefact_while_it_turns() -> None:
+    roads = traffic()
+    before, after = roads.standing(1, 0.0, 0.0), roads.standing(1, 30.0, 20.0)
+    start, end = before_the_ball(0), before_the_ball(10)
+    way = roads.turning(before, start, after, end, float(PLACES[1][0]))
+    assert way is not None
+    waiting = np.array(way.waiting) + PLACES[1]
+    for share in np.linspace(0.0, 1.0, 13):
+        for other in (share, 0.0, 1.0):  # both axes of the mount turn, but not in step
+            scene = standing_bodies(1, 30.0 * share, 20.0 * other)
+            assert scene.clearance(point(waiting), at_most=30.0) >= CLEARANCE_MM + UNKNOWN_MM - 0.1
+    least = roads.least_turning_seconds(before, [start], after, [end])
+    assert least <= way.seconds + 1e-9
+    assert roads.turning(before, start, after, end, float(PLACES[1][0]), faster_than_s=way.seconds) is None
+
+
+@pytest.mark.parametrize(("off_by", "allowed"), [(0.0, 0.5), (0.5, 0.5), (0.51, 1.0), (9.0, 16.0), (33.0, 33.0)])
+def test_an_uncertainty_is_rounded_up_to_the_next_step(off_by: float, allowed: float) -> None:
+    assert rounded_up(off_by) == allowed
+    assert rounded_up(off_by) in (*UNCERTAIN_MM, off_by)
