@@ -244,7 +244,3 @@ def signature(machine: ResumeMachine) -> dict[str, Any]:
             "tables": [(one.role, one.bank, one.crc32) for one in reader.tables(run, procedure_only=True)],
             "gates": [(one.kind, one.record_text) for one in decisions if one.kind != "outcome"],
         }
-
-
-def _ignore(*_: Any) -> None:
-    """Ignore all arguments."""
