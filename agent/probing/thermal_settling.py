@@ -57,7 +57,7 @@ def settled(key: str, rules: SettlingRules, history: Sequence[Conditions]) -> Pl
         here = f"{key}/settle-{look}"
         if look == 1:
             note = f"waiting until the artefact has settled: {complaint}"
-            yield Record(f"{here}/held", "event", {"note": note, "max_wait_minutes": rules.deadline_s / S_PER_MIN})
+            yield Record(f"{here}/held", "event", {"note": note, "deadline_minutes": rules.deadline_s / S_PER_MIN})
         yield Dwell(f"{here}/wait", rules.poll_interval_s)
         trace.append((yield from read_conditions(here, rules.thermometers)))
     complaint = rules.complaint(trace)
