@@ -10,16 +10,13 @@ import numpy as np
 from twin.artefact.position_set import Position
 from twin.design.candidates import build_candidates, orientation_grid
 from twin.design.goals import Goal, PositionCountGoal, TargetErrorGoal
+from twin.design.measurement_setup import AS_STATED
 from twin.design.measuring_cost import MeasuringCosts
 from twin.design.search import ExchangeSearch
 from twin.design.valuation import Valuation, valuation
 from twin.errors import DataError
-from twin.identification import Options
 from twin.machine.volumetric import evaluation_grid
 from volcal.measuring_setup import MeasuringSetup
-
-AS_STATED = Options(estimate_scales=False, outliers="none")
-"""Nothing is measured yet: noise, prior and misfit are taken as stated."""
 
 
 @dataclass(frozen=True, eq=False)
